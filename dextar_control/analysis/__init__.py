@@ -1,0 +1,1 @@
+"""A recorded run: load it, compute its metrics, draw it."""

@@ -1,0 +1,27 @@
+"""Everything this package raises for a caller's mistake."""
+
+from __future__ import annotations
+
+
+class DextarError(Exception):
+    """Root of the package's errors: one sentence that names the value and the limit."""
+
+
+class ParameterError(DextarError):
+    """A parameter is missing, unknown or out of its range."""
+
+
+class GeometryError(DextarError):
+    """A configuration does not exist, or is too close to one that does not."""
+
+
+class TrajectoryError(DextarError):
+    """A trajectory breaks the crossing criterion, the workspace or a limit."""
+
+
+class StateError(DextarError):
+    """A joint state or command cannot be used: names, sizes, non-finite numbers."""
+
+
+class BagError(DextarError):
+    """A recording cannot be written or read."""

@@ -1,0 +1,268 @@
+"""What every node of the package does alike: parameters, QoS, signals, diagnostics, exit code."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from dextar_control.contract import resources
+from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.robot import ROBOT_KEYS, RobotParameters, from_flat
+from dextar_control.contract.topics import DIAGNOSTICS, Topic
+
+EXIT_USAGE = 2
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One node parameter; its default stands in ``config/crossing.yaml``.
+
+    Attributes:
+        name: dotted name.
+        description: with unit, for ``ros2 param describe``.
+        minimum, maximum: inclusive bounds of a number (or of each of an array).
+        choices: the allowed words of a string.
+        size: length of an array.
+        live: may be changed while the node runs.
+    """
+
+    name: str
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    size: int = 0
+    live: bool = False
+
+
+def check_value(spec: Parameter, value: Any, default: Any) -> Any:
+    """The value in the type of its default.
+
+    Raises:
+        ParameterError: another type, not finite or out of bounds; names the value and the limit.
+    """
+
+    def fail(limit: str) -> ParameterError:
+        return ParameterError(f"parameter '{spec.name}' = {value!r}; it must be {limit}")
+
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise fail("true or false")
+        return value
+    if isinstance(default, str):
+        if not isinstance(value, str):
+            raise fail("a string")
+        if spec.choices and value not in spec.choices:
+            raise fail(f"one of {', '.join(spec.choices)}")
+        return value
+    array = isinstance(default, (list, tuple))
+    numbers = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
+    if array != (not isinstance(value, (int, float))) or (array and len(numbers) != (spec.size or len(numbers))):
+        raise fail(f"{spec.size} numbers" if array else "a number")
+    if any(isinstance(number, (bool, str)) for number in numbers):
+        raise fail("numeric")
+    integer = isinstance(default[0] if array else default, int)
+    for number in numbers:
+        if number != number or abs(number) == float("inf"):
+            raise fail("finite")
+        if integer and int(number) != number:
+            raise fail("an integer")
+        if spec.minimum is not None and number < spec.minimum:
+            raise fail(f">= {spec.minimum:g}")
+        if spec.maximum is not None and number > spec.maximum:
+            raise fail(f"<= {spec.maximum:g}")
+    cast = [int(number) if integer else float(number) for number in numbers]
+    return cast if array else cast[0]
+
+
+def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoSProfile:
+    """The profile of a contract topic; a subscriber on the control path asks for ``reliable=False``."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth or topic.depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+class DextarNode(Node):
+    """A node with checked parameters, a diagnostics publisher and an exit code.
+
+    Args:
+        name: node name, and its section in ``config/crossing.yaml``.
+        specs: the node's parameters.
+        robot: whether the node takes the robot description.
+
+    Raises:
+        ParameterError: an override is unknown, of another type or out of its bounds.
+    """
+
+    def __init__(self, name: str, specs: Iterable[Parameter], *, robot: bool, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.exit_code = 0
+        self.finished = False
+        self._specs = {spec.name: spec for spec in specs}
+        self._defaults = resources.node_defaults(name)
+        self.values: dict[str, Any] = {}
+        robot_defaults = resources.node_defaults(name, resources.config_file(resources.ROBOT_FILE)) if robot else {}
+        overrides = {key: parameter.value for key, parameter in self._parameter_overrides.items()}
+        known = {*self._specs, *robot_defaults, "use_sim_time"}
+        for key in overrides:
+            shared = key.startswith(("robot.", "task.", "qos_overrides.", "start_type_description_service"))
+            if key not in known and not (shared and not (robot and key.startswith("robot."))):
+                raise ParameterError(f"unknown parameter '{key}' for node {name}; known are: {', '.join(self._specs)}")
+        for spec in self._specs.values():
+            if spec.name not in self._defaults:
+                raise ParameterError(f"config/{resources.NODES_FILE} has no '{spec.name}' for node {name}")
+            default = self._defaults[spec.name]
+            value = check_value(spec, overrides.get(spec.name, default), default)
+            self.values[spec.name] = self._declare(spec.name, value, _descriptor(spec, value))
+        self.robot: RobotParameters | None = None
+        if robot:
+            prefix = "robot."
+            flat = {key: overrides.get(key, default) for key, default in robot_defaults.items()}
+            unique = {key.removeprefix(prefix): value for key, value in flat.items()}
+            self.robot = from_flat({key: unique[key] for key in unique if key in ROBOT_KEYS})
+            for key, value in flat.items():
+                plain = list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
+                self._declare(key, plain, ParameterDescriptor(read_only=True))
+        self.add_on_set_parameters_callback(self._on_set)
+        self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS.name, qos(DIAGNOSTICS))
+        self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+
+    def _declare(self, name: str, value: Any, descriptor: ParameterDescriptor) -> Any:
+        self.declare_parameter(name, value, descriptor, ignore_override=True)
+        return value
+
+    def _on_set(self, parameters: list[Any]) -> SetParametersResult:
+        for parameter in parameters:
+            spec = self._specs.get(parameter.name)
+            if spec is None:
+                continue
+            if not spec.live:
+                return SetParametersResult(successful=False, reason=f"'{spec.name}' is fixed while the node runs")
+            try:
+                value = check_value(spec, parameter.value, self._defaults[spec.name])
+                self.on_parameter(spec.name, value)
+            except DextarError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            self.values[spec.name] = value
+        return SetParametersResult(successful=True)
+
+    def on_parameter(self, name: str, value: Any) -> None:
+        """Take a live change; raise a DextarError to refuse it."""
+
+    def publish_diagnostics(self, level: bytes, message: str, values: Mapping[str, Any]) -> None:
+        """One DiagnosticStatus on ``/diagnostics``, numbers as their shortest exact text."""
+        status = DiagnosticStatus(
+            level=level, name=f"{self.get_fully_qualified_name()}", message=message, hardware_id="dextar"
+        )
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def finish(self, exit_code: int = 0) -> None:
+        """Leave the spin loop with this exit code."""
+        self.exit_code = exit_code
+        self.finished = True
+
+    def close(self) -> None:
+        """Leave the outside world as it should be left; called once, before the node is destroyed."""
+
+
+def _descriptor(spec: Parameter, value: Any) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=spec.description, dynamic_typing=True)
+    if spec.choices:
+        descriptor.additional_constraints = f"one of: {', '.join(spec.choices)}"
+    if spec.minimum is None and spec.maximum is None:
+        return descriptor
+    if isinstance(value, float):
+        low = -1.0e308 if spec.minimum is None else float(spec.minimum)
+        high = 1.0e308 if spec.maximum is None else float(spec.maximum)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    elif isinstance(value, int) and not isinstance(value, bool):
+        low_int = -(2**62) if spec.minimum is None else int(spec.minimum)
+        high_int = 2**62 if spec.maximum is None else int(spec.maximum)
+        descriptor.integer_range = [IntegerRange(from_value=low_int, to_value=high_int)]
+    return descriptor
+
+
+def make_executor(kind: str = "events") -> Any:
+    """The events executor where this rclpy has it, else the single-threaded one."""
+    if kind == "events":
+        try:
+            from rclpy.experimental.events_executor import EventsExecutor
+
+            return EventsExecutor()
+        except ImportError:
+            pass
+    return rclpy.executors.SingleThreadedExecutor()
+
+
+class StopSignal:
+    """SIGINT and SIGTERM as an event: a node finishes what it holds before it goes."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: self._event.set())
+
+    def __bool__(self) -> bool:
+        return self._event.is_set()
+
+
+def run_node(
+    make: Callable[[], DextarNode],
+    args: list[str] | None = None,
+    spin: Callable[[Any, Any, StopSignal], None] | None = None,
+) -> int:
+    """Run one node until a signal or its own end; the process's exit code.
+
+    Args:
+        make: builds the node.
+        args: command line, ``sys.argv`` when None.
+        spin: the node's own loop ``spin(node, executor, stop)``; the default hands events to callbacks.
+    """
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rcl raises its own types for a bad --ros-args or parameter file
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_USAGE
+    stop = StopSignal()
+    node: DextarNode | None = None
+    try:
+        node = make()
+        executor = make_executor()
+        executor.add_node(node)
+        try:
+            (spin or _spin)(node, executor, stop)
+        finally:
+            node.close()
+            executor.remove_node(node)
+            executor.shutdown()
+        return node.exit_code
+    except DextarError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_USAGE
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _spin(node: DextarNode, executor: Any, stop: StopSignal) -> None:
+    while not stop and not node.finished:
+        executor.spin_once(timeout_sec=0.05)

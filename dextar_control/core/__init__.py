@@ -1,0 +1,1 @@
+"""The mathematical core: NumPy (compiled by numba), no ROS, no simulator."""

@@ -1,0 +1,1 @@
+"""The nodes, thin around the core."""
