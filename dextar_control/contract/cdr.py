@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from rclpy.serialization import serialize_message
 
 NANOSECONDS = 1_000_000_000
@@ -30,15 +30,20 @@ class CdrTemplate:
     """A message of fixed layout: pack and unpack its stamp and float64 values.
 
     Args:
-        make: builds the message from a stamp and ``count`` floats.
+        make: builds the message from a stamp and ``count`` floats; ``make(stamp, values, duration)``
+            where it also carries one duration.
         count: how many floats vary.
+        duration: whether a duration (int32 s, uint32 ns) varies too.
     """
 
     _SENTINEL_STAMP = 1_234_567_891 * NANOSECONDS + 987_654_321
 
-    def __init__(self, make: Callable[[Time, Sequence[float]], Any], count: int) -> None:
+    def __init__(self, make: Callable[..., Any], count: int, *, duration: bool = False) -> None:
         sentinels = [1.0e-3 * (index + 1) + 7.123456789e5 for index in range(count)]
-        raw = bytes(serialize_message(make(to_time(self._SENTINEL_STAMP), sentinels)))
+        seconds, nanoseconds = 1_098_765_432, 123_456_789
+        extra = [Duration(sec=seconds, nanosec=nanoseconds)] if duration else []
+        raw = bytes(serialize_message(make(to_time(self._SENTINEL_STAMP), sentinels, *extra)))
+        self._duration_offset = raw.index(struct.pack("<iI", seconds, nanoseconds)) if duration else None
         self._stamp_offset = raw.index(struct.pack("<iI", 1_234_567_891, 987_654_321))
         offsets = [raw.index(struct.pack("<d", value)) for value in sentinels]
         runs: list[list[int]] = []  # [offset, first value, number of values]
@@ -48,16 +53,19 @@ class CdrTemplate:
             else:
                 runs.append([offset, index, 1])
         self._runs = [(offset, first, first + size, struct.Struct(f"<{size}d")) for offset, first, size in runs]
-        moving = sorted([(self._stamp_offset, 8), *((offset, 8 * size) for offset, _, size in runs)])
+        clocks = [(self._stamp_offset, 8), *([(self._duration_offset, 8)] if duration else [])]
+        moving = sorted([*clocks, *((offset, 8 * size) for offset, _, size in runs)])
         edges = [0, *(edge for offset, size in moving for edge in (offset, offset + size)), len(raw)]
         self._still = [slice(start, stop) for start, stop in zip(edges[::2], edges[1::2], strict=True) if stop > start]
         self._fixed = [raw[part] for part in self._still]
         self._buffer = bytearray(raw)
         self._length = len(raw)
 
-    def pack(self, stamp: int, values: Sequence[float]) -> bytes:
-        """CDR bytes of the message with this stamp (ns) and these values."""
+    def pack(self, stamp: int, values: Sequence[float], duration: int = 0) -> bytes:
+        """CDR bytes of the message with this stamp (ns), these values and this duration (ns)."""
         buffer = self._buffer
+        if self._duration_offset is not None:
+            struct.pack_into("<iI", buffer, self._duration_offset, duration // NANOSECONDS, duration % NANOSECONDS)
         struct.pack_into("<iI", buffer, self._stamp_offset, stamp // NANOSECONDS, stamp % NANOSECONDS)
         for offset, first, last, layout in self._runs:
             layout.pack_into(buffer, offset, *values[first:last])

@@ -25,7 +25,7 @@ def share_folder() -> Path:
         from ament_index_python.packages import get_package_share_directory
 
         candidates.append(Path(get_package_share_directory("dextar")))
-    except (ImportError, LookupError, ValueError):
+    except (ImportError, LookupError, ValueError, OSError):
         pass
     for candidate in candidates:
         if (candidate / "config" / NODES_FILE).is_file():

@@ -1,0 +1,153 @@
+"""One recorded run as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dextar_control.contract.robot import RobotParameters
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+class Phase(IntEnum):
+    """What the controller was doing, as the criterion topic numbers it."""
+
+    IDLE = 0
+    APPROACH = 1
+    HOLD = 2
+    TRACK = 3
+    CROSSING = 4
+    SAFE_STOP = 5
+    FAULT = 6
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Joint states or commands; columns in the order of the contract's joint names.
+
+    Attributes:
+        stamps: (n,) ns, rising.
+        position, velocity: (n, k) rad, rad/s; nan where not sent.
+        effort: (n, k) N m; nan where not sent.
+    """
+
+    stamps: Stamps
+    position: Floats
+    velocity: Floats
+    effort: Floats
+
+
+@dataclass(frozen=True)
+class Control:
+    """The controller's state at each tick.
+
+    Attributes:
+        stamps: (n,) ns of the state answered.
+        time: (n,) s since the trajectory's start; meaningless when not tracking.
+        reference, reference_dot, reference_ddot: (n, 2) m, m/s, m/s^2.
+        estimate, estimate_dot: (n, 2) m, m/s.
+        error, error_dot: (n, 2) m, m/s.
+        output: (n, 2) auxiliary acceleration, m/s^2.
+        wrench: (n, 2) J_inv^T tau, N.
+    """
+
+    stamps: Stamps
+    time: Floats
+    reference: Floats
+    reference_dot: Floats
+    reference_ddot: Floats
+    estimate: Floats
+    estimate_dot: Floats
+    error: Floats
+    error_dot: Floats
+    output: Floats
+    wrench: Floats
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """The crossing criterion at each tick; all (n,).
+
+    Attributes:
+        stamps: ns of the state answered.
+        residual: t_s.w_d, N.
+        s: singularity measure, estimated.
+        sigma_min, projection_weight: 1.
+        assembly_mode: +1 or -1, estimated.
+        phase: a ``Phase``.
+    """
+
+    stamps: Stamps
+    residual: Floats
+    s: Floats
+    sigma_min: Floats
+    projection_weight: Floats
+    assembly_mode: Floats
+    phase: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Where the simulated end effector and joints really were.
+
+    Attributes:
+        stamps: (n,) ns.
+        x, x_dot: (n, 2) m, m/s.
+        q_a: (n, 2) active joints, rad.
+    """
+
+    stamps: Stamps
+    x: Floats
+    x_dot: Floats
+    q_a: Floats
+
+
+@dataclass(frozen=True)
+class Served:
+    """The trajectory as it was served.
+
+    Attributes:
+        time: (m,) s.
+        x, x_dot, x_ddot: (m, 2) m, m/s, m/s^2.
+    """
+
+    time: Floats
+    x: Floats
+    x_dot: Floats
+    x_ddot: Floats
+
+
+@dataclass(frozen=True)
+class Run:
+    """Everything the analysis knows, from the bag alone.
+
+    Attributes:
+        truth: None in a rig's bag.
+        trajectory: the last one served with points, or None.
+        diagnostics: per node name, the keys of its last status, with ``level`` (int) and ``message``.
+        parameters: per node name, its parameters.
+        robot: as the controller had it, or None.
+        losses: per topic name, {received, lost, dropped}; lost is None when not known.
+        truncated: the bag breaks off.
+    """
+
+    path: Path
+    states: Joints
+    commands: Joints
+    control: Control
+    criterion: Criterion
+    truth: Truth | None
+    trajectory: Served | None
+    diagnostics: dict[str, dict[str, Any]] = field(default_factory=dict)
+    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    robot: RobotParameters | None = None
+    losses: dict[str, dict[str, int | None]] = field(default_factory=dict)
+    version: str = ""
+    truncated: bool = False

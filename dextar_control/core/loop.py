@@ -1,0 +1,452 @@
+"""The control loop: estimate, law, limits and phases in one ``step(time, q_a) -> torque``.
+
+It knows no ROS and no simulator; a rig, a node or a plain ``for`` calls it alike.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.core.certificate import Certificate, certify, check_rest
+from dextar_control.core.compiled import njit
+from dextar_control.core.dynamics import friction
+from dextar_control.core.estimator import JointMemory, estimate_platform, filter_joints, wrap
+from dextar_control.core.kinematics import direct_model, singularity, state_of_platform
+from dextar_control.core.law import Law, enforce
+from dextar_control.core.model import Array, Model, make_model
+from dextar_control.core.trajectory import Trajectory, evaluate, hold
+
+
+class Phase(IntEnum):
+    """What the controller does."""
+
+    IDLE = 0  # no torque, by request
+    APPROACH = 1  # tracks a trajectory without a crossing
+    HOLD = 2  # holds a point
+    TRACK = 3  # tracks a crossing trajectory, away from the locus
+    CROSSING = 4  # tracks it near the locus
+    SAFE_STOP = 5  # brakes, then no torque
+    FAULT = 6  # no torque
+
+
+MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Gains and limits of the loop; values stand in ``config/crossing.yaml``.
+
+    Attributes:
+        law: enforcement of the criterion.
+        natural_frequency: of the tracking error, rad/s; K_p is its square.
+        damping_ratio: K_d = 2 damping_ratio natural_frequency.
+        integral_frequency: K_i = integral_frequency natural_frequency^2, 1/s; 0 is off.
+        filter_bandwidth: of the joint filter, rad/s.
+        zone, zone_width: |s| of the law's transition and its width.
+        hold_zone, hold_width: |s| of the estimator's, ``estimator.estimate_platform``.
+        return_time: over which the direct model takes over after a crossing, s.
+        friction_compensation: fraction of the modelled joint friction that is fed forward.
+        max_tracking_error: platform error that ends a motion in a safe stop, m.
+        max_start_distance: between the robot and a trajectory's start, m.
+        max_residual: of the criterion at a crossing of an accepted trajectory, N.
+        watch_ratio, watch_torque, watch_s, watch_time: torque above ratio x planned peak and above
+            watch_torque (N m) within |s| < watch_s for this long ends a motion in a safe stop: a robot
+            that bounced asks for it.
+        brake_gain: of the safe stop, N m s/rad.
+        brake_time: after which the safe stop's torque is gone, s.
+    """
+
+    law: Law
+    natural_frequency: float
+    damping_ratio: float
+    integral_frequency: float
+    filter_bandwidth: float
+    zone: float
+    zone_width: float
+    hold_zone: float
+    hold_width: float
+    return_time: float
+    friction_compensation: float
+    max_tracking_error: float
+    max_start_distance: float
+    max_residual: float
+    watch_ratio: float
+    watch_torque: float
+    watch_s: float
+    watch_time: float
+    brake_gain: float
+    brake_time: float
+
+
+class _Gains(NamedTuple):
+    """What the compiled tick takes of the settings."""
+
+    K_p: float
+    K_d: float
+    K_i: float
+    bandwidth: float
+    zone: float
+    zone_width: float
+    hold_zone: float
+    hold_width: float
+    return_time: float
+    friction_compensation: float
+    max_torque: float
+
+
+class Tick(NamedTuple):
+    """Everything about one sample; arrays are (2,)."""
+
+    time: float  # of the state, s
+    reference_time: float  # since the trajectory's start, s
+    phase: Phase
+    tau: Array  # N m
+    x_ref: Array
+    x_ref_dot: Array
+    x_ref_ddot: Array
+    x_hat: Array
+    x_hat_dot: Array
+    error: Array  # m
+    error_dot: Array  # m/s
+    u: Array  # m/s^2
+    force: Array  # J_inv^T tau, N
+    residual: float  # N
+    s: float
+    sigma_min: float
+    weight: float
+    assembly_mode: int
+
+
+_TAU, _X_REF, _X_HAT, _ERROR, _U, _FORCE, _SCALARS, _S_REF, _SIZE = 0, 2, 8, 12, 16, 18, 20, 24, 26
+
+
+@njit
+def _tick(
+    model: Model, gains: _Gains, memory: JointMemory, integral: Array,
+    knots: Array, origins: Array, coefficients: Array, plan_times: Array, plan_multipliers: Array,
+    reference_time: float, dt: float, q_meas: Array, time_outside: float, assembly_mode: float, law: int,
+    out: Array,
+) -> None:  # fmt: skip
+    point = evaluate(knots, origins, coefficients, reference_time)
+    reference = state_of_platform(model, point[0], point[1])
+    s_ref = singularity(model, reference.A_r)
+    if s_ref * assembly_mode < 0.0:
+        assembly_mode = -assembly_mode  # the reference has crossed: the direct model's branch changes with it
+    filter_joints(memory, q_meas, reference.q_a, reference.q_a_dot, dt, gains.bandwidth)
+    estimate = estimate_platform(
+        model, memory, reference, s_ref, gains.hold_zone, gains.hold_width,
+        time_outside, gains.return_time, assembly_mode,
+    )  # fmt: skip
+    error = point[0] - estimate.x
+    error_dot = point[1] - estimate.x_dot
+    if abs(s_ref) > gains.hold_zone + gains.hold_width:
+        integral += dt * error
+    u = point[2] + gains.K_d * error_dot + gains.K_p * error + gains.K_i * integral
+    kin = state_of_platform(model, estimate.x, estimate.x_dot)
+    lambda_ref = np.array(
+        [
+            np.interp(reference_time, plan_times, plan_multipliers[:, 0]),
+            np.interp(reference_time, plan_times, plan_multipliers[:, 1]),
+        ]
+    )
+    enforced = enforce(model, kin, u, lambda_ref, law, gains.zone, gains.zone_width)
+    tau = enforced.tau + gains.friction_compensation * friction(model, reference.q_a_dot)
+    for i in range(2):
+        out[_TAU + i] = min(max(tau[i], -gains.max_torque), gains.max_torque) if np.isfinite(tau[i]) else np.nan
+        for row in range(3):
+            out[_X_REF + 2 * row + i] = point[row, i]
+        out[_X_HAT + i] = estimate.x[i]
+        out[_X_HAT + 2 + i] = estimate.x_dot[i]
+        out[_ERROR + i] = error[i]
+        out[_ERROR + 2 + i] = error_dot[i]
+        out[_U + i] = u[i]
+    for i in range(2):
+        out[_FORCE + i] = kin.J_inv[0, i] * out[_TAU] + kin.J_inv[1, i] * out[_TAU + 1]
+    out[_SCALARS] = enforced.residual
+    out[_SCALARS + 1] = enforced.s
+    out[_SCALARS + 2] = enforced.sigma_min
+    out[_SCALARS + 3] = enforced.weight
+    out[_S_REF] = s_ref
+    out[_S_REF + 1] = assembly_mode
+
+
+@njit
+def _brake(memory: JointMemory, q_meas: Array, dt: float, bandwidth: float, gain: float, limit: float) -> Array:
+    filter_joints(memory, q_meas, memory.q_ref, np.zeros(2), dt, bandwidth)
+    return np.minimum(np.maximum(-gain * memory.q_dot, -limit), limit)
+
+
+class ControlLoop:
+    """The Cartesian computed-torque loop of one robot.
+
+    Args:
+        robot: the controller's model of it.
+        settings: gains and limits.
+        assembly_mode: sign of s where the robot stands at the first sample.
+        enabled: whether the first sample is held; otherwise the loop idles until ``enable``.
+
+    Raises:
+        ParameterError: assembly_mode is neither +1 nor -1.
+    """
+
+    def __init__(
+        self, robot: RobotParameters, settings: Settings, assembly_mode: int, *, enabled: bool = True
+    ) -> None:
+        if assembly_mode not in (-1, 1):
+            raise ParameterError(f"assembly_mode = {assembly_mode}; it must be +1 or -1")
+        self.robot = robot
+        self.model = make_model(robot)
+        self.phase = Phase.HOLD if enabled else Phase.IDLE
+        self.reason = ""
+        self.certificate: Certificate | None = None
+        self.saturated_ticks = 0
+        self.completed = 0
+        self.tick: Tick | None = None
+        self._initial_mode = assembly_mode
+        self._mode = float(assembly_mode)
+        self._out = np.zeros(_SIZE)
+        self._integral = np.zeros(2)
+        self._memory = JointMemory(np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2))
+        self._time = math.nan
+        self._start = 0.0
+        self._pending: tuple[Trajectory, Certificate, float | None] | None = None
+        self._watch = 0.0
+        self._outside = math.inf
+        self._stop_time = 0.0
+        self._stop_wanted = False
+        self.configure(settings)
+
+    def configure(self, settings: Settings) -> None:
+        """Take gains and limits, also while running."""
+        self.settings = settings
+        K_p = settings.natural_frequency**2
+        self._gains = _Gains(
+            K_p, 2.0 * settings.damping_ratio * settings.natural_frequency, settings.integral_frequency * K_p,
+            settings.filter_bandwidth, settings.zone, settings.zone_width,
+            0.0 if settings.law == Law.CLASSIC else settings.hold_zone, settings.hold_width, settings.return_time,
+            settings.friction_compensation, self.robot.max_torque,
+        )  # fmt: skip
+
+    def accept(self, trajectory: Trajectory, start: float | None = None) -> Certificate:
+        """Check a trajectory and track it from its start time on.
+
+        Args:
+            start: in the time of the samples, s; the next sample when None.
+
+        Raises:
+            TrajectoryError: it breaks the criterion, a limit or does not start at the robot, or the
+                loop is not holding; names the value and the limit.
+        """
+        if self.phase != Phase.HOLD:
+            raise TrajectoryError(f"a trajectory is taken in phase HOLD only; the controller is in {self.phase.name}")
+        check_rest(trajectory)
+        certificate = certify(self.robot, trajectory, max_residual=self.settings.max_residual)
+        self._check_start(trajectory)
+        if start is not None and not math.isnan(self._time) and start < self._time:
+            raise TrajectoryError(f"the trajectory starts at {start:.6f} s; the last state is of {self._time:.6f} s")
+        self._pending = (trajectory, certificate, start)
+        return certificate
+
+    def _check_start(self, trajectory: Trajectory) -> None:
+        if self.tick is None:
+            return
+        first = trajectory.at(0.0).x
+        distance = float(np.hypot(*(first - self.tick.x_ref)))
+        if not distance <= self.settings.max_start_distance:
+            raise TrajectoryError(
+                f"the trajectory starts in ({first[0]:.4f}, {first[1]:.4f}) m, {distance:.4f} m from the robot;"
+                f" the limit is {self.settings.max_start_distance} m"
+            )
+
+    def enable(self) -> None:
+        """Leave IDLE and hold the present point."""
+        if self.phase == Phase.IDLE:
+            if self.tick is not None:
+                self._hold_at(self.tick.x_hat)
+            self.phase = Phase.HOLD
+
+    def disable(self) -> None:
+        """No torque from the next sample on, whatever goes on."""
+        if self.phase not in (Phase.FAULT, Phase.SAFE_STOP):
+            self.phase, self.reason, self._pending = Phase.IDLE, "disabled on request", None
+
+    def stop(self, reason: str = "stop requested") -> None:
+        """A safe stop: at once away from the locus; a crossing that has begun is finished first."""
+        if self.phase == Phase.CROSSING:
+            self._stop_wanted, self.reason = True, reason
+        elif self.phase in MOVING or self.phase == Phase.HOLD:
+            self._safe_stop(reason)
+
+    def fault(self, reason: str) -> None:
+        """No torque, latched until ``reset``."""
+        self.phase, self.reason, self._pending = Phase.FAULT, reason, None
+
+    def reset(self) -> None:
+        """From SAFE_STOP or FAULT to IDLE; the next sample is taken as a first one."""
+        if self.phase in (Phase.SAFE_STOP, Phase.FAULT):
+            self.phase, self.reason = Phase.IDLE, ""
+            self._time = math.nan
+
+    def _safe_stop(self, reason: str) -> None:
+        self.phase, self.reason, self._pending = Phase.SAFE_STOP, reason, None
+        self._stop_wanted = False
+        self._stop_time = self._time
+        self._memory.q_ref[:] = self._memory.q
+        self._memory.q_ref_dot[:] = 0.0
+
+    def _hold_at(self, x: Array) -> None:
+        self._set_trajectory(hold(x, 1.0), np.array([0.0, 1.0]), np.zeros((2, 2)))
+        kin = state_of_platform(self.model, np.ascontiguousarray(x), np.zeros(2))
+        self._memory.q_ref[:] = kin.q_a
+        self._memory.q_ref_dot[:] = 0.0
+
+    def _set_trajectory(self, trajectory: Trajectory, times: Array, multipliers: Array) -> None:
+        self.trajectory = trajectory
+        self._reference = (trajectory.knots, trajectory.origins, trajectory.coefficients)
+        self._plan = (np.ascontiguousarray(times), np.ascontiguousarray(multipliers))
+
+    def _first(self, q_a: Array) -> None:
+        mode = self._initial_mode if self.tick is None else self.tick.assembly_mode
+        x = direct_model(self.model, q_a, mode)
+        if not np.hypot(*wrapped(state_of_platform(self.model, x, np.zeros(2)).q_a - q_a)) < 1e-6:
+            raise StateError(
+                f"active joints ({q_a[0]:.4f}, {q_a[1]:.4f}) rad with assembly mode {mode:+d} are not in working mode"
+                f" {self.robot.working_mode}"
+            )
+        self._mode = float(mode)
+        self._integral[:] = 0.0
+        self._memory.q[:] = q_a
+        self._memory.q_dot[:] = 0.0
+        self._hold_at(x)
+        self._outside = math.inf
+        if self._pending is not None:
+            first = self._pending[0].at(0.0).x
+            distance = float(np.hypot(*(first - x)))
+            if distance > self.settings.max_start_distance:
+                self._pending = None
+                raise TrajectoryError(
+                    f"the trajectory starts in ({first[0]:.4f}, {first[1]:.4f}) m, {distance:.4f} m from the robot;"
+                    f" the limit is {self.settings.max_start_distance} m"
+                )
+
+    def step(self, time: float, q_a: Array) -> Array:
+        """Torque (2,), N m, that answers the active joints q_a (2,), rad, sampled at ``time``, s.
+
+        Raises:
+            StateError: a number is not finite, time does not advance, or (first sample) the joints
+                belong to another working mode. Nothing is changed then.
+            GeometryError: first sample: the distal links cannot meet.
+            TrajectoryError: first sample: a trajectory accepted before does not start at the robot.
+        """
+        q_a = np.asarray(q_a, dtype=np.float64)
+        if q_a.shape != (2,) or not (math.isfinite(q_a[0]) and math.isfinite(q_a[1]) and math.isfinite(time)):
+            raise StateError(f"state at {time} s: active joints {q_a} are not two finite numbers")
+        if math.isnan(self._time):
+            self._first(q_a)
+            dt = 1e-3
+        else:
+            dt = time - self._time
+            if not dt > 0.0:
+                raise StateError(f"state at {time:.6f} s is not after the last one at {self._time:.6f} s")
+        self._time = time
+        if self._pending is not None and (self._pending[2] is None or time >= self._pending[2]):
+            self._begin(time)
+        if self.phase == Phase.SAFE_STOP:
+            return self._braking(dt, q_a)
+        reference_time = time - self._start if self.phase in MOVING else 0.0
+        if self.phase in MOVING and reference_time >= self.trajectory.duration:
+            self._hold_at(self.trajectory.at(self.trajectory.duration).x)
+            self.phase, reference_time = Phase.HOLD, 0.0
+            self.completed += 1
+        out = self._out
+        _tick(
+            self.model, self._gains, self._memory, self._integral, *self._reference, *self._plan,
+            reference_time, dt, q_a, self._outside, self._mode, int(self.settings.law), out,
+        )  # fmt: skip
+        self._mode = float(out[_S_REF + 1])
+        s_ref = abs(float(out[_S_REF]))
+        self._outside = self._outside + dt if s_ref > self.settings.hold_zone else 0.0
+        if self.phase in (Phase.TRACK, Phase.CROSSING):
+            self.phase = Phase.CROSSING if s_ref < self.settings.hold_zone + self.settings.hold_width else Phase.TRACK
+        self._supervise(dt, out, s_ref)
+        values = out.copy()
+        if self.phase in (Phase.IDLE, Phase.FAULT, Phase.SAFE_STOP):
+            values[_TAU : _TAU + 2] = 0.0
+            values[_FORCE : _FORCE + 2] = 0.0
+        if self.phase == Phase.IDLE:
+            self._hold_at(values[_X_HAT : _X_HAT + 2])
+        self._publish(reference_time, values)
+        return values[_TAU : _TAU + 2]
+
+    def _begin(self, time: float) -> None:
+        assert self._pending is not None
+        trajectory, certificate, start = self._pending
+        self._pending = None
+        self.certificate = certificate
+        self._start = time if start is None else start
+        self._set_trajectory(trajectory, certificate.profile.time, certificate.profile.multipliers)
+        self._integral[:] = 0.0
+        self._watch = 0.0
+        self.phase = Phase.TRACK if len(certificate.crossing_times) else Phase.APPROACH
+        self.saturated_ticks = 0
+
+    def _supervise(self, dt: float, out: Array, s_ref: float) -> None:
+        tau = out[_TAU : _TAU + 2]
+        if not np.isfinite(out[:_SCALARS]).all():
+            if self.phase != Phase.IDLE:
+                self.fault("the law gave a number that is not finite")
+            return
+        if float(np.abs(tau).max()) >= self.robot.max_torque:
+            self.saturated_ticks += 1
+        if self.phase not in MOVING:
+            return
+        settings = self.settings
+        if self._stop_wanted and self.phase != Phase.CROSSING:
+            self._safe_stop(self.reason)
+            return
+        error = math.hypot(out[_ERROR], out[_ERROR + 1])
+        if error > settings.max_tracking_error:
+            self._safe_stop(f"tracking error {error:.4f} m; the limit is {settings.max_tracking_error} m")
+            return
+        if self.certificate is None or len(self.certificate.crossing_times) == 0:
+            return
+        limit = max(settings.watch_ratio * self.certificate.peak_torque, settings.watch_torque)
+        peak = float(np.abs(tau).max())
+        self._watch = self._watch + dt if s_ref < settings.watch_s and peak > limit else 0.0
+        if self._watch > settings.watch_time:
+            self._safe_stop(
+                f"torque {peak:.3f} N m for {1e3 * self._watch:.0f} ms near the locus; the limit is"
+                f" {limit:.3f} N m for {1e3 * settings.watch_time:.0f} ms"
+            )
+
+    def _braking(self, dt: float, q_a: Array) -> Array:
+        settings = self.settings
+        tau = _brake(
+            self._memory, q_a, dt, settings.filter_bandwidth, settings.brake_gain, self.robot.max_torque
+        )  # fmt: skip
+        if self._time - self._stop_time > settings.brake_time:
+            tau = np.zeros(2)
+        out = self._out.copy()
+        out[_TAU : _TAU + 2] = tau
+        out[_FORCE : _FORCE + 2] = 0.0
+        self._publish(self._time - self._start, out)
+        return tau
+
+    def _publish(self, reference_time: float, out: Array) -> None:
+        self.tick = Tick(
+            self._time, reference_time, self.phase, out[0:2], out[2:4], out[4:6], out[6:8], out[8:10], out[10:12],
+            out[12:14], out[14:16], out[16:18], out[18:20], float(out[20]), float(out[21]), float(out[22]),
+            float(out[23]), int(out[_S_REF + 1]),
+        )  # fmt: skip
+
+
+def wrapped(angles: Array) -> Array:
+    """Angle differences (2,) in [-pi, pi), rad."""
+    return np.array([wrap(float(angle)) for angle in angles])

@@ -1,0 +1,67 @@
+"""The five-bar's numbers as the compiled core takes them: one flat record of arrays."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dextar_control.contract.robot import RobotParameters
+
+Array = NDArray[np.float64]
+
+
+class Model(NamedTuple):
+    """Lumped parameters of L (see ``dynamics``); index or row i is the leg i (left, right).
+
+    With a distal rod of mass m, centre at the fraction c from its elbow and inertia I about it, seen
+    from its two ends P_i and x: T = m_PP/2 |P_dot|^2 + m_Px P_dot.x_dot + m_xx/2 |x_dot|^2.
+    """
+
+    base: Array  # (2, 2) motor axes e_i, m
+    l1: Array  # (2,) proximal lengths, m
+    l2: Array  # (2,) distal lengths, m
+    working_mode: Array  # (2,) +1 or -1
+    M_a: Array  # (2,) proximal link, rotor and m_PP l1^2 about the motor axis, kg m^2
+    m_Px: Array  # (2,) kg
+    M_x: float  # sum of m_xx and the end effector, kg
+    joint_moment: Array  # (2,) first mass moment about the motor axis, kg m
+    platform_mass: float  # mass whose weight acts at x, kg
+    gravity: Array  # (2,) m/s^2
+    viscous: Array  # (2,) N m s/rad
+    coulomb: Array  # (2,) N m
+    coulomb_speed: float  # rad/s
+    min_type1: float  # least |sin| of an elbow angle
+
+
+def make_model(robot: RobotParameters) -> Model:
+    """The compiled core's record of a robot description."""
+    legs = robot.legs
+
+    def column(name: str) -> Array:
+        return np.array([getattr(leg, name) for leg in legs], dtype=np.float64)
+
+    l1, l2 = column("proximal_length"), column("distal_length")
+    m_p, c_p, i_p = column("proximal_mass"), column("proximal_center"), column("proximal_inertia")
+    m_d, c_d, i_d = column("distal_mass"), column("distal_center"), column("distal_inertia")
+    m_PP = m_d * (1.0 - c_d) ** 2 + i_d / l2**2  # kg
+    m_Px = m_d * c_d * (1.0 - c_d) - i_d / l2**2  # kg
+    m_xx = m_d * c_d**2 + i_d / l2**2  # kg
+    half = 0.5 * robot.base_distance
+    return Model(
+        base=np.array([[-half, 0.0], [half, 0.0]]),
+        l1=l1,
+        l2=l2,
+        working_mode=np.array(robot.working_mode, dtype=np.float64),
+        M_a=i_p + m_p * (c_p * l1) ** 2 + column("rotor_inertia") + m_PP * l1**2,
+        m_Px=m_Px,
+        M_x=float(m_xx.sum()) + robot.end_effector_mass,
+        joint_moment=m_p * c_p * l1 + m_d * (1.0 - c_d) * l1,
+        platform_mass=float((m_d * c_d).sum()) + robot.end_effector_mass,
+        gravity=np.array(robot.gravity, dtype=np.float64),
+        viscous=column("viscous_friction"),
+        coulomb=column("coulomb_friction"),
+        coulomb_speed=robot.coulomb_speed,
+        min_type1=robot.min_type1_distance,
+    )

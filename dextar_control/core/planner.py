@@ -1,0 +1,243 @@
+"""Plans a way through the Type 2 locus, rest to rest, with the criterion imposed at the crossing.
+
+One polynomial of degree 10 per coordinate: four conditions at each end (position; zero velocity,
+acceleration and jerk) and three at the crossing (position on the locus, velocity, and the acceleration
+whose component along t_s follows from t_s.w_d = 0). What that leaves open (where on the locus, how
+fast, how much acceleration normal to t_s, when) is chosen by minimising the peak torque.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq, minimize
+
+from dextar_control.contract.errors import GeometryError, TrajectoryError
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.core.certificate import Certificate, certify, measure
+from dextar_control.core.dynamics import criterion_acceleration
+from dextar_control.core.kinematics import (
+    inverse_model,
+    singular_values,
+    singularity,
+    singularity_of_platform,
+    state_of_platform,
+    type1_distance,
+)
+from dextar_control.core.model import Array, Model, make_model
+from dextar_control.core.trajectory import Trajectory, hold, join
+
+PLAN_RESIDUAL = 1e-9  # N, at the crossing of a plan
+COARSE_SAMPLES = 60  # of a candidate while optimising
+DEGREE = 10
+
+
+class Plan(NamedTuple):
+    """A served trajectory and what was checked about it."""
+
+    trajectory: Trajectory
+    certificate: Certificate
+
+
+def crossing_polynomial(
+    start: Array, goal: Array, x: Array, x_dot: Array, x_ddot: Array, before: float, after: float
+) -> Trajectory:
+    """Rest (zero jerk too) at start, given state at the crossing, rest at goal.
+
+    Args:
+        start, goal: (2,) m.
+        x, x_dot, x_ddot: (2,) at the crossing.
+        before, after: durations from the start to the crossing and from there to the goal, s.
+
+    The polynomial's argument is zero at the crossing, so that position, velocity and acceleration
+    there are its first three coefficients, exactly.
+    """
+    scale = max(before, after)
+    powers = np.arange(3, DEGREE + 1)
+    rows, right = [], []
+    for time, target in ((-before / scale, start), (after / scale, goal)):
+        known = x + x_dot * scale * time + 0.5 * x_ddot * scale**2 * time**2
+        known_dot = x_dot * scale + x_ddot * scale**2 * time
+        rows += [
+            time**powers,
+            powers * time ** (powers - 1.0),
+            powers * (powers - 1) * time ** (powers - 2.0),
+            powers * (powers - 1) * (powers - 2) * time ** (powers - 3.0),
+        ]
+        right += [target - known, -known_dot, -x_ddot * scale**2, np.zeros(2)]
+    free = np.linalg.solve(np.array(rows), np.array(right))
+    coefficients = np.concatenate([[x, x_dot, 0.5 * x_ddot], free / scale ** powers[:, None]])
+    return Trajectory(np.array([0.0, before + after]), np.array([before]), coefficients[None])
+
+
+def _side(model: Model, name: str, x: Array, robot: RobotParameters) -> float:
+    try:
+        inverse_model(model, x)
+    except GeometryError as error:
+        raise GeometryError(f"{name}: {error}") from error
+    kin = state_of_platform(model, x, np.zeros(2))
+    distance = type1_distance(model, kin)
+    if distance < robot.min_type1_distance:
+        raise GeometryError(
+            f"{name} ({x[0]:.4f}, {x[1]:.4f}) m is {distance:.4f} from Type 1; the limit is {robot.min_type1_distance}"
+        )
+    return float(singularity(model, kin.A_r))
+
+
+MIN_END_S = 0.15  # |s| at start and goal: there the direct model holds the estimate again
+
+
+def _on_locus(model: Model, start: Array, goal: Array, shift: float) -> Array | None:
+    """The point of the locus on the line start -> goal, moved sideways by ``shift`` (m)."""
+    normal = np.array([start[1] - goal[1], goal[0] - start[0]]) / np.hypot(*(goal - start))
+
+    def value(fraction: float) -> float:
+        return singularity_of_platform(model, start + fraction * (goal - start) + shift * normal)
+
+    if not value(0.0) * value(1.0) < 0.0:
+        return None
+    fraction = brentq(value, 0.0, 1.0, xtol=1e-15, rtol=1e-14)
+    return start + fraction * (goal - start) + shift * normal
+
+
+def plan_crossing(
+    robot: RobotParameters, start: Array, goal: Array, duration: float, *, seed: int = 0
+) -> Plan:
+    """One way from start to goal, rest to rest, through the locus once.
+
+    Args:
+        start, goal: (2,) m, on two sides of the Type 2 locus.
+        duration: s, > 0.
+        seed: of the search's starting points.
+
+    Raises:
+        GeometryError: start or goal is unreachable or too near to Type 1 or Type 2.
+        TrajectoryError: both lie on one side, or no way within the limits was found; the message
+            names the limit that the best one breaks.
+    """
+    model = make_model(robot)
+    start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
+    if not duration > 0.0:
+        raise TrajectoryError(f"duration = {duration} s; it must be > 0")
+    sides = []
+    for name, x in (("start", start), ("goal", goal)):
+        s = _side(model, name, x, robot)
+        if abs(s) < MIN_END_S:
+            raise GeometryError(
+                f"{name} ({x[0]:.4f}, {x[1]:.4f}) m is too near to the Type 2 locus: |s| = {abs(s):.3f}; the limit is {MIN_END_S}"
+            )
+        sides.append(s)
+    if sides[0] * sides[1] > 0.0:
+        raise TrajectoryError(
+            f"start and goal lie on the same side of the Type 2 locus (s = {sides[0]:.3f} and {sides[1]:.3f});"
+            " they must lie on two"
+        )
+    length = float(np.hypot(*(goal - start)))
+    direction = (goal - start) / length
+
+    def candidate(z: Array) -> Trajectory | None:
+        """shift/length, ln speed along t_s, speed normal to it, free acceleration, instant: all scaled."""
+        x = _on_locus(model, start, goal, z[0] * length)
+        if x is None or not 0.15 < z[4] < 0.85:
+            return None
+        kin = state_of_platform(model, x, np.zeros(2))
+        vectors = singular_values(kin.A_r)
+        along = np.sign(vectors.v2 @ direction) * vectors.v2
+        speed = length / duration
+        x_dot = speed * (np.exp(z[1]) * along + z[2] * vectors.v1)
+        kin = state_of_platform(model, x, x_dot)
+        x_ddot = criterion_acceleration(model, kin, z[3] * length / duration**2)
+        return crossing_polynomial(start, goal, x, x_dot, x_ddot, z[4] * duration, (1.0 - z[4]) * duration)
+
+    def cost(z: Array) -> float:
+        trajectory = candidate(z)
+        if trajectory is None:
+            return 1e6
+        measured = measure(model, trajectory, duration / COARSE_SAMPLES)
+        profile = measured.profile
+        if not np.isfinite(profile.s).all():
+            return 1e5
+        excess = max(0.0, 2.0 * robot.min_type1_distance - measured.least_type1)
+        excess += max(0.0, measured.peak_joint_speed / robot.max_joint_speed - 1.0)
+        excess += max(0.0, measured.peak_platform_speed / robot.max_platform_speed - 1.0)
+        excess += abs(len(measured.crossing_times) - 1)
+        peak = float(np.mean(np.abs(profile.torque / robot.max_torque) ** 12) ** (1.0 / 12.0))
+        return peak + 100.0 * excess
+
+    generator = np.random.default_rng(seed)
+    best, best_cost = None, np.inf
+    guesses = [np.array([0.0, 0.6, 0.0, 0.0, 0.5])]
+    guesses += [guesses[0] + generator.normal(0.0, [0.1, 0.2, 0.3, 2.0, 0.05]) for _ in range(4)]
+    for guess in guesses:
+        simplex = guess + np.concatenate([np.zeros((1, 5)), np.diag([0.1, 0.2, 0.3, 3.0, 0.08])])
+        found = minimize(
+            cost, guess, method="Nelder-Mead",
+            options={"initial_simplex": simplex, "maxfev": 250, "xatol": 1e-3, "fatol": 1e-4},
+        )  # fmt: skip
+        if found.fun < best_cost:
+            best, best_cost = candidate(found.x), found.fun
+        if best_cost < 1.0:
+            break
+    if best is None:
+        raise TrajectoryError(
+            f"no crossing point of the Type 2 locus lies between ({start[0]:.4f}, {start[1]:.4f})"
+            f" and ({goal[0]:.4f}, {goal[1]:.4f}) m"
+        )
+    return Plan(best, certify(robot, best, max_residual=PLAN_RESIDUAL, crossings=1))
+
+
+def plan_approach(robot: RobotParameters, start: Array, goal: Array, speed: float) -> Trajectory:
+    """A straight line from start to goal, rest to rest, that does not touch the locus.
+
+    Args:
+        start, goal: (2,) m.
+        speed: peak speed, m/s.
+
+    Raises:
+        TrajectoryError: the line would cross the locus or break a limit.
+    """
+    start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
+    model = make_model(robot)
+    for name, x in (("start", start), ("goal", goal)):
+        _side(model, name, x, robot)
+    distance = float(np.hypot(*(goal - start)))
+    # x = start + (goal - start)(35 t^4 - 84 t^5 + 70 t^6 - 20 t^7): zero velocity, acceleration and jerk at both ends
+    law = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
+    duration = max(35.0 / 16.0 * distance / speed, 0.1)
+    coefficients = np.outer(law / duration ** np.arange(8), goal - start)
+    coefficients[0] += start
+    line = Trajectory(np.array([0.0, duration]), np.zeros(1), coefficients[None])
+    least = measure(model, line).profile.s
+    if not np.abs(least).min() >= MIN_END_S:
+        raise TrajectoryError(
+            f"the straight way from ({start[0]:.4f}, {start[1]:.4f}) to ({goal[0]:.4f}, {goal[1]:.4f}) m comes to |s| ="
+            f" {np.abs(least).min():.3f} of the Type 2 locus; an approach keeps {MIN_END_S}"
+        )
+    certify(robot, line, max_residual=PLAN_RESIDUAL, crossings=0)
+    return line
+
+
+def plan_return_trip(
+    robot: RobotParameters, start: Array, goal: Array, duration: float, dwell: float, repeat: int = 1
+) -> Plan:
+    """start -> goal -> start, ``repeat`` times, with rests before, between and after.
+
+    The way back is the time reversal of the way out when there is no gravity and no friction in the
+    criterion; with gravity it is planned by itself.
+
+    Args:
+        duration: of one way, s.
+        dwell: of each rest, s.
+
+    Raises:
+        GeometryError, TrajectoryError: as ``plan_crossing``.
+    """
+    if repeat < 1:
+        raise TrajectoryError(f"repeat = {repeat}; it must be >= 1")
+    out = plan_crossing(robot, start, goal, duration).trajectory
+    back = out.reversed() if robot.gravity == (0.0, 0.0) else plan_crossing(robot, goal, start, duration).trajectory
+    start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
+    parts = [hold(start, dwell)] + [out, hold(goal, dwell), back, hold(start, dwell)] * repeat
+    trip = join(parts)
+    return Plan(trip, certify(robot, trip, max_residual=PLAN_RESIDUAL, crossings=2 * repeat))

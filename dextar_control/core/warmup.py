@@ -1,0 +1,49 @@
+"""Compile the core once: ``python -m dextar_control.core.warmup``."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+
+from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
+from dextar_control.contract.robot import load_robot
+from dextar_control.core.dynamics import criterion_acceleration
+from dextar_control.core.kinematics import inverse_model, state_of_platform
+from dextar_control.core.law import Law
+from dextar_control.core.loop import ControlLoop, Settings
+from dextar_control.core.planner import plan_approach
+
+
+def default_settings(**changes: object) -> Settings:
+    """The controller settings of ``config/crossing.yaml``, with changes."""
+    values = node_defaults("controller", config_file(NODES_FILE))
+    values = {name: values[name] for name in Settings.__dataclass_fields__} | changes
+    if not isinstance(values["law"], Law):
+        values["law"] = Law[str(values["law"]).upper()]
+    return Settings(**values)
+
+
+def warm_up() -> None:
+    """Call every compiled function of the control loop and the planner once."""
+    robot = load_robot(config_file(ROBOT_FILE))
+    task = node_defaults("controller")
+    start = np.array(task["task.start"])
+    loop = ControlLoop(robot, default_settings(), int(task["assembly_mode"]))
+    q_a = inverse_model(loop.model, start)
+    kin = state_of_platform(loop.model, start, np.zeros(2))
+    criterion_acceleration(loop.model, kin, 0.0)
+    loop.accept(plan_approach(robot, start, start + np.array([1e-3, 0.0]), 0.1))
+    for tick in range(3):
+        loop.step(1e-3 * tick, q_a)
+    loop.stop()
+    loop.step(1.0, q_a)
+
+
+if __name__ == "__main__":
+    begin = time.perf_counter()
+    print("compiling the model ...", flush=True)
+    warm_up()
+    print(f"compiled in {time.perf_counter() - begin:.1f} s")
+    sys.exit(0)

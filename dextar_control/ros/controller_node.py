@@ -1,0 +1,280 @@
+"""The controller node: one command for each joint state, from the active joints alone."""
+
+from __future__ import annotations
+
+import gc
+import math
+import sys
+import time
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+
+from dextar_control.contract.cdr import NANOSECONDS, from_time
+from dextar_control.contract.errors import DextarError, ParameterError, StateError
+from dextar_control.contract.node import DextarNode, Parameter, qos, run_node
+from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_COMMANDS, JOINT_STATES, TRAJECTORY
+from dextar_control.core.law import Law
+from dextar_control.core.loop import ControlLoop, Phase, Settings
+from dextar_control.core.warmup import warm_up
+from dextar_control.ros import messages
+
+LAWS = tuple(law.name.lower() for law in Law)
+
+PARAMETERS = (
+    Parameter("law", "multipliers near the locus", choices=LAWS),
+    Parameter("enabled", "hold the first state; false idles until ~/enable"),
+    Parameter("lockstep", "states arrive reliably and at any pace"),
+    Parameter("assembly_mode", "sign of s where the robot stands at the first state", -1, 1),
+    Parameter("task.sample_period", "of the control loop, s", 1e-4, 0.1),
+    Parameter("state_timeout", "longest gap between two states, by their stamps, s", 1e-3, 10.0, live=True),
+    Parameter("natural_frequency", "of the platform error, rad/s", 1.0, 500.0, live=True),
+    Parameter("damping_ratio", "of the platform error", 0.1, 5.0, live=True),
+    Parameter("integral_frequency", "of the integral term, 1/s; 0 is off", 0.0, 50.0, live=True),
+    Parameter("filter_bandwidth", "of the joint filter, rad/s", 10.0, 2000.0, live=True),
+    Parameter("zone", "|s| in the middle of the law's transition", 0.0, 0.9, live=True),
+    Parameter("zone_width", "of the law's transition in |s|", 0.0, 0.9, live=True),
+    Parameter("hold_zone", "|s| below which the direct model is not called", 0.0, 0.9, live=True),
+    Parameter("hold_width", "of the estimator's transition in |s|", 0.0, 0.9, live=True),
+    Parameter("return_time", "over which the direct model takes over after a crossing, s", 0.0, 1.0, live=True),
+    Parameter("friction_compensation", "fraction of the modelled friction fed forward", 0.0, 1.5, live=True),
+    Parameter("max_tracking_error", "ends a motion in a safe stop, m", 1e-4, 0.2, live=True),
+    Parameter("max_start_distance", "between the robot and a trajectory's start, m", 1e-5, 0.05, live=True),
+    Parameter("max_residual", "of the criterion at an accepted crossing, N", 1e-12, 10.0, live=True),
+    Parameter("watch_ratio", "torque over planned peak that is watched", 1.0, 1e6, live=True),
+    Parameter("watch_torque", "least torque that is watched, N m", 0.0, 100.0, live=True),
+    Parameter("watch_s", "|s| within which the torque is watched", 0.0, 1.0, live=True),
+    Parameter("watch_time", "that ends a motion in a safe stop, s", 0.0, 10.0, live=True),
+    Parameter("brake_gain", "of the safe stop, N m s/rad", 0.0, 10.0, live=True),
+    Parameter("brake_time", "after which the safe stop's torque is gone, s", 0.0, 10.0, live=True),
+)
+
+STALLED = 0.5  # s on the steady clock without a state before a fault is latched
+WATCH_PERIOD = 0.01  # s
+DIAGNOSTICS_PERIOD = 0.2  # s
+
+
+class ControllerNode(DextarNode):
+    """Answers each joint state with a torque (``core.loop``) and tells what it did.
+
+    A gap of more than ``state_timeout`` between the stamps of two states is a fault (no torque until
+    ``~/reset`` and ``~/enable``); while no state comes nothing is commanded at all, and the drive's own
+    time-out takes the torque away.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("controller", PARAMETERS, robot=True)
+        if self.values["assembly_mode"] == 0:
+            raise ParameterError("parameter 'assembly_mode' = 0; it must be +1 or -1")
+        self._period = self.values["task.sample_period"]
+        warm_up()
+        self._loop = ControlLoop(
+            self.robot, self._settings(), self.values["assembly_mode"], enabled=self.values["enabled"]
+        )
+        self._states_in = messages.joint_states_template()
+        self._commands_out = messages.joint_commands_template()
+        self._state_out = messages.controller_state_template()
+        self._criterion_out = messages.criterion_template()
+        self._counts = {"states": 0, "missed_states": 0, "refused_states": 0, "repeated_states": 0, "stalls": 0}
+        self._stamp = -1
+        self._arrival = math.nan
+        self._stalled = False
+        self._last_command = b""
+        self._tick_times: list[float] = []
+        self._trajectory_note = "none"
+        self._said: tuple[Phase, str] = (self._loop.phase, "")
+        reliable = self.values["lockstep"]
+        self._command_publisher = self.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
+        self._state_publisher = self.create_publisher(JointTrajectory, CONTROLLER_STATE.name, qos(CONTROLLER_STATE))
+        self._criterion_publisher = self.create_publisher(JointState, CRITERION.name, qos(CRITERION))
+        self.create_subscription(
+            JointState, JOINT_STATES.name, self._on_state, qos(JOINT_STATES, reliable=reliable), raw=True
+        )
+        self.create_subscription(MultiDOFJointTrajectory, TRAJECTORY.name, self._on_trajectory, qos(TRAJECTORY))
+        self.create_service(SetBool, "~/enable", self._on_enable)
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_timer(WATCH_PERIOD, self._watch, clock=self.steady_clock)
+        self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
+        gc.collect()
+        gc.freeze()
+        self.get_logger().info(f"law {self.values['law']}, waiting for {self.resolve_topic_name(JOINT_STATES.name)}")
+
+    def _settings(self, **changes: Any) -> Settings:
+        values = {field.name: self.values[field.name] for field in fields(Settings)} | changes
+        values["law"] = Law[values["law"].upper()]
+        return Settings(**values)
+
+    def on_parameter(self, name: str, value: Any) -> None:
+        """Take a live gain or limit."""
+        if name in Settings.__dataclass_fields__:
+            self._loop.configure(self._settings(**{name: value}))
+
+    def _on_state(self, raw: bytes) -> None:
+        begin = time.perf_counter()
+        known = self._states_in.unpack(raw)
+        try:
+            if known is not None:
+                stamp, values = known
+                q_a = np.array(values[0:2])
+            else:
+                message = deserialize_message(raw, JointState)
+                q_a = messages.active_joints(message)
+                stamp = from_time(message.header.stamp)
+                if list(message.name) == ["q11", "q21"]:
+                    self._states_in.learn(raw)
+            if stamp == self._stamp and self._last_command:
+                self._counts["repeated_states"] += 1
+                self._command_publisher.publish(self._last_command)
+                return
+            self._check_gap(stamp)
+            tau = self._loop.step(stamp / NANOSECONDS, q_a)
+        except DextarError as error:
+            self._refuse(error)
+            return
+        self._stamp = stamp
+        self._arrival = begin
+        self._stalled = False
+        self._counts["states"] += 1
+        self._answer(stamp, tau)
+        self._tick_times.append(time.perf_counter() - begin)
+
+    def _answer(self, stamp: int, tau: np.ndarray) -> None:
+        tick = self._loop.tick
+        assert tick is not None
+        self._last_command = self._commands_out.pack(stamp, tau.tolist())
+        self._command_publisher.publish(self._last_command)
+        rows = (tick.x_ref, tick.x_ref_dot, tick.x_ref_ddot, tick.x_hat, tick.x_hat_dot, tick.error, tick.error_dot,
+                tick.u, tick.force)  # fmt: skip
+        values = [number for row in rows for number in row.tolist()]
+        self._state_publisher.publish(self._state_out.pack(stamp, values, round(tick.reference_time * NANOSECONDS)))
+        self._criterion_publisher.publish(
+            self._criterion_out.pack(
+                stamp, (tick.residual, tick.s, tick.sigma_min, tick.weight, float(tick.assembly_mode), float(tick.phase))
+            )
+        )
+        if (self._loop.phase, self._loop.reason) != self._said:
+            self._say()
+
+    def _check_gap(self, stamp: int) -> None:
+        if self._stamp < 0:
+            return
+        gap = (stamp - self._stamp) / NANOSECONDS
+        self._counts["missed_states"] += max(round(gap / self._period) - 1, 0)
+        if gap > self.values["state_timeout"] and self._loop.phase not in (Phase.IDLE, Phase.FAULT):
+            self._loop.fault(f"no state for {1e3 * gap:.1f} ms; the limit is {1e3 * self.values['state_timeout']:.1f} ms")
+
+    def _refuse(self, error: DextarError) -> None:
+        """No torque for a state that cannot be used; a broken first state or a bad number is a fault."""
+        self._counts["refused_states"] += 1
+        if self._loop.phase not in (Phase.IDLE, Phase.FAULT) and isinstance(error, StateError):
+            self._loop.fault(str(error))
+        else:
+            self.get_logger().error(str(error), throttle_duration_sec=1.0)
+        if (self._loop.phase, self._loop.reason) != self._said:
+            self._say()
+
+    def _say(self) -> None:
+        self._said = (self._loop.phase, self._loop.reason)
+        if self._loop.phase in (Phase.FAULT, Phase.SAFE_STOP):
+            self.get_logger().error(f"{self._loop.phase.name}: {self._loop.reason}")
+        else:
+            self.get_logger().info(f"phase {self._loop.phase.name}")
+        self._diagnose()
+
+    def _watch(self) -> None:
+        """States on the steady clock, and who else commands the robot."""
+        if self._loop.phase in (Phase.IDLE, Phase.FAULT):
+            return
+        others = self.count_publishers(self._command_publisher.topic_name) - 1
+        if others > 0:
+            self._loop.fault(f"{others + 1} publishers on {self._command_publisher.topic_name}; the limit is 1")
+        age = time.perf_counter() - self._arrival
+        if not math.isnan(age) and not self.values["lockstep"]:
+            if age > self.values["state_timeout"] and not self._stalled:
+                self._stalled = True
+                self._counts["stalls"] += 1
+                limit = 1e3 * self.values["state_timeout"]
+                self.get_logger().warning(f"no state for {1e3 * age:.0f} ms (limit {limit:.0f} ms): no command")
+            if age > STALLED:
+                self._loop.fault(f"no state for {1e3 * age:.0f} ms; the limit is {1e3 * STALLED:.0f} ms")
+        if (self._loop.phase, self._loop.reason) != self._said:
+            self._say()
+
+    def _on_trajectory(self, message: MultiDOFJointTrajectory) -> None:
+        if len(message.points) == 0:
+            self._trajectory_note = "stop"
+            self._loop.stop("stopped by the trajectory server")
+            return
+        try:
+            stamp = from_time(message.header.stamp)
+            certificate = self._loop.accept(messages.to_trajectory(message), stamp / NANOSECONDS if stamp else None)
+        except DextarError as error:
+            self._trajectory_note = f"refused: {error}"
+            self.get_logger().error(f"trajectory refused: {error}")
+        else:
+            self._trajectory_note = "accepted"
+            self.get_logger().info("trajectory accepted: " + "; ".join(certificate.lines()))
+        self._diagnose()
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data:
+            self._loop.enable()
+        else:
+            self._loop.disable()
+        response.success = (self._loop.phase != Phase.IDLE) == request.data
+        response.message = f"phase {self._loop.phase.name} {self._loop.reason}".strip()
+        self._say()
+        return response
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._loop.stop()
+        response.success, response.message = True, f"phase {self._loop.phase.name}"
+        return response
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._loop.reset()
+        response.success = self._loop.phase == Phase.IDLE
+        response.message = f"phase {self._loop.phase.name} {self._loop.reason}".strip()
+        self._say()
+        return response
+
+    def _diagnose(self) -> None:
+        loop, tick = self._loop, self._loop.tick
+        bad = loop.phase in (Phase.FAULT, Phase.SAFE_STOP)
+        times = np.array(self._tick_times[-5000:]) if self._tick_times else np.array([math.nan])
+        self._tick_times = self._tick_times[-5000:]
+        x, y = tick.x_hat.tolist() if tick is not None else (math.nan, math.nan)
+        values = {
+            "phase": loop.phase.name, "reason": loop.reason, "law": self.values["law"],
+            "trajectory": self._trajectory_note, "x": x, "y": y, "s": tick.s if tick else math.nan,
+            "assembly_mode": tick.assembly_mode if tick else self.values["assembly_mode"],
+            "completed": loop.completed, "reference_time": tick.reference_time if tick else 0.0,
+            "duration": loop.certificate.duration if loop.certificate else 0.0,
+            **self._counts, "saturated_ticks": loop.saturated_ticks,
+            "callback_p50_us": round(1e6 * float(np.percentile(times, 50)), 1),
+            "callback_p99_us": round(1e6 * float(np.percentile(times, 99)), 1),
+        }  # fmt: skip
+        level = DiagnosticStatus.ERROR if bad else DiagnosticStatus.OK
+        self.publish_diagnostics(level, loop.reason if bad else loop.phase.name, values)
+
+    def close(self) -> None:
+        """A last word, and zero torque in answer to the last state."""
+        if self._stamp >= 0:
+            self._command_publisher.publish(self._commands_out.pack(self._stamp, (0.0, 0.0)))
+        self._diagnose()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Console entry."""
+    return run_node(ControllerNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,249 @@
+"""The demo: four nodes as separate processes, one return trip, its bag analysed."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from pathlib import Path
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from std_srvs.srv import SetBool
+
+from dextar_control.contract.errors import BagError, DextarError, ParameterError
+from dextar_control.contract.node import qos
+from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
+from dextar_control.contract.robot import load_robot
+from dextar_control.contract.topics import DIAGNOSTICS
+
+MODULES = {
+    "recorder": "dextar_control.ros.recorder_node",
+    "plant": "dextar_sim.node",
+    "controller": "dextar_control.ros.controller_node",
+    "trajectory_server": "dextar_control.ros.trajectory_server",
+}
+START_TIMEOUT = 180.0  # s: the first start on a machine compiles the core
+RUN_TIMEOUT = 20.0  # s beyond 20 times the trip's duration
+STOP_TIMEOUT = 15.0  # s until a node that does not end is killed
+LINGER = 0.2  # s of holding after the trip
+
+
+class DemoError(DextarError):
+    """The demo's processes did not do what was asked; the message says which and why."""
+
+
+class _Monitor(Node):
+    """Reads every node's diagnostics and lets the plant run."""
+
+    def __init__(self) -> None:
+        super().__init__("demo", enable_rosout=False, start_parameter_services=False)
+        self.status: dict[str, dict[str, str]] = {}
+        self.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS))
+        self._pause = self.create_client(SetBool, "plant/pause")
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            name = status.name.rpartition("/")[2]
+            self.status[name] = {item.key: item.value for item in status.values} | {"message": status.message}
+
+    def get(self, node: str, key: str) -> str:
+        """A node's last diagnostics value, empty when unknown."""
+        return self.status.get(node, {}).get(key, "")
+
+    def resume(self) -> None:
+        """Let the simulated time run."""
+        if not self._pause.wait_for_service(timeout_sec=10.0):
+            raise DemoError("the plant offers no service plant/pause")
+        future = self._pause.call_async(SetBool.Request(data=False))
+        rclpy.spin_until_future_complete(self, future, timeout_sec=10.0)
+        if future.result() is None or not future.result().success:
+            raise DemoError("the plant did not resume")
+
+
+class _Processes:
+    """The nodes' processes, their logs, and their end."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, name: str, arguments: list[str]) -> None:
+        with (self._folder / f"{name}.log").open("wb") as log:
+            self._processes[name] = subprocess.Popen(
+                [sys.executable, "-m", MODULES[name], "--ros-args", *arguments],
+                stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, start_new_session=True,
+            )  # fmt: skip
+
+    def check(self) -> None:
+        for name, process in self._processes.items():
+            code = process.poll()
+            if code is not None:
+                raise DemoError(f"{name} ended with exit code {code}: {self.last_words(name)}")
+
+    def last_words(self, name: str) -> str:
+        lines = (self._folder / f"{name}.log").read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        telling = [line for line in lines if "error" in line.lower()]
+        return (telling or lines or ["nothing"])[-1]
+
+    def stop(self, name: str) -> int:
+        """End one node with SIGINT; SIGKILL when it does not. Its exit code."""
+        process = self._processes.pop(name, None)
+        if process is None:
+            return 0
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(timeout=STOP_TIMEOUT)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        return process.returncode
+
+    def stop_all(self) -> dict[str, int]:
+        """Commander first, recorder last: it keeps what the others say at their end."""
+        return {name: self.stop(name) for name in ("trajectory_server", "controller", "plant", "recorder")}
+
+
+def run_demo(arguments: argparse.Namespace) -> int:
+    """Run the demo of parsed arguments (see ``dextar demo --help``); the exit code."""
+    from dextar_control.analysis.analyze import analyze, summary_table
+
+    console = Console()
+    robot_file = arguments.robot or config_file(ROBOT_FILE)
+    load_robot(robot_file)
+    settings = _node_arguments(arguments, robot_file)
+    folder = _make_folder(arguments.output)
+    settings["recorder"] += ["-p", f"output:={folder / 'run.mcap'}"]
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(1, 100)))
+    mode = "lockstep" if arguments.lockstep else "real time"
+    console.print(f"law {arguments.law}, {mode}, ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}, into {folder}", highlight=False)
+    with _monitor() as monitor, contextlib.ExitStack() as stack:
+        processes = _Processes(folder)
+        stack.callback(processes.stop_all)
+        for name in MODULES:
+            processes.start(name, settings[name])
+        _wait_until_ready(console, monitor, processes)
+        monitor.resume()
+        _follow(console, monitor, processes)
+        codes = processes.stop_all()
+    failed = [f"{name} ended with exit code {code}: {processes.last_words(name)}" for name, code in codes.items() if code]
+    metrics = analyze(folder / "run.mcap")
+    console.print(summary_table(metrics))
+    for line in failed:
+        console.print(line, style="bold", highlight=False)
+    console.print(f"{folder}: run.mcap metrics.json figure.png", highlight=False)
+    return 0 if metrics.success and not failed else 1
+
+
+def _node_arguments(arguments: argparse.Namespace, robot_file: Path) -> dict[str, list[str]]:
+    params_file = arguments.params or config_file(NODES_FILE)
+    if not params_file.is_file():
+        raise ParameterError(f"parameter file {params_file} does not exist")
+    common = ["--params-file", str(robot_file), "--params-file", str(params_file)]
+    values: dict[str, list[str]] = {name: [] for name in MODULES}
+    values["plant"] += [f"mode:={'lockstep' if arguments.lockstep else 'realtime'}", "start_paused:=true"]
+    values["plant"] += ["window:=true"] if arguments.window else []
+    values["controller"] += [f"law:={arguments.law}", f"lockstep:={str(arguments.lockstep).lower()}"]
+    values["trajectory_server"] += ["autostart:=true"]
+    if arguments.duration is not None:
+        values["trajectory_server"].append(f"duration:={arguments.duration:f}")
+    if arguments.repeat is not None:
+        values["trajectory_server"].append(f"repeat:={arguments.repeat}")
+    for override in arguments.overrides:
+        node, dot, rest = override.partition(".")
+        if not dot or node not in MODULES or ":=" not in rest:
+            raise ParameterError(f"-p {override}: expected NODE.NAME:=VALUE with NODE one of {', '.join(MODULES)}")
+        values[node].append(rest)
+    return {name: [*common, *(part for value in values[name] for part in ("-p", value))] for name in MODULES}
+
+
+def _make_folder(output: Path) -> Path:
+    stamp = datetime.now(timezone.utc).strftime("%Y%m%dT%H%M%SZ")
+    folder = output / stamp
+    try:
+        number = 1
+        while folder.exists():
+            number += 1
+            folder = output / f"{stamp}-{number}"
+        folder.mkdir(parents=True)
+        latest = output / "latest"
+        if latest.is_symlink():
+            latest.unlink()
+        if not latest.exists():
+            latest.symlink_to(folder.name)
+    except OSError as error:
+        raise BagError(f"run folder {folder} cannot be made: {error.strerror}") from error
+    return folder
+
+
+@contextlib.contextmanager
+def _monitor() -> Iterator[_Monitor]:
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    monitor = _Monitor()
+    try:
+        yield monitor
+    finally:
+        monitor.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _wait_until_ready(console: Console, monitor: _Monitor, processes: _Processes) -> None:
+    """Recorder recording with everybody's parameters, trajectory accepted, plant paused."""
+    deadline = time.monotonic() + START_TIMEOUT
+    with console.status("starting the nodes (the first start on a machine compiles the model)"):
+        while True:
+            rclpy.spin_once(monitor, timeout_sec=0.1)
+            processes.check()
+            note = monitor.get("controller", "trajectory")
+            if note.startswith("refused"):
+                raise DemoError(f"the controller {note}")
+            recording = monitor.get("recorder", "ready") == "True"
+            if recording and note == "accepted" and "plant" in monitor.status:
+                return
+            if time.monotonic() > deadline:
+                known = ", ".join(sorted(monitor.status)) or "none"
+                raise DemoError(f"the nodes were not ready within {START_TIMEOUT:.0f} s; heard of: {known}")
+
+
+def _follow(console: Console, monitor: _Monitor, processes: _Processes) -> None:
+    """Progress until the trip is done or the controller gave up."""
+    deadline = time.monotonic() + RUN_TIMEOUT
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("waiting", total=1.0)
+        known_duration = 0.0
+        while True:
+            rclpy.spin_once(monitor, timeout_sec=0.1)
+            processes.check()
+            duration = float(monitor.get("controller", "duration") or 0.0)
+            if duration > known_duration:
+                known_duration = duration
+                deadline = time.monotonic() + RUN_TIMEOUT + 20.0 * duration
+            phase = monitor.get("controller", "phase")
+            if duration > 0.0:
+                elapsed = float(monitor.get("controller", "reference_time") or 0.0)
+                progress.update(task, description=f"{phase:<9}", completed=min(elapsed / duration, 1.0))
+            if monitor.get("controller", "completed") not in ("", "0"):
+                progress.update(task, description="done     ", completed=1.0)
+                break
+            if phase in ("SAFE_STOP", "FAULT"):
+                progress.update(task, description=phase)
+                break
+            if time.monotonic() > deadline:
+                raise DemoError(f"the trip did not end in time; the controller is in phase {phase}")
+    end = time.monotonic() + (1.5 if monitor.get("controller", "phase") == "SAFE_STOP" else LINGER)
+    while time.monotonic() < end:
+        rclpy.spin_once(monitor, timeout_sec=0.05)

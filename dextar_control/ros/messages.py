@@ -1,0 +1,150 @@
+"""Messages to the core's quantities and back; every refusal names the value and the limit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import PoseStamped, Transform, Twist, Vector3
+from nav_msgs.msg import Path
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from trajectory_msgs.msg import (
+    JointTrajectory,
+    JointTrajectoryPoint,
+    MultiDOFJointTrajectory,
+    MultiDOFJointTrajectoryPoint,
+)
+
+from dextar_control.contract.cdr import NANOSECONDS, CdrTemplate, to_time
+from dextar_control.contract.errors import StateError, TrajectoryError
+from dextar_control.contract.robot import JOINT_NAMES
+from dextar_control.contract.topics import BASE_FRAME, CRITERION_NAMES, END_EFFECTOR_NAME, PLATFORM_NAMES
+from dextar_control.core.model import Array
+from dextar_control.core.trajectory import Trajectory, quintic
+
+
+def joint_states_template() -> CdrTemplate:
+    """joint_states as the plant publishes them: values position (2), velocity (2), effort (2)."""
+
+    def make(stamp: Time, values: Sequence[float]) -> JointState:
+        return JointState(
+            header=Header(stamp=stamp), name=list(JOINT_NAMES),
+            position=values[0:2], velocity=values[2:4], effort=values[4:6],
+        )  # fmt: skip
+
+    return CdrTemplate(make, 6)
+
+
+def joint_commands_template() -> CdrTemplate:
+    """joint_commands: values effort (2), N m."""
+
+    def make(stamp: Time, values: Sequence[float]) -> JointState:
+        return JointState(header=Header(stamp=stamp), name=list(JOINT_NAMES), effort=values)
+
+    return CdrTemplate(make, 2)
+
+
+def criterion_template() -> CdrTemplate:
+    """criterion: values in the order of CRITERION_NAMES."""
+
+    def make(stamp: Time, values: Sequence[float]) -> JointState:
+        return JointState(header=Header(stamp=stamp), name=list(CRITERION_NAMES), position=values)
+
+    return CdrTemplate(make, len(CRITERION_NAMES))
+
+
+def controller_state_template() -> CdrTemplate:
+    """controller_state: x_ref, x_ref_dot, x_ref_ddot, x_hat, x_hat_dot, e, e_dot, u, force, each (2)."""
+
+    def make(stamp: Time, v: Sequence[float], reference_time: Duration) -> JointTrajectory:
+        reference = JointTrajectoryPoint(
+            positions=v[0:2], velocities=v[2:4], accelerations=v[4:6], time_from_start=reference_time
+        )
+        estimate = JointTrajectoryPoint(positions=v[6:8], velocities=v[8:10])
+        error = JointTrajectoryPoint(positions=v[10:12], velocities=v[12:14])
+        output = JointTrajectoryPoint(accelerations=v[14:16], effort=v[16:18])
+        return JointTrajectory(
+            header=Header(stamp=stamp, frame_id=BASE_FRAME), joint_names=list(PLATFORM_NAMES),
+            points=[reference, estimate, error, output],
+        )  # fmt: skip
+
+    return CdrTemplate(make, 18, duration=True)
+
+
+def active_joints(message: JointState) -> Array:
+    """Positions (2,), rad, of q11 and q21 by name.
+
+    Raises:
+        StateError: a name is missing, sizes differ or a number is not finite.
+    """
+    names = list(message.name)
+    missing = [name for name in JOINT_NAMES if name not in names]
+    if missing:
+        raise StateError(f"joint state names are {names}; '{missing[0]}' is missing")
+    if len(message.position) != len(names):
+        raise StateError(f"joint state has {len(message.position)} positions for {len(names)} names")
+    q_a = np.array([message.position[names.index(name)] for name in JOINT_NAMES])
+    if not np.isfinite(q_a).all():
+        raise StateError(f"joint state positions are {q_a.tolist()}; they must be finite")
+    return q_a
+
+
+def to_trajectory(message: MultiDOFJointTrajectory) -> Trajectory:
+    """The core's trajectory of a message.
+
+    Raises:
+        TrajectoryError: another joint, missing fields, times not rising, a number not finite.
+    """
+    if list(message.joint_names) != [END_EFFECTOR_NAME]:
+        raise TrajectoryError(f"trajectory joint_names are {list(message.joint_names)}; expected ['{END_EFFECTOR_NAME}']")
+    rows = []
+    for index, point in enumerate(message.points):
+        for field in ("transforms", "velocities", "accelerations"):
+            if len(getattr(point, field)) != 1:
+                raise TrajectoryError(f"trajectory point {index} has {len(getattr(point, field))} {field}; expected 1")
+        p, v, a = point.transforms[0].translation, point.velocities[0].linear, point.accelerations[0].linear
+        time = point.time_from_start.sec + point.time_from_start.nanosec / NANOSECONDS
+        rows.append((time, p.x, p.y, v.x, v.y, a.x, a.y))
+    table = np.array(rows).reshape(-1, 7)
+    return quintic(table[:, 0], table[:, 1:3], table[:, 3:5], table[:, 5:7])
+
+
+def _duration(seconds: float) -> Duration:
+    nanoseconds = round(seconds * NANOSECONDS)
+    return Duration(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
+
+
+def from_trajectory(trajectory: Trajectory, times: Array, stamp: int = 0) -> MultiDOFJointTrajectory:
+    """A trajectory sampled at ``times`` (m,), s, each rounded to a nanosecond before it is sampled."""
+    times = np.round(np.asarray(times) * NANOSECONDS) / NANOSECONDS
+    message = MultiDOFJointTrajectory(
+        header=Header(stamp=to_time(stamp), frame_id=BASE_FRAME), joint_names=[END_EFFECTOR_NAME]
+    )
+    for time, p, v, a in zip(times, *trajectory.table(times), strict=True):
+        message.points.append(
+            MultiDOFJointTrajectoryPoint(
+                transforms=[Transform(translation=Vector3(x=p[0], y=p[1]))],
+                velocities=[Twist(linear=Vector3(x=v[0], y=v[1]))],
+                accelerations=[Twist(linear=Vector3(x=a[0], y=a[1]))],
+                time_from_start=_duration(float(time)),
+            )
+        )
+    return message
+
+
+def stop_trajectory() -> MultiDOFJointTrajectory:
+    """A trajectory without points: stop."""
+    return MultiDOFJointTrajectory(header=Header(frame_id=BASE_FRAME), joint_names=[END_EFFECTOR_NAME])
+
+
+def to_path(trajectory: Trajectory, times: Array) -> Path:
+    """A trajectory as a Path whose poses are stamped with the time from its start."""
+    path = Path(header=Header(frame_id=BASE_FRAME))
+    for time, p in zip(times, trajectory.table(times)[0], strict=True):
+        pose: Any = PoseStamped(header=Header(stamp=to_time(round(float(time) * NANOSECONDS)), frame_id=BASE_FRAME))
+        pose.pose.position.x, pose.pose.position.y = float(p[0]), float(p[1])
+        path.poses.append(pose)
+    return path

@@ -1,0 +1,100 @@
+"""The plant's messages as CDR bytes, and motor commands read back from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from nav_msgs.msg import Odometry
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+
+from dextar_control.contract.cdr import CdrTemplate, from_time
+from dextar_control.contract.errors import StateError
+from dextar_control.contract.robot import JOINT_NAMES, SIM_JOINT_NAMES
+from dextar_control.contract.topics import BASE_FRAME, END_EFFECTOR_NAME, JOINT_COMMANDS
+from dextar_sim.plant import PlantState
+from dextar_sim.sensors import Command
+
+
+def joint_state(stamp: Time, names: Sequence[str], values: Sequence[float]) -> JointState:
+    """Positions, velocities and efforts of the named joints, one after the other in values."""
+    count = len(names)
+    return JointState(
+        header=Header(stamp=stamp),
+        name=list(names),
+        position=list(values[:count]),
+        velocity=list(values[count : 2 * count]),
+        effort=list(values[2 * count :]),
+    )
+
+
+def joint_command(stamp: Time, torque: Sequence[float]) -> JointState:
+    """Motor torques (N m) in the contract's order of joints."""
+    return JointState(header=Header(stamp=stamp), name=list(JOINT_NAMES), effort=list(torque))
+
+
+def end_effector(stamp: Time, values: Sequence[float]) -> Odometry:
+    """Position (m) and velocity (m/s); its frame never turns against the base, so both are in base."""
+    message = Odometry(header=Header(stamp=stamp, frame_id=BASE_FRAME), child_frame_id=END_EFFECTOR_NAME)
+    message.pose.pose.position.x, message.pose.pose.position.y = values[0], values[1]
+    message.twist.twist.linear.x, message.twist.twist.linear.y = values[2], values[3]
+    return message
+
+
+class StateWriter:
+    """CDR bytes of the plant's three state topics."""
+
+    def __init__(self) -> None:
+        self._measured = CdrTemplate(lambda stamp, values: joint_state(stamp, JOINT_NAMES, values), 6)
+        self._true = CdrTemplate(lambda stamp, values: joint_state(stamp, SIM_JOINT_NAMES, values), 12)
+        self._platform = CdrTemplate(end_effector, 4)
+
+    def measured(self, stamp: int, q_a: np.ndarray, q_a_dot: np.ndarray, torque: np.ndarray) -> bytes:
+        """``joint_states``: encoder position (rad) and velocity (rad/s), applied torque (N m), each (2,)."""
+        return self._measured.pack(stamp, [*q_a.tolist(), *q_a_dot.tolist(), *torque.tolist()])
+
+    def true_joints(self, stamp: int, state: PlantState, torque: np.ndarray) -> bytes:
+        """``sim/joint_states``."""
+        first, second = torque.tolist()
+        return self._true.pack(stamp, [*state.joints.tolist(), *state.joints_dot.tolist(), first, 0.0, second, 0.0])
+
+    def true_end_effector(self, stamp: int, state: PlantState) -> bytes:
+        """``sim/end_effector``."""
+        return self._platform.pack(stamp, [*state.x.tolist(), *state.x_dot.tolist()])
+
+
+class CommandReader:
+    """Motor commands from the raw bytes of ``joint_commands``: quickly when laid out as expected."""
+
+    def __init__(self) -> None:
+        self._template = CdrTemplate(joint_command, 2)
+
+    def read(self, raw: bytes) -> Command:
+        """The command, its torques in the contract's order of joints.
+
+        Raises:
+            StateError: the joints are not the motors, sizes differ or a torque is not finite.
+        """
+        fast = self._template.unpack(raw)
+        if fast is None:
+            stamp, torque = self._read_message(raw)
+        else:
+            stamp, torque = fast
+        if not all(math.isfinite(value) for value in torque):
+            raise StateError(f"{JOINT_COMMANDS.name}: effort {list(torque)} N m is not finite")
+        return Command(stamp, (torque[0], torque[1]))
+
+    def _read_message(self, raw: bytes) -> tuple[int, list[float]]:
+        message = deserialize_message(raw, JointState)
+        names = list(message.name)
+        if sorted(names) != sorted(JOINT_NAMES):
+            raise StateError(f"{JOINT_COMMANDS.name}: joints {names}; expected {list(JOINT_NAMES)} in any order")
+        if len(message.effort) != len(names):
+            raise StateError(f"{JOINT_COMMANDS.name}: {len(message.effort)} efforts for {len(names)} joints")
+        if names == list(JOINT_NAMES) and not message.position and not message.velocity:
+            self._template.learn(raw)
+        return from_time(message.header.stamp), [message.effort[names.index(name)] for name in JOINT_NAMES]

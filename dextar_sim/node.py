@@ -1,0 +1,239 @@
+"""The plant as a rig would stand on the network: motor commands in, joint states out.
+
+One sample is a state k at stamp k, published; the command that answers it; and the physics from
+k to k+1 under it. In lockstep the command is waited for. In real time the state goes out at its
+deadline on the steady clock, and a command that is not there in time is replaced by the held one.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from dextar_control.contract.cdr import NANOSECONDS
+from dextar_control.contract.errors import ParameterError, StateError
+from dextar_control.contract.node import DextarNode, qos, run_node
+from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES, SIM_END_EFFECTOR, SIM_JOINT_STATES
+from dextar_sim.messages import CommandReader, StateWriter
+from dextar_sim.pace import Schedule, spin
+from dextar_sim.parameters import PARAMETERS
+from dextar_sim.plant import Plant
+from dextar_sim.sensors import Command, CommandDelay, CommandHold, Encoder
+
+REPEAT_AFTER = 0.5
+"""s without an answer after which lockstep publishes a state again."""
+
+
+class PlantNode(DextarNode):
+    """Simulated five-bar with the topics of a real one, plus the truth under ``sim/``.
+
+    Raises:
+        ParameterError: a parameter is out of its range, or a window is wanted without a display.
+        GeometryError: the start lies outside the workspace.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("plant", PARAMETERS, robot=True, **options)
+        values = self.values
+        if self.robot is None:
+            raise ParameterError("the plant needs a robot description")
+        period = values["task.sample_period"]
+        self.period_ns = round(period * NANOSECONDS)
+        self.lockstep = values["mode"] == "lockstep"
+        self.plant = Plant(self.robot, period=period, substeps=values["substeps"], window=values["window"],
+                           max_torque=values["max_torque"])  # fmt: skip
+        self.plant.reset(values["task.start"])
+        self._encoder = Encoder(period, resolution=values["encoder_resolution"], seed=values["seed"],
+                                velocity_cutoff=values["velocity_cutoff"],
+                                position_noise=values["position_noise"])  # fmt: skip
+        self._delay: CommandDelay[Command] = CommandDelay(round(values["command_delay"] / period))
+        self._hold = CommandHold(round(values["command_timeout"] * NANOSECONDS), values["max_torque"])
+        self.schedule = Schedule(self.period_ns)
+        self._writer, self._reader = StateWriter(), CommandReader()
+        self._index = -1
+        self._first_stamp = 0
+        self._published = -1
+        self._oldest = 0
+        self._newest: Command | None = None
+        self._sample: list[tuple[Any, bytes]] | None = None
+        self._sent: list[tuple[Any, bytes]] = []
+        self._sent_at = 0.0
+        self.answered = False
+        self._budget: int | None = 0 if values["start_paused"] else None
+        self.counts = dict.fromkeys(
+            ("commands_received", "commands_refused", "late_ticks", "late_commands", "repeated_states"), 0
+        )
+        self._max_loop_gap = 0.0
+        self._reported = (time.monotonic(), 0, 0)
+        self._warned_at = -1.0
+        self._states = self.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
+        self._true_platform = self.create_publisher(Odometry, SIM_END_EFFECTOR.name, qos(SIM_END_EFFECTOR))
+        self._true_joints = self.create_publisher(JointState, SIM_JOINT_STATES.name, qos(SIM_JOINT_STATES))
+        self.create_subscription(JointState, JOINT_COMMANDS.name, self._on_command,
+                                 qos(JOINT_COMMANDS, reliable=self.lockstep), raw=True)  # fmt: skip
+        self.create_service(SetBool, "~/pause", self._on_pause)
+        self.create_service(Trigger, "~/step", self._on_step)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_timer(1.0, self.report, clock=self.steady_clock)
+
+    @property
+    def paused(self) -> bool:
+        """No sample is due, neither running nor stepping."""
+        return self._budget == 0
+
+    @property
+    def sample_ready(self) -> bool:
+        """The next state is computed and not yet published."""
+        return self._sample is not None
+
+    def begin(self) -> None:
+        """Prepare the first state: stamp 0 in lockstep, the system clock's now in real time."""
+        if self._index < 0:
+            self._first_stamp = 0 if self.lockstep else time.time_ns()
+            self._index = 0
+            self._prepare(np.zeros(2))
+
+    def advance(self) -> None:
+        """The physics of one period under the command the drives hold, and the state after it."""
+        if not self.answered and self._newest is not None:
+            self.counts["late_ticks"] += 1
+        delayed = self._delay.shift(self._newest)
+        if delayed is not None:
+            self._hold.receive(delayed._replace(stamp=delayed.stamp + self._delay.periods * self.period_ns))
+        applied = self.plant.step(self._hold.torque(self._stamp()))
+        self._index += 1
+        self._prepare(applied)
+
+    def _stamp(self) -> int:
+        return self._first_stamp + self._index * self.period_ns
+
+    def _prepare(self, applied: np.ndarray) -> None:
+        state, stamp = self.plant.state(), self._stamp()
+        self._max_loop_gap = max(self._max_loop_gap, state.loop_gap)
+        q_a, q_a_dot = self._encoder.read(state.q_a)
+        self._sample = [(self._states, self._writer.measured(stamp, q_a, q_a_dot, applied))]
+        if self.values["publish_truth"]:
+            self._sample.append((self._true_platform, self._writer.true_end_effector(stamp, state)))
+            self._sample.append((self._true_joints, self._writer.true_joints(stamp, state, applied)))
+
+    def publish(self) -> None:
+        """Send the prepared state, all topics in one burst."""
+        if self._sample is None:
+            return
+        self._sent, self._sample = self._sample, None
+        self._published = self._stamp()
+        self.answered = False
+        self._sent_at = time.monotonic()
+        for publisher, raw in self._sent:
+            publisher.publish(raw)
+        if self._budget:
+            self._budget -= 1
+
+    def repeat_unanswered(self) -> None:
+        """Publish the last state again when its answer has been missing for too long."""
+        if time.monotonic() - self._sent_at < REPEAT_AFTER:
+            return
+        if self.counts["commands_received"]:
+            self.counts["repeated_states"] += 1
+        self._sent_at = time.monotonic()
+        for publisher, raw in self._sent:
+            publisher.publish(raw)
+
+    def _on_command(self, raw: bytes) -> None:
+        try:
+            command = self._reader.read(raw)
+            if command.stamp > self._published:
+                raise StateError(
+                    f"{JOINT_COMMANDS.name}: stamp {command.stamp} ns answers no state yet published; "
+                    f"the last one is {self._published} ns"
+                )
+        except StateError as error:
+            self.counts["commands_refused"] += 1
+            if time.monotonic() - self._warned_at >= 1.0:
+                self._warned_at = time.monotonic()
+                self.get_logger().warning(str(error))
+            return
+        self.counts["commands_received"] += 1
+        answers = command.stamp == self._published
+        if not answers:
+            self.counts["late_commands"] += 1
+        if command.stamp < self._oldest or (self.lockstep and (self.answered or not answers)):
+            return
+        if self._newest is None or command.stamp >= self._newest.stamp:
+            self._newest = command
+        self.answered = self.answered or answers
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._budget = 0 if request.data else None
+        response.success, response.message = True, "paused" if request.data else "running"
+        return response
+
+    def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._budget is None:
+            response.success, response.message = False, "not paused; call ~/pause with data true first"
+            return response
+        count = self.values["step_count"]
+        self._budget += count
+        response.success, response.message = True, f"stepping {count} samples"
+        return response
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Start pose at rest as the next sample, without torque; earlier states' commands no longer count."""
+        self.plant.reset(self.values["task.start"])
+        for part in (self._encoder, self._delay, self._hold):
+            part.reset()
+        self._newest = None
+        if self._index >= 0:
+            self._index += self._sample is None
+            self._oldest = self._stamp()
+            self._prepare(np.zeros(2))
+            if self.paused:
+                self.publish()
+        response.success, response.message = True, "at the start, at rest"
+        return response
+
+    def report(self) -> None:
+        """Counters since the start on ``/diagnostics``; the real-time factor since the last report."""
+        now, steps = time.monotonic(), max(self._index, 0)
+        before, steps_before, refused_before = self._reported
+        self._reported = (now, steps, self.counts["commands_refused"])
+        factor = (steps - steps_before) * 1.0e-9 * self.period_ns / max(now - before, 1.0e-9)
+        commanders = self.count_publishers(JOINT_COMMANDS.name)
+        level, message = DiagnosticStatus.OK, "paused" if self.paused else "running"
+        if commanders > 1:
+            level, message = DiagnosticStatus.WARN, f"{commanders} publishers on {JOINT_COMMANDS.name}; expected one"
+        elif self.counts["commands_refused"] > refused_before:
+            level, message = DiagnosticStatus.WARN, f"commands on {JOINT_COMMANDS.name} were refused"
+        self.publish_diagnostics(level, message, {
+            "mode": self.values["mode"],
+            "steps": steps,
+            **self.counts,
+            "command_publishers": commanders,
+            "overruns": self.schedule.overruns,
+            "longest_overrun": 1.0e-9 * self.schedule.longest,
+            "slip": 1.0e-9 * self.schedule.slip,
+            "real_time_factor": round(factor, 4),
+            "max_loop_gap": self._max_loop_gap,
+            "saturated_ticks": self._hold.saturated,
+            "watchdog_trips": self._hold.trips,
+        })  # fmt: skip
+
+    def close(self) -> None:
+        """The last report, then PyBullet."""
+        self.report()
+        self.plant.close()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Console entry; the process's exit code."""
+    return run_node(PlantNode, args, spin)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

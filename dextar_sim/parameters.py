@@ -1,0 +1,25 @@
+"""The plant node's parameters; their defaults stand in ``config/crossing.yaml``."""
+
+from __future__ import annotations
+
+from dextar_control.contract.node import Parameter
+
+PARAMETERS = (
+    Parameter("mode", "realtime follows the steady clock, lockstep waits for each command",
+              choices=("realtime", "lockstep")),
+    Parameter("substeps", "physics steps in one sample period", minimum=1, maximum=1000),
+    Parameter("start_paused", "publish nothing until resumed"),
+    Parameter("step_count", "samples that one call of ~/step advances", minimum=1, maximum=1_000_000, live=True),
+    Parameter("encoder_resolution", "counts per revolution; 0 is exact", minimum=0, maximum=2**31),
+    Parameter("position_noise", "standard deviation before quantisation, rad", minimum=0.0, maximum=1.0),
+    Parameter("velocity_cutoff", "of the drive's velocity estimate, Hz; 0 is unfiltered", minimum=0.0, maximum=1.0e5),
+    Parameter("command_delay", "s, rounded to sample periods", minimum=0.0, maximum=1.0),
+    Parameter("command_timeout", "simulated time without a fresh command after which there is no torque, s",
+              minimum=1.0e-4, maximum=1.0e3),
+    Parameter("max_torque", "saturation of the drives, N m", minimum=1.0e-6, maximum=1.0e4),
+    Parameter("seed", "of the encoder noise", minimum=0, maximum=2**31),
+    Parameter("publish_truth", "publish sim/end_effector and sim/joint_states"),
+    Parameter("window", "open PyBullet's own window"),
+    Parameter("task.start", "end effector at the start and after ~/reset, m", size=2),
+    Parameter("task.sample_period", "s", minimum=1.0e-4, maximum=0.1),
+)  # fmt: skip

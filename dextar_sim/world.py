@@ -1,0 +1,74 @@
+"""The five-bar in a PyBullet client: one body of four joints, closed at the end effector."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import pybullet as p
+
+from dextar_control.contract.robot import SIM_JOINT_NAMES, RobotParameters
+from dextar_sim.urdf import distal_body, five_bar
+
+_SPEED_CLAMP = 1.0e6
+_ITERATIONS = 200
+_RESIDUAL = 1.0e-22
+"""Squared impulse change at which the solver stops: converged, mostly well before the iterations end."""
+_ERP = 0.8
+"""Share of the loop gap corrected in one substep; leaves a quarter of the gap of PyBullet's default."""
+
+
+class Loop(NamedTuple):
+    """Where the five-bar is in its client.
+
+    Attributes:
+        body: unique id.
+        joints: indices of q11, q12, q21, q22, which are also those of the links they move.
+    """
+
+    body: int
+    joints: list[int]
+
+
+def load(client: int, robot: RobotParameters, substep: float, window: bool) -> Loop:
+    """Legs without motors, damping or speed limit, and the constraint between their tips.
+
+    PyBullet keeps URDF text by path, so each plant has a path of its own. The constraint's pivots
+    are measured from the centres of mass.
+
+    Args:
+        client: PyBullet's connection.
+        robot: the description.
+        substep: duration of one physics step, s.
+        window: draw the links.
+    """
+    descriptor, path = tempfile.mkstemp(suffix=".urdf", prefix="five_bar_")
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(five_bar(robot, visual=window))
+        body = p.loadURDF(path, useFixedBase=True, flags=p.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client)
+    finally:
+        Path(path).unlink()
+    found = {
+        p.getJointInfo(body, index, physicsClientId=client)[1].decode(): index
+        for index in range(p.getNumJoints(body, physicsClientId=client))
+    }
+    joints = [found[name] for name in SIM_JOINT_NAMES]
+    for link in (-1, *joints):
+        p.changeDynamics(body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
+                         maxJointVelocity=_SPEED_CLAMP, physicsClientId=client)  # fmt: skip
+    p.setJointMotorControlArray(body, joints, p.VELOCITY_CONTROL, forces=[0.0] * 4, physicsClientId=client)
+    p.setGravity(*robot.gravity, 0.0, physicsClientId=client)
+    p.setPhysicsEngineParameter(fixedTimeStep=substep, numSubSteps=0, numSolverIterations=_ITERATIONS, erp=_ERP,
+                                solverResidualThreshold=_RESIDUAL, physicsClientId=client)  # fmt: skip
+    left, right = (
+        [leg.distal_length - distal_body(leg, robot.end_effector_mass)[1], 0.0, 0.0] for leg in robot.legs
+    )
+    p.createConstraint(body, joints[1], body, joints[3], p.JOINT_POINT2POINT, [0.0] * 3, left, right,
+                       physicsClientId=client)  # fmt: skip
+    if window:
+        p.configureDebugVisualizer(p.COV_ENABLE_GUI, 0, physicsClientId=client)
+        p.resetDebugVisualizerCamera(0.35, 0.0, -89.9, [0.0, 0.05, 0.0], physicsClientId=client)
+    return Loop(body, joints)

@@ -1,0 +1,79 @@
+"""Plant, controller, trajectory server and recorder for one return trip through the singularity."""
+
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
+from launch.substitutions import EnvironmentVariable, LaunchConfiguration
+from launch_ros.actions import Node
+
+CONFIG = Path(get_package_share_directory("dextar")) / "config"
+SWITCH = ["true", "false"]
+DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+
+ARGUMENTS = [
+    DeclareLaunchArgument("law", default_value="", description="consistent, projected or classic; empty: params_file's",
+                          choices=["", "consistent", "projected", "classic"]),
+    DeclareLaunchArgument("lockstep", default_value="false", choices=SWITCH,
+                          description="each simulated step waits for its command: repeatable, not in real time"),
+    DeclareLaunchArgument("duration", default_value="", description="of one way, s; empty: params_file's"),
+    DeclareLaunchArgument("window", default_value="false", choices=SWITCH, description="PyBullet's own window"),
+    DeclareLaunchArgument("record", default_value="true", choices=SWITCH, description="start the recorder"),
+    DeclareLaunchArgument("output", default_value="", description="the recording, .mcap; empty: params_file's"),
+    DeclareLaunchArgument("autostart", default_value="true", choices=SWITCH,
+                          description="serve the trip as soon as it is planned"),
+    DeclareLaunchArgument("plant", default_value="true", choices=SWITCH,
+                          description="start the simulated rig; false where a real one publishes the joint states"),
+    DeclareLaunchArgument("robot_file", default_value=str(CONFIG / "dextar.yaml"), description="the robot, parameter file"),
+    DeclareLaunchArgument("params_file", default_value=str(CONFIG / "crossing.yaml"), description="the nodes, parameter file"),
+    DeclareLaunchArgument("discovery_range", default_value=EnvironmentVariable(DISCOVERY, default_value="LOCALHOST"),
+                          choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
+                          description="who may see and command the nodes; LOCALHOST: this machine only"),
+]  # fmt: skip
+
+
+def nodes(context: LaunchContext) -> list[Node]:
+    """The nodes; only arguments that were given override the parameter files."""
+
+    def value(argument: str) -> str:
+        return LaunchConfiguration(argument).perform(context)
+
+    def on(argument: str) -> bool:
+        return value(argument) == "true"
+
+    overrides: dict[str, dict[str, Any]] = {
+        "plant": {"mode": "lockstep" if on("lockstep") else "realtime", "window": on("window")},
+        "controller": {"lockstep": on("lockstep")},
+        "trajectory_server": {"autostart": on("autostart")},
+        "recorder": {},
+    }
+    if value("law"):
+        overrides["controller"]["law"] = value("law")
+    if value("duration"):
+        overrides["trajectory_server"]["duration"] = float(value("duration"))
+    if value("output"):
+        overrides["recorder"]["output"] = value("output")
+    wanted = [name for name in overrides if name not in ("plant", "recorder") or on("record" if name == "recorder" else name)]
+    return [
+        Node(
+            package="dextar",
+            executable=name,
+            name=name,
+            namespace="/",  # a full name lets an override win over the node's own section of params_file
+            parameters=[value("robot_file"), value("params_file"), overrides[name]],
+            output="screen",
+            on_exit=Shutdown(reason=f"{name} has ended"),
+        )
+        for name in wanted
+    ]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """What ``ros2 launch dextar crossing.launch.py`` starts."""
+    return LaunchDescription([
+        *ARGUMENTS,
+        SetEnvironmentVariable(DISCOVERY, LaunchConfiguration("discovery_range")),
+        OpaqueFunction(function=nodes),
+    ])

@@ -1,0 +1,64 @@
+"""Builds the package for pip and, as ament_python, for colcon. The version stands in package.xml."""
+
+from glob import glob
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+manifest = ElementTree.parse("package.xml").getroot()
+
+
+def text(tag: str) -> str:
+    """Text of one element of package.xml."""
+    return manifest.findtext(tag, "").strip()
+
+
+maintainer = manifest.find("maintainer")
+name = text("name")
+
+setup(
+    name=name,
+    version=text("version"),
+    description=text("description"),
+    license=text("license"),
+    maintainer=maintainer.text,
+    maintainer_email=maintainer.get("email"),
+    packages=find_packages(include=["dextar_control", "dextar_control.*", "dextar_sim", "dextar_sim.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
+        (f"share/{name}", ["package.xml"]),
+        (f"share/{name}/config", sorted(glob("config/*.yaml"))),
+        (f"share/{name}/launch", sorted(glob("launch/*.launch.py"))),
+    ],
+    zip_safe=False,
+    python_requires=">=3.10,<3.14",
+    install_requires=[
+        "numpy",
+        "scipy",
+        "numba",
+        "matplotlib",
+        "pyyaml",
+        "rich",
+        "mcap>=1.6",
+        "mcap-ros2-support",
+        "rosbags",
+        # PyBullet's own wheels end at CPython 3.11; the fork is the same module with wheels for later ones.
+        'pybullet; python_version < "3.12"',
+        'pybullet-arm64; python_version >= "3.12"',
+    ],
+    extras_require={
+        "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        "test": ["pytest", "hypothesis", "colcon-common-extensions", "colcon-ros"],
+        "oracle": ["pin"],  # needs numpy 2, so it does not go with a Jazzy installation
+        "lint": ["ruff", "mypy", "types-PyYAML"],
+    },
+    entry_points={
+        "console_scripts": [
+            "dextar = dextar_control.cli:main",
+            "plant = dextar_sim.node:main",
+            "controller = dextar_control.ros.controller_node:main",
+            "trajectory_server = dextar_control.ros.trajectory_server:main",
+            "recorder = dextar_control.ros.recorder_node:main",
+        ],
+    },
+)

@@ -1,0 +1,101 @@
+"""The package's metadata agree with each other and with what is installed."""
+
+import importlib
+import importlib.metadata
+import importlib.util
+import py_compile
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
+EXECUTABLES = {"dextar", "plant", "controller", "trajectory_server", "recorder"}
+CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
+LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
+
+
+def entry_points() -> dict[str, importlib.metadata.EntryPoint]:
+    points = importlib.metadata.distribution("dextar").entry_points
+    return {point.name: point for point in points if point.group == "console_scripts"}
+
+
+def test_package_xml_is_a_valid_ament_python_manifest():
+    assert MANIFEST.get("format") == "3"
+    assert MANIFEST.findtext("name") == "dextar"
+    assert MANIFEST.findtext("export/build_type") == "ament_python"
+    assert MANIFEST.findtext("license") == "Apache-2.0"
+    catkin = pytest.importorskip("catkin_pkg.package")
+    warnings: list[str] = []
+    package = catkin.parse_package(str(ROOT / "package.xml"), warnings=warnings)
+    assert not warnings
+    package.validate()
+
+
+def test_package_xml_setup_py_and_the_installation_agree_on_the_version():
+    version = MANIFEST.findtext("version")
+    built = subprocess.run(
+        [sys.executable, "setup.py", "--version"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.split()[-1]
+    assert built == version
+    assert importlib.metadata.version("dextar") == version
+
+
+def test_package_xml_names_every_ros_package_that_is_imported():
+    declared = {element.text for element in MANIFEST.findall("exec_depend")}
+    ros = {"rclpy", "launch", "launch_ros", "ament_index_python", "builtin_interfaces", "rcl_interfaces", "std_srvs"}
+    found = set()
+    for path in [*ROOT.glob("dextar_*/**/*.py"), *LAUNCH_FILES]:
+        for line in path.read_text(encoding="utf-8").splitlines():
+            words = line.split()
+            if words[:1] in (["import"], ["from"]):
+                top = words[1].partition(".")[0]
+                if top in ros or top.endswith("_msgs"):
+                    found.add(top)
+    assert found <= declared, found - declared
+
+
+def test_there_is_one_console_script_for_each_node_and_the_command():
+    assert set(entry_points()) == EXECUTABLES
+
+
+@pytest.mark.parametrize("name", sorted(EXECUTABLES))
+def test_console_script_leads_to_a_function(name):
+    point = entry_points()[name]
+    assert callable(getattr(importlib.import_module(point.module), point.attr))
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.name)
+def test_config_file_is_a_ros_parameter_file(path):
+    document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert all(set(section) == {"ros__parameters"} for section in document.values())
+
+
+def test_config_launch_files_and_index_marker_are_installed(tmp_path):
+    command = [sys.executable, "setup.py", "-q", "install_data", "--install-dir", str(tmp_path)]
+    subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
+    installed = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    wanted = {f"share/dextar/config/{path.name}" for path in CONFIGS}
+    wanted |= {f"share/dextar/launch/{path.name}" for path in LAUNCH_FILES}
+    wanted |= {"share/dextar/package.xml", "share/ament_index/resource_index/packages/dextar"}
+    assert installed == wanted
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_file_compiles_and_loads_where_launch_is_there(path, tmp_path):
+    py_compile.compile(str(path), cfile=str(tmp_path / "launch.pyc"), doraise=True)
+    if importlib.util.find_spec("launch_ros") is None:
+        return
+    from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+    assert PythonLaunchDescriptionSource(str(path)).try_get_launch_description_without_context() is not None
+
+
+def test_launch_file_starts_every_node():
+    text = "".join(path.read_text(encoding="utf-8") for path in LAUNCH_FILES)
+    for name in EXECUTABLES - {"dextar"}:
+        assert f'"{name}"' in text

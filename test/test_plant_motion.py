@@ -1,0 +1,254 @@
+"""The plant against mechanics written down here: link bodies, a point mass, Lagrange multipliers.
+
+Coordinates of the oracle: absolute angles of the four links and the end effector as a particle
+of its own, tied to both tips by four constraints; integrated by scipy. Nothing of it is shared
+with the plant, which has relative angles, half the end effector on each tip and PyBullet.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dextar_control.contract.resources import config_file
+from dextar_control.contract.robot import RobotParameters, load_robot
+from dextar_sim.plant import Plant, PlantState
+
+LOOP_GAP = 2.0e-6
+"""m; what the loop constraint may leave open at 1 ms and 4 substeps."""
+FREE_MOTION_ERROR = 0.02e-3
+"""m after 0.4 s; first-order integration at 0.25 ms."""
+ENERGY_DRIFT = 2.0e-3
+"""Share of the kinetic energy over 3 s."""
+FREE_TIME = 0.4
+ORACLE_TOLERANCE = 1.0e-10
+IMPULSE_ERROR = 2.0e-3
+"""Relative; motion during the 0.1 ms of the blow."""
+HOLD_ERROR = 1.0e-5
+"""m after 0.1 s; finite differences leave 1e-9 N m, and the pose is unstable."""
+FRICTION_ERROR = 5.0e-3
+"""Relative; trapezoidal power over 1 ms against 0.25 ms substeps."""
+DRIVEN_STEPS = 300
+
+DEXTAR = load_robot(config_file("dextar.yaml"))
+MOCKUP = load_robot(config_file("mockup.yaml"))
+TILTED = DEXTAR.replace(gravity=(0.6, -0.8))
+UNEQUAL = DEXTAR.replace(
+    **{
+        "left.proximal_length": 0.1,
+        "right.proximal_length": 0.085,
+        "left.distal_length": 0.11,
+        "right.distal_length": 0.095,
+        "left.proximal_center": 0.4,
+        "right.distal_center": 0.62,
+        "right.distal_mass": 0.12,
+        "left.rotor_inertia": 3.0e-4,
+    }
+)
+ROBOTS = {"dextar": DEXTAR, "tilted": TILTED, "unequal": UNEQUAL, "mockup": MOCKUP}
+START = (0.02, 0.105)
+START_VELOCITY = (-0.2, 0.1)
+FAST_VELOCITY = (0.3, -0.2)
+ENERGY_VELOCITY = (0.2, -0.15)
+
+
+@pytest.fixture(params=ROBOTS)
+def robot(request: pytest.FixtureRequest) -> RobotParameters:
+    return ROBOTS[request.param]
+
+
+def links(robot: RobotParameters) -> list[tuple[float, float, float, float]]:
+    """Mass (kg), centre (m), inertia about it (kg m^2) with the rotor, length (m): left two, right two."""
+    bodies = []
+    for leg in robot.legs:
+        bodies.append((leg.proximal_mass, leg.proximal_center * leg.proximal_length,
+                       leg.proximal_inertia + leg.rotor_inertia, leg.proximal_length))  # fmt: skip
+        bodies.append((leg.distal_mass, leg.distal_center * leg.distal_length, leg.distal_inertia, leg.distal_length))
+    return bodies
+
+
+def absolute(joints: np.ndarray) -> np.ndarray:
+    """Relative joint values q11, q12, q21, q22 to link values from the x axis, shape (4,)."""
+    return np.array([joints[0], joints[0] + joints[1], joints[2], joints[2] + joints[3]])
+
+
+def point_jacobian(theta: np.ndarray, leg: int, arm_1: float, arm_2: float) -> np.ndarray:
+    """Velocity of elbow-arm plus distal-arm per coordinate rate, shape (2, 6)."""
+    jacobian = np.zeros((2, 6))
+    for index, arm in ((2 * leg, arm_1), (2 * leg + 1, arm_2)):
+        jacobian[:, index] = arm * np.array([-math.sin(theta[index]), math.cos(theta[index])])
+    return jacobian
+
+
+def energy(robot: RobotParameters, state: PlantState) -> float:
+    """Kinetic and potential energy, J, link by link."""
+    bodies, theta, theta_dot = links(robot), absolute(state.joints), absolute(state.joints_dot)
+    gravity = np.array(robot.gravity)
+    total = 0.5 * robot.end_effector_mass * state.x_dot @ state.x_dot
+    total -= robot.end_effector_mass * gravity @ state.x
+    for index, (mass, center, inertia, _) in enumerate(bodies):
+        leg, distal = divmod(index, 2)
+        arms = (bodies[2 * leg][3], center) if distal else (center, 0.0)
+        velocity = point_jacobian(theta, leg, *arms)[:, :4] @ theta_dot
+        angles = theta[2 * leg : 2 * leg + 2]
+        place = np.array([arms[0] * math.cos(angles[0]) + arms[1] * math.cos(angles[1]),
+                          arms[0] * math.sin(angles[0]) + arms[1] * math.sin(angles[1])])  # fmt: skip
+        total += 0.5 * mass * velocity @ velocity + 0.5 * inertia * theta_dot[index] ** 2 - mass * gravity @ place
+    return float(total)
+
+
+def integrate(robot: RobotParameters, state: PlantState, duration: float, torque=lambda time: (0.0, 0.0)):
+    """End effector position (m) and velocity (m/s) after the duration, from the exact model."""
+    bodies = links(robot)
+    gravity = np.array(robot.gravity)
+
+    def rate(time: float, coordinates: np.ndarray) -> np.ndarray:
+        theta, speed = coordinates[:4], coordinates[6:]
+        mass_matrix, force = np.zeros((6, 6)), np.zeros(6)
+        for index, (mass, center, inertia, _) in enumerate(bodies):
+            leg, distal = divmod(index, 2)
+            arms = (bodies[2 * leg][3], center) if distal else (center, 0.0)
+            jacobian = point_jacobian(theta, leg, *arms)
+            mass_matrix += mass * jacobian.T @ jacobian
+            mass_matrix[index, index] += inertia
+            drift = -sum(
+                arm * speed[link] ** 2 * np.array([math.cos(theta[link]), math.sin(theta[link])])
+                for link, arm in zip((2 * leg, 2 * leg + 1), arms, strict=True)
+            )
+            force += jacobian.T @ (mass * (gravity - drift))
+        mass_matrix[4:, 4:] += robot.end_effector_mass * np.eye(2)
+        force[4:] += robot.end_effector_mass * gravity
+        motors = torque(time)
+        force[0] += motors[0]
+        force[2] += motors[1]
+        system, right = np.zeros((10, 10)), np.zeros(10)
+        system[:6, :6], right[:6] = mass_matrix, force
+        for leg in (0, 1):
+            lengths = bodies[2 * leg][3], bodies[2 * leg + 1][3]
+            constraint = point_jacobian(theta, leg, *lengths)
+            constraint[:, 4:] = -np.eye(2)
+            rows = slice(6 + 2 * leg, 8 + 2 * leg)
+            system[rows, :6], system[:6, rows] = constraint, constraint.T
+            right[rows] = sum(
+                arm * speed[link] ** 2 * np.array([math.cos(theta[link]), math.sin(theta[link])])
+                for link, arm in zip((2 * leg, 2 * leg + 1), lengths, strict=True)
+            )
+        return np.concatenate([speed, np.linalg.solve(system, right)[:6]])
+
+    start = np.concatenate([absolute(state.joints), state.x, absolute(state.joints_dot), state.x_dot])
+    end = solve_ivp(rate, (0.0, duration), start, method="DOP853", rtol=ORACLE_TOLERANCE, atol=ORACLE_TOLERANCE)
+    return end.y[4:6, -1], end.y[10:12, -1]
+
+
+def run_free(robot: RobotParameters, velocity: tuple[float, float], duration: float) -> list[PlantState]:
+    plant = Plant(robot)
+    states = [plant.reset(START, velocity)]
+    for _ in range(round(duration / plant.period)):
+        plant.step((0.0, 0.0))
+        states.append(plant.state())
+    plant.close()
+    return states
+
+
+def test_free_motion_follows_the_exact_model(robot: RobotParameters) -> None:
+    states = run_free(robot, START_VELOCITY, FREE_TIME)
+    x, _ = integrate(robot, states[0], FREE_TIME)
+    assert math.dist(states[-1].x, x) < FREE_MOTION_ERROR
+
+
+def test_loop_stays_closed_in_free_motion(robot: RobotParameters) -> None:
+    assert max(state.loop_gap for state in run_free(robot, FAST_VELOCITY, 1.0)) < LOOP_GAP
+
+
+def test_energy_is_kept_over_three_seconds(robot: RobotParameters) -> None:
+    velocity = START_VELOCITY if robot is TILTED else ENERGY_VELOCITY
+    states = run_free(robot, velocity, 3.0)
+    energies = [energy(robot, state) for state in states]
+    weightless = robot.replace(gravity=(0.0, 0.0))
+    kinetic = max(energy(weightless, state) for state in states)
+    assert max(abs(value - energies[0]) for value in energies) < ENERGY_DRIFT * kinetic
+
+
+def test_driven_motion_follows_the_exact_model_and_stays_closed(robot: RobotParameters) -> None:
+    """Torques held over each period; to the exact model that is the same torque half a period later."""
+    plant = Plant(robot)
+    start = plant.reset((0.0, 0.105))
+
+    def torque(time: float) -> tuple[float, float]:
+        return 0.05 * math.sin(20.0 * time), -0.035 * math.cos(15.0 * time)
+
+    gap = 0.0
+    for step in range(DRIVEN_STEPS):
+        plant.step(torque(step * plant.period))
+        gap = max(gap, plant.state().loop_gap)
+    x, _ = integrate(robot, start, DRIVEN_STEPS * plant.period, lambda time: torque(time - 0.5 * plant.period))
+    assert gap < LOOP_GAP
+    assert math.dist(plant.state().x, x) < FREE_MOTION_ERROR
+    plant.close()
+
+
+def test_free_motion_error_halves_with_the_substep() -> None:
+    exact, errors = None, []
+    for substeps in (2, 4, 8):
+        plant = Plant(DEXTAR, substeps=substeps)
+        start = plant.reset(START, FAST_VELOCITY)
+        if exact is None:
+            exact, _ = integrate(DEXTAR, start, FREE_TIME)
+        for _ in range(round(FREE_TIME / plant.period)):
+            plant.step((0.0, 0.0))
+        errors.append(math.dist(plant.state().x, exact))
+        plant.close()
+    assert errors[1] < 0.6 * errors[0]
+    assert errors[2] < 0.6 * errors[1]
+
+
+def test_impulse_at_rest_gives_the_velocity_of_the_exact_model() -> None:
+    """The model's answer to a constant force of the same impulse over the first substep."""
+    impulse = np.array([0.01, -0.02])
+    plant = Plant(DEXTAR, period=1.0e-4, substeps=1)
+    start = plant.reset(START)
+    plant.apply_impulse(impulse)
+    plant.step((0.0, 0.0))
+    state = plant.state()
+    plant.close()
+    moved = start.x_dot + state.x_dot
+    assert 0.5 * impulse @ moved == pytest.approx(energy(DEXTAR, state), rel=IMPULSE_ERROR)
+    probe = Plant(DEXTAR)
+    other = probe.reset(START, state.x_dot)
+    probe.close()
+    assert energy(DEXTAR, other) == pytest.approx(energy(DEXTAR, state), rel=IMPULSE_ERROR)
+
+
+def test_holding_torque_against_gravity_keeps_the_pose() -> None:
+    """Torque by virtual work: the potential's slope along each motor angle, by finite differences."""
+    robot = DEXTAR.replace(gravity=(0.0, -9.81))
+    plant = Plant(robot)
+    start = plant.reset(START)
+    step, torque = 1.0e-5, []
+    for joint in (0, 1):
+        potentials = []
+        for sign in (1.0, -1.0):
+            q_a = start.q_a.copy()
+            q_a[joint] += sign * step
+            potentials.append(energy(robot, plant.reset_joints(q_a, 1)))
+        torque.append((potentials[0] - potentials[1]) / (2.0 * step))
+    plant.reset(START)
+    for _ in range(100):
+        plant.step(torque)
+    assert max(np.abs(torque)) > 0.01
+    assert math.dist(plant.state().x, START) < HOLD_ERROR
+    plant.close()
+
+
+def test_friction_takes_the_energy_its_law_says() -> None:
+    """Loss = integral of q_dot (viscous q_dot + coulomb tanh(q_dot / coulomb_speed)) over both motors."""
+    robot = DEXTAR.replace(**{"left.viscous_friction": 1.0e-3, "right.coulomb_friction": 5.0e-3})
+    states = run_free(robot, FAST_VELOCITY, 0.2)
+    rates = np.array([state.q_a_dot for state in states])
+    power = 1.0e-3 * rates[:, 0] ** 2 + 5.0e-3 * rates[:, 1] * np.tanh(rates[:, 1] / robot.coulomb_speed)
+    lost = energy(robot, states[0]) - energy(robot, states[-1])
+    assert lost > 0.1 * energy(robot, states[0])
+    assert lost == pytest.approx(float(np.trapezoid(power, dx=1.0e-3)), rel=FRICTION_ERROR)

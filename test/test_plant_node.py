@@ -1,0 +1,325 @@
+"""The plant node over real DDS: the node in its own process, a small commander here.
+
+Nothing depends on how fast the machine is: waits end on what arrives, and WAIT only ends a test
+that is lost anyway.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Odometry
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from dextar_control.contract.cdr import from_time, to_time
+from dextar_control.contract.node import make_executor, qos
+from dextar_control.contract.resources import config_file
+from dextar_control.contract.robot import load_robot
+from dextar_control.contract.topics import (
+    DIAGNOSTICS, JOINT_COMMANDS, JOINT_STATES, SIM_END_EFFECTOR, SIM_JOINT_STATES,
+)  # fmt: skip
+from dextar_sim.plant import Plant
+
+WAIT = 60.0
+PERIOD = 1_000_000
+START = (0.0, 0.105)
+EXACT = 1.0e-12
+"""A float through CDR is itself; the pose is a few roundings away."""
+
+
+def wavy(stamp: int) -> list[float]:
+    """A torque that depends on the stamp alone, N m."""
+    return [0.03 * math.sin(20.0e-9 * stamp), -0.02 * math.cos(15.0e-9 * stamp)]
+
+
+class Commander:
+    """Answers each joint state by ``answer(state) -> JointState | None`` and keeps all it received."""
+
+    def __init__(self, parameters: dict[str, str]) -> None:
+        self.node = rclpy.create_node("commander")
+        self.executor = make_executor()
+        self.states: list[JointState] = []
+        self.platform: list[Odometry] = []
+        self.joints: list[JointState] = []
+        self.health: dict[str, str] = {}
+        self.answer: Callable[[JointState], JointState | None] = lambda state: None
+        self.commands = self.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
+        for topic, kind, take in (
+            (SIM_END_EFFECTOR, Odometry, self.platform.append),
+            (SIM_JOINT_STATES, JointState, self.joints.append),
+            (DIAGNOSTICS, DiagnosticArray, self._on_health),
+        ):
+            self.node.create_subscription(kind, topic.name, take, qos(topic))
+        self.node.create_subscription(JointState, JOINT_STATES.name, self._on_state, qos(JOINT_STATES))
+        self.executor.add_node(self.node)
+        flags = [flag for name, value in parameters.items() for flag in ("-p", f"{name}:={value}")]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "dextar_sim.node", "--ros-args", *flags],
+            env=os.environ, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+
+    def _on_state(self, state: JointState) -> None:
+        if not self.states or state.header.stamp != self.states[-1].header.stamp:
+            self.states.append(state)
+        command = self.answer(state)
+        if command is not None:
+            self.commands.publish(command)
+
+    def _on_health(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            if status.name == "/plant":
+                self.health = {"message": status.message} | {item.key: item.value for item in status.values}
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        limit = time.monotonic() + WAIT
+        while not condition():
+            assert time.monotonic() < limit, "nothing more arrived"
+            assert self.process.poll() is None, "the plant ended"
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def linger(self, duration: float) -> None:
+        end = time.monotonic() + duration
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.01)
+
+    def call(self, name: str, kind: Any, **fields: Any) -> Any:
+        client = self.node.create_client(kind, f"/plant/{name}")
+        self.until(client.service_is_ready)
+        future = client.call_async(kind.Request(**fields))
+        self.until(future.done)
+        return future.result()
+
+    def close(self) -> tuple[int, str]:
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        _, text = self.process.communicate(timeout=WAIT)
+        self.executor.remove_node(self.node)
+        self.executor.shutdown()
+        self.node.destroy_node()
+        return self.process.returncode, text
+
+
+def command(state: JointState, torque: list[float], names: tuple[str, ...] = ("q11", "q21")) -> JointState:
+    message = JointState(name=list(names), effort=[float(value) for value in torque])
+    message.header.stamp = state.header.stamp
+    return message
+
+
+def stamps(states: list[Any]) -> list[int]:
+    return [from_time(state.header.stamp) for state in states]
+
+
+def by_stamp(messages: list[Any]) -> dict[int, Any]:
+    return dict(zip(stamps(messages), messages, strict=True))
+
+
+def wavy_answer(state: JointState) -> JointState:
+    return command(state, wavy(from_time(state.header.stamp)))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Commander]]:
+    started: list[Commander] = []
+
+    def make(**parameters: str) -> Commander:
+        started.append(Commander({key.replace("__", "."): value for key, value in parameters.items()}))
+        return started[-1]
+
+    yield make
+    for commander in started:
+        if commander.process.poll() is None:
+            commander.close()
+
+
+def lockstep_run(start: Callable[..., Commander], count: int, **parameters: str) -> Commander:
+    commander = start(mode="lockstep", **parameters)
+    commander.answer = wavy_answer
+    commander.until(lambda: len(commander.states) >= count)
+    return commander
+
+
+def test_lockstep_runs_are_bit_identical_and_answer_every_state(start: Callable[..., Commander]) -> None:
+    """Message for message; the bytes between the fields are alignment, which CDR leaves undefined."""
+    runs = []
+    for _ in range(2):
+        commander = lockstep_run(start, 400, position_noise="1.0e-4", command_delay="0.003")
+        runs.append(commander.states[:400])
+        assert stamps(commander.states[:400]) == [PERIOD * index for index in range(400)]
+        assert commander.close()[0] == 0
+    assert runs[0] == runs[1]
+
+
+def test_lockstep_applies_each_answer_over_the_period_it_answers(start: Callable[..., Commander]) -> None:
+    """The same run on a plant of this process; the effort of state k + 1 is the answer to state k."""
+    commander = start(mode="lockstep", encoder_resolution="0", task__start=str(list(START)))
+    commander.answer = lambda state: wavy_answer(state) if commander.joints and commander.platform else None
+    last = PERIOD * 199
+    commander.until(lambda: all(last in stamps(kind) for kind in (commander.states, commander.joints)))
+    commander.until(lambda: last in stamps(commander.platform))
+    joints, platforms = by_stamp(commander.joints), by_stamp(commander.platform)
+    plant = Plant(load_robot(config_file("dextar.yaml")))
+    plant.reset(START)
+    applied = [0.0, 0.0]
+    for index in range(200):
+        state, truth = plant.state(), joints[PERIOD * index]
+        assert list(commander.states[index].position) == state.q_a.tolist()
+        assert list(commander.states[index].effort) == applied
+        assert list(truth.name) == ["q11", "q12", "q21", "q22"]
+        assert list(truth.position) == state.joints.tolist()
+        assert list(truth.velocity) == state.joints_dot.tolist()
+        assert list(truth.effort) == [applied[0], 0.0, applied[1], 0.0]
+        platform = platforms[PERIOD * index]
+        pose, twist = platform.pose.pose.position, platform.twist.twist.linear
+        assert [pose.x, pose.y, twist.x, twist.y] == [*state.x.tolist(), *state.x_dot.tolist()]
+        applied = wavy(PERIOD * index)
+        plant.step(applied)
+    plant.close()
+
+
+def test_command_delay_is_whole_periods(start: Callable[..., Commander]) -> None:
+    commander = lockstep_run(start, 50, command_delay="0.004")
+    for index, state in enumerate(commander.states[:50]):
+        assert list(state.effort) == (wavy(PERIOD * (index - 5)) if index >= 5 else [0.0, 0.0])
+
+
+def test_joints_in_another_order_are_mapped_by_name(start: Callable[..., Commander]) -> None:
+    commander = start(mode="lockstep")
+    commander.answer = lambda state: command(state, [0.01, 0.02], ("q21", "q11"))
+    commander.until(lambda: len(commander.states) >= 5)
+    assert list(commander.states[4].effort) == [0.02, 0.01]
+
+
+def test_unusable_commands_are_refused_counted_and_without_torque(start: Callable[..., Commander]) -> None:
+    """Each state is first answered four times wrongly; only the right answer moves the plant."""
+    commander = start(mode="lockstep")
+
+    def answer(state: JointState) -> JointState:
+        early = command(state, [0.1, 0.1])
+        early.header.stamp = to_time(from_time(state.header.stamp) + PERIOD)
+        for bad in (
+            command(state, [math.nan, 0.1]), command(state, [0.1, 0.1], ("q11", "q12")), command(state, [0.1]), early,
+        ):  # fmt: skip
+            commander.commands.publish(bad)
+        return command(state, [0.0, 0.0])
+
+    commander.answer = answer
+    commander.until(lambda: len(commander.states) >= 100)
+    assert all(list(state.effort) == [0.0, 0.0] for state in commander.states)
+    assert commander.states[99].position == commander.states[0].position
+    commander.until(lambda: int(commander.health.get("commands_refused", 0)) >= 4 * 99)
+    assert "refused" in commander.health["message"]
+    code, text = commander.close()
+    assert code == 0
+    assert 1 <= text.count(JOINT_COMMANDS.name) <= 100
+
+
+def test_unanswered_state_is_repeated_and_counted(start: Callable[..., Commander]) -> None:
+    commander = start(mode="lockstep")
+    asked: list[int] = []
+
+    def answer(state: JointState) -> JointState | None:
+        asked.append(from_time(state.header.stamp))
+        return None if asked[-1] == 10 * PERIOD and asked.count(asked[-1]) == 1 else wavy_answer(state)
+
+    commander.answer = answer
+    commander.until(lambda: len(commander.states) >= 20)
+    assert asked.count(10 * PERIOD) == 2
+    commander.until(lambda: int(commander.health.get("repeated_states", 0)) >= 1)
+
+
+def test_start_paused_waits_steps_as_told_and_resumes(start: Callable[..., Commander]) -> None:
+    commander = start(mode="lockstep", start_paused="true", step_count="3")
+    commander.answer = wavy_answer
+    commander.call("pause", SetBool, data=True)
+    assert commander.states == []
+    for steps in (3, 6):
+        assert commander.call("step", Trigger).success
+        commander.until(lambda count=steps: len(commander.states) >= count)
+        commander.linger(0.2)
+        assert len(commander.states) == steps
+    commander.call("pause", SetBool, data=False)
+    commander.until(lambda: len(commander.states) >= 50)
+    assert not commander.call("step", Trigger).success
+    assert stamps(commander.states) == [PERIOD * index for index in range(len(commander.states))]
+
+
+def test_reset_returns_to_the_start_at_rest_with_growing_stamps(start: Callable[..., Commander]) -> None:
+    commander = lockstep_run(start, 100, encoder_resolution="0")
+    assert commander.call("reset", Trigger).success
+    commander.answer = lambda state: command(state, [0.0, 0.0])
+    first = list(commander.states[0].position)
+    commander.until(lambda: any(list(state.position) == first for state in commander.states[50:]))
+    again = next(index for index in range(50, len(commander.states)) if list(commander.states[index].position) == first)
+    assert list(commander.states[again].velocity) == [0.0, 0.0]
+    assert list(commander.states[again].effort) == [0.0, 0.0]
+    times = stamps(commander.states)
+    assert times == sorted(set(times))
+
+
+def test_realtime_without_commander_stays_free_and_counts_exact_periods(start: Callable[..., Commander]) -> None:
+    before = time.time_ns()
+    commander = start(mode="realtime", encoder_resolution="0")
+    commander.until(lambda: len(commander.states) >= 300 and bool(commander.health))
+    times = stamps(commander.states)
+    assert before <= times[0] <= time.time_ns()
+    assert all((time_ - times[0]) % PERIOD == 0 for time_ in times)
+    assert all(list(state.effort) == [0.0, 0.0] for state in commander.states)
+    assert commander.states[-1].position == pytest.approx(commander.states[0].position, abs=EXACT)
+    assert commander.health["late_ticks"] == "0"
+    assert commander.close()[0] == 0
+
+
+def test_realtime_applies_answers_and_falls_silent_with_the_commander(start: Callable[..., Commander]) -> None:
+    commander = start(mode="realtime", command_timeout="0.05")
+    commander.answer = lambda state: command(state, [1.0e-4, -1.0e-4])
+    commander.until(lambda: any(list(state.effort) == [1.0e-4, -1.0e-4] for state in commander.states))
+    commander.answer = lambda state: None
+    commander.until(lambda: list(commander.states[-1].effort) == [0.0, 0.0])
+    commander.until(lambda: int(commander.health.get("watchdog_trips", 0)) >= 1)
+    assert int(commander.health["late_ticks"]) >= 1
+
+
+def test_second_commander_is_reported(start: Callable[..., Commander]) -> None:
+    commander = start(mode="lockstep")
+    second = commander.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
+    commander.until(lambda: commander.health.get("command_publishers") == "2")
+    assert "2 publishers" in commander.health["message"]
+    commander.node.destroy_publisher(second)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"window": "true"}, "DISPLAY"),
+        ({"mode": "fast"}, "one of realtime, lockstep"),
+        ({"task.start": "[0.0, 0.5]"}, "left motor axis"),
+        ({"colour": "3"}, "unknown parameter 'colour'"),
+    ],
+)
+def test_mistaken_parameter_is_one_sentence_and_exit_code_two(parameters: dict[str, str], words: str) -> None:
+    flags = [flag for name, value in parameters.items() for flag in ("-p", f"{name}:={value}")]
+    environment = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
+    done = subprocess.run([sys.executable, "-m", "dextar_sim.node", "--ros-args", *flags], env=environment,
+                          capture_output=True, text=True, timeout=WAIT, check=False)  # fmt: skip
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
