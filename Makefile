@@ -65,7 +65,7 @@ demo: .venv/warm ## plan, simulate, control, record and judge one crossing; resu
 	@$(BIN)/dextar demo --law $(LAW) $(if $(DURATION),--duration $(DURATION)) $(ARGS)
 
 test: .venv/installed-test .venv/warm ## run the tests
-	@$(BIN)/python -m pytest -q --durations=10 test $(ARGS)
+	@$(BIN)/python -m pytest -q --durations=10 $(ARGS)
 
 bench: .venv/warm ## measure the loop on this machine
 	@$(BIN)/dextar bench $(ARGS)

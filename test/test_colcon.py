@@ -19,7 +19,9 @@ def workspace(tmp_path_factory):
     shutil.copytree(ROOT, folder / "src" / "dextar", ignore=LEFT_OUT)
     environment = {**os.environ, "COLCON_LOG_LEVEL": "error"}
     environment.setdefault("AMENT_PREFIX_PATH", sys.prefix)
-    colcon = [sys.executable, "-m", "colcon"]
+    # colcon's set-up scripts and setuptools' first lines break on an interpreter path with a space.
+    (folder / ".python").symlink_to(sys.prefix)
+    colcon = [str(folder / ".python" / "bin" / "python"), "-m", "colcon"]
     listed = subprocess.run([*colcon, "list"], cwd=folder, env=environment, capture_output=True, text=True, check=True)
     assert listed.stdout.split("\t")[::2] == ["dextar", "(ros.ament_python)\n"]
     built = subprocess.run(
@@ -49,7 +51,7 @@ def test_sourced_installation_runs_and_finds_its_own_config(workspace):
         "set -e; . install/setup.bash; install/dextar/lib/dextar/dextar --help; "
         'python -c "from dextar_control.contract.resources import share_folder; print(share_folder())"'
     )
-    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    environment = {**os.environ, "PATH": f"{workspace / '.python' / 'bin'}{os.pathsep}{os.environ['PATH']}"}
     done = subprocess.run(["bash", "-c", script], cwd=workspace, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "usage" in done.stdout.lower()

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import solve_ivp, trapezoid
 
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
@@ -251,4 +251,4 @@ def test_friction_takes_the_energy_its_law_says() -> None:
     power = 1.0e-3 * rates[:, 0] ** 2 + 5.0e-3 * rates[:, 1] * np.tanh(rates[:, 1] / robot.coulomb_speed)
     lost = energy(robot, states[0]) - energy(robot, states[-1])
     assert lost > 0.1 * energy(robot, states[0])
-    assert lost == pytest.approx(float(np.trapezoid(power, dx=1.0e-3)), rel=FRICTION_ERROR)
+    assert lost == pytest.approx(float(trapezoid(power, dx=1.0e-3)), rel=FRICTION_ERROR)

@@ -18,6 +18,12 @@ from dextar_control.contract.robot import JOINT_NAMES, ROBOT_KEYS, RobotParamete
 
 NANOSECONDS = 1_000_000_000
 PARAMETER_PREFIX = "parameters."
+_POINT_FIELDS = (
+    ("positions", "velocities", "accelerations"),
+    ("positions", "velocities"),
+    ("positions", "velocities"),
+    ("accelerations", "effort"),
+)
 
 
 def load_run(path: str | Path) -> Run:
@@ -99,12 +105,9 @@ def _control(messages: Sequence[Any]) -> Control:
     count = len(ordered)
     time = np.full(count, np.nan)
     table = np.full((9, count, 2), np.nan)
-    fields = ("positions", "velocities", "accelerations"), ("positions", "velocities"), ("positions", "velocities"), (
-        "accelerations", "effort",
-    )  # fmt: skip
     for row, message in enumerate(ordered):
         index = 0
-        for point, names in zip(message.points, fields, strict=False):
+        for point, names in zip(message.points, _POINT_FIELDS, strict=False):
             for name in names:
                 values = getattr(point, name)
                 if len(values) == 2:

@@ -36,6 +36,7 @@ class Phase(IntEnum):
     FAULT = 6  # no torque
 
 
+WATCH_DECAY = 0.25  # a torque that swings between its limits is watched too
 MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
 
@@ -403,10 +404,10 @@ class ControlLoop:
             if self.phase != Phase.IDLE:
                 self.fault("the law gave a number that is not finite")
             return
-        if float(np.abs(tau).max()) >= self.robot.max_torque:
-            self.saturated_ticks += 1
         if self.phase not in MOVING:
             return
+        if float(np.abs(tau).max()) >= self.robot.max_torque:
+            self.saturated_ticks += 1
         settings = self.settings
         if self._stop_wanted and self.phase != Phase.CROSSING:
             self._safe_stop(self.reason)
@@ -419,7 +420,8 @@ class ControlLoop:
             return
         limit = max(settings.watch_ratio * self.certificate.peak_torque, settings.watch_torque)
         peak = float(np.abs(tau).max())
-        self._watch = self._watch + dt if s_ref < settings.watch_s and peak > limit else 0.0
+        watched = s_ref < settings.watch_s and peak > limit
+        self._watch = self._watch + dt if watched else max(self._watch - WATCH_DECAY * dt, 0.0)
         if self._watch > settings.watch_time:
             self._safe_stop(
                 f"torque {peak:.3f} N m for {1e3 * self._watch:.0f} ms near the locus; the limit is"

@@ -1,0 +1,82 @@
+"""Analysis of one bag from file to files, and its summary in words."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from rich.table import Table
+
+from dextar_control.analysis.figure import draw_run
+from dextar_control.analysis.load import load_run
+from dextar_control.analysis.metrics import Metrics, compute_metrics
+from dextar_control.contract.errors import BagError
+
+RESOLUTION = 150  # dots per inch
+
+
+def analyze(path: str | Path, output_dir: str | Path | None = None) -> Metrics:
+    """Write ``metrics.json`` and ``figure.png`` of a bag, next to it or into a folder.
+
+    Raises:
+        BagError: the bag cannot be read, or the results cannot be written.
+    """
+    run = load_run(path)
+    metrics = compute_metrics(run)
+    folder = Path(output_dir) if output_dir is not None else run.path.parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "metrics.json").write_text(metrics.to_json() + "\n", encoding="utf-8")
+        draw_run(run, metrics).savefig(folder / "figure.png", dpi=RESOLUTION)
+    except OSError as error:
+        raise BagError(f"cannot write the analysis to {folder}: {error.strerror or error}") from error
+    return metrics
+
+
+def summary_table(metrics: Metrics) -> Table:
+    """The run in a dozen lines, for a terminal."""
+    table = Table(show_header=False, title=f"{metrics.robot or 'run'}, law {metrics.law or 'unknown'}", title_justify="left")
+    for name, value in summary_lines(metrics):
+        table.add_row(name, value)
+    return table
+
+
+def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
+    """(what, value) pairs of the summary."""
+    verdict = {True: "success", False: "FAILED", None: "not decidable"}[metrics.success]
+    crossed = [crossing.crossed for crossing in metrics.crossings]
+    known = f"{sum(map(bool, crossed))} of {len(crossed)} planned" if None not in crossed else "unknown without truth"
+    lost = {topic: count for topic, count in metrics.lost.items() if count != 0}
+    lines = [
+        ("crossed", known),
+        ("true error", f"{_mm(metrics.max_true_error)} max, {_mm(metrics.final_true_error)} at the end"),
+        ("estimated error", f"{_mm(metrics.max_estimated_error)} max"),
+        ("peak torque", f"{_torque(metrics.peak_torque)}, {_times(metrics.torque_ratio)} the plan's"),
+        ("peak near the locus", f"{_torque(metrics.peak_torque_near)}, {_times(metrics.torque_ratio_near)} the plan's there"),
+        ("saturated commands", str(metrics.saturated)),
+        ("loop rate", f"{_number(metrics.loop_rate, '.1f')} Hz median, {_number(metrics.mean_rate, '.1f')} Hz mean"),
+        ("states without command", f"{metrics.missed} of {metrics.states}"),
+        ("late commands", "not counted" if metrics.late_commands is None else str(metrics.late_commands)),
+        ("lost in recording", ", ".join(f"{topic}: {'unknown' if count is None else count}" for topic, count in lost.items())
+         or ("none" if metrics.lost else "not counted")),
+        ("verdict", verdict),
+    ]  # fmt: skip
+    if metrics.truncated:
+        lines.append(("bag", "breaks off; read up to its last complete chunk"))
+    return lines + [("", reason) for reason in metrics.reasons]
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "-"
+
+
+def _mm(value: float) -> str:
+    return f"{_number(1e3 * value, '.3f')} mm"
+
+
+def _torque(value: float) -> str:
+    return f"{_number(value, '.4f')} N m"
+
+
+def _times(value: float) -> str:
+    return f"{_number(value, '.2f')} x"

@@ -1,0 +1,78 @@
+"""The part of a run in which a trajectory was tracked, and the plan it followed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dextar_control.analysis.geometry import singularity_measure
+from dextar_control.analysis.run import Floats, Phase, Run, Stamps
+from dextar_control.core.certificate import Certificate, measure
+from dextar_control.core.model import make_model
+from dextar_control.core.trajectory import quintic
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """The ticks of the last trajectory that was tracked, on one clock.
+
+    Attributes:
+        start: ns of its time zero.
+        stamps, time: (n,) of the ticks, ns and s.
+        true_time, true_s, true_error: (k,) where truth is known: s, 1, m.
+        torque_time, torque: (c,), (c, 2) commanded, s, N m.
+        torque_s: (c,) s at the commands: true where known, else estimated.
+    """
+
+    start: int
+    stamps: Stamps
+    time: Floats
+    true_time: Floats
+    true_s: Floats
+    true_error: Floats
+    torque_time: Floats
+    torque: Floats
+    torque_s: Floats
+
+
+def plan_of(run: Run) -> Certificate | None:
+    """The served trajectory's crossings and torques, computed anew from the run's robot."""
+    if run.robot is None or run.trajectory is None:
+        return None
+    served = run.trajectory
+    return measure(make_model(run.robot), quintic(served.time, served.x, served.x_dot, served.x_ddot))
+
+
+def tracked(run: Run) -> Tracked | None:
+    """The last tracked trajectory; None when none was."""
+    criterion, control = run.criterion, run.control
+    busy = criterion.stamps[np.isin(criterion.phase, (Phase.TRACK, Phase.CROSSING))]
+    stamps, rows, _ = np.intersect1d(control.stamps, busy, assume_unique=True, return_indices=True)
+    known = np.isfinite(control.time[rows])
+    stamps, rows = stamps[known], rows[known]
+    if len(stamps) == 0:
+        return None
+    starts = stamps - np.round(control.time[rows] * 1e9).astype(np.int64)
+    last = np.abs(starts - starts[-1]) < 1_000_000
+    stamps, rows, start = stamps[last], rows[last], int(np.median(starts[last]))
+    empty = np.zeros(0)
+    true_time, true_s, true_error = empty, empty, empty
+    if run.truth is not None:
+        inside = (run.truth.stamps >= stamps[0]) & (run.truth.stamps <= stamps[-1])
+        true_time = (run.truth.stamps - start)[inside] * 1e-9
+        if run.robot is not None:
+            true_s = singularity_measure(run.robot, run.truth.x, run.truth.q_a)[inside]
+        _, ticks, truths = np.intersect1d(stamps, run.truth.stamps, assume_unique=True, return_indices=True)
+        true_error = np.full(len(run.truth.stamps), np.nan)
+        true_error[truths] = np.hypot(*(run.control.reference[rows[ticks]] - run.truth.x[truths]).T)
+        true_error = true_error[inside]
+    inside = (run.commands.stamps >= stamps[0]) & (run.commands.stamps <= stamps[-1])
+    torque_stamps = run.commands.stamps[inside]
+    torque_time = (torque_stamps - start) * 1e-9
+    s_time, s = (true_time, true_s) if len(true_s) else ((criterion.stamps - start) * 1e-9, criterion.s)
+    torque_s = np.interp(torque_time, s_time, s) if len(s) else np.full(len(torque_time), np.nan)
+    return Tracked(
+        start, stamps, (stamps - start) * 1e-9, true_time, true_s, true_error,
+        torque_time, run.commands.effort[inside], torque_s,
+    )  # fmt: skip

@@ -1,0 +1,63 @@
+"""When a run counts as a success."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+MAX_ERROR = 5.0e-3  # m, true, while tracking
+FINAL_ERROR = 1.0e-3  # m, true, at the end
+END_MARGIN = 0.02  # s that may be missing at the trajectory's end
+
+
+class Verdict(NamedTuple):
+    """success is None when the bag cannot tell; reasons are sentences with number and limit."""
+
+    success: bool | None
+    reasons: list[str]
+
+
+def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem: str = "") -> Verdict:
+    """The verdict on a run.
+
+    Args:
+        values: the fields of ``Metrics``.
+        has_truth: the bag holds the true motion.
+        tracked: a trajectory was tracked.
+        problem: why the plan could not be computed.
+    """
+    reasons: list[str] = []
+    stopped = values["phase"] in ("SAFE_STOP", "FAULT")
+    if stopped:
+        reasons.append(f"the controller ended in {values['phase']}: {values['reason'] or 'no reason recorded'}")
+    if not tracked:
+        reasons.append("no trajectory was tracked")
+        return Verdict(False, reasons)
+    if values["tracked_until"] < values["duration"] - END_MARGIN:
+        reasons.append(f"tracking ended at {values['tracked_until']:.3f} s of {values['duration']:.3f} s")
+    if values["saturated"]:
+        reasons.append(f"{values['saturated']} commands were saturated; the limit is 0")
+    broken = bool(reasons)
+    for index, crossing in enumerate(values["crossings"], start=1):
+        if crossing.crossed is False:
+            reasons.append(
+                f"crossing {index}, planned at {crossing.planned_time:.4f} s, did not happen: "
+                f"s has not changed its sign to {crossing.sign:+d}"
+            )
+    for key, limit, name in (
+        ("max_true_error", MAX_ERROR, "the largest true error"),
+        ("final_true_error", FINAL_ERROR, "the true error at the end"),
+    ):
+        if values[key] >= limit:
+            reasons.append(f"{name} is {1e3 * values[key]:.3f} mm; the limit is {1e3 * limit:g} mm")
+    if math.isnan(values["planned_peak_torque"]):
+        reasons.append(f"the plan cannot be computed: {problem or 'no robot description or no trajectory in the bag'}")
+        return Verdict(False if broken else None, reasons)
+    if not values["crossings"]:
+        reasons.append("the trajectory crosses no singularity")
+        return Verdict(False, reasons)
+    if not has_truth:
+        reasons.append("the bag holds no true motion: encoders alone cannot tell a crossing from a bounce")
+        return Verdict(False if broken else None, reasons)
+    return Verdict(not reasons, reasons)

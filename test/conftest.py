@@ -1,0 +1,49 @@
+"""One DDS domain for each test process, kept on this machine."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
+from dextar_control.contract.robot import RobotParameters, load_robot
+from dextar_control.core.planner import Plan, plan_return_trip
+
+
+@pytest.fixture(scope="session")
+def robot() -> RobotParameters:
+    """The DexTAR of ``config/``."""
+    return load_robot(config_file(ROBOT_FILE))
+
+
+@pytest.fixture(scope="session")
+def uneven(robot: RobotParameters) -> RobotParameters:
+    """Unequal links, off-centre masses and gravity in the plane."""
+    return robot.replace(
+        **{
+            "left.proximal_length": 0.085, "left.distal_length": 0.095, "left.distal_center": 0.4,
+            "right.proximal_length": 0.093, "right.distal_length": 0.088, "right.distal_mass": 0.11,
+            "right.proximal_center": 0.45, "right.distal_inertia": 7.1e-5, "gravity": (0.7, -9.81),
+        }
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def trip(robot: RobotParameters) -> Plan:
+    """The fast return trip between the A and B of ``config/``."""
+    task = node_defaults("trajectory_server")
+    start, goal = np.array(task["task.start"]), np.array(task["task.goal"])
+    return plan_return_trip(robot, start, goal, task["duration"], task["dwell"])
+
+
+@pytest.fixture(scope="session")
+def slow_trip(robot: RobotParameters) -> Plan:
+    """The same trip at 2 s each way."""
+    task = node_defaults("trajectory_server")
+    return plan_return_trip(robot, np.array(task["task.start"]), np.array(task["task.goal"]), 2.0, task["dwell"])
