@@ -46,14 +46,15 @@ class PlantNode(DextarNode):
         period = values["task.sample_period"]
         self.period_ns = round(period * NANOSECONDS)
         self.lockstep = values["mode"] == "lockstep"
+        max_torque = values["max_torque"] or self.robot.max_torque
         self.plant = Plant(self.robot, period=period, substeps=values["substeps"], window=values["window"],
-                           max_torque=values["max_torque"])  # fmt: skip
+                           max_torque=max_torque)  # fmt: skip
         self.plant.reset(values["task.start"])
         self._encoder = Encoder(period, resolution=values["encoder_resolution"], seed=values["seed"],
                                 velocity_cutoff=values["velocity_cutoff"],
                                 position_noise=values["position_noise"])  # fmt: skip
         self._delay: CommandDelay[Command] = CommandDelay(round(values["command_delay"] / period))
-        self._hold = CommandHold(round(values["command_timeout"] * NANOSECONDS), values["max_torque"])
+        self._hold = CommandHold(round(values["command_timeout"] * NANOSECONDS), max_torque)
         self.schedule = Schedule(self.period_ns)
         self._writer, self._reader = StateWriter(), CommandReader()
         self._index = -1

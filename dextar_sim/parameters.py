@@ -16,7 +16,7 @@ PARAMETERS = (
     Parameter("command_delay", "s, rounded to sample periods", minimum=0.0, maximum=1.0),
     Parameter("command_timeout", "simulated time without a fresh command after which there is no torque, s",
               minimum=1.0e-4, maximum=1.0e3),
-    Parameter("max_torque", "saturation of the drives, N m", minimum=1.0e-6, maximum=1.0e4),
+    Parameter("max_torque", "saturation of the drives, N m; 0 takes the robot's", minimum=0.0, maximum=1.0e4),
     Parameter("seed", "of the encoder noise", minimum=0, maximum=2**31),
     Parameter("publish_truth", "publish sim/end_effector and sim/joint_states"),
     Parameter("window", "open PyBullet's own window"),

@@ -36,6 +36,7 @@ class Phase(IntEnum):
     FAULT = 6  # no torque
 
 
+TORQUELESS = (Phase.IDLE, Phase.FAULT, Phase.SAFE_STOP)  # where the law's torque is not given out
 WATCH_DECAY = 0.25  # a torque that swings between its limits is watched too
 MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
@@ -125,7 +126,9 @@ class Tick(NamedTuple):
     assembly_mode: int
 
 
-_TAU, _X_REF, _X_HAT, _ERROR, _U, _FORCE, _SCALARS, _S_REF, _SIZE = 0, 2, 8, 12, 16, 18, 20, 24, 26
+_TAU, _X_REF, _X_HAT, _ERROR, _U, _FORCE, _SCALARS, _S_REF, _FINITE, _PEAK, _DISTANCE, _SIZE = (
+    0, 2, 8, 12, 16, 18, 20, 24, 26, 27, 28, 29,
+)  # fmt: skip
 
 
 @njit
@@ -176,6 +179,9 @@ def _tick(
     out[_SCALARS + 3] = enforced.weight
     out[_S_REF] = s_ref
     out[_S_REF + 1] = assembly_mode
+    out[_FINITE] = 1.0 if np.isfinite(out[:_S_REF]).all() else 0.0
+    out[_PEAK] = max(abs(out[_TAU]), abs(out[_TAU + 1]))
+    out[_DISTANCE] = np.hypot(error[0], error[1])
 
 
 @njit
@@ -227,6 +233,7 @@ class ControlLoop:
     def configure(self, settings: Settings) -> None:
         """Take gains and limits, also while running."""
         self.settings = settings
+        self._law = int(settings.law)
         K_p = settings.natural_frequency**2
         self._gains = _Gains(
             K_p, 2.0 * settings.damping_ratio * settings.natural_frequency, settings.integral_frequency * K_p,
@@ -346,8 +353,8 @@ class ControlLoop:
             GeometryError: first sample: the distal links cannot meet.
             TrajectoryError: first sample: a trajectory accepted before does not start at the robot.
         """
-        q_a = np.asarray(q_a, dtype=np.float64)
-        if q_a.shape != (2,) or not (math.isfinite(q_a[0]) and math.isfinite(q_a[1]) and math.isfinite(time)):
+        q_a = np.array(q_a, dtype=np.float64)
+        if q_a.shape != (2,) or not math.isfinite(time + q_a[0] + q_a[1]):
             raise StateError(f"state at {time} s: active joints {q_a} are not two finite numbers")
         if math.isnan(self._time):
             self._first(q_a)
@@ -369,16 +376,16 @@ class ControlLoop:
         out = self._out
         _tick(
             self.model, self._gains, self._memory, self._integral, *self._reference, *self._plan,
-            reference_time, dt, q_a, self._outside, self._mode, int(self.settings.law), out,
+            reference_time, dt, q_a, self._outside, self._mode, self._law, out,
         )  # fmt: skip
         self._mode = float(out[_S_REF + 1])
         s_ref = abs(float(out[_S_REF]))
         self._outside = self._outside + dt if s_ref > self.settings.hold_zone else 0.0
-        if self.phase in (Phase.TRACK, Phase.CROSSING):
+        if self.phase is Phase.TRACK or self.phase is Phase.CROSSING:
             self.phase = Phase.CROSSING if s_ref < self.settings.hold_zone + self.settings.hold_width else Phase.TRACK
         self._supervise(dt, out, s_ref)
         values = out.copy()
-        if self.phase in (Phase.IDLE, Phase.FAULT, Phase.SAFE_STOP):
+        if self.phase in TORQUELESS:
             values[_TAU : _TAU + 2] = 0.0
             values[_FORCE : _FORCE + 2] = 0.0
         if self.phase == Phase.IDLE:
@@ -399,27 +406,26 @@ class ControlLoop:
         self.saturated_ticks = 0
 
     def _supervise(self, dt: float, out: Array, s_ref: float) -> None:
-        tau = out[_TAU : _TAU + 2]
-        if not np.isfinite(out[:_SCALARS]).all():
+        if out[_FINITE] == 0.0:
             if self.phase != Phase.IDLE:
                 self.fault("the law gave a number that is not finite")
             return
         if self.phase not in MOVING:
             return
-        if float(np.abs(tau).max()) >= self.robot.max_torque:
+        peak = float(out[_PEAK])
+        if peak >= self.robot.max_torque:
             self.saturated_ticks += 1
         settings = self.settings
         if self._stop_wanted and self.phase != Phase.CROSSING:
             self._safe_stop(self.reason)
             return
-        error = math.hypot(out[_ERROR], out[_ERROR + 1])
+        error = float(out[_DISTANCE])
         if error > settings.max_tracking_error:
             self._safe_stop(f"tracking error {error:.4f} m; the limit is {settings.max_tracking_error} m")
             return
         if self.certificate is None or len(self.certificate.crossing_times) == 0:
             return
         limit = max(settings.watch_ratio * self.certificate.peak_torque, settings.watch_torque)
-        peak = float(np.abs(tau).max())
         watched = s_ref < settings.watch_s and peak > limit
         self._watch = self._watch + dt if watched else max(self._watch - WATCH_DECAY * dt, 0.0)
         if self._watch > settings.watch_time:

@@ -49,7 +49,7 @@ class _Channel:
 
 
 class _File:
-    """An unbuffered stream that knows where its last complete flush ended."""
+    """An unbuffered stream that knows where its last whole write ended; mcap's Writer writes whole records."""
 
     def __init__(self, path: Path) -> None:
         self._file = open(path, "xb", buffering=0)  # noqa: SIM115
@@ -65,14 +65,11 @@ class _File:
         done = 0
         while done < len(view):
             done += self._file.write(view[done:]) or 0
+        self.complete += done
         return done
 
-    def settle(self) -> None:
-        """Everything up to here is whole."""
-        self.complete = self._file.tell()
-
     def cut(self) -> None:
-        """Drop what came after the last complete flush."""
+        """Drop what came after the last whole write."""
         self._file.truncate(self.complete)
 
     def sync(self) -> None:
@@ -117,7 +114,6 @@ class BagWriter:
         self._writer = Writer(cast(IO[bytes], self._file), chunk_size=CHUNK_SIZE, compression=COMPRESSIONS[compression])
         try:
             self._writer.start(profile="ros2", library="dextar recorder")
-            self._file.settle()
         except OSError as error:
             self._file.close()
             raise BagError(f"cannot record to {path}: {error.strerror or error}") from error
@@ -182,7 +178,6 @@ class BagWriter:
                 periods += 1
                 if periods >= FLUSH_PERIODS or stopping:
                     self._writer.flush()
-                    self._file.settle()
                     periods = 0
                 if stopping:
                     return
@@ -229,7 +224,6 @@ class BagWriter:
             self._writer.add_metadata(name, dict(data))
         self._writer.add_metadata("rosbag2", {"serialized_metadata": self._bag_metadata()})
         self._writer.finish()
-        self._file.settle()
         self._file.sync()
 
     def _fail(self, error: OSError) -> None:

@@ -1,0 +1,222 @@
+"""The whole closed loop in a plain ``for``: planner, estimator, law against the PyBullet plant."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.core.kinematics import inverse_model, singularity_of_platform
+from dextar_control.core.law import Law
+from dextar_control.core.loop import ControlLoop, Phase
+from dextar_control.core.model import make_model
+from dextar_control.core.planner import Plan, plan_approach
+from dextar_control.core.warmup import default_settings
+from dextar_sim.plant import Plant
+from dextar_sim.sensors import Encoder
+
+RESOLUTION = 2**17
+MAX_ERROR = 0.3e-3  # m, true, throughout
+MAX_END_ERROR = 0.1e-3  # m, true, at the end
+TORQUE_RATIO = 1.3  # of the planned peak
+TORQUE_RATIO_NEAR = 1.0  # of the planned peak, within |s| < 0.1
+NEAR = 0.1
+
+
+class Run(NamedTuple):
+    loop: ControlLoop
+    error: np.ndarray  # true, m
+    tau: np.ndarray
+    s: np.ndarray  # of the reference's side as estimated
+    x: np.ndarray
+    phases: list[Phase]
+
+
+def drive(
+    robot: RobotParameters, plan: Plan, law: Law = Law.CONSISTENT, resolution: int = RESOLUTION, extra: float = 0.2
+) -> Run:
+    """plan -> estimate -> control -> plant, without ROS."""
+    plant = Plant(robot)
+    try:
+        plant.reset(plan.trajectory.at(0.0).x)
+        encoder = Encoder(1e-3, resolution=resolution, velocity_cutoff=100.0, position_noise=0.0, seed=0)
+        loop = ControlLoop(robot, default_settings(law=law), 1)
+        loop.accept(plan.trajectory)
+        rows, phases = [], []
+        for _ in range(round((plan.trajectory.duration + extra) * 1000)):
+            state = plant.state()
+            tau = loop.step(state.time, encoder.read(state.q_a)[0])
+            tick = loop.tick
+            assert tick is not None
+            rows.append([np.hypot(*(tick.x_ref - state.x)), *tau, tick.s, *state.x])
+            phases.append(tick.phase)
+            plant.step(tau)
+    finally:
+        plant.close()
+    table = np.array(rows)
+    return Run(loop, table[:, 0], table[:, 1:3], table[:, 3], table[:, 4:6], phases)
+
+
+@pytest.fixture(scope="module")
+def fast_run(robot: RobotParameters, trip: Plan) -> Run:
+    return drive(robot, trip)
+
+
+def test_the_fast_trip_meets_its_bars(robot: RobotParameters, trip: Plan, fast_run: Run) -> None:
+    peak = np.abs(fast_run.tau).max(axis=1)
+    assert fast_run.loop.phase == Phase.HOLD
+    assert fast_run.loop.completed == 1
+    assert fast_run.error.max() <= MAX_ERROR
+    assert fast_run.error[-1] <= MAX_END_ERROR
+    assert peak.max() <= TORQUE_RATIO * trip.certificate.peak_torque
+    assert peak[np.abs(fast_run.s) < NEAR].max() <= TORQUE_RATIO_NEAR * trip.certificate.peak_torque
+    assert fast_run.loop.saturated_ticks == 0
+
+
+def test_the_true_robot_changes_sides_twice(robot: RobotParameters, fast_run: Run) -> None:
+    signs = np.sign([singularity_of_platform(make_model(robot), x) for x in fast_run.x])
+    assert signs[0] == signs[-1] == 1.0
+    assert np.count_nonzero(np.diff(signs)) == 2
+
+
+def test_the_slow_trip_meets_the_same_error_bars(robot: RobotParameters, slow_trip: Plan) -> None:
+    run = drive(robot, slow_trip)
+    assert run.loop.phase == Phase.HOLD
+    assert run.error.max() <= MAX_ERROR
+    assert run.error[-1] <= MAX_END_ERROR
+
+
+def test_the_enforcement_makes_no_torque_step(trip: Plan, fast_run: Run) -> None:
+    steps = np.abs(np.diff(fast_run.tau, axis=0)).max(axis=1)
+    engaged = np.abs(fast_run.s[1:]) < 0.2
+    planned = np.abs(np.diff(trip.certificate.profile.torque, axis=0)).max()
+    assert steps[engaged].max() < planned + 0.05 * trip.certificate.peak_torque
+
+
+def test_the_papers_projection_steps_where_ours_does_not(robot: RobotParameters, trip: Plan, fast_run: Run) -> None:
+    paper = drive(robot, trip, Law.PROJECTED)
+
+    def step(run: Run) -> float:
+        near = (np.abs(run.s[1:]) < 0.15) & (np.abs(run.s[1:]) > 0.05)
+        return float(np.abs(np.diff(run.tau, axis=0)).max(axis=1)[near].max())
+
+    assert step(paper) > 3.0 * step(fast_run)
+
+
+def test_the_classic_law_fails_near_the_locus(robot: RobotParameters, trip: Plan) -> None:
+    run = drive(robot, trip, Law.CLASSIC)
+    saturated = np.abs(run.tau).max(axis=1) >= robot.max_torque
+    assert saturated.any()
+    first = int(np.argmax(saturated))
+    assert abs(run.s[first]) < 0.1
+    assert run.loop.saturated_ticks > 0
+
+
+def test_the_direct_model_alone_amplifies_what_the_hold_does_not(robot: RobotParameters, trip: Plan) -> None:
+    coarse = drive(robot, trip, resolution=2**13)
+    assert coarse.loop.phase == Phase.HOLD
+    assert coarse.error.max() < 1e-3
+
+
+def test_phases_follow_the_crossings(fast_run: Run) -> None:
+    seen = [phase for index, phase in enumerate(fast_run.phases) if index == 0 or phase != fast_run.phases[index - 1]]
+    assert seen == [Phase.TRACK, Phase.CROSSING, Phase.TRACK, Phase.CROSSING, Phase.TRACK, Phase.HOLD]
+
+
+def test_an_approach_has_its_own_phase(robot: RobotParameters) -> None:
+    start, goal = np.array([0.01, 0.12]), np.array([0.0, 0.115])
+    line = plan_approach(robot, start, goal, 0.2)
+    loop = ControlLoop(robot, default_settings(), 1)
+    loop.accept(line)
+    loop.step(0.0, inverse_model(loop.model, start))
+    assert loop.phase == Phase.APPROACH
+
+
+def _holding(robot: RobotParameters, trip: Plan) -> tuple[ControlLoop, np.ndarray]:
+    loop = ControlLoop(robot, default_settings(), 1)
+    q_a = inverse_model(loop.model, trip.trajectory.at(0.0).x)
+    loop.step(0.0, q_a)
+    return loop, q_a
+
+
+def test_bad_states_are_refused_and_change_nothing(robot: RobotParameters, trip: Plan) -> None:
+    loop, q_a = _holding(robot, trip)
+    with pytest.raises(StateError, match="not two finite numbers"):
+        loop.step(0.001, np.array([np.nan, 1.0]))
+    with pytest.raises(StateError, match="not after the last one"):
+        loop.step(0.0, q_a)
+    assert np.abs(loop.step(0.001, q_a)).max() < 1e-6
+
+
+def test_a_trajectory_elsewhere_or_while_moving_is_refused(robot: RobotParameters, trip: Plan) -> None:
+    loop, q_a = _holding(robot, trip)
+    elsewhere = plan_approach(robot, [0.0, 0.12], [-0.025, 0.115], 0.1)
+    with pytest.raises(TrajectoryError, match=r"m from the robot; the limit is 0.001 m"):
+        loop.accept(elsewhere)
+    loop.accept(trip.trajectory)
+    loop.step(0.001, q_a)
+    with pytest.raises(TrajectoryError, match="in phase HOLD only; the controller is in TRACK"):
+        loop.accept(trip.trajectory)
+
+
+def test_a_fault_and_a_disabled_loop_give_no_torque_until_reset(robot: RobotParameters, trip: Plan) -> None:
+    loop, q_a = _holding(robot, trip)
+    loop.fault("tried")
+    assert (loop.step(0.001, q_a + 1e-3) == 0.0).all()
+    loop.enable()
+    assert loop.phase == Phase.FAULT
+    loop.reset()
+    assert (loop.step(0.002, q_a + 1e-3) == 0.0).all()
+    loop.enable()
+    loop.step(0.003, q_a)
+    assert loop.phase == Phase.HOLD
+
+
+def test_a_stop_brakes_away_from_the_locus_and_finishes_a_crossing(robot: RobotParameters, trip: Plan) -> None:
+    for when, expected in ((0.3, Phase.SAFE_STOP), (float(trip.certificate.crossing_times[0]), Phase.CROSSING)):
+        plant = Plant(robot)
+        plant.reset(trip.trajectory.at(0.0).x)
+        loop = ControlLoop(robot, default_settings(), 1)
+        loop.accept(trip.trajectory)
+        for tick in range(3000):
+            state = plant.state()
+            tau = loop.step(state.time, state.q_a)
+            if tick == round(when * 1000):
+                loop.stop()
+                assert loop.phase == expected
+            assert np.abs(tau).max() <= robot.max_torque
+            plant.step(tau)
+        assert loop.phase == Phase.SAFE_STOP
+        assert (tau == 0.0).all()
+        assert np.abs(plant.state().q_a_dot).max() < 0.1
+        plant.close()
+
+
+def test_lost_samples_do_not_end_the_trip(robot: RobotParameters, trip: Plan) -> None:
+    generator, plant = np.random.default_rng(4), Plant(robot)
+    plant.reset(trip.trajectory.at(0.0).x)
+    loop, tau, worst = ControlLoop(robot, default_settings(), 1), np.zeros(2), 0.0
+    loop.accept(trip.trajectory)
+    for _ in range(1400):
+        state = plant.state()
+        if generator.random() > 0.2:
+            tau = loop.step(state.time, state.q_a)
+            worst = max(worst, float(np.hypot(*(loop.tick.x_ref - state.x))))
+        plant.step(tau)
+    plant.close()
+    assert loop.phase == Phase.HOLD
+    assert worst < 1e-3
+
+
+def test_another_working_mode_is_refused(robot: RobotParameters, trip: Plan) -> None:
+    other = make_model(robot.replace(working_mode=(1, 1)))
+    grid = [np.array([x, y]) for x in (-0.05, 0.0, 0.05) for y in (-0.1, -0.05, 0.05, 0.1)]
+    q_a = inverse_model(other, next(x for x in grid if singularity_of_platform(other, x) > 0.1))
+    loop = ControlLoop(robot, default_settings(), 1)
+    with pytest.raises(StateError, match="not in working mode"):
+        loop.step(0.0, q_a)
+    with pytest.raises(ParameterError, match="assembly_mode = 0"):
+        ControlLoop(robot, default_settings(), 0)
