@@ -40,6 +40,7 @@ setup(
         "pyyaml",
         "rich",
         "mcap>=1.6",
+        "zstandard",
         "mcap-ros2-support",
         "rosbags",
         # PyBullet's own wheels end at CPython 3.11; the fork is the same module with wheels for later ones.

@@ -70,7 +70,7 @@ def main(argv: list[str] | None = None) -> int:
 
             return run_demo(arguments)
         if arguments.command == "analyze":
-            from dextar_control.analysis.analyze import analyze, summary_table
+            from dextar_control.analysis.report import analyze, summary_table
 
             metrics = analyze(arguments.bag, arguments.output)
             _print(summary_table(metrics))

@@ -30,6 +30,10 @@ REPEAT_AFTER = 0.5
 """s without an answer after which lockstep publishes a state again."""
 
 
+COMMANDER_PERIOD = 0.1
+"""s between two looks at who publishes commands."""
+
+
 class PlantNode(DextarNode):
     """Simulated five-bar with the topics of a real one, plus the truth under ``sim/``.
 
@@ -70,6 +74,7 @@ class PlantNode(DextarNode):
         self.counts = dict.fromkeys(
             ("commands_received", "commands_refused", "late_ticks", "late_commands", "repeated_states"), 0
         )
+        self._commanders = 0
         self._max_loop_gap = 0.0
         self._reported = (time.monotonic(), 0, 0)
         self._warned_at = -1.0
@@ -82,6 +87,7 @@ class PlantNode(DextarNode):
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_timer(1.0, self.report, clock=self.steady_clock)
+        self.create_timer(COMMANDER_PERIOD, self._count_commanders, clock=self.steady_clock)
 
     @property
     def paused(self) -> bool:
@@ -148,6 +154,8 @@ class PlantNode(DextarNode):
 
     def _on_command(self, raw: bytes) -> None:
         try:
+            if self._commanders > 1:
+                raise StateError(f"{self._commanders} publishers on {JOINT_COMMANDS.name}; the limit is 1: no torque")
             command = self._reader.read(raw)
             if command.stamp > self._published:
                 raise StateError(
@@ -169,6 +177,12 @@ class PlantNode(DextarNode):
         if self._newest is None or command.stamp >= self._newest.stamp:
             self._newest = command
         self.answered = self.answered or answers
+
+    def _count_commanders(self) -> None:
+        self._commanders = self.count_publishers(JOINT_COMMANDS.name)
+        if self._commanders > 1:
+            self._newest = None
+            self._hold.reset()
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._budget = 0 if request.data else None
@@ -205,10 +219,10 @@ class PlantNode(DextarNode):
         before, steps_before, refused_before = self._reported
         self._reported = (now, steps, self.counts["commands_refused"])
         factor = (steps - steps_before) * 1.0e-9 * self.period_ns / max(now - before, 1.0e-9)
-        commanders = self.count_publishers(JOINT_COMMANDS.name)
+        commanders = self._commanders
         level, message = DiagnosticStatus.OK, "paused" if self.paused else "running"
         if commanders > 1:
-            level, message = DiagnosticStatus.WARN, f"{commanders} publishers on {JOINT_COMMANDS.name}; expected one"
+            level, message = DiagnosticStatus.WARN, f"{commanders} publishers on {JOINT_COMMANDS.name}; no torque"
         elif self.counts["commands_refused"] > refused_before:
             level, message = DiagnosticStatus.WARN, f"commands on {JOINT_COMMANDS.name} were refused"
         self.publish_diagnostics(level, message, {

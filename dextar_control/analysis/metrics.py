@@ -66,7 +66,7 @@ class Metrics:
         max_estimated_error: reference against estimate while tracking.
         peak_torque, planned_peak_torque, torque_ratio: commanded and planned over the trajectory.
         peak_torque_near, planned_peak_torque_near, torque_ratio_near: the same within |s| < 0.1;
-            the last against the planned peak there.
+            the ratio is to the planned peak of the whole trajectory.
         saturated: commands at the torque limit while tracking.
         loop_rate: of the states, from their median period; ``mean_rate`` from the mean.
         states, answered, missed: recorded states while tracking, those with a command of their stamp, the others.
@@ -153,7 +153,7 @@ def compute_metrics(run: Run) -> Metrics:
         "torque_ratio": _ratio(_peak(torque), planned_peak),
         "peak_torque_near": _peak(torque[near]),
         "planned_peak_torque_near": planned_near,
-        "torque_ratio_near": _ratio(_peak(torque[near]), planned_near),
+        "torque_ratio_near": _ratio(_peak(torque[near]), planned_peak),
         "saturated": int((np.abs(torque) >= limit * SATURATED).any(axis=1).sum()),
         "loop_rate": float(1.0 / np.median(periods)) if len(periods) else math.nan,
         "mean_rate": float(1.0 / np.mean(periods)) if len(periods) else math.nan,

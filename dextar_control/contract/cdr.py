@@ -1,19 +1,26 @@
 """Messages of fixed layout as CDR bytes: at 1 kHz only the numbers in them change.
 
-The layout is found, not assumed: a message made with distinct sentinels is serialised by the
-middleware, and the places of the sentinels are where stamp and numbers lie from then on.
+The layout is found, not assumed: a message made with distinct sentinels is serialised, and the places
+of the sentinels are where stamp and numbers lie from then on.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 from builtin_interfaces.msg import Duration, Time
 from rclpy.serialization import serialize_message
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from dextar_control.contract.errors import StateError
 
 NANOSECONDS = 1_000_000_000
+_SLACK = 128  # bytes that rclpy's serialisation may leave behind a message
 
 
 def to_time(stamp: int) -> Time:
@@ -24,6 +31,31 @@ def to_time(stamp: int) -> Time:
 def from_time(time: Time) -> int:
     """A ROS stamp to integer nanoseconds."""
     return time.sec * NANOSECONDS + time.nanosec
+
+
+@cache
+def _types() -> Typestore:
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def canonical(message: Any) -> bytes:
+    """A message as CDR bytes of exact length with zeros where CDR leaves bytes undefined.
+
+    rclpy's own serialisation leaves memory from before in the alignment bytes and up to some tens of
+    them behind the message: strict readers refuse that, and two runs would not be the same bytes.
+
+    Raises:
+        StateError: the message cannot be serialised.
+    """
+    package = type(message).__module__.partition(".")[0]
+    name = f"{package}/msg/{type(message).__name__}"
+    raw = bytes(serialize_message(message))
+    for length in range(len(raw), max(len(raw) - _SLACK, 0), -1):
+        try:
+            return bytes(_types().serialize_cdr(_types().deserialize_cdr(raw[:length], name), name))
+        except SerdeError:
+            continue
+    raise StateError(f"a message of type {name} cannot be serialised")
 
 
 class CdrTemplate:
@@ -42,7 +74,7 @@ class CdrTemplate:
         sentinels = [1.0e-3 * (index + 1) + 7.123456789e5 for index in range(count)]
         seconds, nanoseconds = 1_098_765_432, 123_456_789
         extra = [Duration(sec=seconds, nanosec=nanoseconds)] if duration else []
-        raw = bytes(serialize_message(make(to_time(self._SENTINEL_STAMP), sentinels, *extra)))
+        raw = canonical(make(to_time(self._SENTINEL_STAMP), sentinels, *extra))
         self._duration_offset = raw.index(struct.pack("<iI", seconds, nanoseconds)) if duration else None
         self._stamp_offset = raw.index(struct.pack("<iI", 1_234_567_891, 987_654_321))
         offsets = [raw.index(struct.pack("<d", value)) for value in sentinels]

@@ -118,14 +118,14 @@ class _Processes:
 
 def run_demo(arguments: argparse.Namespace) -> int:
     """Run the demo of parsed arguments (see ``dextar demo --help``); the exit code."""
-    from dextar_control.analysis.analyze import analyze, summary_table
+    from dextar_control.analysis.report import analyze, summary_table
 
     console = Console()
     robot_file = arguments.robot or config_file(ROBOT_FILE)
     load_robot(robot_file)
     settings = _node_arguments(arguments, robot_file)
     folder = _make_folder(arguments.output)
-    settings["recorder"] += ["-p", f"output:={folder / 'run.mcap'}"]
+    settings["recorder"] += ["-p", f"recorder:output:={folder / 'run.mcap'}"]
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(1, 100)))
     mode = "lockstep" if arguments.lockstep else "real time"
@@ -167,7 +167,10 @@ def _node_arguments(arguments: argparse.Namespace, robot_file: Path) -> dict[str
         if not dot or node not in MODULES or ":=" not in rest:
             raise ParameterError(f"-p {override}: expected NODE.NAME:=VALUE with NODE one of {', '.join(MODULES)}")
         values[node].append(rest)
-    return {name: [*common, *(part for value in values[name] for part in ("-p", value))] for name in MODULES}
+    return {  # with the node's name: a plain -p counts as /**, which a file's section for the node overrides
+        name: [*common, *(part for value in values[name] for part in ("-p", f"{name}:{value}"))]
+        for name in MODULES
+    }
 
 
 def _make_folder(output: Path) -> Path:
@@ -210,7 +213,7 @@ def _wait_until_ready(console: Console, monitor: _Monitor, processes: _Processes
             note = monitor.get("controller", "trajectory")
             if note.startswith("refused"):
                 raise DemoError(f"the controller {note}")
-            recording = monitor.get("recorder", "ready") == "True"
+            recording = monitor.get("recorder", "parameters_missing") == "none"
             if recording and note == "accepted" and "plant" in monitor.status:
                 return
             if time.monotonic() > deadline:

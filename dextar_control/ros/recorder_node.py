@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -72,7 +72,7 @@ class RecorderNode(DextarNode):
     def __init__(self, **options: Any) -> None:
         self._polled: set[int] = set()
         super().__init__("recorder", SPECS, robot=False, **options)
-        self._started = datetime.now(UTC)
+        self._started = datetime.now(timezone.utc)
         self._taps: list[_Tap] = []
         self._unnumbered: set[str] = set()
         self._unanswered = -1
@@ -124,7 +124,7 @@ class RecorderNode(DextarNode):
         if missing:
             self.get_logger().warning(f"no parameters of {', '.join(missing)}: they never answered")
         try:
-            self._writer.close({METADATA_NAME: self._run_metadata(ended=datetime.now(UTC))})
+            self._writer.close({METADATA_NAME: self._run_metadata(ended=datetime.now(timezone.utc))})
         except BagError as error:
             if not self.finished:
                 self.get_logger().error(str(error))
@@ -188,7 +188,8 @@ class RecorderNode(DextarNode):
             level, message = DiagnosticStatus.ERROR, str(self._writer.error)
         elif lost:
             level, message = DiagnosticStatus.WARN, f"{lost} samples lost"
-        values: dict[str, Any] = {"pending": len(self._writer)}
+        missing = [snapshot.target for snapshot in self._snapshots if snapshot.values is None]
+        values: dict[str, Any] = {"pending": len(self._writer), "parameters_missing": " ".join(missing) or "none"}
         for name, counts in self._counts().items():
             values[f"{name} received"] = counts["received"]
             values[f"{name} lost"] = "unknown" if counts["lost"] is None else counts["lost"] + counts["dropped"]
@@ -241,3 +242,7 @@ def _spin(node: RecorderNode, executor: Any, stop: StopSignal) -> None:
 def main(args: list[str] | None = None) -> int:
     """Record until SIGINT or SIGTERM; 0, or 1 when the bag is not whole, or 2 when it cannot be made."""
     return run_node(RecorderNode, args, _spin)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,170 @@
+"""Robot description, parameters and CDR templates: what is taken, what is refused and how."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from dextar_control.contract.cdr import from_time, to_time
+from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
+from dextar_control.contract.node import Parameter, check_value
+from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
+from dextar_control.contract.robot import RobotParameters, flatten, from_flat, load_robot
+from dextar_control.contract.topics import TOPICS
+from dextar_control.core.planner import Plan
+from dextar_control.ros import controller_node, messages, recorder_node, trajectory_server
+from dextar_sim import parameters as plant_parameters
+
+SPECS = {
+    "controller": controller_node.PARAMETERS,
+    "trajectory_server": trajectory_server.PARAMETERS,
+    "recorder": recorder_node.SPECS,
+    "plant": plant_parameters.PARAMETERS,
+}
+
+
+def test_both_robot_files_load_and_come_back(robot: RobotParameters) -> None:
+    for name in (ROBOT_FILE, "mockup.yaml"):
+        again = load_robot(config_file(name))
+        assert from_flat(flatten(again)) == again
+    assert robot.base_distance == 0.118
+    assert {leg.proximal_length for leg in robot.legs} | {leg.distal_length for leg in robot.legs} == {0.09}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"left.distal_length": -0.09}, r"robot.left.distal_length = -0.09; it must be > 0"),
+        ({"right.distal_center": 1.5}, r"robot.right.distal_center = 1.5; it must lie in \[0, 1\]"),
+        ({"end_effector_mass": float("nan")}, r"robot.end_effector_mass = nan; it must be finite"),
+        ({"left.proximal_mass": -1.0}, r"robot.left.proximal_mass = -1.0; it must be >= 0"),
+        ({"working_mode": (1, 2)}, r"robot.working_mode = \[1, 2\]; each entry must be \+1 or -1"),
+        ({"gravity": 9.81}, r"robot.gravity = 9.81; it must be two numbers"),
+        ({"max_torque": "strong"}, r"robot.max_torque = 'strong'; it must be a number"),
+        ({"left.distal_lenght": 0.09}, r"unknown robot parameter 'left.distal_lenght'"),
+    ],
+)
+def test_a_wrong_robot_is_refused_with_value_and_limit(robot: RobotParameters, change: dict, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        from_flat(flatten(robot) | change)
+
+
+def test_a_missing_key_is_named(robot: RobotParameters) -> None:
+    flat = flatten(robot)
+    del flat["right.rotor_inertia"]
+    with pytest.raises(ParameterError, match="'right.rotor_inertia' is missing"):
+        from_flat(flat)
+
+
+def test_a_file_that_is_no_robot_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="No such file"):
+        load_robot(tmp_path / "none.yaml")
+    (tmp_path / "other.yaml").write_text("a: 1\n")
+    with pytest.raises(ParameterError, match="no entry"):
+        load_robot(tmp_path / "other.yaml")
+
+
+@pytest.mark.parametrize("node", SPECS)
+def test_every_parameter_has_one_default_and_every_default_a_parameter(node: str) -> None:
+    own = yaml.safe_load(config_file(NODES_FILE).read_text())[node]["ros__parameters"]
+    names = {spec.name for spec in SPECS[node]}
+    assert names >= set(own)
+    defaults = node_defaults(node)
+    for spec in SPECS[node]:
+        assert check_value(spec, defaults[spec.name], defaults[spec.name]) == defaults[spec.name]
+        assert spec.description
+
+
+@pytest.mark.parametrize(
+    ("spec", "value", "default", "message"),
+    [
+        (Parameter("rate", "", 1.0, 10.0), 11.0, 5.0, r"'rate' = 11.0; it must be <= 10"),
+        (Parameter("rate", "", 1.0, 10.0), float("nan"), 5.0, "it must be finite"),
+        (Parameter("rate", ""), "fast", 5.0, "it must be a number"),
+        (Parameter("count", ""), 1.5, 5, "it must be an integer"),
+        (Parameter("point", "", size=2), [1.0], [0.0, 0.0], "it must be 2 numbers"),
+        (Parameter("law", "", choices=("a", "b")), "c", "a", "it must be one of a, b"),
+        (Parameter("flag", ""), 1, True, "it must be true or false"),
+    ],
+)
+def test_a_parameter_out_of_bounds_is_named(spec: Parameter, value: object, default: object, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        check_value(spec, value, default)
+
+
+def test_an_integer_serves_where_a_float_is_meant() -> None:
+    assert check_value(Parameter("rate", ""), 5, 1.0) == 5.0
+
+
+def test_topic_types_exist() -> None:
+    for topic in TOPICS:
+        package, _, name = topic.type.split("/")
+        assert hasattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def test_templates_are_the_middlewares_own_bytes() -> None:
+    raw = messages.controller_state_template().pack(3_000_000_007, [float(i) for i in range(18)], 1_500_000_000)
+    message = deserialize_message(raw, JointTrajectory)
+    assert from_time(message.header.stamp) == 3_000_000_007
+    assert list(message.joint_names) == ["x", "y"]
+    assert list(message.points[0].positions) == [0.0, 1.0]
+    assert list(message.points[1].velocities) == [8.0, 9.0]
+    assert list(message.points[3].effort) == [16.0, 17.0]
+    assert (message.points[0].time_from_start.sec, message.points[0].time_from_start.nanosec) == (1, 500_000_000)
+    criterion = deserialize_message(messages.criterion_template().pack(5, [1, 2, 3, 4, 5, 6]), JointState)
+    assert dict(zip(criterion.name, criterion.position, strict=True))["phase"] == 6.0
+
+
+def test_a_template_reads_what_another_publisher_wrote() -> None:
+    template = messages.joint_states_template()
+    message = JointState(name=["q11", "q21"], position=[1.0, 2.0], velocity=[3.0, 4.0], effort=[5.0, 6.0])
+    message.header.stamp = to_time(42)
+    raw = bytes(serialize_message(message))
+    template.learn(raw)
+    assert template.unpack(raw) == (42, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    message.name = ["q21", "q11"]
+    assert template.unpack(bytes(serialize_message(message))) is None
+
+
+def test_joint_states_are_taken_by_name() -> None:
+    message = JointState(name=["other", "q21", "q11"], position=[0.0, 2.0, 1.0])
+    np.testing.assert_array_equal(messages.active_joints(message), [1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("names", "positions", "message"),
+    [
+        (["q11"], [1.0], "'q21' is missing"),
+        (["q11", "q21"], [1.0], "1 positions for 2 names"),
+        (["q11", "q21"], [1.0, float("nan")], "must be finite"),
+    ],
+)
+def test_joint_states_that_cannot_be_used_are_refused(names: list[str], positions: list[float], message: str) -> None:
+    with pytest.raises(StateError, match=message):
+        messages.active_joints(JointState(name=names, position=positions))
+
+
+def test_a_trajectory_survives_its_message(trip: Plan) -> None:
+    times = np.union1d(trip.certificate.profile.time, trip.certificate.crossing_times)
+    times = times[np.concatenate([[True], np.diff(times) > 2e-9])]
+    again = messages.to_trajectory(messages.from_trajectory(trip.trajectory, times))
+    for time in np.linspace(0.0, trip.trajectory.duration, 301):
+        np.testing.assert_allclose(again.at(time).x, trip.trajectory.at(time).x, atol=1e-9)
+
+
+def test_a_foreign_trajectory_is_refused(trip: Plan) -> None:
+    message = messages.from_trajectory(trip.trajectory, np.array([0.0, 0.5, 1.0]))
+    message.joint_names = ["tool"]
+    with pytest.raises(TrajectoryError, match=r"joint_names are \['tool'\]"):
+        messages.to_trajectory(message)
+    message = messages.from_trajectory(trip.trajectory, np.array([0.0, 0.5, 1.0]))
+    message.points[1].velocities = []
+    with pytest.raises(TrajectoryError, match="point 1 has 0 velocities; expected 1"):
+        messages.to_trajectory(message)

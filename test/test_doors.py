@@ -1,0 +1,78 @@
+"""The doors between the rooms open one way."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+ALLOWED_OUTSIDE = {
+    "dextar_control.core": {"numpy", "scipy", "numba"},
+    "dextar_control.analysis": {"numpy", "scipy", "matplotlib", "mcap", "rosbags", "rich", "yaml", "zstandard"},
+}
+ROS = {"rclpy", "builtin_interfaces", "rcl_interfaces", "sensor_msgs", "trajectory_msgs", "nav_msgs", "geometry_msgs",
+       "std_msgs", "std_srvs", "diagnostic_msgs"}  # fmt: skip
+DOORS = {
+    "dextar_control.contract": {"dextar_control.contract"},
+    "dextar_control.core": {"dextar_control.core", "dextar_control.contract"},
+    "dextar_control.analysis": {"dextar_control.analysis", "dextar_control.core", "dextar_control.contract"},
+    "dextar_sim": {"dextar_sim", "dextar_control.contract"},
+}
+NO_ROS_MODULES = {"dextar_control/contract": {"robot.py", "topics.py", "errors.py", "resources.py"},
+                  "dextar_sim": {"plant.py", "sensors.py", "geometry.py", "urdf.py", "world.py"}}  # fmt: skip
+
+
+def _imports(path: Path) -> set[str]:
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            assert node.level == 0, f"{path}: relative import"
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return names
+
+
+def _modules(room: str) -> list[Path]:
+    found = sorted((ROOT / room.replace(".", "/")).rglob("*.py"))
+    assert found
+    return found
+
+
+@pytest.mark.parametrize("room", DOORS)
+def test_a_room_imports_only_through_its_doors(room: str) -> None:
+    for path in _modules(room):
+        for name in _imports(path):
+            if name.split(".")[0] in ("dextar_control", "dextar_sim") and name != "dextar_control":
+                assert any(name == door or name.startswith(f"{door}.") for door in DOORS[room]), f"{path} imports {name}"
+
+
+def test_the_controller_never_imports_the_simulator() -> None:
+    for path in _modules("dextar_control"):
+        assert not any(name.split(".")[0] in ("dextar_sim", "pybullet") for name in _imports(path)), path
+
+
+@pytest.mark.parametrize("room", ALLOWED_OUTSIDE)
+def test_core_and_analysis_need_neither_ros_nor_simulator(room: str) -> None:
+    for path in _modules(room):
+        for name in _imports(path):
+            top = name.split(".")[0]
+            if top not in sys.stdlib_module_names and not top.startswith("dextar"):
+                assert top in ALLOWED_OUTSIDE[room], f"{path} imports {name}"
+
+
+@pytest.mark.parametrize("folder", NO_ROS_MODULES)
+def test_data_and_plant_are_free_of_ros(folder: str) -> None:
+    for name in NO_ROS_MODULES[folder]:
+        assert not {item.split(".")[0] for item in _imports(ROOT / folder / name)} & ROS, name
+
+
+def test_importing_the_core_loads_no_ros() -> None:
+    code = "import sys, dextar_control.core.loop, dextar_control.core.planner; print('rclpy' in sys.modules or 'pybullet' in sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=ROOT)
+    assert answer.stdout.split()[-1] == "False"
