@@ -10,8 +10,6 @@ import time
 from typing import Any, Protocol
 
 _IDLE_WAIT = 0.05
-_WAKE_UP = 1.5e-4
-"""s by which a wait of the executor typically overshoots (0.11 to 0.16 ms were measured)."""
 
 
 class Paced(Protocol):
@@ -82,7 +80,7 @@ class Schedule:
 
     def left_to_work(self, now: int) -> float:
         """Seconds until the work for the deadline must begin, 0 when that has passed."""
-        reserve = min(1.5 * self._work + _WAKE_UP, 0.6e-9 * self._period)
+        reserve = min(self._work, 0.6e-9 * self._period)
         return max(0.0, self.left(now) - reserve)
 
     def worked(self, duration: int) -> None:

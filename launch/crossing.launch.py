@@ -3,12 +3,22 @@
 from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import get_package_share_directory
+from ament_index_python.packages import get_package_prefix, get_package_share_directory
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    LogInfo,
+    RegisterEventHandler,
+    SetEnvironmentVariable,
+    Shutdown,
+)
+from launch.event_handlers import OnProcessExit
+from launch.events.process import ProcessExited
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 
+WARMUP = Path(get_package_prefix("dextar")) / "lib" / "dextar" / "warmup"
 CONFIG = Path(get_package_share_directory("dextar")) / "config"
 SWITCH = ["true", "false"]
 DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -70,10 +80,20 @@ def nodes(context: LaunchContext) -> list[Node]:
     ]
 
 
+def after_warmup(event: ProcessExited, context: LaunchContext) -> list[Any]:
+    """The nodes once the model is compiled: they could not answer before."""
+    if event.returncode != 0:
+        return [Shutdown(reason="the model could not be compiled")]
+    return nodes(context)
+
+
 def generate_launch_description() -> LaunchDescription:
     """What ``ros2 launch dextar crossing.launch.py`` starts."""
+    warmup = ExecuteProcess(cmd=[str(WARMUP)], name="warmup", output="screen")
     return LaunchDescription([
         *ARGUMENTS,
         SetEnvironmentVariable(DISCOVERY, LaunchConfiguration("discovery_range")),
-        OpaqueFunction(function=nodes),
+        LogInfo(msg="loading the model; the first start compiles it, about a minute"),
+        RegisterEventHandler(OnProcessExit(target_action=warmup, on_exit=after_warmup)),
+        warmup,
     ])

@@ -14,7 +14,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
-EXECUTABLES = {"dextar", "plant", "controller", "trajectory_server", "recorder"}
+EXECUTABLES = {"dextar", "plant", "controller", "trajectory_server", "recorder", "warmup"}
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 

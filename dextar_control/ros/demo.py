@@ -158,6 +158,7 @@ def _node_arguments(arguments: argparse.Namespace, robot_file: Path) -> dict[str
     values["plant"] += ["window:=true"] if arguments.window else []
     values["controller"] += [f"law:={arguments.law}", f"lockstep:={str(arguments.lockstep).lower()}"]
     values["trajectory_server"] += ["autostart:=true"]
+    values["recorder"] += [f"reliable:={str(arguments.lockstep).lower()}"]
     if arguments.duration is not None:
         values["trajectory_server"].append(f"duration:={arguments.duration:f}")
     if arguments.repeat is not None:
