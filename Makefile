@@ -118,6 +118,5 @@ clean: ## remove .venv, builds and caches; recordings in runs/ stay
 	touch $@
 
 .venv/warm: .venv/installed $(wildcard dextar_control/core/*.py)
-	@echo "compiling the model, once"
-	$(BIN)/python -m dextar_control.core.warmup
+	@$(BIN)/python -m dextar_control.core.warmup
 	touch $@

@@ -114,7 +114,7 @@ def test_an_approach_stays_on_its_side(robot: RobotParameters) -> None:
     line = plan_approach(robot, [0.02, 0.12], [-0.025, 0.115], 0.1)
     profile = measure(make_model(robot), line).profile
     assert (profile.s > 0.0).all()
-    with pytest.raises(TrajectoryError, match="approach keeps 0.15"):
+    with pytest.raises(TrajectoryError, match="approach keeps 0.2"):
         plan_approach(robot, [0.01, 0.06], [-0.025, 0.115], 0.1)
 
 

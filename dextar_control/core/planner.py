@@ -85,7 +85,7 @@ def _side(model: Model, name: str, x: Array, robot: RobotParameters) -> float:
     return float(singularity(model, kin.A_r))
 
 
-MIN_END_S = 0.15  # |s| at start and goal: there the direct model holds the estimate again
+MIN_END_S = 0.2  # |s| at start and goal: there the direct model holds the estimate again
 
 
 def _on_locus(model: Model, start: Array, goal: Array, shift: float) -> Array | None:
