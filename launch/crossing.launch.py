@@ -36,8 +36,10 @@ ARGUMENTS = [
                           description="serve the trip as soon as it is planned"),
     DeclareLaunchArgument("plant", default_value="true", choices=SWITCH,
                           description="start the simulated rig; false where a real one publishes the joint states"),
-    DeclareLaunchArgument("robot_file", default_value=str(CONFIG / "dextar.yaml"), description="the robot, parameter file"),
-    DeclareLaunchArgument("params_file", default_value=str(CONFIG / "crossing.yaml"), description="the nodes, parameter file"),
+    DeclareLaunchArgument("robot_file", default_value=str(CONFIG / "dextar.yaml"),
+                          description="parameter file of the robot"),
+    DeclareLaunchArgument("params_file", default_value=str(CONFIG / "crossing.yaml"),
+                          description="parameter file of the nodes"),
     DeclareLaunchArgument("discovery_range", default_value=EnvironmentVariable(DISCOVERY, default_value="LOCALHOST"),
                           choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
                           description="who may see and command the nodes; LOCALHOST: this machine only"),
@@ -65,7 +67,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         overrides["trajectory_server"]["duration"] = float(value("duration"))
     if value("output"):
         overrides["recorder"]["output"] = value("output")
-    wanted = [name for name in overrides if name not in ("plant", "recorder") or on("record" if name == "recorder" else name)]
+    unwanted = {"plant": not on("plant"), "recorder": not on("record")}
     return [
         Node(
             package="dextar",
@@ -76,7 +78,8 @@ def nodes(context: LaunchContext) -> list[Node]:
             output="screen",
             on_exit=Shutdown(reason=f"{name} has ended"),
         )
-        for name in wanted
+        for name in overrides
+        if not unwanted.get(name)
     ]
 
 
@@ -90,10 +93,12 @@ def after_warmup(event: ProcessExited, context: LaunchContext) -> list[Any]:
 def generate_launch_description() -> LaunchDescription:
     """What ``ros2 launch dextar crossing.launch.py`` starts."""
     warmup = ExecuteProcess(cmd=[str(WARMUP)], name="warmup", output="screen")
-    return LaunchDescription([
-        *ARGUMENTS,
-        SetEnvironmentVariable(DISCOVERY, LaunchConfiguration("discovery_range")),
-        LogInfo(msg="loading the model; the first start compiles it, about a minute"),
-        RegisterEventHandler(OnProcessExit(target_action=warmup, on_exit=after_warmup)),
-        warmup,
-    ])
+    return LaunchDescription(
+        [
+            *ARGUMENTS,
+            SetEnvironmentVariable(DISCOVERY, LaunchConfiguration("discovery_range")),
+            LogInfo(msg="loading the model; the first start compiles it, about a minute"),
+            RegisterEventHandler(OnProcessExit(target_action=warmup, on_exit=after_warmup)),
+            warmup,
+        ]
+    )

@@ -42,8 +42,11 @@ class Bag:
 
     def of(self, contract_name: str, resolved: dict[str, str]) -> list[Any]:
         """Messages of a contract topic, by the recorder's own table or else by the end of the name."""
-        name = resolved.get(contract_name) or self._find(contract_name)
-        return [message for _, message in self.messages.get(name, [])]
+        return [message for _, message in self.timed(contract_name, resolved)]
+
+    def timed(self, contract_name: str, resolved: dict[str, str]) -> list[tuple[int, Any]]:
+        """The same with their publish times, ns of the system clock."""
+        return self.messages.get(resolved.get(contract_name) or self._find(contract_name), [])
 
     def _find(self, contract_name: str) -> str:
         plain = contract_name.lstrip("/")

@@ -17,6 +17,7 @@ from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import RobotParameters
 
 BLACK, GREY, LIGHT, ACCENT = "#000000", "#6b6b6b", "#b8b8b8", "#a3260f"
+LEGEND_ROOM = 0.22  # of an axis, kept free above its curves
 GRID = 400  # points a side, of the locus
 HEADROOM = 1.4  # of the torque axis over the larger of plan and limit
 ERROR_CEILING = 10.0e-3  # m, of the error axis
@@ -49,7 +50,9 @@ def draw_run(run: Run, metrics: Metrics) -> Figure:
             axes.axvline(crossing.planned_time, color=GREY, linewidth=0.8, linestyle=(0, (1, 2)))
         axes.grid(color="#e6e6e6", linewidth=0.5)
         if axes.get_legend_handles_labels()[1]:
-            axes.legend(loc="upper right", fontsize=7, framealpha=0.9, ncols=2)
+            low, high = axes.get_ylim()
+            axes.set_ylim(low, high + LEGEND_ROOM * (high - low))
+            axes.legend(loc="upper right", fontsize=7, framealpha=0.9, ncols=4)
     for axes in (torque, error, residual):
         axes.tick_params(labelbottom=False)
     measure.set_xlabel("time since the trajectory's start (s)")

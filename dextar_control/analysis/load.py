@@ -48,16 +48,16 @@ def load_run(path: str | Path) -> Run:
     def of(topic: topics.Topic) -> list[Any]:
         return bag.of(topic.name, resolved)
 
-    states = _joints(of(topics.JOINT_STATES), JOINT_NAMES)
+    states = _joints(bag.timed(topics.JOINT_STATES.name, resolved), JOINT_NAMES)
     if len(states.stamps) == 0:
         raise BagError(f"{bag.path} holds no message of {topics.JOINT_STATES.name}: not a run of this robot")
     return Run(
         path=bag.path,
         states=states,
-        commands=_joints(of(topics.JOINT_COMMANDS), JOINT_NAMES),
+        commands=_joints(bag.timed(topics.JOINT_COMMANDS.name, resolved), JOINT_NAMES),
         control=_control(of(topics.CONTROLLER_STATE)),
         criterion=_criterion(of(topics.CRITERION)),
-        truth=_truth(of(topics.SIM_END_EFFECTOR), of(topics.SIM_JOINT_STATES)),
+        truth=_truth(of(topics.SIM_END_EFFECTOR), bag.timed(topics.SIM_JOINT_STATES.name, resolved)),
         trajectory=_trajectory(of(topics.TRAJECTORY)),
         diagnostics=_diagnostics(bag, of(topics.DIAGNOSTICS)),
         parameters=parameters,
@@ -94,10 +94,14 @@ def _columns(messages: Sequence[Any], names: Sequence[str], pick: Callable[[Any]
     return table
 
 
-def _joints(messages: Sequence[Any], names: Sequence[str]) -> Joints:
-    ordered, stamps = _in_order(messages)
+def _joints(timed: Sequence[tuple[int, Any]], names: Sequence[str]) -> Joints:
+    ordered, stamps = _in_order([message for _, message in timed])
+    first: dict[int, int] = {}
+    for time, message in timed:
+        first.setdefault(_nanoseconds(message.header.stamp), time)
+    published = np.array([first[stamp] for stamp in stamps.tolist()], dtype=np.int64)
     fields = (lambda m: m.position, lambda m: m.velocity, lambda m: m.effort)
-    return Joints(stamps, *(_columns(ordered, names, pick) for pick in fields))
+    return Joints(stamps, *(_columns(ordered, names, pick) for pick in fields), published)
 
 
 def _control(messages: Sequence[Any]) -> Control:
@@ -125,7 +129,7 @@ def _criterion(messages: Sequence[Any]) -> Criterion:
     return Criterion(stamps, table[:, 0], table[:, 1], table[:, 2], table[:, 3], table[:, 4], phase)
 
 
-def _truth(platform: Sequence[Any], joints: Sequence[Any]) -> Truth | None:
+def _truth(platform: Sequence[Any], joints: Sequence[tuple[int, Any]]) -> Truth | None:
     ordered, stamps = _in_order(platform)
     active = _joints(joints, JOINT_NAMES)
     common, rows, joint_rows = np.intersect1d(stamps, active.stamps, assume_unique=True, return_indices=True)

@@ -68,9 +68,11 @@ class Metrics:
         peak_torque_near, planned_peak_torque_near, torque_ratio_near: the same within |s| < 0.1;
             the ratio is to the planned peak of the whole trajectory.
         saturated: commands at the torque limit while tracking.
-        loop_rate: of the states, from their median period; ``mean_rate`` from the mean.
+        loop_rate: of the states while tracking on the system clock (not by their stamps), from their
+            median period; ``mean_rate`` from the mean.
         states, answered, missed: recorded states while tracking, those with a command of their stamp, the others.
-        late_commands: as the plant counted them; None when it did not.
+        late_commands, late_ticks, plant_steps: as the plant counted over its whole run (commands that
+            came too late for their step, steps taken without their command); None when it did not.
         lost: samples lost per topic; None where not known.
     """
 
@@ -103,6 +105,8 @@ class Metrics:
     answered: int
     missed: int
     late_commands: int | None
+    late_ticks: int | None
+    plant_steps: int | None
     lost: dict[str, int | None] = field(default_factory=dict)
 
     def to_json(self) -> str:
@@ -125,8 +129,8 @@ def compute_metrics(run: Run) -> Metrics:
     planned_peak = plan.peak_torque if plan else math.nan
     planned_near = plan.peak_torque_near if plan else math.nan
     limit = run.robot.max_torque if run.robot else math.inf
-    periods = np.diff(run.states.stamps) * 1e-9
     asked = run.states.stamps if track is None else _between(run.states.stamps, track)
+    periods = np.diff(run.states.published[np.isin(run.states.stamps, asked)]) * 1e-9
     answered = int(np.isin(asked, run.commands.stamps).sum())
     estimated = _estimated_error(run, track)
     phase = Phase(int(run.criterion.phase[-1])) if len(run.criterion.phase) else None
@@ -160,7 +164,10 @@ def compute_metrics(run: Run) -> Metrics:
         "states": len(asked),
         "answered": answered,
         "missed": len(asked) - answered,
-        "late_commands": _whole(run.diagnostics.get("plant", {}).get("late_commands")),
+        **{
+            name: _whole(run.diagnostics.get("plant", {}).get(key))
+            for name, key in (("late_commands", "late_commands"), ("late_ticks", "late_ticks"), ("plant_steps", "steps"))
+        },
         "lost": {topic: _add(count.get("lost"), count.get("dropped")) for topic, count in run.losses.items()},
     }
     verdict: Verdict = judge(values, has_truth=run.truth is not None, tracked=track is not None, problem=problem)

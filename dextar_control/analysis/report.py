@@ -52,11 +52,11 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
         ("true error", f"{_mm(metrics.max_true_error)} max, {_mm(metrics.final_true_error)} at the end"),
         ("estimated error", f"{_mm(metrics.max_estimated_error)} max"),
         ("peak torque", f"{_torque(metrics.peak_torque)}, {_times(metrics.torque_ratio)} the plan's"),
-        ("peak near the locus", f"{_torque(metrics.peak_torque_near)}, {_times(metrics.torque_ratio_near)} the plan's there"),
+        ("peak near the locus", f"{_torque(metrics.peak_torque_near)}, {_times(metrics.torque_ratio_near)} the plan's peak"),
         ("saturated commands", str(metrics.saturated)),
-        ("loop rate", f"{_number(metrics.loop_rate, '.1f')} Hz median, {_number(metrics.mean_rate, '.1f')} Hz mean"),
+        ("loop rate (system clock)", f"{_number(metrics.loop_rate, '.0f')} Hz median, {_number(metrics.mean_rate, '.0f')} Hz mean"),
         ("states without command", f"{metrics.missed} of {metrics.states}"),
-        ("late commands", "not counted" if metrics.late_commands is None else str(metrics.late_commands)),
+        ("steps without it in time", _late(metrics)),
         ("lost in recording", ", ".join(f"{topic}: {'unknown' if count is None else count}" for topic, count in lost.items())
          or ("none" if metrics.lost else "not counted")),
         ("verdict", verdict),
@@ -64,6 +64,12 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
     if metrics.truncated:
         lines.append(("bag", "breaks off; read up to its last complete chunk"))
     return lines + [("", reason) for reason in metrics.reasons]
+
+
+def _late(metrics: Metrics) -> str:
+    if metrics.late_ticks is None:
+        return "not counted"
+    return f"{metrics.late_ticks} of {metrics.plant_steps}; {metrics.late_commands} commands came later"
 
 
 def _number(value: float, form: str) -> str:

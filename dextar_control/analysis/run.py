@@ -36,12 +36,14 @@ class Joints:
         stamps: (n,) ns, rising.
         position, velocity: (n, k) rad, rad/s; nan where not sent.
         effort: (n, k) N m; nan where not sent.
+        published: (n,) when the message was published, ns of the system clock.
     """
 
     stamps: Stamps
     position: Floats
     velocity: Floats
     effort: Floats
+    published: Stamps
 
 
 @dataclass(frozen=True)
