@@ -110,6 +110,7 @@ class DextarNode(Node):
     """
 
     def __init__(self, name: str, specs: Iterable[Parameter], *, robot: bool, **options: Any) -> None:
+        self._polled: set[int] = set()
         super().__init__(name, **options)
         self.exit_code = 0
         self.finished = False
@@ -141,6 +142,21 @@ class DextarNode(Node):
         self.add_on_set_parameters_callback(self._on_set)
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS.name, qos(DIAGNOSTICS))
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+
+    @property
+    def subscriptions(self) -> Any:
+        """What the executor serves: not the polled ones."""
+        return (entity for entity in super().subscriptions if id(entity) not in self._polled)
+
+    def create_polled_subscription(self, message_type: Any, name: str, profile: QoSProfile, *, raw: bool = False) -> Any:
+        """A subscription that no executor serves.
+
+        ``subscription.handle.take_message(message_type, raw)`` gives (message, info) or None. The events
+        executor of rclpy 7.1 fails on callbacks that want the info.
+        """
+        subscription = self.create_subscription(message_type, name, lambda _: None, profile, raw=raw)
+        self._polled.add(id(subscription))
+        return subscription
 
     def _declare(self, name: str, value: Any, descriptor: ParameterDescriptor) -> Any:
         self.declare_parameter(name, value, descriptor, ignore_override=True)

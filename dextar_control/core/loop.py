@@ -286,10 +286,14 @@ class ControlLoop:
             self.phase, self.reason, self._pending = Phase.IDLE, "disabled on request", None
 
     def stop(self, reason: str = "stop requested") -> None:
-        """A safe stop: at once away from the locus; a crossing that has begun is finished first."""
+        """A safe stop: at once away from the locus; a crossing that has begun is finished first.
+
+        Holding goes on; a trajectory that waits for its start is dropped.
+        """
+        self._pending = None
         if self.phase == Phase.CROSSING:
             self._stop_wanted, self.reason = True, reason
-        elif self.phase in MOVING or self.phase == Phase.HOLD:
+        elif self.phase in MOVING:
             self._safe_stop(reason)
 
     def fault(self, reason: str) -> None:

@@ -37,8 +37,9 @@ def warm_up() -> None:
     loop.accept(plan_approach(robot, start, start + np.array([1e-3, 0.0]), 0.1))
     for tick in range(3):
         loop.step(1e-3 * tick, q_a)
+    loop.step(0.05, q_a)
     loop.stop()
-    loop.step(1.0, q_a)
+    loop.step(0.06, q_a)
 
 
 def main() -> int:

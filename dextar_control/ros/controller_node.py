@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from dextar_control.contract.cdr import NANOSECONDS, from_time
-from dextar_control.contract.errors import DextarError, ParameterError, StateError
+from dextar_control.contract.errors import DextarError, ParameterError, StateError, TrajectoryError
 from dextar_control.contract.node import DextarNode, Parameter, qos, run_node
 from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_COMMANDS, JOINT_STATES, TRAJECTORY
 from dextar_control.core.law import Law
@@ -55,6 +55,7 @@ PARAMETERS = (
     Parameter("brake_time", "after which the safe stop's torque is gone, s", 0.0, 10.0, live=True),
 )
 
+SERVED_BEFORE = 1.0  # s, by which a latched trajectory may be older than the node; allows for two machines' clocks
 STALLED = 0.5  # s on the steady clock without a state before a fault is latched
 WATCH_PERIOD = 0.01  # s
 DIAGNOSTICS_PERIOD = 0.2  # s
@@ -96,7 +97,8 @@ class ControllerNode(DextarNode):
         self.create_subscription(
             JointState, JOINT_STATES.name, self._on_state, qos(JOINT_STATES, reliable=reliable), raw=True
         )
-        self.create_subscription(MultiDOFJointTrajectory, TRAJECTORY.name, self._on_trajectory, qos(TRAJECTORY))
+        self._trajectories = self.create_polled_subscription(MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY))
+        self._started = time.time_ns()
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -131,7 +133,9 @@ class ControllerNode(DextarNode):
                     self._states_in.learn(raw)
             if stamp == self._stamp and self._last_command:
                 self._counts["repeated_states"] += 1
-                self._command_publisher.publish(self._last_command)
+                quiet = self._loop.phase in (Phase.IDLE, Phase.FAULT)
+                zero = self._commands_out.pack(stamp, (0.0, 0.0))
+                self._command_publisher.publish(zero if quiet else self._last_command)
                 return
             self._check_gap(stamp)
             tau = self._loop.step(stamp / NANOSECONDS, q_a)
@@ -189,7 +193,8 @@ class ControllerNode(DextarNode):
         self._diagnose()
 
     def _watch(self) -> None:
-        """States on the steady clock, and who else commands the robot."""
+        """New trajectories, states on the steady clock, and who else commands the robot."""
+        self._take_trajectory()
         if self._loop.phase in (Phase.IDLE, Phase.FAULT):
             return
         others = self.count_publishers(self._command_publisher.topic_name) - 1
@@ -207,12 +212,23 @@ class ControllerNode(DextarNode):
         if (self._loop.phase, self._loop.reason) != self._said:
             self._say()
 
-    def _on_trajectory(self, message: MultiDOFJointTrajectory) -> None:
+    def _take_trajectory(self) -> None:
+        """The newest trajectory, unless it was served before this node began: a restart moves nothing."""
+        newest = None
+        while (taken := self._trajectories.handle.take_message(MultiDOFJointTrajectory, False)) is not None:
+            newest = taken
+        if newest is None:
+            return
+        message, info = newest
+        age = (self._started - info["source_timestamp"]) / NANOSECONDS
         if len(message.points) == 0:
-            self._trajectory_note = "stop"
-            self._loop.stop("stopped by the trajectory server")
+            if age < SERVED_BEFORE:
+                self._trajectory_note = "stop"
+                self._loop.stop("stopped by the trajectory server")
             return
         try:
+            if age > SERVED_BEFORE:
+                raise TrajectoryError(f"it was served {age:.1f} s before this controller began; serve it again")
             stamp = from_time(message.header.stamp)
             certificate = self._loop.accept(messages.to_trajectory(message), stamp / NANOSECONDS if stamp else None)
         except DextarError as error:

@@ -70,7 +70,6 @@ class RecorderNode(DextarNode):
     """
 
     def __init__(self, **options: Any) -> None:
-        self._polled: set[int] = set()
         super().__init__("recorder", SPECS, robot=False, **options)
         self._started = datetime.now(timezone.utc)
         self._taps: list[_Tap] = []
@@ -84,11 +83,6 @@ class RecorderNode(DextarNode):
         self._writer.add_metadata(METADATA_NAME, self._run_metadata())
         self._timer = self.create_timer(1.0, self._on_second, clock=self.steady_clock)
         self.get_logger().info(f"recording to {self._writer.path}")
-
-    @property
-    def subscriptions(self) -> Any:
-        """What the executor serves: not the polled ones."""
-        return (entity for entity in super().subscriptions if id(entity) not in self._polled)
 
     def poll(self) -> int:
         """Take what the readers hold; how many samples."""
@@ -138,8 +132,7 @@ class RecorderNode(DextarNode):
         definition(type_name), type_hash(type_name)
         package, _, short = type_name.split("/")
         message_type = getattr(importlib.import_module(f"{package}.msg"), short)
-        subscription = self.create_subscription(message_type, name, lambda _: None, profile, raw=True)
-        self._polled.add(id(subscription))
+        subscription = self.create_polled_subscription(message_type, name, profile, raw=True)
         resolved = subscription.topic_name
         losses = LossCount(lambda: self.count_publishers(resolved))
         self._taps.append(_Tap(resolved, subscription, type_name, losses))

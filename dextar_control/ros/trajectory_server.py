@@ -27,12 +27,13 @@ PARAMETERS = (
     Parameter("repeat", "return trips", 1, 1000, live=True),
     Parameter("approach_speed", "peak speed of the way to the start, m/s", 1e-3, 2.0, live=True),
     Parameter("sample_period", "of the served trajectory's points, s", 1e-4, 0.02, live=True),
-    Parameter("autostart", "serve the trip as soon as it is planned"),
+    Parameter("autostart", "serve the trip once it is planned and a controller is there"),
 )
 
 FRESH = 2.0  # s, age of the controller's diagnostics that still tells where the robot stands
 AT_START = 1e-4  # m, closer than this needs no approach
 DIAGNOSTICS_PERIOD = 1.0  # s
+AUTOSTART_PERIOD = 0.1  # s
 
 
 class TrajectoryServer(DextarNode):
@@ -58,7 +59,13 @@ class TrajectoryServer(DextarNode):
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(GetPlan, "~/get_plan", self._on_get_plan)
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
-        if self.values["autostart"]:
+        self._waiting = self.values["autostart"]
+        self.create_timer(AUTOSTART_PERIOD, self._autostart, clock=self.steady_clock)
+
+    def _autostart(self) -> None:
+        """Serve the planned trip once there is a controller, which refuses what is older than itself."""
+        if self._waiting and self._plan is not None and self._controller:
+            self._waiting = False
             self._serve(self._plan.trajectory)
 
     def _replan(self) -> str:

@@ -1,0 +1,199 @@
+"""The controller node over real DDS, with this process as the rig."""
+
+from __future__ import annotations
+
+import math
+import signal
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from rig import Rig, start, stop
+
+from dextar_control.contract.node import qos
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.topics import JOINT_COMMANDS
+from dextar_control.core.kinematics import inverse_model
+from dextar_control.core.model import make_model
+from dextar_control.core.planner import Plan
+from dextar_control.core.trajectory import Trajectory
+from dextar_control.ros import messages
+from dextar_control.ros.controller_node import SERVED_BEFORE
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+MODULE = "dextar_control.ros.controller_node"
+MS = 1_000_000  # ns
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    rig = Rig()
+    process = start(MODULE, "-p", "controller:lockstep:=true")
+    try:
+        rig.until(lambda: rig.controller("phase") == "HOLD", "the controller did not start")
+        rig.until(lambda: rig.node.count_subscribers("joint_states") and rig.node.count_publishers("joint_commands"), "no match")
+        yield rig
+    finally:
+        code, output = stop(process)
+        rig.close()
+        assert code == 0, output
+        assert "Traceback" not in output, output
+
+
+@pytest.fixture(scope="module")
+def q_a(robot: RobotParameters, trip: Plan) -> np.ndarray:
+    return inverse_model(make_model(robot), trip.trajectory.at(0.0).x)
+
+
+def _call(rig: Rig, kind: type, name: str, request: object) -> object:
+    client = rig.node.create_client(kind, name)
+    rig.until(client.service_is_ready, f"no service {name}")
+    future = client.call_async(request)
+    rig.until(future.done, f"no answer of {name}")
+    return future.result()
+
+
+def _serve(rig: Rig, trajectory: Trajectory, note: str) -> None:
+    times = np.linspace(0.0, trajectory.duration, 200)
+    rig.trajectories.publish(messages.from_trajectory(trajectory, times))
+    rig.until(lambda: rig.controller("trajectory").startswith(note), f"the trajectory was not {note}")
+
+
+def test_states_are_answered_by_name_with_their_stamp(rig: Rig, q_a: np.ndarray) -> None:
+    held = rig.answer(7 * MS, q_a)
+    assert list(held.name) == ["q11", "q21"]
+    np.testing.assert_allclose(held.effort, 0.0, atol=1e-9)
+    straight = rig.answer(8 * MS, q_a + [1e-4, 0.0])
+    swapped = rig.answer(9 * MS, [q_a[1], q_a[0] + 1e-4], ("q21", "q11"))
+    assert straight.effort[0] < 0.0
+    assert swapped.effort[0] < 0.0
+
+
+@pytest.mark.parametrize(
+    ("positions", "names", "message"),
+    [
+        ([1.0], ("q11",), "'q21' is missing"),
+        ([1.0, 2.0, 3.0], ("q11", "q21"), "3 positions for 2 names"),
+        ([math.nan, 1.0], ("q11", "q21"), "must be finite"),
+    ],
+)
+def test_a_state_that_cannot_be_used_is_a_fault_without_torque(
+    rig: Rig, q_a: np.ndarray, positions: list[float], names: tuple[str, ...], message: str
+) -> None:
+    rig.answer(1 * MS, q_a)
+    rig.send(2 * MS, positions, names)
+    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    assert message in rig.controller("reason")
+    assert list(rig.answer(3 * MS, q_a + 0.01).effort) == [0.0, 0.0]
+
+
+def test_a_gap_between_stamps_is_a_fault_until_reset_and_enable(rig: Rig, q_a: np.ndarray) -> None:
+    rig.answer(1 * MS, q_a)
+    assert list(rig.answer(22 * MS, q_a + 0.01).effort) == [0.0, 0.0]
+    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    assert "no state for 21.0 ms; the limit is 20.0 ms" in rig.controller("reason")
+    assert rig.controller("missed_states") == "20"
+    assert _call(rig, Trigger, "controller/reset", Trigger.Request()).success
+    assert list(rig.answer(23 * MS, q_a).effort) == [0.0, 0.0]
+    assert _call(rig, SetBool, "controller/enable", SetBool.Request(data=True)).success
+    rig.answer(24 * MS, q_a)
+    assert rig.answer(25 * MS, q_a + [1e-3, 0.0]).effort[0] < 0.0
+
+
+def test_a_second_commander_is_a_fault(rig: Rig, q_a: np.ndarray) -> None:
+    rig.answer(1 * MS, q_a)
+    other = rig.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
+    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    assert "2 publishers on /joint_commands; the limit is 1" in rig.controller("reason")
+    rig.node.destroy_publisher(other)
+    assert list(rig.answer(2 * MS, q_a + 0.01).effort) == [0.0, 0.0]
+
+
+def test_a_repeated_state_is_answered_again_and_not_after_a_fault(rig: Rig, q_a: np.ndarray) -> None:
+    rig.answer(1 * MS, q_a)
+    first = rig.answer(2 * MS, q_a + [1e-3, 0.0])
+    count = len(rig.commands)
+    rig.send(2 * MS, q_a)
+    rig.until(lambda: len(rig.commands) > count, "no second answer")
+    assert rig.commands[-1].effort == first.effort
+    rig.send(3 * MS, [math.nan, 0.0])
+    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    count = len(rig.commands)
+    rig.send(2 * MS, q_a)
+    rig.until(lambda: len(rig.commands) > count, "no third answer")
+    assert list(rig.commands[-1].effort) == [0.0, 0.0]
+
+
+def test_trajectories_are_taken_or_refused_with_the_number(rig: Rig, q_a: np.ndarray, trip: Plan) -> None:
+    rig.answer(1 * MS, q_a)
+    _serve(rig, trip.trajectory.scaled(0.1), "refused")
+    assert "limit is" in rig.controller("trajectory")
+    wrong = messages.from_trajectory(trip.trajectory, np.linspace(0.0, trip.trajectory.duration, 30))
+    wrong.points[3].velocities = []
+    rig.trajectories.publish(wrong)
+    rig.until(lambda: "point 3 has 0 velocities" in rig.controller("trajectory"), "not refused")
+    times = np.union1d(trip.certificate.profile.time, trip.certificate.crossing_times)
+    rig.trajectories.publish(messages.from_trajectory(trip.trajectory, times[np.r_[True, np.diff(times) > 2e-9]]))
+    rig.until(lambda: rig.controller("trajectory") == "accepted", "not accepted")
+    rig.answer(2 * MS, q_a)
+    rig.until(lambda: rig.controller("phase") == "TRACK", "did not track")
+    rig.trajectories.publish(messages.stop_trajectory())
+    rig.until(lambda: rig.controller("phase") == "SAFE_STOP", "did not stop")
+
+
+def test_a_latched_trajectory_from_before_moves_nothing(trip: Plan, q_a: np.ndarray) -> None:
+    rig = Rig()
+    times = np.union1d(trip.certificate.profile.time, trip.certificate.crossing_times)
+    rig.trajectories.publish(messages.from_trajectory(trip.trajectory, times[np.r_[True, np.diff(times) > 2e-9]]))
+    time.sleep(SERVED_BEFORE)
+    process = start(MODULE, "-p", "controller:lockstep:=true")
+    try:
+        rig.until(lambda: rig.controller("trajectory").startswith("refused"), "the old trajectory was not refused")
+        assert "before this controller began" in rig.controller("trajectory")
+    finally:
+        code, _ = stop(process, signal.SIGTERM)
+        rig.close()
+    assert code == 0
+
+
+def test_gains_may_change_live_and_only_within_their_range(rig: Rig) -> None:
+    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+    from rcl_interfaces.srv import SetParameters
+
+    def put(name: str, value: float) -> tuple[bool, str]:
+        parameter = Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
+        answer = _call(rig, SetParameters, "controller/set_parameters", SetParameters.Request(parameters=[parameter]))
+        return answer.results[0].successful, answer.results[0].reason
+
+    assert put("natural_frequency", 50.0)[0]
+    accepted, reason = put("natural_frequency", 5000.0)
+    assert not accepted
+    assert "500" in reason
+    assert not put("robot.max_torque", 10.0)[0]
+
+
+@pytest.mark.parametrize(
+    ("module", "override", "message"),
+    [
+        (MODULE, "controller:zone:=3.0", "'zone' = 3.0; it must be <= 0.9"),
+        (MODULE, "controller:law:=magic", "'law' = 'magic'; it must be one of classic, projected, consistent"),
+        (MODULE, "controller:zoen:=0.1", "unknown parameter 'zoen'"),
+        (MODULE, "controller:robot.left.distal_length:=-0.09", "robot.left.distal_length = -0.09; it must be > 0"),
+        (MODULE, "controller:robot.left.distal_lenght:=0.09", "unknown parameter 'robot.left.distal_lenght'"),
+        ("dextar_control.ros.trajectory_server", "trajectory_server:task.goal:=[0.0, 0.12]", "same side"),
+        ("dextar_control.ros.trajectory_server", "trajectory_server:task.start:=[0.0, 0.3]", "the leg reaches"),
+        ("dextar_control.ros.trajectory_server", "trajectory_server:duration:=0.1", "the limit is 0.3 N m"),
+        ("dextar_sim.node", "plant:substeps:=0", "'substeps' = 0"),
+        ("dextar_control.ros.recorder_node", "recorder:output:=/proc/none/run.mcap", "/proc/none"),
+    ],
+)
+def test_a_wrong_parameter_ends_the_node_with_one_line(module: str, override: str, message: str) -> None:
+    process = start(module, "-p", override)
+    output, _ = process.communicate(timeout=60.0)
+    assert process.returncode == 2, output
+    assert message in output
+    assert "Traceback" not in output
+
+

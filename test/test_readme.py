@@ -1,0 +1,49 @@
+"""What the README says is what the package does."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dextar_control.contract.topics import TOPICS
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_topic_table_is_the_contract() -> None:
+    rows = re.findall(r"^\| `([^`]+)` \| (\w+/msg/\w+) \| (.+?) → ", README, re.MULTILINE)
+    assert rows == [(topic.name, topic.type, topic.publisher) for topic in TOPICS]
+
+
+def test_the_python_example_runs_and_crosses() -> None:
+    code = re.search(r"```python\n(.*?)```", README, re.DOTALL)
+    assert code is not None
+    answer = subprocess.run([sys.executable, "-c", code[1]], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert answer.returncode == 0, answer.stderr
+    assert float(re.search(r"HOLD, largest true error ([0-9.]+) mm", answer.stdout)[1]) < 0.3
+
+
+@pytest.mark.parametrize("target", sorted(set(re.findall(r"^make (\w+)", README, re.MULTILINE))))
+def test_every_make_command_is_a_target(target: str) -> None:
+    assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def test_ci_calls_the_readmes_own_commands() -> None:
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert "make test" in script
+    assert "make demo" in script
+    assert "pip install" not in script
+
+
+@pytest.mark.parametrize("command", ["demo", "analyze", "bench"])
+def test_every_command_helps(command: str) -> None:
+    answer = subprocess.run(
+        [sys.executable, "-m", "dextar_control.cli", command, "--help"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert answer.returncode == 0
+    assert "usage: dextar" in answer.stdout
