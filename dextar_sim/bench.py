@@ -35,7 +35,7 @@ def measure() -> dict[str, dict[str, float]]:
     values = node_defaults("plant", config_file(NODES_FILE))
     robot = load_robot(config_file(ROBOT_FILE))
     ours, bare = (Plant(robot, period=values["task.sample_period"], substeps=values["substeps"]) for _ in range(2))
-    torque = np.array([1e-3, -1e-3])
+    torque = [1e-3, -1e-3]
 
     def raw() -> None:
         for _ in range(bare.substeps):

@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS
-from dextar_control.contract.errors import ParameterError, StateError
+from dextar_control.contract.errors import StateError
 from dextar_control.contract.node import DextarNode, qos, run_node
 from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES, SIM_END_EFFECTOR, SIM_JOINT_STATES
 from dextar_sim.messages import CommandReader, StateWriter
@@ -45,8 +45,6 @@ class PlantNode(DextarNode):
     def __init__(self, **options: Any) -> None:
         super().__init__("plant", PARAMETERS, robot=True, **options)
         values = self.values
-        if self.robot is None:
-            raise ParameterError("the plant needs a robot description")
         period = values["task.sample_period"]
         self.period_ns = round(period * NANOSECONDS)
         self.lockstep = values["mode"] == "lockstep"
@@ -123,7 +121,7 @@ class PlantNode(DextarNode):
     def _prepare(self, applied: np.ndarray) -> None:
         state, stamp = self.plant.state(), self._stamp()
         self._max_loop_gap = max(self._max_loop_gap, state.loop_gap)
-        q_a, q_a_dot = self._encoder.read(state.q_a)
+        q_a, q_a_dot = self._encoder.read(state.q_a.tolist())
         self._sample = [(self._states, self._writer.measured(stamp, q_a, q_a_dot, applied))]
         if self.values["publish_truth"]:
             self._sample.append((self._true_platform, self._writer.true_end_effector(stamp, state)))

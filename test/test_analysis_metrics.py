@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 from synthetic_run import (
-    BASE_TORQUE, CROSSINGS, FAR_TORQUE, LOCUS, MISSED, NEAR_TORQUE, PERIOD, START, TICKS, TRUE_OFFSET, path, robot,
+    BASE_TORQUE,
+    CROSSINGS,
+    FAR_TORQUE,
+    LOCUS,
+    MISSED,
+    NEAR_TORQUE,
+    START,
+    TICKS,
+    TRUE_OFFSET,
+    path,
+    robot,
     write_run,
 )  # fmt: skip
 

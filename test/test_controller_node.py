@@ -10,6 +10,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from rig import Rig, start, stop
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.node import qos
 from dextar_control.contract.robot import RobotParameters
@@ -20,8 +22,6 @@ from dextar_control.core.planner import Plan
 from dextar_control.core.trajectory import Trajectory
 from dextar_control.ros import messages
 from dextar_control.ros.controller_node import SERVED_BEFORE
-from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool, Trigger
 
 MODULE = "dextar_control.ros.controller_node"
 MS = 1_000_000  # ns

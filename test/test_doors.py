@@ -73,6 +73,9 @@ def test_data_and_plant_are_free_of_ros(folder: str) -> None:
 
 
 def test_importing_the_core_loads_no_ros() -> None:
-    code = "import sys, dextar_control.core.loop, dextar_control.core.planner; print('rclpy' in sys.modules or 'pybullet' in sys.modules)"
+    code = (
+        "import sys, dextar_control.core.loop, dextar_control.core.planner;"
+        "print('rclpy' in sys.modules or 'pybullet' in sys.modules)"
+    )
     answer = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=ROOT)
     assert answer.stdout.split()[-1] == "False"

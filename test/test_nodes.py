@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from dextar_control.analysis.load import load_run

@@ -94,7 +94,8 @@ def test_uniform_time_scaling_keeps_the_criterion(robot: RobotParameters, trip: 
 
 
 def test_samples_give_the_trajectory_back_with_its_criterion(robot: RobotParameters, trip: Plan) -> None:
-    times = np.union1d(np.arange(0.0, trip.trajectory.duration, 2e-3), [*trip.certificate.crossing_times, trip.trajectory.duration])
+    knots = [*trip.certificate.crossing_times, trip.trajectory.duration]
+    times = np.union1d(np.arange(0.0, trip.trajectory.duration, 2e-3), knots)
     again = quintic(times, *trip.trajectory.table(times))
     for time in np.linspace(0.0, trip.trajectory.duration, 501):
         np.testing.assert_allclose(again.at(time).x, trip.trajectory.at(time).x, atol=1e-9)

@@ -28,7 +28,11 @@ from dextar_control.contract.node import make_executor, qos
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import (
-    DIAGNOSTICS, JOINT_COMMANDS, JOINT_STATES, SIM_END_EFFECTOR, SIM_JOINT_STATES,
+    DIAGNOSTICS,
+    JOINT_COMMANDS,
+    JOINT_STATES,
+    SIM_END_EFFECTOR,
+    SIM_JOINT_STATES,
 )  # fmt: skip
 from dextar_sim.plant import Plant
 

@@ -100,8 +100,13 @@ def _joints(timed: Sequence[tuple[int, Any]], names: Sequence[str]) -> Joints:
     for time, message in timed:
         first.setdefault(_nanoseconds(message.header.stamp), time)
     published = np.array([first[stamp] for stamp in stamps.tolist()], dtype=np.int64)
-    fields = (lambda m: m.position, lambda m: m.velocity, lambda m: m.effort)
-    return Joints(stamps, *(_columns(ordered, names, pick) for pick in fields), published)
+    return Joints(
+        stamps=stamps,
+        position=_columns(ordered, names, lambda message: message.position),
+        velocity=_columns(ordered, names, lambda message: message.velocity),
+        effort=_columns(ordered, names, lambda message: message.effort),
+        published=published,
+    )
 
 
 def _control(messages: Sequence[Any]) -> Control:

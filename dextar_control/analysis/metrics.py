@@ -119,8 +119,8 @@ def compute_metrics(run: Run) -> Metrics:
     problem = ""
     try:
         plan = plan_of(run)
-    except DextarError as error:
-        plan, problem = None, str(error)
+    except DextarError as refusal:
+        plan, problem = None, str(refusal)
     track = tracked(run)
     crossings = [_crossing(run, plan, track, index) for index in range(len(plan.crossing_times))] if plan and track else []
     near = np.abs(track.torque_s) < NEAR_LOCUS if track else np.zeros(0, dtype=bool)

@@ -54,7 +54,10 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
         ("peak torque", f"{_torque(metrics.peak_torque)}, {_times(metrics.torque_ratio)} the plan's"),
         ("peak near the locus", f"{_torque(metrics.peak_torque_near)}, {_times(metrics.torque_ratio_near)} the plan's peak"),
         ("saturated commands", str(metrics.saturated)),
-        ("loop rate (system clock)", f"{_number(metrics.loop_rate, '.0f')} Hz median, {_number(metrics.mean_rate, '.0f')} Hz mean"),
+        (
+            "loop rate (system clock)",
+            f"{_number(metrics.loop_rate, '.0f')} Hz median, {_number(metrics.mean_rate, '.0f')} Hz mean",
+        ),
         ("states without command", f"{metrics.missed} of {metrics.states}"),
         ("steps without it in time", _late(metrics)),
         ("lost in recording", ", ".join(f"{topic}: {'unknown' if count is None else count}" for topic, count in lost.items())

@@ -75,7 +75,8 @@ class CdrTemplate:
         seconds, nanoseconds = 1_098_765_432, 123_456_789
         extra = [Duration(sec=seconds, nanosec=nanoseconds)] if duration else []
         raw = canonical(make(to_time(self._SENTINEL_STAMP), sentinels, *extra))
-        self._duration_offset = raw.index(struct.pack("<iI", seconds, nanoseconds)) if duration else None
+        self._has_duration = duration
+        self._duration_offset = raw.index(struct.pack("<iI", seconds, nanoseconds)) if duration else 0
         self._stamp_offset = raw.index(struct.pack("<iI", 1_234_567_891, 987_654_321))
         offsets = [raw.index(struct.pack("<d", value)) for value in sentinels]
         runs: list[list[int]] = []  # [offset, first value, number of values]
@@ -96,7 +97,7 @@ class CdrTemplate:
     def pack(self, stamp: int, values: Sequence[float], duration: int = 0) -> bytes:
         """CDR bytes of the message with this stamp (ns), these values and this duration (ns)."""
         buffer = self._buffer
-        if self._duration_offset is not None:
+        if self._has_duration:
             struct.pack_into("<iI", buffer, self._duration_offset, duration // NANOSECONDS, duration % NANOSECONDS)
         struct.pack_into("<iI", buffer, self._stamp_offset, stamp // NANOSECONDS, stamp % NANOSECONDS)
         for offset, first, last, layout in self._runs:

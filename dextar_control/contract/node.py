@@ -130,12 +130,11 @@ class DextarNode(Node):
             default = self._defaults[spec.name]
             value = check_value(spec, overrides.get(spec.name, default), default)
             self.values[spec.name] = self._declare(spec.name, value, _descriptor(spec, value))
-        self.robot: RobotParameters | None = None
         if robot:
             prefix = "robot."
             flat = {key: overrides.get(key, default) for key, default in robot_defaults.items()}
             unique = {key.removeprefix(prefix): value for key, value in flat.items()}
-            self.robot = from_flat({key: unique[key] for key in unique if key in ROBOT_KEYS})
+            self.robot: RobotParameters = from_flat({key: unique[key] for key in unique if key in ROBOT_KEYS})
             for key, value in flat.items():
                 plain = list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
                 self._declare(key, plain, ParameterDescriptor(read_only=True))
@@ -241,7 +240,7 @@ class StopSignal:
 
 
 def run_node(
-    make: Callable[[], DextarNode],
+    make: Callable[[], Any],
     args: list[str] | None = None,
     spin: Callable[[Any, Any, StopSignal], None] | None = None,
 ) -> int:
@@ -258,7 +257,7 @@ def run_node(
         print(f"error: {error}", file=sys.stderr)
         return EXIT_USAGE
     stop = StopSignal()
-    node: DextarNode | None = None
+    node: Any = None
     try:
         node = make()
         executor = make_executor()

@@ -185,7 +185,7 @@ class RecorderNode(DextarNode):
         values: dict[str, Any] = {"pending": len(self._writer), "parameters_missing": " ".join(missing) or "none"}
         for name, counts in self._counts().items():
             values[f"{name} received"] = counts["received"]
-            values[f"{name} lost"] = "unknown" if counts["lost"] is None else counts["lost"] + counts["dropped"]
+            values[f"{name} lost"] = "unknown" if counts["lost"] is None else counts["lost"] + (counts["dropped"] or 0)
         self.publish_diagnostics(level, message, values)
 
     def _counts(self) -> dict[str, dict[str, int | None]]:
