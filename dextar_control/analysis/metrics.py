@@ -226,7 +226,7 @@ def _true_instant(track: Tracked, planned: float) -> float | None:
     return best if abs(best - planned) <= SEARCH else None
 
 
-def _at(time: Floats, values: Floats, moment: float) -> float:
+def _at(time: np.ndarray, values: np.ndarray, moment: float) -> float:
     """The value recorded nearest to a moment; nan outside the recording."""
     if len(values) == 0 or not time[0] <= moment <= time[-1]:
         return math.nan
