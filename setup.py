@@ -60,7 +60,7 @@ setup(
             "controller = dextar_control.ros.controller_node:main",
             "trajectory_server = dextar_control.ros.trajectory_server:main",
             "recorder = dextar_control.ros.recorder_node:main",
-            "warmup = dextar_control.core.warmup:warm_up",
+            "warmup = dextar_control.core.warmup:main",
         ],
     },
 )

@@ -7,9 +7,11 @@ two tips. Nothing here comes from ``dextar_control.core``.
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
+import pytest
 
 from dextar_control.contract.robot import RobotParameters
+
+pin = pytest.importorskip("pinocchio", reason="pin needs numpy 2, which a Jazzy installation does not go with")
 
 
 class Oracle:

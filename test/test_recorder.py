@@ -27,7 +27,7 @@ from dextar_control.contract import topics
 from dextar_control.contract.node import qos
 
 PATIENCE = 30.0  # s, for discovery on a busy machine; not a measurement
-COUNT = 300
+COUNT = 150  # fewer than the publisher holds: a reliable reader that matches late still gets them all
 PROGRAM = "import sys; from dextar_control.ros.recorder_node import main; sys.exit(main(sys.argv[1:]))"
 
 
@@ -48,7 +48,7 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     running: list[subprocess.Popen[str]] = []
 
     def run(output: Path, *parameters: str, prefix: str = "") -> subprocess.Popen[str]:
-        arguments = [part for text in (f"output:={output}", *parameters) for part in ("-p", text)]
+        arguments = [part for text in (f"output:={output}", "reliable:=true", *parameters) for part in ("-p", text)]
         process = subprocess.Popen(
             [sys.executable, "-c", prefix + PROGRAM, "--ros-args", *arguments],
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=os.environ.copy(),

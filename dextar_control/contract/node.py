@@ -228,12 +228,22 @@ def make_executor(kind: str = "events") -> Any:
 
 
 class StopSignal:
-    """SIGINT and SIGTERM as an event: a node finishes what it holds before it goes."""
+    """SIGINT and SIGTERM as an event: a node finishes what it holds before it goes.
+
+    Attributes:
+        starting: a node that is still being made holds nothing yet; the signal interrupts it.
+    """
 
     def __init__(self) -> None:
         self._event = threading.Event()
+        self.starting = True
         for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: self._event.set())
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, *_: Any) -> None:
+        self._event.set()
+        if self.starting:
+            raise KeyboardInterrupt
 
     def __bool__(self) -> bool:
         return self._event.is_set()
@@ -260,6 +270,7 @@ def run_node(
     node: Any = None
     try:
         node = make()
+        stop.starting = False
         executor = make_executor()
         executor.add_node(node)
         try:
@@ -272,6 +283,8 @@ def run_node(
     except DextarError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_USAGE
+    except KeyboardInterrupt:
+        return 0
     finally:
         if node is not None:
             node.destroy_node()

@@ -20,13 +20,14 @@ def share_folder() -> Path:
     Raises:
         ParameterError: neither the source tree nor an installation holds it.
     """
-    candidates = [Path(__file__).resolve().parents[2], Path(sys.prefix) / "share" / "dextar"]
+    candidates = [Path(__file__).resolve().parents[2]]
     try:
         from ament_index_python.packages import get_package_share_directory
 
         candidates.append(Path(get_package_share_directory("dextar")))
     except (ImportError, LookupError, ValueError, OSError):
         pass
+    candidates.append(Path(sys.prefix) / "share" / "dextar")
     for candidate in candidates:
         if (candidate / "config" / NODES_FILE).is_file():
             return candidate
