@@ -36,6 +36,7 @@ ARGUMENTS = [
                           description="serve the trip as soon as it is planned"),
     DeclareLaunchArgument("plant", default_value="true", choices=SWITCH,
                           description="start the simulated rig; false where a real one publishes the joint states"),
+    DeclareLaunchArgument("namespace", default_value="/", description="of all nodes, e.g. /left: two robots in one domain"),
     DeclareLaunchArgument("robot_file", default_value=str(CONFIG / "dextar.yaml"),
                           description="parameter file of the robot"),
     DeclareLaunchArgument("params_file", default_value=str(CONFIG / "crossing.yaml"),
@@ -73,7 +74,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             package="dextar",
             executable=name,
             name=name,
-            namespace="/",  # a full name lets an override win over the node's own section of params_file
+            namespace=value("namespace"),  # a full name lets an override win over the node's own section of params_file
             parameters=[value("robot_file"), value("params_file"), overrides[name]],
             output="screen",
             on_exit=Shutdown(reason=f"{name} has ended"),

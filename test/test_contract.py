@@ -73,7 +73,7 @@ def test_a_file_that_is_no_robot_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("node", SPECS)
 def test_every_parameter_has_one_default_and_every_default_a_parameter(node: str) -> None:
-    own = yaml.safe_load(config_file(NODES_FILE).read_text())[node]["ros__parameters"]
+    own = yaml.safe_load(config_file(NODES_FILE).read_text())[f"/**/{node}"]["ros__parameters"]
     names = {spec.name for spec in SPECS[node]}
     assert names >= set(own)
     defaults = node_defaults(node)

@@ -119,6 +119,19 @@ def test_an_approach_stays_on_its_side(robot: RobotParameters) -> None:
         plan_approach(robot, [0.01, 0.06], [-0.025, 0.115], 0.1)
 
 
+def test_uneven_links_are_planned_or_refused_in_words(robot: RobotParameters) -> None:
+    lengths = {f"{side}.{link}_length": 0.12 if link == "proximal" else 0.06 for side in ("left", "right")
+               for link in ("proximal", "distal")}  # fmt: skip
+    generator, uneven = np.random.default_rng(1), robot.replace(**lengths)
+    for _ in range(12):
+        start, goal = generator.uniform([-0.06, 0.06], [0.06, 0.16], (2, 2))
+        try:
+            plan = plan_crossing(uneven, start, goal, 0.4)
+        except DextarError:
+            continue
+        assert (plan.certificate.residuals <= PLAN_RESIDUAL).all()
+
+
 @pytest.mark.parametrize(
     ("start", "goal", "duration", "message"),
     [

@@ -45,17 +45,26 @@ def canonical(message: Any) -> bytes:
     them behind the message: strict readers refuse that, and two runs would not be the same bytes.
 
     Raises:
-        StateError: the message cannot be serialised.
+        StateError: rosbags does not know the message's type.
     """
     package = type(message).__module__.partition(".")[0]
     name = f"{package}/msg/{type(message).__name__}"
     raw = bytes(serialize_message(message))
+    return bytes(_types().serialize_cdr(read_message(raw, name), name))
+
+
+def read_message(raw: bytes, type_name: str) -> Any:
+    """A message from CDR bytes in rosbags' classes: the fields of rclpy's, read without holding other threads up.
+
+    Raises:
+        StateError: the bytes are no message of that type.
+    """
     for length in range(len(raw), max(len(raw) - _SLACK, 0), -1):
         try:
-            return bytes(_types().serialize_cdr(_types().deserialize_cdr(raw[:length], name), name))
+            return _types().deserialize_cdr(raw[:length], type_name)
         except SerdeError:
             continue
-    raise StateError(f"a message of type {name} cannot be serialised")
+    raise StateError(f"{len(raw)} bytes are no message of type {type_name}")
 
 
 class CdrTemplate:

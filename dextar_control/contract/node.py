@@ -119,10 +119,10 @@ class DextarNode(Node):
         self.values: dict[str, Any] = {}
         robot_defaults = resources.node_defaults(name, resources.config_file(resources.ROBOT_FILE)) if robot else {}
         overrides = {key: parameter.value for key, parameter in self._parameter_overrides.items()}
-        known = {*self._specs, *robot_defaults, "use_sim_time"}
+        known = {*self._specs, *self._defaults, *robot_defaults, "use_sim_time", "start_type_description_service"}
         for key in overrides:
-            shared = key.startswith(("robot.", "task.", "qos_overrides.", "start_type_description_service"))
-            if key not in known and not (shared and not (robot and key.startswith("robot."))):
+            others = key.startswith("qos_overrides.") or (key.startswith("robot.") and not robot)
+            if key not in known and not others:
                 raise ParameterError(f"unknown parameter '{key}' for node {name}; known are: {', '.join(self._specs)}")
         for spec in self._specs.values():
             if spec.name not in self._defaults:
@@ -132,7 +132,9 @@ class DextarNode(Node):
             self.values[spec.name] = self._declare(spec.name, value, _descriptor(spec, value))
         if robot:
             prefix = "robot."
-            flat = {key: overrides.get(key, default) for key, default in robot_defaults.items()}
+            whole = f"{prefix}name" in overrides  # a description, not a change of the shipped one
+            flat = {key: overrides[key] if key in overrides else default for key, default in robot_defaults.items()
+                    if key in overrides or not whole}  # fmt: skip
             unique = {key.removeprefix(prefix): value for key, value in flat.items()}
             self.robot: RobotParameters = from_flat({key: unique[key] for key in unique if key in ROBOT_KEYS})
             for key, value in flat.items():
@@ -162,22 +164,25 @@ class DextarNode(Node):
         return value
 
     def _on_set(self, parameters: list[Any]) -> SetParametersResult:
-        for parameter in parameters:
-            spec = self._specs.get(parameter.name)
-            if spec is None:
-                continue
-            if not spec.live:
-                return SetParametersResult(successful=False, reason=f"'{spec.name}' is fixed while the node runs")
-            try:
-                value = check_value(spec, parameter.value, self._defaults[spec.name])
-                self.on_parameter(spec.name, value)
-            except DextarError as error:
-                return SetParametersResult(successful=False, reason=str(error))
-            self.values[spec.name] = value
+        changes: dict[str, Any] = {}
+        before = dict(self.values)
+        try:
+            for parameter in parameters:
+                spec = self._specs.get(parameter.name)
+                if spec is None:
+                    continue
+                if not spec.live:
+                    raise ParameterError(f"'{spec.name}' is fixed while the node runs")
+                changes[spec.name] = check_value(spec, parameter.value, self._defaults[spec.name])
+            self.values.update(changes)
+            self.on_parameters(changes)
+        except DextarError as error:
+            self.values = before
+            return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def on_parameter(self, name: str, value: Any) -> None:
-        """Take a live change; raise a DextarError to refuse it."""
+    def on_parameters(self, changes: Mapping[str, Any]) -> None:
+        """Take live changes, already in ``values``; raise a DextarError to refuse them all."""
 
     def publish_diagnostics(self, level: bytes, message: str, values: Mapping[str, Any]) -> None:
         """One DiagnosticStatus on ``/diagnostics``, numbers as their shortest exact text."""

@@ -51,7 +51,7 @@ def node_defaults(node: str, path: Path | None = None) -> dict[str, Any]:
     except (OSError, yaml.YAMLError) as error:
         raise ParameterError(f"parameter file {path}: {error}") from error
     values: dict[str, Any] = {}
-    for section in ("/**", node):
+    for section in ("/**", f"/**/{node}", node):
         values.update(_dotted(((document or {}).get(section) or {}).get("ros__parameters") or {}))
     return values
 

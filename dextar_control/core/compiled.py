@@ -35,5 +35,5 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 
 
 def njit(function: Function) -> Function:
-    """Compile without the interpreter; a division by zero gives inf or nan as in NumPy."""
-    return cast(Function, numba.njit(cache=True, error_model="numpy")(function))
+    """Compile without the interpreter (and its lock); a division by zero gives inf or nan as in NumPy."""
+    return cast(Function, numba.njit(cache=True, error_model="numpy", nogil=True)(function))

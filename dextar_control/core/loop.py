@@ -17,8 +17,8 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_control.core.certificate import Certificate, certify, check_rest
 from dextar_control.core.compiled import njit
 from dextar_control.core.dynamics import friction
-from dextar_control.core.estimator import JointMemory, estimate_platform, filter_joints, wrap
-from dextar_control.core.kinematics import direct_model, singularity, state_of_platform
+from dextar_control.core.estimator import JointMemory, direct_estimate, estimate_platform, filter_joints, wrap
+from dextar_control.core.kinematics import direct_model, kinematics, singular_values, singularity, state_of_platform
 from dextar_control.core.law import Law, enforce
 from dextar_control.core.model import Array, Model, make_model
 from dextar_control.core.trajectory import Trajectory, evaluate, hold
@@ -36,7 +36,11 @@ class Phase(IntEnum):
     FAULT = 6  # no torque
 
 
-TORQUELESS = (Phase.IDLE, Phase.FAULT, Phase.SAFE_STOP)  # where the law's torque is not given out
+LIMP = (Phase.IDLE, Phase.FAULT, Phase.SAFE_STOP)  # where the law gives no torque
+REST_ZONE, REST_WIDTH = 0.05, 0.05  # |s| of the estimator's hold while holding a point: the direct model serves nearer
+MIN_HOLD_S = REST_ZONE + REST_WIDTH  # |s| nearer than which no point is held
+FIRST_PERIOD = 1e-3  # s taken for the first sample
+START_MARGIN = 2e-3  # s by which a trajectory's start may have passed when it begins
 WATCH_DECAY = 0.25  # a torque that swings between its limits is watched too
 MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
@@ -96,8 +100,6 @@ class _Gains(NamedTuple):
     bandwidth: float
     zone: float
     zone_width: float
-    hold_zone: float
-    hold_width: float
     return_time: float
     friction_compensation: float
     max_torque: float
@@ -136,7 +138,7 @@ def _tick(
     model: Model, gains: _Gains, memory: JointMemory, integral: Array,
     knots: Array, origins: Array, coefficients: Array, plan_times: Array, plan_multipliers: Array,
     reference_time: float, dt: float, q_meas: Array, time_outside: float, assembly_mode: float, law: int,
-    out: Array,
+    zone: float, width: float, out: Array,
 ) -> None:  # fmt: skip
     point = evaluate(knots, origins, coefficients, reference_time)
     reference = state_of_platform(model, point[0], point[1])
@@ -145,12 +147,12 @@ def _tick(
         assembly_mode = -assembly_mode  # the reference has crossed: the direct model's branch changes with it
     filter_joints(memory, q_meas, reference.q_a, reference.q_a_dot, dt, gains.bandwidth)
     estimate = estimate_platform(
-        model, memory, reference, s_ref, gains.hold_zone, gains.hold_width,
+        model, memory, reference, s_ref, zone, width,
         time_outside, gains.return_time, assembly_mode,
     )  # fmt: skip
     error = point[0] - estimate.x
     error_dot = point[1] - estimate.x_dot
-    if abs(s_ref) > gains.hold_zone + gains.hold_width:
+    if abs(s_ref) > zone + width:
         integral += dt * error
     u = point[2] + gains.K_d * error_dot + gains.K_p * error + gains.K_i * integral
     kin = state_of_platform(model, estimate.x, estimate.x_dot)
@@ -185,9 +187,28 @@ def _tick(
 
 
 @njit
-def _brake(memory: JointMemory, q_meas: Array, dt: float, bandwidth: float, gain: float, limit: float) -> Array:
+def _coast(
+    model: Model, memory: JointMemory, q_meas: Array, dt: float, bandwidth: float, assembly_mode: float,
+    gain: float, limit: float, out: Array,
+) -> None:  # fmt: skip
+    """A tick without a law: damping torque of the joints alone, the platform by the plain direct model."""
     filter_joints(memory, q_meas, memory.q_ref, np.zeros(2), dt, bandwidth)
-    return np.minimum(np.maximum(-gain * memory.q_dot, -limit), limit)
+    estimate = direct_estimate(model, memory, assembly_mode)
+    kin = kinematics(model, memory.q, estimate.x, estimate.x_dot)
+    out[:] = 0.0
+    for i in range(2):
+        out[_TAU + i] = min(max(-gain * memory.q_dot[i], -limit), limit)
+        out[_X_REF + i] = estimate.x[i]
+        out[_X_HAT + i] = estimate.x[i]
+        out[_X_HAT + 2 + i] = estimate.x_dot[i]
+    for i in range(2):
+        out[_FORCE + i] = kin.J_inv[0, i] * out[_TAU] + kin.J_inv[1, i] * out[_TAU + 1]
+    s = singularity(model, kin.A_r)
+    out[_SCALARS + 1] = s
+    out[_SCALARS + 2] = abs(singular_values(kin.A_r).sigma2) / np.sqrt(model.l2[0] * model.l2[1])
+    out[_S_REF] = s
+    out[_S_REF + 1] = assembly_mode
+    out[_FINITE] = 1.0 if np.isfinite(out[:_S_REF]).all() else 0.0
 
 
 class ControlLoop:
@@ -212,11 +233,12 @@ class ControlLoop:
         self.model = make_model(robot)
         self.phase = Phase.HOLD if enabled else Phase.IDLE
         self.reason = ""
+        self.refusal = ""
+        self.mode_known = True
         self.certificate: Certificate | None = None
         self.saturated_ticks = 0
         self.completed = 0
         self.tick: Tick | None = None
-        self._initial_mode = assembly_mode
         self._mode = float(assembly_mode)
         self._out = np.zeros(_SIZE)
         self._integral = np.zeros(2)
@@ -231,16 +253,40 @@ class ControlLoop:
         self.configure(settings)
 
     def configure(self, settings: Settings) -> None:
-        """Take gains and limits, also while running."""
+        """Take gains and limits, also while running.
+
+        Raises:
+            ParameterError: the law's transition would reach the locus itself.
+        """
+        if settings.zone < 0.5 * settings.zone_width:
+            raise ParameterError(
+                f"zone = {settings.zone} with zone_width = {settings.zone_width}: the transition would reach the locus;"
+                f" zone must be >= {0.5 * settings.zone_width}"
+            )
         self.settings = settings
         self._law = int(settings.law)
         K_p = settings.natural_frequency**2
         self._gains = _Gains(
             K_p, 2.0 * settings.damping_ratio * settings.natural_frequency, settings.integral_frequency * K_p,
-            settings.filter_bandwidth, settings.zone, settings.zone_width,
-            0.0 if settings.law == Law.CLASSIC else settings.hold_zone, settings.hold_width, settings.return_time,
+            settings.filter_bandwidth, settings.zone, settings.zone_width, settings.return_time,
             settings.friction_compensation, self.robot.max_torque,
         )  # fmt: skip
+
+    def check(self, trajectory: Trajectory) -> Certificate:
+        """What ``accept`` checks of a trajectory by itself; may run beside the loop, in another thread.
+
+        Raises:
+            TrajectoryError: it breaks the criterion, the workspace or a limit, or does not rest at its
+                ends clear of the locus; names the value and the limit.
+        """
+        check_rest(trajectory)
+        certificate = certify(self.robot, trajectory, max_residual=self.settings.max_residual)
+        least = self.settings.hold_zone + self.settings.hold_width
+        for name, row in (("starts", 0), ("ends", -1)):
+            s = abs(float(certificate.profile.s[row]))
+            if s < least:
+                raise TrajectoryError(f"the trajectory {name} at |s| = {s:.3f} of the Type 2 locus; the limit is {least:.3g}")
+        return certificate
 
     def accept(self, trajectory: Trajectory, start: float | None = None) -> Certificate:
         """Check a trajectory and track it from its start time on.
@@ -249,41 +295,55 @@ class ControlLoop:
             start: in the time of the samples, s; the next sample when None.
 
         Raises:
-            TrajectoryError: it breaks the criterion, a limit or does not start at the robot, or the
-                loop is not holding; names the value and the limit.
+            TrajectoryError: as ``check``, or it does not start at the robot, or in the past, or the
+                loop is not holding.
+        """
+        certificate = self.check(trajectory)
+        self.schedule(trajectory, certificate, start)
+        return certificate
+
+    def schedule(self, trajectory: Trajectory, certificate: Certificate, start: float | None = None) -> None:
+        """Track a checked trajectory from its start time on; see ``accept``.
+
+        What can only be seen when it begins (where the robot stands at the first sample, a start that
+        has passed) is refused then, in ``refusal``.
         """
         if self.phase != Phase.HOLD:
             raise TrajectoryError(f"a trajectory is taken in phase HOLD only; the controller is in {self.phase.name}")
-        check_rest(trajectory)
-        certificate = certify(self.robot, trajectory, max_residual=self.settings.max_residual)
-        self._check_start(trajectory)
-        if start is not None and not math.isnan(self._time) and start < self._time:
-            raise TrajectoryError(f"the trajectory starts at {start:.6f} s; the last state is of {self._time:.6f} s")
+        if not math.isnan(self._time):
+            self._check_start(trajectory, start, self._time)
+        self.refusal = ""
         self._pending = (trajectory, certificate, start)
-        return certificate
 
-    def _check_start(self, trajectory: Trajectory) -> None:
-        if self.tick is None:
-            return
-        first = trajectory.at(0.0).x
-        distance = float(np.hypot(*(first - self.tick.x_ref)))
+    def _check_start(self, trajectory: Trajectory, start: float | None, time: float) -> None:
+        first, held = trajectory.at(0.0).x, self.trajectory.at(0.0).x
+        distance = float(np.hypot(*(first - held)))
         if not distance <= self.settings.max_start_distance:
             raise TrajectoryError(
                 f"the trajectory starts in ({first[0]:.4f}, {first[1]:.4f}) m, {distance:.4f} m from the robot;"
                 f" the limit is {self.settings.max_start_distance} m"
             )
+        if start is not None and time - start > START_MARGIN:
+            raise TrajectoryError(f"the trajectory starts at {start:.6f} s; the last state is of {time:.6f} s")
 
     def enable(self) -> None:
-        """Leave IDLE and hold the present point."""
-        if self.phase == Phase.IDLE:
-            if self.tick is not None:
-                self._hold_at(self.tick.x_hat)
-            self.phase = Phase.HOLD
+        """Leave IDLE and hold the present point.
+
+        Raises:
+            StateError: the robot stands too near to the locus to be held.
+        """
+        if self.phase != Phase.IDLE:
+            return
+        if self.tick is not None:
+            if not abs(self.tick.s) >= MIN_HOLD_S:
+                raise StateError(f"the robot stands at |s| = {abs(self.tick.s):.3f} of the locus; holding needs {MIN_HOLD_S}")
+            self._hold_at(self.tick.x_hat)
+        self.phase, self.reason = Phase.HOLD, ""
 
     def disable(self) -> None:
         """No torque from the next sample on, whatever goes on."""
         if self.phase not in (Phase.FAULT, Phase.SAFE_STOP):
-            self.phase, self.reason, self._pending = Phase.IDLE, "disabled on request", None
+            self._go_limp(Phase.IDLE, "disabled on request")
 
     def stop(self, reason: str = "stop requested") -> None:
         """A safe stop: at once away from the locus; a crossing that has begun is finished first.
@@ -294,21 +354,42 @@ class ControlLoop:
         if self.phase == Phase.CROSSING:
             self._stop_wanted, self.reason = True, reason
         elif self.phase in MOVING:
-            self._safe_stop(reason)
+            self._go_limp(Phase.SAFE_STOP, reason)
 
     def fault(self, reason: str) -> None:
         """No torque, latched until ``reset``."""
-        self.phase, self.reason, self._pending = Phase.FAULT, reason, None
+        self._go_limp(Phase.FAULT, reason)
+
+    def set_assembly_mode(self, assembly_mode: int) -> None:
+        """Tell on which side of the locus the robot stands; only without torque.
+
+        Raises:
+            StateError: the loop is holding or moving.
+        """
+        if self.phase not in LIMP:
+            raise StateError(f"the assembly mode can be told in IDLE, SAFE_STOP or FAULT; the phase is {self.phase.name}")
+        self._mode, self.mode_known = float(assembly_mode), True
 
     def reset(self) -> None:
-        """From SAFE_STOP or FAULT to IDLE; the next sample is taken as a first one."""
-        if self.phase in (Phase.SAFE_STOP, Phase.FAULT):
-            self.phase, self.reason = Phase.IDLE, ""
-            self._time = math.nan
+        """From SAFE_STOP or FAULT to IDLE.
 
-    def _safe_stop(self, reason: str) -> None:
-        self.phase, self.reason, self._pending = Phase.SAFE_STOP, reason, None
-        self._stop_wanted = False
+        Raises:
+            StateError: the robot was near the locus without control, so that its assembly mode is not
+                known; ``set_assembly_mode`` tells it.
+        """
+        if self.phase in (Phase.SAFE_STOP, Phase.FAULT):
+            if not self.mode_known:
+                raise StateError(
+                    f"the robot was within |s| < {self.settings.hold_zone} of the locus without control:"
+                    " set assembly_mode to the side where it stands, then reset"
+                )
+            self.phase, self.reason = Phase.IDLE, ""
+
+    def _go_limp(self, phase: Phase, reason: str) -> None:
+        """Leave the reference: from now on the joints alone are watched, and damped in SAFE_STOP."""
+        if self.phase == Phase.CROSSING:
+            self.mode_known = False
+        self.phase, self.reason, self._pending, self._stop_wanted = phase, reason, None, False
         self._stop_time = self._time
         self._memory.q_ref[:] = self._memory.q
         self._memory.q_ref_dot[:] = 0.0
@@ -318,6 +399,8 @@ class ControlLoop:
         kin = state_of_platform(self.model, np.ascontiguousarray(x), np.zeros(2))
         self._memory.q_ref[:] = kin.q_a
         self._memory.q_ref_dot[:] = 0.0
+        self._integral[:] = 0.0
+        self._outside = math.inf
 
     def _set_trajectory(self, trajectory: Trajectory, times: Array, multipliers: Array) -> None:
         self.trajectory = trajectory
@@ -325,137 +408,146 @@ class ControlLoop:
         self._plan = (np.ascontiguousarray(times), np.ascontiguousarray(multipliers))
 
     def _first(self, q_a: Array) -> None:
-        mode = self._initial_mode if self.tick is None else self.tick.assembly_mode
-        x = direct_model(self.model, q_a, mode)
-        if not np.hypot(*wrapped(state_of_platform(self.model, x, np.zeros(2)).q_a - q_a)) < 1e-6:
+        x = direct_model(self.model, q_a, int(self._mode))
+        kin = state_of_platform(self.model, x, np.zeros(2))
+        if not np.hypot(*wrapped(kin.q_a - q_a)) < 1e-6:
             raise StateError(
-                f"active joints ({q_a[0]:.4f}, {q_a[1]:.4f}) rad with assembly mode {mode:+d} are not in working mode"
-                f" {self.robot.working_mode}"
+                f"active joints ({q_a[0]:.4f}, {q_a[1]:.4f}) rad with assembly mode {int(self._mode):+d} are not in"
+                f" working mode {self.robot.working_mode}"
             )
-        self._mode = float(mode)
-        self._integral[:] = 0.0
+        s = abs(float(singularity(self.model, kin.A_r)))
+        if self.phase == Phase.HOLD and s < MIN_HOLD_S:
+            raise StateError(f"the robot stands at |s| = {s:.3f} of the locus; holding needs {MIN_HOLD_S}")
         self._memory.q[:] = q_a
         self._memory.q_dot[:] = 0.0
         self._hold_at(x)
-        self._outside = math.inf
-        if self._pending is not None:
-            first = self._pending[0].at(0.0).x
-            distance = float(np.hypot(*(first - x)))
-            if distance > self.settings.max_start_distance:
-                self._pending = None
-                raise TrajectoryError(
-                    f"the trajectory starts in ({first[0]:.4f}, {first[1]:.4f}) m, {distance:.4f} m from the robot;"
-                    f" the limit is {self.settings.max_start_distance} m"
-                )
 
     def step(self, time: float, q_a: Array) -> Array:
         """Torque (2,), N m, that answers the active joints q_a (2,), rad, sampled at ``time``, s.
 
         Raises:
             StateError: a number is not finite, time does not advance, or (first sample) the joints
-                belong to another working mode. Nothing is changed then.
+                belong to another working mode or stand on the locus. Nothing is changed then.
             GeometryError: first sample: the distal links cannot meet.
-            TrajectoryError: first sample: a trajectory accepted before does not start at the robot.
         """
         q_a = np.array(q_a, dtype=np.float64)
         if q_a.shape != (2,) or not math.isfinite(time + q_a[0] + q_a[1]):
             raise StateError(f"state at {time} s: active joints {q_a} are not two finite numbers")
         if math.isnan(self._time):
             self._first(q_a)
-            dt = 1e-3
+            dt = FIRST_PERIOD
         else:
             dt = time - self._time
             if not dt > 0.0:
                 raise StateError(f"state at {time:.6f} s is not after the last one at {self._time:.6f} s")
         self._time = time
         if self._pending is not None and (self._pending[2] is None or time >= self._pending[2]):
-            self._begin(time)
-        if self.phase == Phase.SAFE_STOP:
-            return self._braking(dt, q_a)
-        reference_time = time - self._start if self.phase in MOVING else 0.0
-        if self.phase in MOVING and reference_time >= self.trajectory.duration:
-            self._hold_at(self.trajectory.at(self.trajectory.duration).x)
-            self.phase, reference_time = Phase.HOLD, 0.0
-            self.completed += 1
-        out = self._out
-        _tick(
-            self.model, self._gains, self._memory, self._integral, *self._reference, *self._plan,
-            reference_time, dt, q_a, self._outside, self._mode, self._law, out,
-        )  # fmt: skip
-        self._mode = float(out[_S_REF + 1])
-        s_ref = abs(float(out[_S_REF]))
-        self._outside = self._outside + dt if s_ref > self.settings.hold_zone else 0.0
-        if self.phase is Phase.TRACK or self.phase is Phase.CROSSING:
-            self.phase = Phase.CROSSING if s_ref < self.settings.hold_zone + self.settings.hold_width else Phase.TRACK
-        self._supervise(dt, out, s_ref)
-        values = out.copy()
-        if self.phase in TORQUELESS:
-            values[_TAU : _TAU + 2] = 0.0
-            values[_FORCE : _FORCE + 2] = 0.0
-        if self.phase == Phase.IDLE:
-            self._hold_at(values[_X_HAT : _X_HAT + 2])
-        self._publish(reference_time, values)
+            self._begin(time, *self._pending)
+        reference_time = 0.0
+        if self.phase in MOVING:
+            reference_time = time - self._start
+            if reference_time >= self.trajectory.duration:
+                reference_time = self._end()
+        if self.phase not in LIMP:
+            self._servo(reference_time, dt, q_a)
+        if self.phase in LIMP:
+            self._coast(dt, q_a)
+        values = self._out.copy()
+        self._remember(reference_time, values)
         return values[_TAU : _TAU + 2]
 
-    def _begin(self, time: float) -> None:
-        assert self._pending is not None
-        trajectory, certificate, start = self._pending
+    def _begin(self, time: float, trajectory: Trajectory, certificate: Certificate, start: float | None) -> None:
         self._pending = None
+        try:
+            self._check_start(trajectory, start, time)
+        except TrajectoryError as error:
+            self.refusal = str(error)
+            return
         self.certificate = certificate
         self._start = time if start is None else start
         self._set_trajectory(trajectory, certificate.profile.time, certificate.profile.multipliers)
         self._integral[:] = 0.0
         self._watch = 0.0
-        self.phase = Phase.TRACK if len(certificate.crossing_times) else Phase.APPROACH
+        self._stop_wanted = False
         self.saturated_ticks = 0
+        self.phase = Phase.TRACK if len(certificate.crossing_times) else Phase.APPROACH
 
-    def _supervise(self, dt: float, out: Array, s_ref: float) -> None:
+    def _end(self) -> float:
+        """The trajectory is over: hold its end, or stop where that was asked for during the crossing."""
+        self.completed += 1
+        self.phase = Phase.HOLD
+        self._hold_at(self.trajectory.at(self.trajectory.duration).x)
+        if self._stop_wanted:
+            self._go_limp(Phase.SAFE_STOP, self.reason)
+        return 0.0
+
+    def _servo(self, reference_time: float, dt: float, q_a: Array) -> None:
+        """One tick of the law, and whether it may go on."""
+        settings, out = self.settings, self._out
+        crossing = self.phase is Phase.TRACK or self.phase is Phase.CROSSING
+        zone, width = (settings.hold_zone, settings.hold_width) if crossing else (REST_ZONE, REST_WIDTH)
+        if settings.law is Law.CLASSIC:
+            zone = 0.0
+        _tick(
+            self.model, self._gains, self._memory, self._integral, *self._reference, *self._plan,
+            reference_time, dt, q_a, self._outside, self._mode, self._law, zone, width, out,
+        )  # fmt: skip
+        self._mode = float(out[_S_REF + 1])
+        s_ref = abs(float(out[_S_REF]))
+        self._outside = self._outside + dt if s_ref > zone else 0.0
+        if crossing:
+            near = s_ref < settings.hold_zone + settings.hold_width
+            self.phase = Phase.CROSSING if near else Phase.TRACK
+        self._supervise(dt, s_ref, crossing)
+
+    def _supervise(self, dt: float, s_ref: float, crossing: bool) -> None:
+        settings, out = self.settings, self._out
         if out[_FINITE] == 0.0:
-            if self.phase != Phase.IDLE:
-                self.fault("the law gave a number that is not finite")
-            return
-        if self.phase not in MOVING:
+            self._go_limp(Phase.SAFE_STOP, "the law gave a number that is not finite")
             return
         peak = float(out[_PEAK])
-        if peak >= self.robot.max_torque:
-            self.saturated_ticks += 1
-        settings = self.settings
+        saturated = peak >= self.robot.max_torque
+        self.saturated_ticks += saturated
         if self._stop_wanted and self.phase != Phase.CROSSING:
-            self._safe_stop(self.reason)
+            self._go_limp(Phase.SAFE_STOP, self.reason)
             return
         error = float(out[_DISTANCE])
         if error > settings.max_tracking_error:
-            self._safe_stop(f"tracking error {error:.4f} m; the limit is {settings.max_tracking_error} m")
+            self._go_limp(Phase.SAFE_STOP, f"tracking error {error:.4f} m; the limit is {settings.max_tracking_error} m")
             return
-        if self.certificate is None or len(self.certificate.crossing_times) == 0:
+        if self.certificate is None or not crossing:
             return
         limit = max(settings.watch_ratio * self.certificate.peak_torque, settings.watch_torque)
-        watched = s_ref < settings.watch_s and peak > limit
+        watched = saturated or (s_ref < settings.watch_s and peak > limit)
         self._watch = self._watch + dt if watched else max(self._watch - WATCH_DECAY * dt, 0.0)
         if self._watch > settings.watch_time:
-            self._safe_stop(
-                f"torque {peak:.3f} N m for {1e3 * self._watch:.0f} ms near the locus; the limit is"
-                f" {limit:.3f} N m for {1e3 * settings.watch_time:.0f} ms"
+            self._go_limp(
+                Phase.SAFE_STOP,
+                f"torque {peak:.3f} N m for {1e3 * self._watch:.0f} ms; the limit is"
+                f" {min(limit, self.robot.max_torque):.3f} N m for {1e3 * settings.watch_time:.0f} ms",
             )
 
-    def _braking(self, dt: float, q_a: Array) -> Array:
-        settings = self.settings
-        tau = _brake(
-            self._memory, q_a, dt, settings.filter_bandwidth, settings.brake_gain, self.robot.max_torque
-        )  # fmt: skip
-        if self._time - self._stop_time > settings.brake_time:
-            tau = np.zeros(2)
-        out = self._out.copy()
-        out[_TAU : _TAU + 2] = tau
-        out[_FORCE : _FORCE + 2] = 0.0
-        self._publish(self._time - self._start, out)
-        return tau
+    def _coast(self, dt: float, q_a: Array) -> None:
+        """One tick without the law: damped in SAFE_STOP until its time is over, else without torque."""
+        settings, out = self.settings, self._out
+        braking = self.phase is Phase.SAFE_STOP and self._time - self._stop_time <= settings.brake_time
+        gain = settings.brake_gain if braking else 0.0
+        _coast(
+            self.model, self._memory, q_a, dt, settings.filter_bandwidth, self._mode, gain, self.robot.max_torque, out
+        )
+        self._memory.q_ref[:] = self._memory.q
+        if not abs(out[_S_REF]) >= settings.hold_zone:
+            self.mode_known = False
 
-    def _publish(self, reference_time: float, out: Array) -> None:
+    def _remember(self, reference_time: float, out: Array) -> None:
+        def pair(offset: int) -> Array:
+            return out[offset : offset + 2]
+
         self.tick = Tick(
-            self._time, reference_time, self.phase, out[0:2], out[2:4], out[4:6], out[6:8], out[8:10], out[10:12],
-            out[12:14], out[14:16], out[16:18], out[18:20], float(out[20]), float(out[21]), float(out[22]),
-            float(out[23]), int(out[_S_REF + 1]),
+            self._time, reference_time, self.phase, pair(_TAU), pair(_X_REF), pair(_X_REF + 2), pair(_X_REF + 4),
+            pair(_X_HAT), pair(_X_HAT + 2), pair(_ERROR), pair(_ERROR + 2), pair(_U), pair(_FORCE),
+            float(out[_SCALARS]), float(out[_SCALARS + 1]), float(out[_SCALARS + 2]), float(out[_SCALARS + 3]),
+            int(out[_S_REF + 1]),
         )  # fmt: skip
 
 

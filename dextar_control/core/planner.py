@@ -29,8 +29,11 @@ from dextar_control.core.model import Array, Model, make_model
 from dextar_control.core.trajectory import Trajectory, hold, join
 
 PLAN_RESIDUAL = 1e-9  # N, at the crossing of a plan
+LINE_SAMPLES = 17  # at which the line through a candidate point is looked at for the locus
 COARSE_SAMPLES = 60  # of a candidate while optimising
 DEGREE = 10
+MIN_END_S = 0.4  # |s| at start and goal: there the direct model holds the estimate again (hold_zone + hold_width)
+MIN_APPROACH_S = 0.2  # |s| that an approach keeps on its way
 
 
 class Plan(NamedTuple):
@@ -85,7 +88,6 @@ def _side(model: Model, name: str, x: Array, robot: RobotParameters) -> float:
     return float(singularity(model, kin.A_r))
 
 
-MIN_END_S = 0.2  # |s| at start and goal: there the direct model holds the estimate again
 
 
 def _on_locus(model: Model, start: Array, goal: Array, shift: float) -> Array | None:
@@ -95,9 +97,12 @@ def _on_locus(model: Model, start: Array, goal: Array, shift: float) -> Array | 
     def value(fraction: float) -> float:
         return singularity_of_platform(model, start + fraction * (goal - start) + shift * normal)
 
-    if not value(0.0) * value(1.0) < 0.0:
+    fractions = np.linspace(0.0, 1.0, LINE_SAMPLES)
+    values = np.array([value(fraction) for fraction in fractions])
+    changes = np.flatnonzero(values[:-1] * values[1:] < 0.0)
+    if len(changes) == 0:
         return None
-    fraction = brentq(value, 0.0, 1.0, xtol=1e-15, rtol=1e-14)
+    fraction = brentq(value, fractions[changes[0]], fractions[changes[0] + 1], xtol=1e-15, rtol=1e-14)
     return start + fraction * (goal - start) + shift * normal
 
 
@@ -209,10 +214,10 @@ def plan_approach(robot: RobotParameters, start: Array, goal: Array, speed: floa
     coefficients[0] += start
     line = Trajectory(np.array([0.0, duration]), np.zeros(1), coefficients[None])
     least = measure(model, line).profile.s
-    if not np.abs(least).min() >= MIN_END_S:
+    if not np.abs(least).min() >= MIN_APPROACH_S:
         raise TrajectoryError(
             f"the straight way from ({start[0]:.4f}, {start[1]:.4f}) to ({goal[0]:.4f}, {goal[1]:.4f}) m comes to |s| ="
-            f" {np.abs(least).min():.3f} of the Type 2 locus; an approach keeps {MIN_END_S}"
+            f" {np.abs(least).min():.3f} of the Type 2 locus; an approach keeps {MIN_APPROACH_S}"
         )
     certify(robot, line, max_residual=PLAN_RESIDUAL, crossings=0)
     return line

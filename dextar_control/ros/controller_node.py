@@ -6,6 +6,9 @@ import gc
 import math
 import sys
 import time
+from collections import deque
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields
 from typing import Any
 
@@ -16,12 +19,14 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from dextar_control.contract.cdr import NANOSECONDS, from_time
+from dextar_control.contract.cdr import NANOSECONDS, from_time, read_message
 from dextar_control.contract.errors import DextarError, ParameterError, StateError, TrajectoryError
 from dextar_control.contract.node import DextarNode, Parameter, qos, run_node
 from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_COMMANDS, JOINT_STATES, TRAJECTORY
+from dextar_control.core.certificate import Certificate
 from dextar_control.core.law import Law
-from dextar_control.core.loop import ControlLoop, Phase, Settings
+from dextar_control.core.loop import LIMP, ControlLoop, Phase, Settings
+from dextar_control.core.trajectory import Trajectory
 from dextar_control.core.warmup import warm_up
 from dextar_control.ros import messages
 
@@ -31,7 +36,7 @@ PARAMETERS = (
     Parameter("law", "multipliers near the locus", choices=LAWS),
     Parameter("enabled", "hold the first state; false idles until ~/enable"),
     Parameter("lockstep", "states arrive reliably and at any pace"),
-    Parameter("assembly_mode", "sign of s where the robot stands at the first state", -1, 1),
+    Parameter("assembly_mode", "sign of s where the robot stands; live without torque", -1, 1, live=True),
     Parameter("task.sample_period", "of the control loop, s", 1e-4, 0.1),
     Parameter("state_timeout", "longest gap between two states, by their stamps, s", 1e-3, 10.0, live=True),
     Parameter("natural_frequency", "of the platform error, rad/s", 1.0, 500.0, live=True),
@@ -56,6 +61,8 @@ PARAMETERS = (
 )
 
 SERVED_BEFORE = 1.0  # s, by which a latched trajectory may be older than the node; allows for two machines' clocks
+MAX_POINTS = 50_000  # of a trajectory
+SWITCH_INTERVAL = 2e-4  # s until the thread that checks a trajectory lets the control thread go on
 STALLED = 0.5  # s on the steady clock without a state before a fault is latched
 WATCH_PERIOD = 0.01  # s
 DIAGNOSTICS_PERIOD = 0.2  # s
@@ -87,8 +94,11 @@ class ControllerNode(DextarNode):
         self._arrival = math.nan
         self._stalled = False
         self._last_command = b""
-        self._tick_times: list[float] = []
+        self._tick_times: deque[float] = deque(maxlen=500)
         self._trajectory_note = "none"
+        self._refusal = ""
+        self._checker = ThreadPoolExecutor(max_workers=1)
+        self._checking: Future[tuple[Trajectory, Certificate, float | None] | None] | None = None
         self._said: tuple[Phase, str] = (self._loop.phase, "")
         reliable = self.values["lockstep"]
         self._command_publisher = self.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
@@ -104,19 +114,24 @@ class ControllerNode(DextarNode):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_timer(WATCH_PERIOD, self._watch, clock=self.steady_clock)
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
+        sys.setswitchinterval(SWITCH_INTERVAL)
         gc.collect()
         gc.freeze()
         self.get_logger().info(f"law {self.values['law']}, waiting for {self.resolve_topic_name(JOINT_STATES.name)}")
 
-    def _settings(self, **changes: Any) -> Settings:
-        values = {field.name: self.values[field.name] for field in fields(Settings)} | changes
+    def _settings(self) -> Settings:
+        values = {field.name: self.values[field.name] for field in fields(Settings)}
         values["law"] = Law[values["law"].upper()]
         return Settings(**values)
 
-    def on_parameter(self, name: str, value: Any) -> None:
-        """Take a live gain or limit."""
-        if name in Settings.__dataclass_fields__:
-            self._loop.configure(self._settings(**{name: value}))
+    def on_parameters(self, changes: Mapping[str, Any]) -> None:
+        """Take live gains, limits or, without torque, the assembly mode."""
+        if changes.get("assembly_mode") == 0:
+            raise ParameterError("parameter 'assembly_mode' = 0; it must be +1 or -1")
+        if not changes.keys().isdisjoint(Settings.__dataclass_fields__):
+            self._loop.configure(self._settings())
+        if "assembly_mode" in changes:
+            self._loop.set_assembly_mode(changes["assembly_mode"])
 
     def _on_state(self, raw: bytes) -> None:
         begin = time.perf_counter()
@@ -133,9 +148,7 @@ class ControllerNode(DextarNode):
                     self._states_in.learn(raw)
             if stamp == self._stamp and self._last_command:
                 self._counts["repeated_states"] += 1
-                quiet = self._loop.phase in (Phase.IDLE, Phase.FAULT)
-                zero = self._commands_out.pack(stamp, (0.0, 0.0))
-                self._command_publisher.publish(zero if quiet else self._last_command)
+                self._command_publisher.publish(self._last_command)
                 return
             self._check_gap(stamp)
             tau = self._loop.step(stamp / NANOSECONDS, q_a)
@@ -148,6 +161,9 @@ class ControllerNode(DextarNode):
         self._counts["states"] += 1
         self._answer(stamp, tau)
         self._tick_times.append(time.perf_counter() - begin)
+        if self._loop.refusal != self._refusal:
+            self._refusal = self._loop.refusal
+            self._note_refusal(self._refusal)
 
     def _answer(self, stamp: int, tau: np.ndarray) -> None:
         tick = self._loop.tick
@@ -164,7 +180,7 @@ class ControllerNode(DextarNode):
             )
         )
         if (self._loop.phase, self._loop.reason) != self._said:
-            self._say()
+            self._say(answered=True)
 
     def _check_gap(self, stamp: int) -> None:
         if self._stamp < 0:
@@ -184,13 +200,22 @@ class ControllerNode(DextarNode):
         if (self._loop.phase, self._loop.reason) != self._said:
             self._say()
 
-    def _say(self) -> None:
+    def _say(self, *, answered: bool = False) -> None:
+        """Tell a change of phase; one that no state has answered yet takes the torque away at once."""
         self._said = (self._loop.phase, self._loop.reason)
+        if not answered and self._loop.phase in LIMP:
+            self._release()
         if self._loop.phase in (Phase.FAULT, Phase.SAFE_STOP):
             self.get_logger().error(f"{self._loop.phase.name}: {self._loop.reason}")
         else:
             self.get_logger().info(f"phase {self._loop.phase.name}")
         self._diagnose()
+
+    def _release(self) -> None:
+        """No torque, in answer to the last state once more."""
+        if self._stamp >= 0:
+            self._last_command = self._commands_out.pack(self._stamp, (0.0, 0.0))
+            self._command_publisher.publish(self._last_command)
 
     def _watch(self) -> None:
         """New trajectories, states on the steady clock, and who else commands the robot."""
@@ -205,67 +230,100 @@ class ControllerNode(DextarNode):
             if age > self.values["state_timeout"] and not self._stalled:
                 self._stalled = True
                 self._counts["stalls"] += 1
+                self._release()
                 limit = 1e3 * self.values["state_timeout"]
-                self.get_logger().warning(f"no state for {1e3 * age:.0f} ms (limit {limit:.0f} ms): no command")
+                self.get_logger().warning(f"no state for {1e3 * age:.0f} ms (limit {limit:.0f} ms): no torque")
             if age > STALLED:
                 self._loop.fault(f"no state for {1e3 * age:.0f} ms; the limit is {1e3 * STALLED:.0f} ms")
         if (self._loop.phase, self._loop.reason) != self._said:
             self._say()
 
     def _take_trajectory(self) -> None:
-        """The newest trajectory, unless it was served before this node began: a restart moves nothing."""
+        """The newest trajectory, unless it was served before this node began: a restart moves nothing.
+
+        It is read and checked in another thread (a long one takes tenths of a second), and begins with
+        the sample after that.
+        """
         newest = None
-        while (taken := self._trajectories.handle.take_message(MultiDOFJointTrajectory, False)) is not None:
+        while (taken := self._trajectories.handle.take_message(MultiDOFJointTrajectory, True)) is not None:
             newest = taken
-        if newest is None:
+        if newest is not None:
+            raw, info = newest
+            age = (self._started - info["source_timestamp"]) / NANOSECONDS
+            if self._checking is not None:
+                self._checking.cancel()
+            self._trajectory_note = "checking"
+            self._checking = self._checker.submit(self._check_trajectory, bytes(raw), age)
+        if self._checking is None or not self._checking.done():
             return
-        message, info = newest
-        age = (self._started - info["source_timestamp"]) / NANOSECONDS
-        if len(message.points) == 0:
-            if age < SERVED_BEFORE:
+        checking, self._checking = self._checking, None
+        try:
+            checked = checking.result()
+            if checked is None:
                 self._trajectory_note = "stop"
                 self._loop.stop("stopped by the trajectory server")
-            return
-        try:
-            if age > SERVED_BEFORE:
-                raise TrajectoryError(f"it was served {age:.1f} s before this controller began; serve it again")
-            stamp = from_time(message.header.stamp)
-            certificate = self._loop.accept(messages.to_trajectory(message), stamp / NANOSECONDS if stamp else None)
+            else:
+                trajectory, certificate, start = checked
+                self._loop.schedule(trajectory, certificate, start)
+                self._trajectory_note = "accepted"
+                self.get_logger().info("trajectory accepted: " + "; ".join(certificate.lines()))
         except DextarError as error:
-            self._trajectory_note = f"refused: {error}"
-            self.get_logger().error(f"trajectory refused: {error}")
-        else:
-            self._trajectory_note = "accepted"
-            self.get_logger().info("trajectory accepted: " + "; ".join(certificate.lines()))
+            self._note_refusal(str(error))
         self._diagnose()
 
+    def _check_trajectory(self, raw: bytes, age: float) -> tuple[Trajectory, Certificate, float | None] | None:
+        """(trajectory, certificate, start) of a message's bytes; None for a stop."""
+        message = read_message(raw, TRAJECTORY.type)
+        if age > SERVED_BEFORE:
+            raise TrajectoryError(f"it was served {age:.1f} s before this controller began; serve it again")
+        if len(message.points) == 0:
+            return None
+        if len(message.points) > MAX_POINTS:
+            raise TrajectoryError(f"the trajectory has {len(message.points)} points; the limit is {MAX_POINTS}")
+        stamp = from_time(message.header.stamp)
+        trajectory = messages.to_trajectory(message)
+        return trajectory, self._loop.check(trajectory), stamp / NANOSECONDS if stamp else None
+
+    def _note_refusal(self, reason: str) -> None:
+        if reason:
+            self._trajectory_note = f"refused: {reason}"
+            self.get_logger().error(f"trajectory refused: {reason}")
+            self._diagnose()
+
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if request.data:
-            self._loop.enable()
-        else:
-            self._loop.disable()
-        response.success = (self._loop.phase != Phase.IDLE) == request.data
-        response.message = f"phase {self._loop.phase.name} {self._loop.reason}".strip()
+        try:
+            if request.data:
+                self._loop.enable()
+            else:
+                self._loop.disable()
+            response.success = (self._loop.phase not in LIMP) if request.data else self._loop.phase in LIMP
+            response.message = f"phase {self._loop.phase.name} {self._loop.reason}".strip()
+        except StateError as error:
+            response.success, response.message = False, str(error)
         self._say()
         return response
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._loop.stop()
         response.success, response.message = True, f"phase {self._loop.phase.name}"
+        if (self._loop.phase, self._loop.reason) != self._said:
+            self._say()
         return response
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._loop.reset()
-        response.success = self._loop.phase == Phase.IDLE
-        response.message = f"phase {self._loop.phase.name} {self._loop.reason}".strip()
+        try:
+            self._loop.reset()
+            response.success = self._loop.phase == Phase.IDLE
+            response.message = f"phase {self._loop.phase.name} {self._loop.reason}".strip()
+        except StateError as error:
+            response.success, response.message = False, str(error)
         self._say()
         return response
 
     def _diagnose(self) -> None:
         loop, tick = self._loop, self._loop.tick
         bad = loop.phase in (Phase.FAULT, Phase.SAFE_STOP)
-        times = np.array(self._tick_times[-5000:]) if self._tick_times else np.array([math.nan])
-        self._tick_times = self._tick_times[-5000:]
+        times = np.array(self._tick_times) if self._tick_times else np.array([math.nan])
         x, y = tick.x_hat.tolist() if tick is not None else (math.nan, math.nan)
         values = {
             "phase": loop.phase.name, "reason": loop.reason, "law": self.values["law"],
@@ -282,8 +340,8 @@ class ControllerNode(DextarNode):
 
     def close(self) -> None:
         """A last word, and zero torque in answer to the last state."""
-        if self._stamp >= 0:
-            self._command_publisher.publish(self._commands_out.pack(self._stamp, (0.0, 0.0)))
+        self._checker.shutdown(wait=False, cancel_futures=True)
+        self._release()
         self._diagnose()
 
 

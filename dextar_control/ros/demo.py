@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import ctypes
 import os
 import random
 import signal
@@ -34,6 +35,7 @@ MODULES = {
     "controller": "dextar_control.ros.controller_node",
     "trajectory_server": "dextar_control.ros.trajectory_server",
 }
+PR_SET_PDEATHSIG = 1  # of Linux' prctl
 START_TIMEOUT = 180.0  # s: the first start on a machine compiles the core
 RUN_TIMEOUT = 20.0  # s beyond 20 times the trip's duration
 STOP_TIMEOUT = 15.0  # s until a node that does not end is killed
@@ -72,6 +74,15 @@ class _Monitor(Node):
             raise DemoError("the plant did not resume")
 
 
+def _end_with_parent() -> None:
+    """Have the kernel send SIGTERM to this process when the demo dies, however it dies."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _interrupt(number: int, _: object) -> None:
+    raise KeyboardInterrupt
+
+
 class _Processes:
     """The nodes' processes, their logs, and their end."""
 
@@ -84,6 +95,7 @@ class _Processes:
             self._processes[name] = subprocess.Popen(
                 [sys.executable, "-m", MODULES[name], "--ros-args", *arguments],
                 stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, start_new_session=True,
+                preexec_fn=_end_with_parent,
             )  # fmt: skip
 
     def check(self) -> None:
@@ -130,22 +142,32 @@ def run_demo(arguments: argparse.Namespace) -> int:
     os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(1, 100)))
     mode = "lockstep" if arguments.lockstep else "real time"
     console.print(f"law {arguments.law}, {mode}, ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}, into {folder}", highlight=False)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _interrupt)
+    troubles: list[str] = []
     with _monitor() as monitor, contextlib.ExitStack() as stack:
         processes = _Processes(folder)
         stack.callback(processes.stop_all)
         for name in MODULES:
             processes.start(name, settings[name])
         _wait_until_ready(console, monitor, processes)
-        monitor.resume()
-        _follow(console, monitor, processes)
-        codes = processes.stop_all()
-    failed = [f"{name} ended with exit code {code}: {processes.last_words(name)}" for name, code in codes.items() if code]
-    metrics = analyze(folder / "run.mcap")
+        try:
+            monitor.resume()
+            _follow(console, monitor, processes)
+        except DemoError as error:
+            troubles.append(str(error))
+        for name, code in processes.stop_all().items():
+            if code:
+                troubles.append(f"{name} ended with exit code {code}: {processes.last_words(name)}")
+    try:
+        metrics = analyze(folder / "run.mcap")
+    except BagError as error:
+        raise BagError("; ".join([*troubles, str(error)])) from error
     console.print(summary_table(metrics))
-    for line in failed:
+    for line in dict.fromkeys(troubles):
         console.print(line, style="bold", highlight=False)
     console.print(f"{folder}: run.mcap metrics.json figure.png", highlight=False)
-    return 0 if metrics.success and not failed else 1
+    return 0 if metrics.success and not troubles else 1
 
 
 def _node_arguments(arguments: argparse.Namespace, robot_file: Path) -> dict[str, list[str]]:

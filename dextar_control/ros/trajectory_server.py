@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -59,8 +61,13 @@ class TrajectoryServer(DextarNode):
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(GetPlan, "~/get_plan", self._on_get_plan)
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
+        self._stale = False
         self._waiting = self.values["autostart"]
         self.create_timer(AUTOSTART_PERIOD, self._autostart, clock=self.steady_clock)
+
+    def on_parameters(self, changes: Mapping[str, Any]) -> None:
+        """A changed task is planned again before it is served."""
+        self._stale = True
 
     def _autostart(self) -> None:
         """Serve the planned trip once there is a controller, which refuses what is older than itself."""
@@ -76,10 +83,12 @@ class TrajectoryServer(DextarNode):
         """
         values = self.values
         begin = time.perf_counter()
+        self._plan = None
         self._plan = plan_return_trip(
             self.robot, np.array(values["task.start"]), np.array(values["task.goal"]),
             values["duration"], values["dwell"], values["repeat"],
         )  # fmt: skip
+        self._stale = False
         text = "; ".join(self._plan.certificate.lines())
         self.get_logger().info(f"planned in {time.perf_counter() - begin:.2f} s: {text}")
         return text
@@ -98,8 +107,8 @@ class TrajectoryServer(DextarNode):
         Raises:
             DextarError: no plan, no controller that holds, or no way to the start off the locus.
         """
-        if self._plan is None:
-            raise TrajectoryError(f"there is no plan: {self._error}")
+        if self._plan is None or self._stale:
+            self._replan()
         age = time.monotonic() - self._controller_time
         if age > FRESH:
             raise TrajectoryError(f"no word of the controller on {DIAGNOSTICS.name} for {FRESH:.1f} s")
@@ -107,7 +116,7 @@ class TrajectoryServer(DextarNode):
         if phase != "HOLD":
             raise TrajectoryError(f"the controller is in phase {phase}; a trip starts from HOLD")
         robot = np.array([float(self._controller["x"]), float(self._controller["y"])])
-        start = np.array(self.values["task.start"])
+        start = self._plan.trajectory.at(0.0).x
         if not np.isfinite(robot).all():
             raise TrajectoryError("the controller has had no state yet")
         if float(np.hypot(*(robot - start))) < AT_START:
