@@ -79,8 +79,8 @@ class PlantNode(DextarNode):
         self._states = self.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
         self._true_platform = self.create_publisher(Odometry, SIM_END_EFFECTOR.name, qos(SIM_END_EFFECTOR))
         self._true_joints = self.create_publisher(JointState, SIM_JOINT_STATES.name, qos(SIM_JOINT_STATES))
-        self.create_subscription(JointState, JOINT_COMMANDS.name, self._on_command,
-                                 qos(JOINT_COMMANDS, reliable=self.lockstep), raw=True)  # fmt: skip
+        self._commands = self.create_subscription(JointState, JOINT_COMMANDS.name, self._on_command,
+                                                  qos(JOINT_COMMANDS, reliable=self.lockstep), raw=True)  # fmt: skip
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -168,7 +168,7 @@ class PlantNode(DextarNode):
             return
         self.counts["commands_received"] += 1
         answers = command.stamp == self._published
-        if not answers:
+        if not answers or self.sample_ready:
             self.counts["late_commands"] += 1
         if command.stamp < self._oldest or (self.lockstep and (self.answered or not answers)):
             return
@@ -177,9 +177,10 @@ class PlantNode(DextarNode):
         self.answered = self.answered or answers
 
     def _count_commanders(self) -> None:
-        self._commanders = self.count_publishers(JOINT_COMMANDS.name)
+        self._commanders = self.count_publishers(self._commands.topic_name)
         if self._commanders > 1:
             self._newest = None
+            self._delay.reset()
             self._hold.reset()
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

@@ -26,6 +26,7 @@ MAX_END_ERROR = 0.1e-3  # m, true, at the end
 TORQUE_RATIO = 1.3  # of the planned peak
 TORQUE_RATIO_NEAR = 1.0  # of the planned peak, within |s| < 0.1
 NEAR = 0.1
+AFTER = 0.2  # s of holding after the trip
 
 
 class Run(NamedTuple):
@@ -38,17 +39,17 @@ class Run(NamedTuple):
 
 
 def drive(
-    robot: RobotParameters, plan: Plan, law: Law = Law.CONSISTENT, resolution: int = RESOLUTION, extra: float = 0.2
+    robot: RobotParameters, plan: Plan, law: Law = Law.CONSISTENT, resolution: int = RESOLUTION, **changes: float
 ) -> Run:
     """plan -> estimate -> control -> plant, without ROS."""
     plant = Plant(robot)
     try:
         plant.reset(plan.trajectory.at(0.0).x)
         encoder = Encoder(1e-3, resolution=resolution, velocity_cutoff=100.0, position_noise=0.0, seed=0)
-        loop = ControlLoop(robot, default_settings(law=law), 1)
+        loop = ControlLoop(robot, default_settings(law=law, **changes), 1)
         loop.accept(plan.trajectory)
         rows, phases = [], []
-        for _ in range(round((plan.trajectory.duration + extra) * 1000)):
+        for _ in range(round((plan.trajectory.duration + AFTER) * 1000)):
             state = plant.state()
             tau = loop.step(state.time, encoder.read(state.q_a)[0])
             tick = loop.tick
@@ -118,9 +119,11 @@ def test_the_classic_law_fails_near_the_locus(robot: RobotParameters, trip: Plan
 
 
 def test_the_direct_model_alone_amplifies_what_the_hold_does_not(robot: RobotParameters, trip: Plan) -> None:
-    coarse = drive(robot, trip, resolution=2**13)
-    assert coarse.loop.phase == Phase.HOLD
-    assert coarse.error.max() < 1e-3
+    held = drive(robot, trip, resolution=2**13)
+    bare = drive(robot, trip, resolution=2**13, hold_zone=0.0, hold_width=0.0)
+    assert held.loop.phase == Phase.HOLD
+    assert held.error.max() < 1e-3
+    assert bare.loop.phase != Phase.HOLD or bare.error.max() > 2.0 * held.error.max()
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -67,7 +67,9 @@ class Metrics:
         peak_torque, planned_peak_torque, torque_ratio: commanded and planned over the trajectory.
         peak_torque_near, planned_peak_torque_near, torque_ratio_near: the same within |s| < 0.1;
             the ratio is to the planned peak of the whole trajectory.
-        saturated: commands at the torque limit while tracking.
+        saturated: commands at the torque limit while tracking; ``drive_saturated``: steps that the plant's
+            drives clipped, over its whole run.
+        truth_share: of the tracked ticks, those with a recorded truth.
         loop_rate: of the states while tracking on the system clock (not by their stamps), from their
             median period; ``mean_rate`` from the mean.
         states, answered, missed: recorded states while tracking, those with a command of their stamp, the others.
@@ -99,6 +101,8 @@ class Metrics:
     planned_peak_torque_near: float
     torque_ratio_near: float
     saturated: int
+    drive_saturated: int | None
+    truth_share: float
     loop_rate: float
     mean_rate: float
     states: int
@@ -158,6 +162,8 @@ def compute_metrics(run: Run) -> Metrics:
         "peak_torque_near": _peak(torque[near]),
         "planned_peak_torque_near": planned_near,
         "torque_ratio_near": _ratio(_peak(torque[near]), planned_peak),
+        "truth_share": float(np.isfinite(track.true_error).sum() / len(track.stamps)) if track else 0.0,
+        "drive_saturated": _whole(run.diagnostics.get("plant", {}).get("saturated_ticks")),
         "saturated": int((np.abs(torque) >= limit * SATURATED).any(axis=1).sum()),
         "loop_rate": float(1.0 / np.median(periods)) if len(periods) else math.nan,
         "mean_rate": float(1.0 / np.mean(periods)) if len(periods) else math.nan,

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 MAX_ERROR = 5.0e-3  # m, true, while tracking
 FINAL_ERROR = 1.0e-3  # m, true, at the end
+LEAST_TRUTH = 0.95  # share of the tracked ticks whose truth is recorded
 END_MARGIN = 0.02  # s that may be missing at the trajectory's end
 
 
@@ -38,6 +39,8 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
         reasons.append(f"tracking ended at {values['tracked_until']:.3f} s of {values['duration']:.3f} s")
     if values["saturated"]:
         reasons.append(f"{values['saturated']} commands were saturated; the limit is 0")
+    if values["drive_saturated"]:
+        reasons.append(f"the drives saturated in {values['drive_saturated']} steps; the limit is 0")
     broken = bool(reasons)
     for index, crossing in enumerate(values["crossings"], start=1):
         if crossing.crossed is False:
@@ -49,8 +52,11 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
         ("max_true_error", MAX_ERROR, "the largest true error"),
         ("final_true_error", FINAL_ERROR, "the true error at the end"),
     ):
-        if values[key] >= limit:
-            reasons.append(f"{name} is {1e3 * values[key]:.3f} mm; the limit is {1e3 * limit:g} mm")
+        if has_truth and not values[key] < limit:
+            found = f"{1e3 * values[key]:.3f} mm" if math.isfinite(values[key]) else "unknown"
+            reasons.append(f"{name} is {found}; the limit is {1e3 * limit:g} mm")
+    if has_truth and values["truth_share"] < LEAST_TRUTH:
+        reasons.append(f"only {values['truth_share']:.1%} of the ticks have a truth; {LEAST_TRUTH:.0%} are needed")
     if math.isnan(values["planned_peak_torque"]):
         reasons.append(f"the plan cannot be computed: {problem or 'no robot description or no trajectory in the bag'}")
         return Verdict(False if broken else None, reasons)

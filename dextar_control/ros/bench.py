@@ -27,6 +27,7 @@ from dextar_control.core.kinematics import inverse_model
 from dextar_control.core.loop import ControlLoop
 from dextar_control.core.planner import plan_return_trip
 from dextar_control.core.warmup import default_settings
+from dextar_control.ros.echo import STAMP
 from dextar_control.ros.messages import joint_states_template
 
 TURNS = 2  # the echo and the controller take turns
@@ -65,7 +66,7 @@ class _Pinger(Node):
     def __init__(self) -> None:
         super().__init__("bench_plant")
         self.round_trips: list[float] = []
-        self._sent = 0.0
+        self._sent: dict[bytes, float] = {}
         robot = load_robot(config_file(ROBOT_FILE))
         start = np.array(node_defaults("plant")["task.start"])
         self._values = [*inverse_model(ControlLoop(robot, default_settings(), 1).model, start).tolist(), 0.0, 0.0, 0.0, 0.0]
@@ -75,19 +76,21 @@ class _Pinger(Node):
             JointState, JOINT_COMMANDS.name, self._on_command, qos(JOINT_COMMANDS, reliable=False), raw=True
         )
 
-    def _on_command(self, _: bytes) -> None:
-        if self._sent:
-            self.round_trips.append(time.perf_counter() - self._sent)
-            self._sent = 0.0
+    def _on_command(self, raw: bytes) -> None:
+        now = time.perf_counter()
+        sent = self._sent.pop(bytes(raw[STAMP]), None)
+        if sent is not None:
+            self.round_trips.append(now - sent)
 
     def send(self) -> None:
         """One state, stamped now."""
-        self._sent = time.perf_counter()
-        self._publisher.publish(self._template.pack(time.time_ns(), self._values))
+        raw = self._template.pack(time.time_ns(), self._values)
+        self._sent[raw[STAMP]] = time.perf_counter()
+        self._publisher.publish(raw)
 
 
 def _round_trips(module: str, seconds: float) -> tuple[list[float], int]:
-    """Round trips against one process, s, and how many states stayed unanswered within their period."""
+    """Round trips against one process, s, and how many states were not answered within their period."""
     process = subprocess.Popen(
         [sys.executable, "-m", module, "--ros-args", "-p", "state_timeout:=10.0"],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL, start_new_session=True,
@@ -108,7 +111,7 @@ def _round_trips(module: str, seconds: float) -> tuple[list[float], int]:
             following = max(following + 1.0 / RATE, time.monotonic())
             _tick(pinger, executor, following)
             sent += 1
-        return list(pinger.round_trips), sent - len(pinger.round_trips)
+        return list(pinger.round_trips), sent - sum(trip < 1.0 / RATE for trip in pinger.round_trips)
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(timeout=10.0)

@@ -11,17 +11,24 @@ from dextar_control.contract.node import qos, run_node
 from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
 from dextar_control.ros.messages import joint_commands_template
 
+STAMP = slice(4, 12)  # of a message whose first field is a header, behind CDR's own four bytes
+
 
 class EchoNode(Node):
-    """Publishes its one command's bytes for each state, stamp and all unread."""
+    """Publishes one command's bytes for each state, with the stamp bytes of that state."""
 
     def __init__(self) -> None:
         super().__init__("controller")
         self.exit_code, self.finished = 0, False
-        command = joint_commands_template().pack(0, (0.0, 0.0))
+        head, tail = joint_commands_template().pack(0, (0.0, 0.0))[:4], joint_commands_template().pack(0, (0.0, 0.0))[12:]
         publisher = self.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
+
+        def answer(raw: bytes) -> None:
+            publisher.publish(head + raw[STAMP] + tail)
+
         self.create_subscription(
-            JointState, JOINT_STATES.name, lambda _: publisher.publish(command), qos(JOINT_STATES, reliable=False), raw=True
+            JointState, JOINT_STATES.name, answer,
+            qos(JOINT_STATES, reliable=False), raw=True,
         )  # fmt: skip
 
     def close(self) -> None:

@@ -109,6 +109,8 @@ class TrajectoryServer(DextarNode):
         """
         if self._plan is None or self._stale:
             self._replan()
+        if self._plan is None:
+            raise TrajectoryError("there is no plan")
         age = time.monotonic() - self._controller_time
         if age > FRESH:
             raise TrajectoryError(f"no word of the controller on {DIAGNOSTICS.name} for {FRESH:.1f} s")
