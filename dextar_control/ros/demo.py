@@ -102,7 +102,13 @@ class _Processes:
         for name, process in self._processes.items():
             code = process.poll()
             if code is not None:
-                raise DemoError(f"{name} ended with exit code {code}: {self.last_words(name)}")
+                raise DemoError(self.describe_end(name, code))
+
+    def describe_end(self, name: str, code: int) -> str:
+        """How a node ended, in words."""
+        if code < 0:
+            return f"{name} was killed by {signal.Signals(-code).name}"
+        return f"{name} ended with exit code {code}: {self.last_words(name)}"
 
     def last_words(self, name: str) -> str:
         lines = (self._folder / f"{name}.log").read_text(encoding="utf-8", errors="replace").strip().splitlines()
@@ -158,7 +164,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
             troubles.append(str(error))
         for name, code in processes.stop_all().items():
             if code:
-                troubles.append(f"{name} ended with exit code {code}: {processes.last_words(name)}")
+                troubles.append(processes.describe_end(name, code))
     try:
         metrics = analyze(folder / "run.mcap")
     except BagError as error:
