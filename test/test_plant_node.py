@@ -302,28 +302,15 @@ def test_realtime_applies_answers_and_falls_silent_with_the_commander(start: Cal
     assert int(commander.health["late_ticks"]) >= 1
 
 
-def test_second_commander_is_reported(start: Callable[..., Commander]) -> None:
-    commander = start(mode="lockstep")
+def test_two_commanders_get_no_torque_and_are_reported(start: Callable[..., Commander]) -> None:
+    commander = start(mode="realtime", command_delay="0.003")
+    commander.answer = lambda state: command(state, [1.0e-4, -1.0e-4])
+    commander.until(lambda: any(list(state.effort) == [1.0e-4, -1.0e-4] for state in commander.states))
     second = commander.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
     commander.until(lambda: commander.health.get("command_publishers") == "2")
     assert "2 publishers" in commander.health["message"]
-    commander.node.destroy_publisher(second)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "words"),
-    [
-        ({"window": "true"}, "DISPLAY"),
-        ({"mode": "fast"}, "one of realtime, lockstep"),
-        ({"task.start": "[0.0, 0.5]"}, "left motor axis"),
-        ({"colour": "3"}, "unknown parameter 'colour'"),
-    ],
-)
-def test_mistaken_parameter_is_one_sentence_and_exit_code_two(parameters: dict[str, str], words: str) -> None:
-    flags = [flag for name, value in parameters.items() for flag in ("-p", f"{name}:={value}")]
-    environment = {key: value for key, value in os.environ.items() if key != "DISPLAY"}
-    done = subprocess.run([sys.executable, "-m", "dextar_sim.node", "--ros-args", *flags], env=environment,
-                          capture_output=True, text=True, timeout=WAIT, check=False)  # fmt: skip
-    assert done.returncode == 2
-    assert words in done.stderr
-    assert "Traceback" not in done.stderr
+    seen = len(commander.states)
+    commander.until(lambda: len(commander.states) > seen + 50)
+    assert {tuple(state.effort) for state in commander.states[seen:]} == {(0.0, 0.0)}
+    commander.until(lambda: int(commander.health["commands_refused"]) > 0)
+    assert second is not None
