@@ -41,7 +41,6 @@ setup(
         "rich",
         "mcap>=1.6",
         "zstandard",
-        "mcap-ros2-support",
         "rosbags",
         # PyBullet's own wheels end at CPython 3.11; the fork is the same module with wheels for later ones.
         'pybullet; python_version < "3.12"',
@@ -49,7 +48,7 @@ setup(
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        "test": ["pytest", "hypothesis", "colcon-common-extensions", "colcon-ros"],
+        "test": ["pytest", "hypothesis", "mcap-ros2-support", "colcon-common-extensions", "colcon-ros"],
         "oracle": ["pin"],  # needs numpy 2, so it does not go with a Jazzy installation
         "lint": ["ruff", "mypy", "types-PyYAML"],
     },

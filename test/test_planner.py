@@ -17,7 +17,7 @@ from dextar_control.core.trajectory import Trajectory, quintic
 
 PLAN_RESIDUAL = 1e-9  # N
 RELATIVE = 1e-9  # two exact formulations in float64; 0.1 N m is the size of the planned torques
-LIMIT_AGREEMENT = 0.01  # of the planned torques just before and after the locus
+LIMIT_AGREEMENT = 1e-4  # just before and after the locus: the torque's slope makes 1e-5 of it over 2e-6 of s, rounding less
 
 
 def _torque_at(robot: RobotParameters, trajectory: Trajectory, crossing: float, s: float) -> np.ndarray:

@@ -9,12 +9,14 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dextar_control.analysis.geometry import active_joints, elbows, singularity_measure
+from dextar_control.analysis.geometry import active_joints, singularity_measure
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.run import Run
 from dextar_control.analysis.tracking import Tracked, plan_of, tracked
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.core.kinematics import elbows, inverse_geometric_model
+from dextar_control.core.model import make_model
 
 BLACK, GREY, LIGHT, ACCENT = "#000000", "#6b6b6b", "#b8b8b8", "#a3260f"
 LEGEND_ROOM = 0.22  # of an axis, kept free above its curves
@@ -122,9 +124,9 @@ def _locus(axes: Any, robot: RobotParameters) -> None:
 
 
 def _linkage(axes: Any, robot: RobotParameters, point: np.ndarray) -> None:
-    corners = elbows(robot, active_joints(robot, point))
-    half = 0.5 * robot.base_distance
-    chain = np.array([[-half, 0.0], corners[0], point, corners[1], [half, 0.0]])
+    model = make_model(robot)
+    left, right = elbows(model, inverse_geometric_model(model, point))
+    chain = np.array([model.base[0], left, point, right, model.base[1]])
     axes.plot(*chain.T, color=LIGHT, linewidth=2.5, marker="o", markersize=4, zorder=1)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dextar_control.analysis.bag import Bag, read_bag
+from dextar_control.analysis.bag import read_bag
 from dextar_control.analysis.run import Control, Criterion, Floats, Joints, Run, Served, Stamps, Truth
 from dextar_control.contract import topics
 from dextar_control.contract.errors import BagError, ParameterError
@@ -59,7 +59,7 @@ def load_run(path: str | Path) -> Run:
         criterion=_criterion(of(topics.CRITERION)),
         truth=_truth(of(topics.SIM_END_EFFECTOR), bag.timed(topics.SIM_JOINT_STATES.name, resolved)),
         trajectory=_trajectory(of(topics.TRAJECTORY)),
-        diagnostics=_diagnostics(bag, of(topics.DIAGNOSTICS)),
+        diagnostics=_diagnostics(of(topics.DIAGNOSTICS), _namespace(resolved)),
         parameters=parameters,
         robot=_robot(parameters),
         losses=losses,
@@ -167,15 +167,28 @@ def _trajectory(messages: Sequence[Any]) -> Served | None:
     return None
 
 
-def _diagnostics(bag: Bag, messages: Sequence[Any]) -> dict[str, dict[str, Any]]:
+def _namespace(resolved: dict[str, str]) -> str | None:
+    """The recorded robot's namespace ("" is the root) by a topic of its own; None when no name tells."""
+    for topic in (topics.JOINT_STATES, topics.JOINT_COMMANDS, topics.CONTROLLER_STATE, topics.CRITERION):
+        name = resolved.get(topic.name, "")
+        if name.endswith(f"/{topic.name}"):
+            return name.removesuffix(f"/{topic.name}")
+    return None
+
+
+def _diagnostics(messages: Sequence[Any], namespace: str | None) -> dict[str, dict[str, Any]]:
+    """Last status per node name, of that namespace's nodes alone when it is known."""
     last: dict[str, dict[str, Any]] = {}
     for message in messages:
         for status in message.status:
+            where, _, node = status.name.rpartition("/")
+            if namespace is not None and where != namespace:
+                continue
             values: dict[str, Any] = {entry.key: entry.value for entry in status.values}
             level = status.level
             values["level"] = level[0] if isinstance(level, (bytes, bytearray)) else int(level)
             values["message"] = status.message
-            last[status.name.rpartition("/")[2]] = values
+            last[node] = values
     return last
 
 

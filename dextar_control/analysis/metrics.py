@@ -14,9 +14,8 @@ from dextar_control.analysis.run import Floats, Phase, Run
 from dextar_control.analysis.tracking import Tracked, plan_of, tracked
 from dextar_control.analysis.verdict import Verdict, judge
 from dextar_control.contract.errors import DextarError
-from dextar_control.core.certificate import Certificate
+from dextar_control.core.certificate import NEAR_LOCUS, Certificate
 
-NEAR_LOCUS = 0.1  # |s| within which a torque counts as near the locus
 STEP_ZONE = 0.15  # |s| within which torque steps are looked for
 SETTLED = 0.02  # s before and after a planned crossing at which the sign of s is read
 SEARCH = 0.05  # s around a planned crossing in which the true one is looked for

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.core.loop import Phase as Phase
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
-
-
-class Phase(IntEnum):
-    """What the controller was doing, as the criterion topic numbers it."""
-
-    IDLE = 0
-    APPROACH = 1
-    HOLD = 2
-    TRACK = 3
-    CROSSING = 4
-    SAFE_STOP = 5
-    FAULT = 6
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,11 @@ class _Pinger(Node):
         if sent is not None:
             self.round_trips.append(now - sent)
 
+    def restart(self) -> None:
+        """Forget what was measured; answers still to come no longer count."""
+        self.round_trips.clear()
+        self._sent.clear()
+
     def send(self) -> None:
         """One state, stamped now."""
         raw = self._template.pack(time.time_ns(), self._values)
@@ -104,7 +109,7 @@ def _round_trips(module: str, seconds: float) -> tuple[list[float], int]:
             if process.poll() is not None or time.monotonic() > deadline:
                 raise DextarError(f"{module} did not answer within {START_TIMEOUT:.0f} s")
             _tick(pinger, executor, time.monotonic() + 1.0 / RATE)
-        pinger.round_trips.clear()
+        pinger.restart()
         end = time.monotonic() + seconds
         following = time.monotonic()
         while time.monotonic() < end:
