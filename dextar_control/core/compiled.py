@@ -1,7 +1,8 @@
 """The compiler behind the core: readable NumPy functions, compiled once by numba and cached.
 
 numba keys its cache by the file of the compiled function, not by what that function calls, so the
-cache folder carries a digest of all of the core's sources: no call ever runs stale code.
+cache folder carries a digest of all of the core's sources that hold compiled functions: no call ever
+runs stale code.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ _HERE = Path(__file__).resolve().parent
 def _cache_folder() -> Path:
     digest = hashlib.sha256()
     for source in sorted(_HERE.glob("*.py")):
-        digest.update(source.read_bytes())
+        text = source.read_bytes()
+        if b"njit" in text:
+            digest.update(text)
     name = f"numba-{digest.hexdigest()[:16]}"
     beside = _HERE / "__pycache__"
     if os.access(beside if beside.exists() else _HERE, os.W_OK):
