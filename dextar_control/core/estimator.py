@@ -1,139 +1,283 @@
-"""Platform position and velocity from the active joints alone, through the Type 2 locus.
+"""Estimators behind one interface: where the platform is, in which assembly mode, and how sure that is.
 
-Away from the locus the direct model gives the platform. Near it that amplifies any joint error along
-t_s and, at folded points, does not exist. The precautions:
-
-- the joint angles are filtered about the reference's own motion, which gives a velocity usable with a
-  quantised encoder without the lag of a plain filter;
-- inside the zone the direct model is not called: the strong direction of J_inv is corrected from the
-  joints, the weak one follows the reference;
-- after the zone the direct model takes over again over a time, on the assembly mode behind the crossing;
-- the direct model's root is clamped at zero, its branch is chosen by the assembly mode, which changes
-  only where the reference crosses: noise can flip neither.
+- ``plain``: the direct model everywhere.
+- ``dgm``: the paper's, the direct model with its precautions around the locus (``core.dgm``). It takes
+  the reference's assembly mode for the robot's: after a crossing it is not sure at all.
+- ``observer``: a filter over the Cartesian dynamics (``core.observer``); tells crossed from bounced.
+- ``external``: the observer fused with an external position measurement (``core.external``).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.core import dgm, observer
 from dextar_control.core.compiled import njit
-from dextar_control.core.kinematics import (
-    Kinematics,
-    direct_geometric_model,
-    inverse_geometric_model,
-    kinematics,
-    singular_vectors,
-)
-from dextar_control.core.law import smooth_step
-from dextar_control.core.model import Array, Model
-
-REFINEMENTS = 2  # Newton steps of the strong direction inside the zone
+from dextar_control.core.dgm import JointMemory
+from dextar_control.core.kinematics import kinematics, singularity, state_of_platform
+from dextar_control.core.law import CONFIDENCE, ESTIMATE, MODE_HAT, Q_HAT, Q_REF, S_REF, X_HAT, X_REF
+from dextar_control.core.model import Array, Model, make_model, pack, unpack
+from dextar_control.core.observer import BELIEF, CERTAIN, LOG_ODDS, MODE, STATES, SWAPS, Bank, Gauss, Noise, Passage
+from dextar_control.core.settings import Estimation, Settings
 
 
-class JointMemory(NamedTuple):
-    """The joint filter's state, changed in place."""
+class Pose(NamedTuple):
+    """An external measurement of the end effector."""
 
-    q: Array  # (2,) filtered angle, rad
-    q_dot: Array  # (2,) filtered velocity, rad/s
-    q_ref: Array  # (2,) reference at the last sample, rad
-    q_ref_dot: Array  # (2,) rad/s
-
-
-class Estimate(NamedTuple):
-    """Platform state."""
-
+    time: float  # when it was true, in the time of the samples, s
     x: Array  # (2,) m
-    x_dot: Array  # (2,) m/s
 
 
-@njit
-def wrap(angle: float) -> float:
-    """An angle difference in [-pi, pi), rad."""
-    return angle - 2.0 * np.pi * np.floor((angle + np.pi) / (2.0 * np.pi))
+class Estimator(Protocol):
+    """What the loop asks of an estimator; ``row`` is laid out as ``law.X_HAT`` and the following say.
 
-
-@njit
-def filter_joints(
-    memory: JointMemory, q_meas: Array, q_ref: Array, q_ref_dot: Array, dt: float, bandwidth: float
-) -> None:
-    """One step of a critically damped second-order tracker of q_meas - q_ref.
-
-    Args:
-        q_meas: (2,) rad, on any turn.
-        q_ref, q_ref_dot: (2,) of the reference now.
-        dt: since the last sample, s.
-        bandwidth: rad/s.
+    Attributes:
+        row: the estimate: x, x_dot, q_a, q_a_dot, assembly mode, confidence in it (0.5 to 1).
+        s: singularity measure of the estimate.
+        mode_known: whether the assembly mode is known well enough to begin a motion from.
+        note: the last complaint about an external measurement; empty when there is none.
     """
-    decay = np.exp(-bandwidth * dt)
-    for i in range(2):
-        error_dot = memory.q_dot[i] - memory.q_ref_dot[i]
-        predicted = memory.q[i] + wrap(q_ref[i] - memory.q_ref[i]) + dt * error_dot
-        innovation = wrap(q_meas[i] - predicted)
-        memory.q[i] = predicted + (1.0 - decay * decay) * innovation
-        memory.q_dot[i] = q_ref_dot[i] + error_dot + (1.0 - decay) ** 2 / dt * innovation
-        memory.q_ref[i] = q_ref[i]
-        memory.q_ref_dot[i] = q_ref_dot[i]
+
+    row: Array
+    s: float
+    mode_known: bool
+    note: str
+
+    def configure(self, settings: Settings) -> None:
+        """Take the settings that concern it, also while running."""
+
+    def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
+        """The robot rests at x (2,) with joints q_a (2,), in a known assembly mode."""
+
+    def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
+        """Somebody looked: the robot rests with joints q_a in this assembly mode."""
+
+    def rebase(self, q_a: Array) -> None:
+        """The reference is at rest at q_a (2,) from now on, without the robot having moved."""
+
+    def release(self, crossing: bool) -> None:
+        """There is no reference from now on; it ends while crossing or not."""
+
+    def track(self, dt: float, q_a: Array, tau: Array, reference: Array, zone: float, width: float) -> None:
+        """One sample while a law acts: joints q_a measured, tau acted since the last one, dt ago."""
+
+    def coast(self, dt: float, q_a: Array, tau: Array) -> None:
+        """One sample without a reference."""
+
+    def take_pose(self, pose: Pose, time: float) -> None:
+        """An external measurement that has arrived at ``time``; ignored by estimators without use for it."""
 
 
 @njit
-def held_estimate(model: Model, memory: JointMemory, reference: Kinematics) -> Estimate:
-    """The reference, corrected along the strong direction of J_inv so that the joints agree there."""
-    x = reference.x.copy()
-    x_dot = reference.x_dot.copy()
-    towards = np.array([-reference.A_r[0, 1], reference.A_r[0, 0]])
-    J = singular_vectors(reference.J_inv, towards)
-    for _ in range(REFINEMENTS):
-        q_a = inverse_geometric_model(model, x)
-        correction = (J.u1[0] * wrap(memory.q[0] - q_a[0]) + J.u1[1] * wrap(memory.q[1] - q_a[1])) / J.sigma1
-        x = x + correction * J.v1
-    kin = kinematics(model, inverse_geometric_model(model, x), x, x_dot)
-    J = singular_vectors(kin.J_inv, towards)
-    missing = memory.q_dot - kin.q_a_dot
-    x_dot = x_dot + (J.u1[0] * missing[0] + J.u1[1] * missing[1]) / J.sigma1 * J.v1
-    return Estimate(x, x_dot)
-
-
-@njit
-def direct_estimate(model: Model, memory: JointMemory, assembly_mode: float) -> Estimate:
-    """The direct model and its velocity, x_dot = J_inv^-1 q_a_dot."""
-    x = direct_geometric_model(model, memory.q, assembly_mode)
-    J = kinematics(model, memory.q, x, np.zeros(2)).J_inv
-    determinant = J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]
-    q_dot = memory.q_dot
-    x_dot = np.array(
-        [
-            (J[1, 1] * q_dot[0] - J[0, 1] * q_dot[1]) / determinant,
-            (-J[1, 0] * q_dot[0] + J[0, 0] * q_dot[1]) / determinant,
-        ]
+def _track_dgm(
+    packed: Array, memory: JointMemory, reference: Array, zone: float, width: float, time_outside: float,
+    time_return: float, bandwidth: float, dt: float, q_meas: Array, mode: float, row: Array,
+) -> float:  # fmt: skip
+    model = unpack(packed)
+    planned = kinematics(model, reference[Q_REF : Q_REF + 2], reference[X_REF : X_REF + 2], reference[X_REF + 2 : X_REF + 4])
+    dgm.filter_joints(memory, q_meas, planned.q_a, planned.q_a_dot, dt, bandwidth)
+    estimate = dgm.estimate_platform(
+        model, memory, planned, reference[S_REF], zone, width, time_outside, time_return, mode
     )
-    return Estimate(x, x_dot)
+    return _fill(model, memory, estimate.x, estimate.x_dot, row)
 
 
 @njit
-def estimate_platform(
-    model: Model, memory: JointMemory, reference: Kinematics, s_ref: float, zone: float, width: float,
-    time_outside: float, time_return: float, assembly_mode: float,
-) -> Estimate:  # fmt: skip
-    """Platform state (2,), (2,) from the filtered joints.
+def _coast_dgm(packed: Array, memory: JointMemory, bandwidth: float, dt: float, q_meas: Array, mode: float, row: Array) -> float:
+    model = unpack(packed)
+    dgm.filter_joints(memory, q_meas, memory.q_ref, np.zeros(2), dt, bandwidth)
+    memory.q_ref[:] = memory.q
+    estimate = dgm.direct_estimate(model, memory, mode)
+    return _fill(model, memory, estimate.x, estimate.x_dot, row)
 
-    Args:
-        reference: state of the reference now.
-        s_ref: its singularity measure.
-        zone: |s| below which the direct model is not called; 0 for the plain direct model.
-        width: of the transition outside the zone, in |s|.
-        time_outside: since the reference left the zone, s.
-        time_return: over which the direct model takes over again, s.
-        assembly_mode: sign of s.
-    """
-    trust = smooth_step(abs(s_ref), zone, zone + width) * smooth_step(time_outside, 0.0, time_return)
-    if zone <= 0.0:
-        trust = 1.0
-    if trust <= 0.0:
-        return held_estimate(model, memory, reference)
-    direct = direct_estimate(model, memory, assembly_mode)
-    if trust >= 1.0:
-        return direct
-    held = held_estimate(model, memory, reference)
-    return Estimate(held.x + trust * (direct.x - held.x), held.x_dot + trust * (direct.x_dot - held.x_dot))
+
+@njit
+def _fill(model: Model, memory: JointMemory, x: Array, x_dot: Array, row: Array) -> float:
+    row[X_HAT : X_HAT + 2] = x
+    row[X_HAT + 2 : X_HAT + 4] = x_dot
+    row[Q_HAT : Q_HAT + 2] = memory.q
+    row[Q_HAT + 2 : Q_HAT + 4] = memory.q_dot
+    return singularity(model, kinematics(model, memory.q, x, x_dot).A_r)
+
+
+class DirectEstimator:
+    """``dgm`` and, with ``held`` false, ``plain``."""
+
+    def __init__(self, robot: RobotParameters, settings: Settings, *, held: bool) -> None:
+        self._packed = pack(make_model(robot))
+        self._held = held
+        self._memory = JointMemory(np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2))
+        self._mode = 1.0
+        self._outside = np.inf
+        self.row = np.zeros(ESTIMATE)
+        self.s = np.nan
+        self.mode_known = True
+        self.note = ""
+        self.configure(settings)
+
+    def configure(self, settings: Settings) -> None:
+        """See ``Estimator``."""
+        self._bandwidth, self._return_time = settings.filter_bandwidth, settings.return_time
+        self._unknown = settings.hold_zone
+
+    def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
+        """See ``Estimator``."""
+        self._memory.q[:] = q_a
+        self._memory.q_dot[:] = 0.0
+        self.rebase(q_a)
+        self.tell_mode(assembly_mode, q_a)
+
+    def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
+        """See ``Estimator``."""
+        self._mode = float(assembly_mode)
+        self.row[MODE_HAT], self.row[CONFIDENCE] = self._mode, 1.0
+        self.mode_known = True
+
+    def rebase(self, q_a: Array) -> None:
+        """See ``Estimator``."""
+        self._memory.q_ref[:] = q_a
+        self._memory.q_ref_dot[:] = 0.0
+        self._outside = np.inf
+
+    def release(self, crossing: bool) -> None:
+        """See ``Estimator``."""
+        self.mode_known = self.mode_known and not crossing
+        self._memory.q_ref[:] = self._memory.q
+        self._memory.q_ref_dot[:] = 0.0
+
+    def track(self, dt: float, q_a: Array, tau: Array, reference: Array, zone: float, width: float) -> None:
+        """See ``Estimator``."""
+        s_ref = reference[S_REF]
+        if s_ref * self._mode < 0.0:  # the reference has crossed: the direct model's branch changes with it
+            self._mode = -self._mode
+            self.row[MODE_HAT], self.row[CONFIDENCE] = self._mode, 0.5
+        self.s = _track_dgm(
+            self._packed, self._memory, reference, zone if self._held else 0.0, width, self._outside,
+            self._return_time, self._bandwidth, dt, q_a, self._mode, self.row,
+        )  # fmt: skip
+        self._outside = self._outside + dt if abs(s_ref) > zone else 0.0
+
+    def coast(self, dt: float, q_a: Array, tau: Array) -> None:
+        """See ``Estimator``."""
+        self.s = _coast_dgm(self._packed, self._memory, self._bandwidth, dt, q_a, self._mode, self.row)
+        if not abs(self.s) >= self._unknown:
+            self.mode_known = False
+            self.row[CONFIDENCE] = 0.5
+
+    def take_pose(self, pose: Pose, time: float) -> None:
+        """See ``Estimator``."""
+
+
+@njit
+def _begin(packed: Array, noise: Noise, x: Array, main: Gauss) -> None:
+    observer.begin_at_rest(unpack(packed), noise, x, main)
+
+
+@njit
+def _observe(
+    packed: Array, noise: Noise, passage: Passage, bank: Bank, belief: Array, tau: Array, dt: float, q_meas: Array,
+    row: Array,
+) -> float:  # fmt: skip
+    model = unpack(packed)
+    observer.observe(model, noise, passage, bank, belief, tau, dt, q_meas)
+    return _row_of(model, bank.main, belief, row)
+
+
+@njit
+def _row_of(model: Model, main: Gauss, belief: Array, row: Array) -> float:
+    kin = state_of_platform(model, main.mean[0:2], main.mean[2:4])
+    row[X_HAT : X_HAT + 4] = main.mean[0:4]
+    for i in range(2):
+        row[Q_HAT + i] = kin.q_a[i] + main.mean[4 + i]
+    row[Q_HAT + 2 : Q_HAT + 4] = kin.q_a_dot
+    row[MODE_HAT] = belief[MODE]
+    odds = belief[LOG_ODDS]
+    if odds >= 0.0:
+        row[CONFIDENCE] = 1.0 / (1.0 + np.exp(-odds))
+    else:  # the image is the likelier one
+        row[MODE_HAT] = -belief[MODE]
+        row[CONFIDENCE] = 1.0 / (1.0 + np.exp(odds))
+    return singularity(model, kin.A_r)
+
+
+class ObserverEstimator:
+    """``observer``."""
+
+    def __init__(self, robot: RobotParameters, settings: Settings) -> None:
+        self._packed = pack(make_model(robot))
+        self._bank = Bank(*(Gauss(np.zeros(STATES), np.zeros((STATES, STATES))) for _ in range(3)))
+        self._belief = np.zeros(BELIEF)
+        self.row = np.zeros(ESTIMATE)
+        self.s = np.nan
+        self.note = ""
+        self.configure(settings)
+
+    def configure(self, settings: Settings) -> None:
+        """See ``Estimator``."""
+        self._noise = Noise(
+            settings.encoder_deviation, settings.bias_deviation, settings.bias_walk, settings.torque_deviation,
+            settings.acceleration_deviation,
+        )  # fmt: skip
+        tight = self._noise._replace(
+            encoder=settings.passage_encoder_deviation, torque=settings.passage_torque_deviation,
+            acceleration=settings.passage_acceleration_deviation,
+        )  # fmt: skip
+        self._passage = Passage(
+            settings.passage_armed, settings.passage_begin, settings.passage_log_odds, tight
+        )
+        self._sure = settings.verdict_confidence
+
+    @property
+    def mode_known(self) -> bool:
+        """See ``Estimator``."""
+        return bool(self.row[CONFIDENCE] >= self._sure)
+
+    @property
+    def swaps(self) -> int:
+        """How often the test has found the robot on the other side than believed."""
+        return int(self._belief[SWAPS])
+
+    @property
+    def bias(self) -> Array:
+        """b (2,), rad: the joint angles that the model's geometry does not explain."""
+        return self._bank.main.mean[4:6].copy()
+
+    def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
+        """See ``Estimator``."""
+        _begin(self._packed, self._noise, x, self._bank.main)
+        self._belief[:] = 0.0
+        self._belief[MODE], self._belief[LOG_ODDS] = float(assembly_mode), CERTAIN
+        self.row[MODE_HAT], self.row[CONFIDENCE] = float(assembly_mode), 1.0
+
+    def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
+        """See ``Estimator``."""
+        self.start(dgm.direct_geometric_model(unpack(self._packed), q_a, float(assembly_mode)), q_a, assembly_mode)
+
+    def rebase(self, q_a: Array) -> None:
+        """See ``Estimator``."""
+
+    def release(self, crossing: bool) -> None:
+        """See ``Estimator``."""
+
+    def track(self, dt: float, q_a: Array, tau: Array, reference: Array, zone: float, width: float) -> None:
+        """See ``Estimator``."""
+        self.coast(dt, q_a, tau)
+
+    def coast(self, dt: float, q_a: Array, tau: Array) -> None:
+        """See ``Estimator``."""
+        self.s = _observe(
+            self._packed, self._noise, self._passage, self._bank, self._belief, tau, dt, q_a, self.row
+        )
+
+    def take_pose(self, pose: Pose, time: float) -> None:
+        """See ``Estimator``."""
+
+
+def make_estimator(robot: RobotParameters, settings: Settings) -> Estimator:
+    """The estimator that the settings name."""
+    if settings.estimator in (Estimation.PLAIN, Estimation.DGM):
+        return DirectEstimator(robot, settings, held=settings.estimator is Estimation.DGM)
+    return ObserverEstimator(robot, settings)

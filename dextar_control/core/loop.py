@@ -6,7 +6,6 @@ It knows no ROS and no simulator; a rig, a node or a plain ``for`` calls it alik
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -16,11 +15,31 @@ from dextar_control.contract.errors import ParameterError, StateError, Trajector
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.core.certificate import Certificate, certify, check_rest
 from dextar_control.core.compiled import njit
-from dextar_control.core.dynamics import friction
-from dextar_control.core.estimator import JointMemory, direct_estimate, estimate_platform, filter_joints, wrap
-from dextar_control.core.kinematics import direct_model, kinematics, singular_values, singularity, state_of_platform
-from dextar_control.core.law import Law, enforce
-from dextar_control.core.model import Array, Model, make_model
+from dextar_control.core.dgm import wrap
+from dextar_control.core.estimator import Pose, make_estimator
+from dextar_control.core.kinematics import direct_model, singularity, state_of_platform
+from dextar_control.core.law import (
+    CONFIDENCE,
+    ERROR,
+    FINITE,
+    FORCE,
+    LAMBDA_REF,
+    MODE_HAT,
+    OUTPUT,
+    Q_REF,
+    REFERENCE,
+    S_REF,
+    SCALARS,
+    TAU,
+    X_HAT,
+    X_REF,
+    Gains,
+    U,
+    brake,
+    control,
+)
+from dextar_control.core.model import Array, make_model, pack, unpack
+from dextar_control.core.settings import Settings
 from dextar_control.core.trajectory import Trajectory, evaluate, hold
 
 
@@ -45,170 +64,74 @@ WATCH_DECAY = 0.25  # a torque that swings between its limits is watched too
 MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
 
-@dataclass(frozen=True)
-class Settings:
-    """Gains and limits of the loop; values stand in ``config/crossing.yaml``.
+class Verdict(IntEnum):
+    """What became of a planned crossing, as the estimator sees it."""
+
+    UNDECIDED = 0
+    CROSSED = 1
+    BOUNCED = 2
+
+
+class Passed(NamedTuple):
+    """One planned crossing and what the estimator made of it."""
+
+    planned_time: float  # since the trajectory's start, s
+    verdict: Verdict
+    confidence: float  # in the assembly mode that the verdict rests on, 0.5 to 1
+    time: float  # of the verdict, since the trajectory's start, s
+
+
+class Tick:
+    """Everything about one sample; arrays are (2,), copies of their own.
 
     Attributes:
-        law: enforcement of the criterion.
-        natural_frequency: of the tracking error, rad/s; K_p is its square.
-        damping_ratio: K_d = 2 damping_ratio natural_frequency.
-        integral_frequency: K_i = integral_frequency natural_frequency^2, 1/s; 0 is off.
-        filter_bandwidth: of the joint filter, rad/s.
-        zone, zone_width: |s| of the law's transition and its width.
-        hold_zone, hold_width: |s| of the estimator's, ``estimator.estimate_platform``.
-        return_time: over which the direct model takes over after a crossing, s.
-        friction_compensation: fraction of the modelled joint friction that is fed forward.
-        max_tracking_error: platform error that ends a motion in a safe stop, m.
-        max_start_distance: between the robot and a trajectory's start, m.
-        max_residual: of the criterion at a crossing of an accepted trajectory, N.
-        watch_ratio, watch_torque, watch_s, watch_time: torque above ratio x planned peak and above
-            watch_torque (N m) within |s| < watch_s for this long ends a motion in a safe stop: a robot
-            that bounced asks for it.
-        brake_gain: of the safe stop, N m s/rad.
-        brake_time: after which the safe stop's torque is gone, s.
+        time: of the state, s.
+        reference_time: since the trajectory's start, s.
+        phase: of the loop.
     """
 
-    law: Law
-    natural_frequency: float
-    damping_ratio: float
-    integral_frequency: float
-    filter_bandwidth: float
-    zone: float
-    zone_width: float
-    hold_zone: float
-    hold_width: float
-    return_time: float
-    friction_compensation: float
-    max_tracking_error: float
-    max_start_distance: float
-    max_residual: float
-    watch_ratio: float
-    watch_torque: float
-    watch_s: float
-    watch_time: float
-    brake_gain: float
-    brake_time: float
+    __slots__ = ("_estimate", "_output", "_reference", "phase", "reference_time", "time")
 
+    def __init__(
+        self, time: float, reference_time: float, phase: Phase, reference: Array, estimate: Array, output: Array
+    ) -> None:
+        self.time, self.reference_time, self.phase = time, reference_time, phase
+        self._reference, self._estimate, self._output = reference, estimate, output
 
-class _Gains(NamedTuple):
-    """What the compiled tick takes of the settings."""
-
-    K_p: float
-    K_d: float
-    K_i: float
-    bandwidth: float
-    zone: float
-    zone_width: float
-    return_time: float
-    friction_compensation: float
-    max_torque: float
-
-
-class Tick(NamedTuple):
-    """Everything about one sample; arrays are (2,)."""
-
-    time: float  # of the state, s
-    reference_time: float  # since the trajectory's start, s
-    phase: Phase
-    tau: Array  # N m
-    x_ref: Array
-    x_ref_dot: Array
-    x_ref_ddot: Array
-    x_hat: Array
-    x_hat_dot: Array
-    error: Array  # m
-    error_dot: Array  # m/s
-    u: Array  # m/s^2
-    force: Array  # J_inv^T tau, N
-    residual: float  # N
-    s: float
-    sigma_min: float
-    weight: float
-    assembly_mode: int
-
-
-_TAU, _X_REF, _X_HAT, _ERROR, _U, _FORCE, _SCALARS, _S_REF, _FINITE, _PEAK, _DISTANCE, _SIZE = (
-    0, 2, 8, 12, 16, 18, 20, 24, 26, 27, 28, 29,
-)  # fmt: skip
+    tau = property(lambda self: self._output[TAU : TAU + 2], doc="N m.")
+    x_ref = property(lambda self: self._reference[X_REF : X_REF + 2], doc="m.")
+    x_ref_dot = property(lambda self: self._reference[X_REF + 2 : X_REF + 4], doc="m/s.")
+    x_ref_ddot = property(lambda self: self._reference[X_REF + 4 : X_REF + 6], doc="m/s^2.")
+    x_hat = property(lambda self: self._estimate[X_HAT : X_HAT + 2], doc="m.")
+    x_hat_dot = property(lambda self: self._estimate[X_HAT + 2 : X_HAT + 4], doc="m/s.")
+    error = property(lambda self: self._output[ERROR : ERROR + 2], doc="x_ref - x_hat, m.")
+    error_dot = property(lambda self: self._output[ERROR + 2 : ERROR + 4], doc="m/s.")
+    u = property(lambda self: self._output[U : U + 2], doc="Auxiliary acceleration, m/s^2.")
+    force = property(lambda self: self._output[FORCE : FORCE + 2], doc="J_inv^T tau, N.")
+    residual = property(lambda self: float(self._output[SCALARS]), doc="t_s.w_d that u asks for, N.")
+    s = property(lambda self: float(self._output[SCALARS + 1]), doc="Singularity measure at the model's state.")
+    sigma_min = property(lambda self: float(self._output[SCALARS + 2]), doc="Of A_r over the distal length.")
+    weight = property(lambda self: float(self._output[SCALARS + 3]), doc="Of the feedback along the weak direction.")
+    assembly_mode = property(lambda self: int(self._estimate[MODE_HAT]), doc="Believed sign of s.")
+    confidence = property(lambda self: float(self._estimate[CONFIDENCE]), doc="In the assembly mode, 0.5 to 1.")
 
 
 @njit
-def _tick(
-    model: Model, gains: _Gains, memory: JointMemory, integral: Array,
-    knots: Array, origins: Array, coefficients: Array, plan_times: Array, plan_multipliers: Array,
-    reference_time: float, dt: float, q_meas: Array, time_outside: float, assembly_mode: float, law: int,
-    zone: float, width: float, out: Array,
+def _reference_at(
+    packed: Array, knots: Array, origins: Array, coefficients: Array, plan_times: Array, plan_multipliers: Array,
+    time: float, row: Array,
 ) -> None:  # fmt: skip
-    point = evaluate(knots, origins, coefficients, reference_time)
-    reference = state_of_platform(model, point[0], point[1])
-    s_ref = singularity(model, reference.A_r)
-    if s_ref * assembly_mode < 0.0:
-        assembly_mode = -assembly_mode  # the reference has crossed: the direct model's branch changes with it
-    filter_joints(memory, q_meas, reference.q_a, reference.q_a_dot, dt, gains.bandwidth)
-    estimate = estimate_platform(
-        model, memory, reference, s_ref, zone, width,
-        time_outside, gains.return_time, assembly_mode,
-    )  # fmt: skip
-    error = point[0] - estimate.x
-    error_dot = point[1] - estimate.x_dot
-    if abs(s_ref) > zone + width:
-        integral += dt * error
-    u = point[2] + gains.K_d * error_dot + gains.K_p * error + gains.K_i * integral
-    kin = state_of_platform(model, estimate.x, estimate.x_dot)
-    lambda_ref = np.array(
-        [
-            np.interp(reference_time, plan_times, plan_multipliers[:, 0]),
-            np.interp(reference_time, plan_times, plan_multipliers[:, 1]),
-        ]
-    )
-    enforced = enforce(model, kin, u, lambda_ref, law, gains.zone, gains.zone_width)
-    tau = enforced.tau + gains.friction_compensation * friction(model, reference.q_a_dot)
+    """The reference's row (``law.X_REF`` and following) at a time since the trajectory's start."""
+    model = unpack(packed)
+    point = evaluate(knots, origins, coefficients, time)
+    kin = state_of_platform(model, point[0], point[1])
+    for k in range(3):
+        row[X_REF + 2 * k : X_REF + 2 * k + 2] = point[k]
+    row[Q_REF : Q_REF + 2] = kin.q_a
+    row[Q_REF + 2 : Q_REF + 4] = kin.q_a_dot
+    row[S_REF] = singularity(model, kin.A_r)
     for i in range(2):
-        out[_TAU + i] = min(max(tau[i], -gains.max_torque), gains.max_torque) if np.isfinite(tau[i]) else np.nan
-        for row in range(3):
-            out[_X_REF + 2 * row + i] = point[row, i]
-        out[_X_HAT + i] = estimate.x[i]
-        out[_X_HAT + 2 + i] = estimate.x_dot[i]
-        out[_ERROR + i] = error[i]
-        out[_ERROR + 2 + i] = error_dot[i]
-        out[_U + i] = u[i]
-    for i in range(2):
-        out[_FORCE + i] = kin.J_inv[0, i] * out[_TAU] + kin.J_inv[1, i] * out[_TAU + 1]
-    out[_SCALARS] = enforced.residual
-    out[_SCALARS + 1] = enforced.s
-    out[_SCALARS + 2] = enforced.sigma_min
-    out[_SCALARS + 3] = enforced.weight
-    out[_S_REF] = s_ref
-    out[_S_REF + 1] = assembly_mode
-    out[_FINITE] = 1.0 if np.isfinite(out[:_S_REF]).all() else 0.0
-    out[_PEAK] = max(abs(out[_TAU]), abs(out[_TAU + 1]))
-    out[_DISTANCE] = np.hypot(error[0], error[1])
-
-
-@njit
-def _coast(
-    model: Model, memory: JointMemory, q_meas: Array, dt: float, bandwidth: float, assembly_mode: float,
-    gain: float, limit: float, out: Array,
-) -> None:  # fmt: skip
-    """A tick without a law: damping torque of the joints alone, the platform by the plain direct model."""
-    filter_joints(memory, q_meas, memory.q_ref, np.zeros(2), dt, bandwidth)
-    estimate = direct_estimate(model, memory, assembly_mode)
-    kin = kinematics(model, memory.q, estimate.x, estimate.x_dot)
-    out[:] = 0.0
-    for i in range(2):
-        out[_TAU + i] = min(max(-gain * memory.q_dot[i], -limit), limit)
-        out[_X_REF + i] = estimate.x[i]
-        out[_X_HAT + i] = estimate.x[i]
-        out[_X_HAT + 2 + i] = estimate.x_dot[i]
-    for i in range(2):
-        out[_FORCE + i] = kin.J_inv[0, i] * out[_TAU] + kin.J_inv[1, i] * out[_TAU + 1]
-    s = singularity(model, kin.A_r)
-    out[_SCALARS + 1] = s
-    out[_SCALARS + 2] = abs(singular_values(kin.A_r).sigma2) / np.sqrt(model.l2[0] * model.l2[1])
-    out[_S_REF] = s
-    out[_S_REF + 1] = assembly_mode
-    out[_FINITE] = 1.0 if np.isfinite(out[:_S_REF]).all() else 0.0
+        row[LAMBDA_REF + i] = np.interp(time, plan_times, plan_multipliers[:, i])
 
 
 class ControlLoop:
@@ -234,43 +157,57 @@ class ControlLoop:
         self.phase = Phase.HOLD if enabled else Phase.IDLE
         self.reason = ""
         self.refusal = ""
-        self.mode_known = True
         self.certificate: Certificate | None = None
+        self.passed: list[Passed] = []
         self.saturated_ticks = 0
         self.completed = 0
         self.tick: Tick | None = None
-        self._mode = float(assembly_mode)
-        self._out = np.zeros(_SIZE)
+        self.estimator = make_estimator(robot, settings)
+        self._assembly_mode = assembly_mode
+        self._packed = pack(self.model)
+        self._ref = np.zeros(REFERENCE)
+        self._out = np.zeros(OUTPUT)
+        self._tau = np.zeros(2)
         self._integral = np.zeros(2)
-        self._memory = JointMemory(np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2))
         self._time = math.nan
         self._start = 0.0
         self._pending: tuple[Trajectory, Certificate, float | None] | None = None
         self._watch = 0.0
-        self._outside = math.inf
+        self._near_limit = robot.max_torque
+        self._q_a = np.zeros(2)
         self._stop_time = 0.0
         self._stop_wanted = False
         self.configure(settings)
 
     def configure(self, settings: Settings) -> None:
-        """Take gains and limits, also while running.
+        """Take gains and limits, also while running; the estimator's kind stays.
 
         Raises:
-            ParameterError: the law's transition would reach the locus itself.
+            ParameterError: the law's transition would reach the locus itself, or the zones of the test of
+                crossed against bounced are not in order.
         """
         if settings.zone < 0.5 * settings.zone_width:
             raise ParameterError(
                 f"zone = {settings.zone} with zone_width = {settings.zone_width}: the transition would reach the locus;"
                 f" zone must be >= {0.5 * settings.zone_width}"
             )
+        if not settings.passage_armed < settings.passage_begin:
+            raise ParameterError(
+                f"passage_armed = {settings.passage_armed} with passage_begin = {settings.passage_begin}; it must be smaller"
+            )
         self.settings = settings
         self._law = int(settings.law)
         K_p = settings.natural_frequency**2
-        self._gains = _Gains(
+        self._gains = Gains(
             K_p, 2.0 * settings.damping_ratio * settings.natural_frequency, settings.integral_frequency * K_p,
-            settings.filter_bandwidth, settings.zone, settings.zone_width, settings.return_time,
-            settings.friction_compensation, self.robot.max_torque,
+            settings.zone, settings.zone_width, settings.friction_compensation,
         )  # fmt: skip
+        self.estimator.configure(settings)
+
+    @property
+    def mode_known(self) -> bool:
+        """Whether the side of the locus on which the robot stands is known well enough to begin a motion."""
+        return self.estimator.mode_known
 
     def check(self, trajectory: Trajectory) -> Certificate:
         """What ``accept`` checks of a trajectory by itself; may run beside the loop, in another thread.
@@ -368,7 +305,9 @@ class ControlLoop:
         """
         if self.phase not in LIMP:
             raise StateError(f"the assembly mode can be told in IDLE, SAFE_STOP or FAULT; the phase is {self.phase.name}")
-        self._mode, self.mode_known = float(assembly_mode), True
+        self._assembly_mode = assembly_mode
+        if not math.isnan(self._time):
+            self.estimator.tell_mode(assembly_mode, self._q_a)
 
     def reset(self) -> None:
         """From SAFE_STOP or FAULT to IDLE.
@@ -380,50 +319,47 @@ class ControlLoop:
         if self.phase in (Phase.SAFE_STOP, Phase.FAULT):
             if not self.mode_known:
                 raise StateError(
-                    f"the robot was within |s| < {self.settings.hold_zone} of the locus without control:"
+                    "the robot was near the locus without control, and the estimator cannot tell its side:"
                     " set assembly_mode to the side where it stands, then reset"
                 )
             self.phase, self.reason = Phase.IDLE, ""
 
     def _go_limp(self, phase: Phase, reason: str) -> None:
-        """Leave the reference: from now on the joints alone are watched, and damped in SAFE_STOP."""
-        if self.phase == Phase.CROSSING:
-            self.mode_known = False
+        """Leave the reference: from now on the robot is only watched, and damped in SAFE_STOP."""
+        self.estimator.release(self.phase == Phase.CROSSING)
         self.phase, self.reason, self._pending, self._stop_wanted = phase, reason, None, False
         self._stop_time = self._time
-        self._memory.q_ref[:] = self._memory.q
-        self._memory.q_ref_dot[:] = 0.0
 
     def _hold_at(self, x: Array) -> None:
         self._set_trajectory(hold(x, 1.0), np.array([0.0, 1.0]), np.zeros((2, 2)))
-        kin = state_of_platform(self.model, np.ascontiguousarray(x), np.zeros(2))
-        self._memory.q_ref[:] = kin.q_a
-        self._memory.q_ref_dot[:] = 0.0
+        self.estimator.rebase(state_of_platform(self.model, np.ascontiguousarray(x), np.zeros(2)).q_a)
         self._integral[:] = 0.0
-        self._outside = math.inf
 
     def _set_trajectory(self, trajectory: Trajectory, times: Array, multipliers: Array) -> None:
         self.trajectory = trajectory
+        self._duration = trajectory.duration
         self._reference = (trajectory.knots, trajectory.origins, trajectory.coefficients)
         self._plan = (np.ascontiguousarray(times), np.ascontiguousarray(multipliers))
 
     def _first(self, q_a: Array) -> None:
-        x = direct_model(self.model, q_a, int(self._mode))
+        x = direct_model(self.model, q_a, self._assembly_mode)
         kin = state_of_platform(self.model, x, np.zeros(2))
         if not np.hypot(*wrapped(kin.q_a - q_a)) < 1e-6:
             raise StateError(
-                f"active joints ({q_a[0]:.4f}, {q_a[1]:.4f}) rad with assembly mode {int(self._mode):+d} are not in"
+                f"active joints ({q_a[0]:.4f}, {q_a[1]:.4f}) rad with assembly mode {self._assembly_mode:+d} are not in"
                 f" working mode {self.robot.working_mode}"
             )
         s = abs(float(singularity(self.model, kin.A_r)))
         if self.phase == Phase.HOLD and s < MIN_HOLD_S:
             raise StateError(f"the robot stands at |s| = {s:.3f} of the locus; holding needs {MIN_HOLD_S}")
-        self._memory.q[:] = q_a
-        self._memory.q_dot[:] = 0.0
+        self.estimator.start(x, q_a, self._assembly_mode)
         self._hold_at(x)
 
-    def step(self, time: float, q_a: Array) -> Array:
+    def step(self, time: float, q_a: Array, pose: Pose | None = None) -> Array:
         """Torque (2,), N m, that answers the active joints q_a (2,), rad, sampled at ``time``, s.
+
+        Args:
+            pose: an external measurement that has arrived since the last sample; for the estimator ``external``.
 
         Raises:
             StateError: a number is not finite, time does not advance, or (first sample) the joints
@@ -440,21 +376,24 @@ class ControlLoop:
             dt = time - self._time
             if not dt > 0.0:
                 raise StateError(f"state at {time:.6f} s is not after the last one at {self._time:.6f} s")
-        self._time = time
+        self._time, self._q_a = time, q_a
         if self._pending is not None and (self._pending[2] is None or time >= self._pending[2]):
             self._begin(time, *self._pending)
         reference_time = 0.0
         if self.phase in MOVING:
             reference_time = time - self._start
-            if reference_time >= self.trajectory.duration:
+            if reference_time >= self._duration:
                 reference_time = self._end()
-        if self.phase not in LIMP:
-            self._servo(reference_time, dt, q_a)
+        if pose is not None:
+            self.estimator.take_pose(pose, time)
         if self.phase in LIMP:
-            self._coast(dt, q_a)
-        values = self._out.copy()
-        self._remember(reference_time, values)
-        return values[_TAU : _TAU + 2]
+            self.estimator.coast(dt, q_a, self._tau)
+            self._limp()
+        else:
+            self._servo(reference_time, dt, q_a)
+        self._tau = self._out[TAU : TAU + 2].copy()
+        self.tick = Tick(time, reference_time, self.phase, self._ref.copy(), self.estimator.row.copy(), self._out.copy())
+        return self._tau
 
     def _begin(self, time: float, trajectory: Trajectory, certificate: Certificate, start: float | None) -> None:
         self._pending = None
@@ -464,6 +403,8 @@ class ControlLoop:
             self.refusal = str(error)
             return
         self.certificate = certificate
+        self.passed = []
+        self._near_limit = self._limit_near(certificate)
         self._start = time if start is None else start
         self._set_trajectory(trajectory, certificate.profile.time, certificate.profile.multipliers)
         self._integral[:] = 0.0
@@ -472,83 +413,104 @@ class ControlLoop:
         self.saturated_ticks = 0
         self.phase = Phase.TRACK if len(certificate.crossing_times) else Phase.APPROACH
 
+    def _limit_near(self, certificate: Certificate) -> float:
+        """Torque limit near the locus, N m: what bounds a robot that bounced and is not yet known to have."""
+        watched = max(self.settings.watch_ratio * certificate.peak_torque, self.settings.watch_torque)
+        return min(self.robot.max_torque, watched)
+
     def _end(self) -> float:
         """The trajectory is over: hold its end, or stop where that was asked for during the crossing."""
         self.completed += 1
         self.phase = Phase.HOLD
-        self._hold_at(self.trajectory.at(self.trajectory.duration).x)
+        self._hold_at(self.trajectory.at(self._duration).x)
         if self._stop_wanted:
             self._go_limp(Phase.SAFE_STOP, self.reason)
         return 0.0
 
     def _servo(self, reference_time: float, dt: float, q_a: Array) -> None:
         """One tick of the law, and whether it may go on."""
-        settings, out = self.settings, self._out
+        settings, ref, out = self.settings, self._ref, self._out
         crossing = self.phase is Phase.TRACK or self.phase is Phase.CROSSING
         zone, width = (settings.hold_zone, settings.hold_width) if crossing else (REST_ZONE, REST_WIDTH)
-        if settings.law is Law.CLASSIC:
-            zone = 0.0
-        _tick(
-            self.model, self._gains, self._memory, self._integral, *self._reference, *self._plan,
-            reference_time, dt, q_a, self._outside, self._mode, self._law, zone, width, out,
-        )  # fmt: skip
-        self._mode = float(out[_S_REF + 1])
-        s_ref = abs(float(out[_S_REF]))
-        self._outside = self._outside + dt if s_ref > zone else 0.0
+        _reference_at(self._packed, *self._reference, *self._plan, reference_time, ref)
+        self.estimator.track(dt, q_a, self._tau, ref, zone, width)
+        s_ref = float(ref[S_REF])
+        limit = self.robot.max_torque
         if crossing:
-            near = s_ref < settings.hold_zone + settings.hold_width
+            near = abs(s_ref) < settings.hold_zone + settings.hold_width
             self.phase = Phase.CROSSING if near else Phase.TRACK
-        self._supervise(dt, s_ref, crossing)
+            if abs(s_ref) < settings.watch_s:
+                limit = self._near_limit
+        control(self._packed, self._gains, self._law, ref, self.estimator.row, self._integral, limit, dt, out)
+        self._supervise(dt, s_ref, crossing, limit)
+        if self.phase in LIMP:
+            self._limp()
 
-    def _supervise(self, dt: float, s_ref: float, crossing: bool) -> None:
+    def _supervise(self, dt: float, s_ref: float, crossing: bool, limit: float) -> None:
         settings, out = self.settings, self._out
-        if out[_FINITE] == 0.0:
+        if out[FINITE] == 0.0:
             self._go_limp(Phase.SAFE_STOP, "the law gave a number that is not finite")
             return
-        peak = float(out[_PEAK])
-        saturated = peak >= self.robot.max_torque
+        peak = max(abs(out[TAU]), abs(out[TAU + 1]))
+        saturated = peak >= limit
         self.saturated_ticks += saturated
         if self._stop_wanted and self.phase != Phase.CROSSING:
             self._go_limp(Phase.SAFE_STOP, self.reason)
             return
-        error = float(out[_DISTANCE])
+        error = math.hypot(out[ERROR], out[ERROR + 1])
         if error > settings.max_tracking_error:
             self._go_limp(Phase.SAFE_STOP, f"tracking error {error:.4f} m; the limit is {settings.max_tracking_error} m")
             return
-        if self.certificate is None or not crossing:
+        self._compare_sides(s_ref)
+        if not crossing or self.phase in LIMP:
             return
-        limit = max(settings.watch_ratio * self.certificate.peak_torque, settings.watch_torque)
-        watched = saturated or (s_ref < settings.watch_s and peak > limit)
-        self._watch = self._watch + dt if watched else max(self._watch - WATCH_DECAY * dt, 0.0)
+        self._watch = self._watch + dt if saturated else max(self._watch - WATCH_DECAY * dt, 0.0)
         if self._watch > settings.watch_time:
             self._go_limp(
                 Phase.SAFE_STOP,
                 f"torque {peak:.3f} N m for {1e3 * self._watch:.0f} ms; the limit is"
-                f" {min(limit, self.robot.max_torque):.3f} N m for {1e3 * settings.watch_time:.0f} ms",
+                f" {limit:.3f} N m for {1e3 * settings.watch_time:.0f} ms",
             )
 
-    def _coast(self, dt: float, q_a: Array) -> None:
+    def _compare_sides(self, s_ref: float) -> None:
+        """The believed assembly mode against the reference's, away from the locus: a verdict for each crossing."""
+        settings, row, s = self.settings, self.estimator.row, self.estimator.s
+        sure = abs(s) >= settings.passage_begin and row[CONFIDENCE] >= settings.verdict_confidence
+        if sure and abs(s_ref) >= settings.verdict_s and row[MODE_HAT] * s_ref < 0.0:
+            self._judge(Verdict.BOUNCED)
+            self._go_limp(
+                Phase.SAFE_STOP,
+                f"bounced: the robot is at s = {s:+.2f}, the reference at {s_ref:+.2f} (confidence {row[CONFIDENCE]:.3f})",
+            )
+            return
+        if self.certificate is None or len(self.passed) == len(self.certificate.crossing_times):
+            return
+        if self.phase not in (Phase.TRACK, Phase.CROSSING):
+            return
+        index = len(self.passed)
+        if self._time - self._start <= self.certificate.crossing_times[index]:
+            return
+        if sure and s_ref * self.certificate.crossing_signs[index] >= settings.verdict_s:
+            self._judge(Verdict.CROSSED)
+        elif self.phase is Phase.TRACK:
+            self._judge(Verdict.UNDECIDED)
+
+    def _judge(self, verdict: Verdict) -> None:
+        if self.certificate is not None and len(self.passed) < len(self.certificate.crossing_times):
+            time = self._time - self._start
+            planned = float(self.certificate.crossing_times[len(self.passed)])
+            self.passed.append(Passed(planned, verdict, float(self.estimator.row[CONFIDENCE]), time))
+
+    def _limp(self) -> None:
         """One tick without the law: damped in SAFE_STOP until its time is over, else without torque."""
-        settings, out = self.settings, self._out
+        settings, row, out = self.settings, self.estimator.row, self._out
         braking = self.phase is Phase.SAFE_STOP and self._time - self._stop_time <= settings.brake_time
-        gain = settings.brake_gain if braking else 0.0
-        _coast(
-            self.model, self._memory, q_a, dt, settings.filter_bandwidth, self._mode, gain, self.robot.max_torque, out
-        )
-        self._memory.q_ref[:] = self._memory.q
-        if not abs(out[_S_REF]) >= settings.hold_zone:
-            self.mode_known = False
-
-    def _remember(self, reference_time: float, out: Array) -> None:
-        def pair(offset: int) -> Array:
-            return out[offset : offset + 2]
-
-        self.tick = Tick(
-            self._time, reference_time, self.phase, pair(_TAU), pair(_X_REF), pair(_X_REF + 2), pair(_X_REF + 4),
-            pair(_X_HAT), pair(_X_HAT + 2), pair(_ERROR), pair(_ERROR + 2), pair(_U), pair(_FORCE),
-            float(out[_SCALARS]), float(out[_SCALARS + 1]), float(out[_SCALARS + 2]), float(out[_SCALARS + 3]),
-            int(out[_S_REF + 1]),
-        )  # fmt: skip
+        brake(self._packed, row, settings.brake_gain if braking else 0.0, self._near_limit, out)
+        if out[FINITE] == 0.0:
+            out[:FINITE] = 0.0
+        self._ref[:] = 0.0
+        self._ref[X_REF : X_REF + 2] = row[X_HAT : X_HAT + 2]
+        self._ref[S_REF] = self.estimator.s
 
 
 def wrapped(angles: Array) -> Array:

@@ -11,18 +11,15 @@ from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_fil
 from dextar_control.contract.robot import load_robot
 from dextar_control.core.dynamics import criterion_acceleration
 from dextar_control.core.kinematics import inverse_model, state_of_platform
-from dextar_control.core.law import Law
-from dextar_control.core.loop import ControlLoop, Settings
+from dextar_control.core.loop import ControlLoop
 from dextar_control.core.planner import plan_approach
+from dextar_control.core.settings import Estimation, Settings
 
 
 def default_settings(**changes: object) -> Settings:
     """The controller settings of ``config/crossing.yaml``, with changes."""
     values = node_defaults("controller", config_file(NODES_FILE))
-    values = {name: values[name] for name in Settings.__dataclass_fields__} | changes
-    if not isinstance(values["law"], Law):
-        values["law"] = Law[str(values["law"]).upper()]
-    return Settings(**values)
+    return Settings.from_values(values | changes)
 
 
 def warm_up() -> None:
