@@ -61,8 +61,9 @@ def load(client: int, robot: RobotParameters, substep: float, window: bool) -> L
                          maxJointVelocity=_SPEED_CLAMP, physicsClientId=client)  # fmt: skip
     p.setJointMotorControlArray(body, joints, p.VELOCITY_CONTROL, forces=[0.0] * 4, physicsClientId=client)
     p.setGravity(*robot.gravity, 0.0, physicsClientId=client)
-    p.setPhysicsEngineParameter(fixedTimeStep=substep, numSubSteps=0, numSolverIterations=_ITERATIONS, erp=_ERP,
-                                solverResidualThreshold=_RESIDUAL, physicsClientId=client)  # fmt: skip
+    p.setPhysicsEngineParameter(numSolverIterations=_ITERATIONS, erp=_ERP, solverResidualThreshold=_RESIDUAL,
+                                physicsClientId=client)  # fmt: skip
+    set_step(client, substep)
     left, right = (
         [leg.distal_length - distal_body(leg, robot.end_effector_mass)[1], 0.0, 0.0] for leg in robot.legs
     )
@@ -72,3 +73,8 @@ def load(client: int, robot: RobotParameters, substep: float, window: bool) -> L
         p.configureDebugVisualizer(p.COV_ENABLE_GUI, 0, physicsClientId=client)
         p.resetDebugVisualizerCamera(0.35, 0.0, -89.9, [0.0, 0.05, 0.0], physicsClientId=client)
     return Loop(body, joints)
+
+
+def set_step(client: int, duration: float, parts: int = 0) -> None:
+    """What one ``stepSimulation`` advances: a duration (s), in that many equal parts where there are any."""
+    p.setPhysicsEngineParameter(fixedTimeStep=duration, numSubSteps=parts, physicsClientId=client)
