@@ -27,13 +27,18 @@ from dextar_sim import geometry
 from dextar_sim.state import PlantState, check_steps, plant_state, saturated
 
 _LEAST_SINE = 0.01
-"""|sin| of an elbow angle below which the motion is not followed: at 40 rad/s a leg turns by this in one substep."""
+"""|sin| of an elbow angle below which the motion is not followed: at 40 rad/s a joint turns by this in 0.25 ms."""
+
+Pair = tuple[float, float]
+Row = tuple[float, ...]
 
 _compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
 
 
 @_compiled
-def _elbow(x, y, base, proximal, distal, side):  # type: ignore[no-untyped-def]
+def _elbow(
+    x: float, y: float, base: float, proximal: float, distal: float, side: float
+) -> tuple[float, float, float, float]:
     """cos and sin of theta_1 and theta_2 with the elbow on a side of the line base -> (x, y); nan out of reach."""
     dx = x - base
     square = dx * dx + y * y
@@ -44,19 +49,21 @@ def _elbow(x, y, base, proximal, distal, side):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def _acceleration(x, y, vx, vy, motors, push_x, push_y, legs, shared):  # type: ignore[no-untyped-def]
+def _acceleration(
+    x: float, y: float, vx: float, vy: float, motors: Pair, push: Pair, legs: tuple[Row, Row], shared: Row
+) -> tuple[float, float, float]:
     """Platform acceleration (m/s^2) and the smaller |sin delta|.
 
     Args:
         x, y, vx, vy: of the end effector, m and m/s.
         motors: torques before friction, N m.
-        push_x, push_y: force on the end effector, N.
+        push: force on the end effector, N.
         legs: a row for each leg as ``_leg_row`` makes it.
         shared: end effector mass, gravity x, gravity y, coulomb speed.
     """
     mass, gx, gy, coulomb_speed = shared
     m_xx, m_xy, m_yy = mass, 0.0, mass
-    f_x, f_y = push_x + mass * gx, push_y + mass * gy
+    f_x, f_y = push[0] + mass * gx, push[1] + mass * gy
     least = 1.0
     for i in range(2):
         base, side, l1, m1, c1, i1, l2, m2, c2, i2, viscous, coulomb = legs[i]
@@ -97,7 +104,10 @@ def _acceleration(x, y, vx, vy, motors, push_x, push_y, legs, shared):  # type: 
 
 
 @_compiled
-def _advance(platform, joints, joints_dot, first, last, late, push, substep, substeps, legs, shared):  # type: ignore[no-untyped-def]
+def _advance(
+    platform: np.ndarray, joints: np.ndarray, joints_dot: np.ndarray, first: Pair, last: Pair, late: int, blow: Pair,
+    substep: float, substeps: int, legs: tuple[Row, Row], shared: Row,
+) -> float:  # fmt: skip
     """Runge-Kutta steps of fourth order over one period, in place; the smallest |sin delta| met, nan when lost.
 
     Args:
@@ -105,7 +115,7 @@ def _advance(platform, joints, joints_dot, first, last, late, push, substep, sub
         joints, joints_dot: q11, q12, q21, q22, rad and rad/s, shape (4,).
         first, last: motor torques of the first ``late`` substeps and of the others, N m.
         late: substeps.
-        push: force on the end effector over the first substep, N.
+        blow: force on the end effector over the first substep, N.
         substep: s.
         substeps: how many.
         legs, shared: of ``_acceleration``.
@@ -115,20 +125,21 @@ def _advance(platform, joints, joints_dot, first, last, late, push, substep, sub
     least = 1.0
     for index in range(substeps):
         motors = first if index < late else last
-        px, py = push if index == 0 else (0.0, 0.0)
-        ax1, ay1, sine = _acceleration(x, y, vx, vy, motors, px, py, legs, shared)
+        push = blow if index == 0 else (0.0, 0.0)
+        ax1, ay1, sine_1 = _acceleration(x, y, vx, vy, motors, push, legs, shared)
         vx2, vy2 = vx + half * ax1, vy + half * ay1
-        ax2, ay2, _ = _acceleration(x + half * vx, y + half * vy, vx2, vy2, motors, px, py, legs, shared)
+        ax2, ay2, sine_2 = _acceleration(x + half * vx, y + half * vy, vx2, vy2, motors, push, legs, shared)
         vx3, vy3 = vx + half * ax2, vy + half * ay2
-        ax3, ay3, _ = _acceleration(x + half * vx2, y + half * vy2, vx3, vy3, motors, px, py, legs, shared)
+        ax3, ay3, sine_3 = _acceleration(x + half * vx2, y + half * vy2, vx3, vy3, motors, push, legs, shared)
         vx4, vy4 = vx + h * ax3, vy + h * ay3
-        ax4, ay4, _ = _acceleration(x + h * vx3, y + h * vy3, vx4, vy4, motors, px, py, legs, shared)
+        ax4, ay4, sine_4 = _acceleration(x + h * vx3, y + h * vy3, vx4, vy4, motors, push, legs, shared)
         x += h / 6.0 * (vx + 2.0 * (vx2 + vx3) + vx4)
         y += h / 6.0 * (vy + 2.0 * (vy2 + vy3) + vy4)
         vx += h / 6.0 * (ax1 + 2.0 * (ax2 + ax3) + ax4)
         vy += h / 6.0 * (ay1 + 2.0 * (ay2 + ay3) + ay4)
-        if not sine >= least:
-            least = sine
+        for sine in (sine_1, sine_2, sine_3, sine_4):
+            if not sine >= least:
+                least = sine
     platform[0], platform[1], platform[2], platform[3] = x, y, vx, vy
     for i in range(2):
         base, side, l1, l2 = legs[i][0], legs[i][1], legs[i][2], legs[i][6]

@@ -14,6 +14,7 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_sim import geometry, world
 from dextar_sim.state import PlantState, check_steps, plant_state, saturated
 
+
 class Plant:
     """Two 2R legs and one point-to-point constraint at the end effector, headless by default.
 
@@ -49,9 +50,8 @@ class Plant:
         self._substep = period / substeps
         if window and not os.environ.get("DISPLAY"):
             raise ParameterError("window = true needs a display; DISPLAY is not set")
-        self._client = p.connect(p.GUI if window else p.DIRECT)
-        if self._client < 0:
-            raise ParameterError("PyBullet refused a connection" + (" with a window" if window else ""))
+        self._window = window
+        self._client = world.connect(window)
         self._bases = geometry.bases(robot)
         self._friction = [(leg.viscous_friction, leg.coulomb_friction) for leg in robot.legs]
         self._has_friction = any(any(pair) for pair in self._friction)
@@ -138,21 +138,29 @@ class Plant:
         return np.array(net)
 
     def _step_each(self, first: tuple[float, float], last: tuple[float, float], late: int) -> None:
-        """One call of PyBullet for each substep, the first ``late`` of them under another torque."""
+        """One call of PyBullet for each substep, the first ``late`` of them under another torque.
+
+        Friction is viscous q_dot + coulomb tanh(q_dot / coulomb_speed), N m.
+        """
         if self._divided:
             self._divide(False)
         client, body, active = self._client, self._body, self._active
         if self._impulse is not None:
             self._strike(self._impulse)
             self._impulse = None
-        left_rate, right_rate = self._joints_dot[0], self._joints_dot[2]
+        (left_viscous, left_coulomb), (right_viscous, right_coulomb) = self._friction
+        speed, tanh = self.robot.coulomb_speed, math.tanh
+        left, right = self._joints_dot[0], self._joints_dot[2]
         for substep in range(self.substeps):
             net = first if substep < late else last
             if self._has_friction:
                 if substep:
                     moving = p.getJointStates(body, active, client)
-                    left_rate, right_rate = moving[0][1], moving[1][1]
-                net = net[0] - self._drag(0, left_rate), net[1] - self._drag(1, right_rate)
+                    left, right = moving[0][1], moving[1][1]
+                net = (
+                    net[0] - left_viscous * left - left_coulomb * tanh(left / speed),
+                    net[1] - right_viscous * right - right_coulomb * tanh(right / speed),
+                )
             p.setJointMotorControlArray(body, active, p.TORQUE_CONTROL, forces=net, physicsClientId=client)
             p.stepSimulation(client)
 
@@ -163,11 +171,6 @@ class Plant:
             world.set_step(self._client, self.period, self.substeps)
         else:
             world.set_step(self._client, self._substep)
-
-    def _drag(self, joint: int, rate: float) -> float:
-        """Friction torque of an active joint: viscous q_dot + coulomb tanh(q_dot / coulomb_speed), N m."""
-        viscous, coulomb = self._friction[joint]
-        return viscous * rate + coulomb * math.tanh(rate / self.robot.coulomb_speed)
 
     def _strike(self, impulse: tuple[float, float]) -> None:
         """Half of the impulse on each tip, as a force over the coming substep."""
@@ -205,6 +208,6 @@ class Plant:
 
     def close(self) -> None:
         """Leave PyBullet; harmless when repeated."""
-        if self._client >= 0 and p.isConnected(self._client):
-            p.disconnect(self._client)
+        if self._client >= 0:
+            world.release(self._client, self._window)
         self._client = -1

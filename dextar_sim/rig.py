@@ -1,15 +1,14 @@
 """A rig in a plain loop: a plant and everything that stands between it and its controller. No ROS here.
 
-    rig.reset(start)
-    while rig.time < duration:
-        sample = rig.read()
-        rig.write(None if sample is None else controller(sample))
+After a reset, again and again: ``sample = rig.read()``, then ``rig.write(torque)`` with the controller's answer,
+or None where the sample was lost.
 """
 
 from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -115,9 +114,10 @@ class Rig:
         self._loss, self._jitter = sample_loss, jitter * substeps
         seeds = [int(word) for word in np.random.SeedSequence(seed).generate_state(4)]
         self._seeds = seeds
-        self._encoder_options = {"resolution": encoder_resolution, "position_noise": position_noise, "seed": seeds[0]}
-        self._pose_options = {"rate": pose_rate, "delay": pose_delay, "noise": pose_noise, "dropout": pose_dropout,
-                              "outages": pose_outages, "seed": seeds[1]}  # fmt: skip
+        self._new_encoder = partial(Encoder, period, resolution=encoder_resolution, position_noise=position_noise,
+                                    seed=seeds[0])  # fmt: skip
+        self._new_camera = partial(PoseSensor, period, rate=pose_rate, delay=pose_delay, noise=pose_noise,
+                                   dropout=pose_dropout, outages=pose_outages, seed=seeds[1])  # fmt: skip
         self._delay: CommandDelay[Command] = CommandDelay(round(command_delay / period))
         self._delay_ns = self._delay.periods * self._period_ns
         self._timeout = round(_NANOSECONDS * command_timeout)
@@ -126,8 +126,7 @@ class Rig:
 
     def _begin(self) -> None:
         """All between plant and controller as new, and the first sample."""
-        self._encoder = Encoder(self.period, **self._encoder_options)
-        self._camera = PoseSensor(self.period, **self._pose_options)
+        self._encoder, self._camera = self._new_encoder(), self._new_camera()
         self._delay.reset()
         self._hold = CommandHold(self._timeout, self.plant.max_torque)
         self._losses, self._lateness = random.Random(self._seeds[2]), random.Random(self._seeds[3])
@@ -180,9 +179,9 @@ class Rig:
     def _measure(self) -> None:
         state = self.plant.state()
         if self._has_pose:
-            arrived = self._camera.sense(self._index, state.x)
+            arrived = self._camera.sense(self._index, state.x.tolist())
             if arrived is not None:
-                self._pose = Pose(arrived.index * self.period, np.array(arrived.x))
+                self._pose = Pose(arrived.sample * self.period, np.array(arrived.x))
         q_a = self._encoder.position(state.q_a.tolist())
         if self._loss and self._losses.random() < self._loss:
             self.samples_lost += 1

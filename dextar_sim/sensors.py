@@ -107,11 +107,11 @@ class Measurement(NamedTuple):
     """An external measurement of the end effector.
 
     Attributes:
-        index: of the sample at which it was true.
+        sample: number of the one at which it was true.
         x: measured position, m.
     """
 
-    index: int
+    sample: int
     x: tuple[float, float]
 
 
@@ -171,28 +171,28 @@ class PoseSensor:
         self._exposures = 0
         self._due = 0
 
-    def sense(self, index: int, x: Sequence[float]) -> Measurement | None:
+    def sense(self, sample: int, x: Sequence[float]) -> Measurement | None:
         """Look at one sample, and hand out the measurement that arrives with it.
 
         Args:
-            index: of the sample, one more at each call.
+            sample: its number, one more at each call.
             x: true end effector position then, m, shape (2,).
         """
         if self._first is None:
-            self._first = index
-            self._due = index if self._interval < math.inf else sys.maxsize
-        if index >= self._due:
-            self._expose(index, index - self._first, x)
+            self._first = sample
+            self._due = sample if self._interval < math.inf else sys.maxsize
+        if sample >= self._due:
+            self._expose(sample, sample - self._first, x)
         line = self._line
-        return line.popleft() if line and index >= line[0].index + self._latency else None
+        return line.popleft() if line and sample >= line[0].sample + self._latency else None
 
-    def _expose(self, index: int, age: int, x: Sequence[float]) -> None:
+    def _expose(self, sample: int, age: int, x: Sequence[float]) -> None:
         self._exposures += 1
-        self._due = index - age + math.ceil(self._exposures * self._interval - _ROUNDING)
+        self._due = sample - age + math.ceil(self._exposures * self._interval - _ROUNDING)
         noise = self._noise * self._random.standard_normal(2)
         lost = self._random.random() < self._dropout
         if not lost and not any(begin <= age < end for begin, end in self._outages):
-            self._line.append(Measurement(index, (float(x[0] + noise[0]), float(x[1] + noise[1]))))
+            self._line.append(Measurement(sample, (float(x[0] + noise[0]), float(x[1] + noise[1]))))
 
 
 class CommandDelay(Generic[Item]):
