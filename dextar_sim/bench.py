@@ -15,6 +15,7 @@ import pybullet as p
 
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
+from dextar_sim import world
 from dextar_sim.plant import Plant
 
 ROUNDS = 20
@@ -35,6 +36,7 @@ def measure() -> dict[str, dict[str, float]]:
     values = node_defaults("plant", config_file(NODES_FILE))
     robot = load_robot(config_file(ROBOT_FILE))
     ours, bare = (Plant(robot, period=values["task.sample_period"], substeps=values["substeps"]) for _ in range(2))
+    world.set_step(bare._client, bare.period / bare.substeps)
     torque = [1e-3, -1e-3]
 
     def raw() -> None:

@@ -133,11 +133,13 @@ def joints_dot_at(robot: RobotParameters, joints: Sequence[float], x_dot: Sequen
     return rates
 
 
-def tip(leg: LegParameters, base: Point, joints: Sequence[float], joints_dot: Sequence[float]) -> tuple[float, ...]:
+def tip(
+    leg: LegParameters, base: Point, joints: Sequence[float], joints_dot: Sequence[float]
+) -> tuple[float, float, float, float]:
     """Position (m) and velocity (m/s) of a distal tip: x, y, x_dot, y_dot."""
     l1, l2 = leg.proximal_length, leg.distal_length
-    q, total = joints[0], joints[0] + joints[1]
-    rate, total_rate = joints_dot[0], joints_dot[0] + joints_dot[1]
+    q, rate = joints[0], joints_dot[0]
+    total, total_rate = q + joints[1], rate + joints_dot[1]
     cos_1, sin_1, cos_2, sin_2 = math.cos(q), math.sin(q), math.cos(total), math.sin(total)
     return (
         base[0] + l1 * cos_1 + l2 * cos_2,

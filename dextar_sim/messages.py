@@ -16,8 +16,8 @@ from dextar_control.contract.cdr import CdrTemplate, from_time
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import JOINT_NAMES, SIM_JOINT_NAMES
 from dextar_control.contract.topics import BASE_FRAME, END_EFFECTOR_NAME, JOINT_COMMANDS
-from dextar_sim.plant import PlantState
 from dextar_sim.sensors import Command
+from dextar_sim.state import PlantState
 
 
 def joint_state(stamp: Time, names: Sequence[str], values: Sequence[float]) -> JointState:

@@ -5,38 +5,14 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import pybullet as p
 
-from dextar_control.contract.errors import ParameterError, StateError
+from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import RobotParameters
 from dextar_sim import geometry, world
-
-_FRICTION_STABILITY = 1.0
-"""Share of a joint's speed that friction may take away in one substep; beyond 2 it would swing up."""
-
-
-class PlantState(NamedTuple):
-    """True state of the plant.
-
-    Attributes:
-        time: steps taken times the period, s.
-        q_a, q_a_dot: active joints q11, q21, rad and rad/s, shape (2,).
-        joints, joints_dot: q11, q12, q21, q22, passive joints relative to their proximal link, shape (4,).
-        x, x_dot: end effector (mean of both distal tips), m and m/s, shape (2,).
-        loop_gap: distance of the distal tips, m.
-    """
-
-    time: float
-    q_a: np.ndarray  # (2,)
-    q_a_dot: np.ndarray  # (2,)
-    joints: np.ndarray  # (4,)
-    joints_dot: np.ndarray  # (4,)
-    x: np.ndarray  # (2,)
-    x_dot: np.ndarray  # (2,)
-    loop_gap: float
+from dextar_sim.state import PlantState, check_steps, plant_state, saturated
 
 
 class Plant:
@@ -66,46 +42,27 @@ class Plant:
         window: bool = False,
         max_torque: float | None = None,
     ) -> None:
-        if not (period > 0.0 and math.isfinite(period)):
-            raise ParameterError(f"period = {period} s; it must be > 0")
-        if substeps < 1:
-            raise ParameterError(f"substeps = {substeps}; it must be >= 1")
+        check_steps(robot, period, substeps)
         self.robot = robot
         self.period = period
         self.substeps = substeps
         self.max_torque = robot.max_torque if max_torque is None else max_torque
         self._substep = period / substeps
-        self._check_friction()
         if window and not os.environ.get("DISPLAY"):
             raise ParameterError("window = true needs a display; DISPLAY is not set")
-        self._client = p.connect(p.GUI if window else p.DIRECT)
-        if self._client < 0:
-            raise ParameterError("PyBullet refused a connection" + (" with a window" if window else ""))
+        self._window = window
+        self._client = world.connect(window)
         self._bases = geometry.bases(robot)
         self._friction = [(leg.viscous_friction, leg.coulomb_friction) for leg in robot.legs]
         self._has_friction = any(any(pair) for pair in self._friction)
+        self._divisible = substeps & (substeps - 1) == 0 and not self._has_friction
+        self._divided = False
         self._steps = 0
         self._impulse: tuple[float, float] | None = None
         loop = world.load(self._client, robot, self._substep, window)
         self._body, self._joints = loop.body, loop.joints
         self._active, self._tips = self._joints[::2], self._joints[1::2]
         self._read()
-
-    def _check_friction(self) -> None:
-        """An explicit friction torque must not turn a joint round within one substep."""
-        for side, leg in (("left", self.robot.left), ("right", self.robot.right)):
-            slope = leg.viscous_friction + leg.coulomb_friction / self.robot.coulomb_speed
-            inertia = (
-                leg.proximal_inertia
-                + leg.rotor_inertia
-                + leg.proximal_mass * (leg.proximal_center * leg.proximal_length) ** 2
-            )
-            if slope * self._substep > _FRICTION_STABILITY * inertia:
-                raise ParameterError(
-                    f"{side} joint friction of {slope:g} N m s/rad at rest is too steep for {inertia:g} kg m^2 and "
-                    f"substeps of {self._substep:g} s; substeps must be >= "
-                    f"{math.ceil(slope * self.period / (_FRICTION_STABILITY * inertia))}, or coulomb_speed larger"
-                )
 
     def reset(self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)) -> PlantState:
         """Put the end effector at x with velocity x_dot, in the robot's working mode, at time 0.
@@ -149,45 +106,71 @@ class Plant:
         """Strike the end effector with an impulse (N s, shape (2,)) during the next step's first substep."""
         self._impulse = (float(impulse[0]), float(impulse[1]))
 
-    def step(self, torque: Sequence[float]) -> np.ndarray:
+    def step(self, torque: Sequence[float], earlier: Sequence[float] | None = None, late: int = 0) -> np.ndarray:
         """Advance one period under constant motor torques.
+
+        A torque that holds over the whole period without friction is one call of PyBullet, which divides the
+        period itself; bit for bit that is the same as a call for each substep where the substep is an exact part
+        of the period (by a power of two).
 
         Args:
             torque: of the motors q11, q21, N m, shape (2,).
+            earlier: torque of the first ``late`` substeps.
+            late: substeps before the torque acts.
 
         Returns:
-            Motor torque after saturation, before friction, N m, shape (2,).
+            Motor torque after saturation, before friction, at the end of the period, N m, shape (2,).
 
         Raises:
             StateError: a torque is not finite.
         """
-        limit = self.max_torque
-        first, second = float(torque[0]), float(torque[1])
-        if not (math.isfinite(first) and math.isfinite(second)):
-            raise StateError(f"motor torque ({first}, {second}) N m is not finite")
-        first, second = max(-limit, min(limit, first)), max(-limit, min(limit, second))
-        net = [first, second]
+        net = saturated(torque, self.max_torque)
+        first = saturated(earlier, self.max_torque) if earlier is not None and late else net
+        if self._divisible and self._impulse is None and first == net:
+            if not self._divided:
+                self._divide(True)
+            p.setJointMotorControlArray(self._body, self._active, p.TORQUE_CONTROL, forces=net, physicsClientId=self._client)
+            p.stepSimulation(self._client)
+        else:
+            self._step_each(first, net, late)
+        self._steps += 1
+        self._read()
+        return np.array(net)
+
+    def _step_each(self, first: tuple[float, float], last: tuple[float, float], late: int) -> None:
+        """One call of PyBullet for each substep, the first ``late`` of them under another torque.
+
+        Friction is viscous q_dot + coulomb tanh(q_dot / coulomb_speed), N m.
+        """
+        if self._divided:
+            self._divide(False)
         client, body, active = self._client, self._body, self._active
         if self._impulse is not None:
             self._strike(self._impulse)
             self._impulse = None
-        rates = [self._joints_dot[0], self._joints_dot[2]]
+        (left_viscous, left_coulomb), (right_viscous, right_coulomb) = self._friction
+        speed, tanh = self.robot.coulomb_speed, math.tanh
+        left, right = self._joints_dot[0], self._joints_dot[2]
         for substep in range(self.substeps):
+            net = first if substep < late else last
             if self._has_friction:
                 if substep:
-                    moving = p.getJointStates(body, active, physicsClientId=client)
-                    rates = [moving[0][1], moving[1][1]]
-                net = [first - self._drag(0, rates[0]), second - self._drag(1, rates[1])]
+                    moving = p.getJointStates(body, active, client)
+                    left, right = moving[0][1], moving[1][1]
+                net = (
+                    net[0] - left_viscous * left - left_coulomb * tanh(left / speed),
+                    net[1] - right_viscous * right - right_coulomb * tanh(right / speed),
+                )
             p.setJointMotorControlArray(body, active, p.TORQUE_CONTROL, forces=net, physicsClientId=client)
-            p.stepSimulation(physicsClientId=client)
-        self._steps += 1
-        self._read()
-        return np.array((first, second))
+            p.stepSimulation(client)
 
-    def _drag(self, joint: int, rate: float) -> float:
-        """Friction torque of an active joint: viscous q_dot + coulomb tanh(q_dot / coulomb_speed), N m."""
-        viscous, coulomb = self._friction[joint]
-        return viscous * rate + coulomb * math.tanh(rate / self.robot.coulomb_speed)
+    def _divide(self, divided: bool) -> None:
+        """Whether one call of PyBullet is a whole period or a substep."""
+        self._divided = divided
+        if divided:
+            world.set_step(self._client, self.period, self.substeps)
+        else:
+            world.set_step(self._client, self._substep)
 
     def _strike(self, impulse: tuple[float, float]) -> None:
         """Half of the impulse on each tip, as a force over the coming substep."""
@@ -196,12 +179,16 @@ class Plant:
             p.applyExternalForce(self._body, link, force, [x, y, 0.0], p.WORLD_FRAME, physicsClientId=self._client)
 
     def _read(self) -> None:
-        states = p.getJointStates(self._body, self._joints, physicsClientId=self._client)
+        first, second, third, fourth = p.getJointStates(self._body, self._joints, self._client)
         half = 0.5 * self._substep
-        self._angles = [state[0] - half * state[1] for state in states]
-        self._joints_dot = [state[1] for state in states]
+        self._joints_dot = (first[1], second[1], third[1], fourth[1])
+        self._angles = (
+            first[0] - half * first[1], second[0] - half * second[1],
+            third[0] - half * third[1], fourth[0] - half * fourth[1],
+        )  # fmt: skip
+        self._state: PlantState | None = None
 
-    def _tip_states(self) -> list[tuple[float, ...]]:
+    def _tip_states(self) -> list[tuple[float, float, float, float]]:
         """x, y, x_dot, y_dot of the left and the right distal tip."""
         return [
             geometry.tip(leg, base, self._angles[start : start + 2], self._joints_dot[start : start + 2])
@@ -210,21 +197,17 @@ class Plant:
 
     def state(self) -> PlantState:
         """The true state now."""
-        left, right = self._tip_states()
-        joints, joints_dot = np.array(self._angles), np.array(self._joints_dot)
-        return PlantState(
-            time=self._steps * self.period,
-            q_a=joints[::2].copy(),
-            q_a_dot=joints_dot[::2].copy(),
-            joints=joints,
-            joints_dot=joints_dot,
-            x=np.array((0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1]))),
-            x_dot=np.array((0.5 * (left[2] + right[2]), 0.5 * (left[3] + right[3]))),
-            loop_gap=math.hypot(left[0] - right[0], left[1] - right[1]),
-        )
+        if self._state is None:
+            (x_1, y_1, x_1_dot, y_1_dot), (x_2, y_2, x_2_dot, y_2_dot) = self._tip_states()
+            self._state = plant_state(
+                self._steps * self.period, self._angles, self._joints_dot,
+                (0.5 * (x_1 + x_2), 0.5 * (y_1 + y_2), 0.5 * (x_1_dot + x_2_dot), 0.5 * (y_1_dot + y_2_dot)),
+                math.hypot(x_1 - x_2, y_1 - y_2),
+            )  # fmt: skip
+        return self._state
 
     def close(self) -> None:
         """Leave PyBullet; harmless when repeated."""
-        if self._client >= 0 and p.isConnected(self._client):
-            p.disconnect(self._client)
+        if self._client >= 0:
+            world.release(self._client, self._window)
         self._client = -1

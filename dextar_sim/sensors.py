@@ -1,8 +1,9 @@
-"""What stands between plant and controller on a rig: encoder, transport delay, drive-side watchdog."""
+"""What stands between plant and controller on a rig: encoder, camera, transport delay, drive-side watchdog."""
 
 from __future__ import annotations
 
 import math
+import sys
 from collections import deque
 from collections.abc import Sequence
 from typing import Generic, NamedTuple, TypeVar
@@ -12,6 +13,20 @@ import numpy as np
 from dextar_control.contract.errors import ParameterError
 
 Item = TypeVar("Item")
+
+
+_ROUNDING = 1.0e-9
+"""Share of a sample that a time may be off and still fall on it."""
+
+
+def check_probability(name: str, value: float) -> None:
+    """Refuse what is no probability.
+
+    Raises:
+        ParameterError: the value does not lie in [0, 1].
+    """
+    if not 0.0 <= value <= 1.0:
+        raise ParameterError(f"{name} = {value}; it must lie in [0, 1]")
 
 
 class Encoder:
@@ -51,12 +66,20 @@ class Encoder:
         self._gain = 1.0 - math.exp(-2.0 * math.pi * velocity_cutoff * period) if velocity_cutoff else 1.0
         self._noise = position_noise
         self._random = np.random.default_rng(seed)
-        self._last: np.ndarray | None = None
-        self._velocity = np.zeros(2)
+        self._last: list[float] | None = None
+        self._velocity: list[float] = []
 
     def reset(self) -> None:
         """Forget the last sample: the next one is at rest. The noise goes on."""
         self._last = None
+
+    def position(self, q_a: Sequence[float]) -> list[float]:
+        """Measured positions (rad) of true ones (rad, shape (n,)); no sample for the velocity."""
+        values = [float(value) for value in q_a]
+        if self._noise:
+            values = [value + self._noise * self._random.standard_normal() for value in values]
+        count = self._count
+        return [count * round(value / count) for value in values] if count else values
 
     def read(self, q_a: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
         """One sample.
@@ -67,17 +90,109 @@ class Encoder:
         Returns:
             Measured position (rad) and velocity (rad/s), each of shape (n,).
         """
-        position = np.array(q_a, dtype=float)
-        if self._noise:
-            position += self._noise * self._random.standard_normal(position.shape)
-        if self._count:
-            position = self._count * np.round(position / self._count)
+        position = self.position(q_a)
         if self._last is None:
-            self._velocity = np.zeros(position.shape)
+            self._velocity = [0.0] * len(position)
         else:
-            self._velocity = self._velocity + self._gain * ((position - self._last) / self._period - self._velocity)
+            gain, period = self._gain, self._period
+            self._velocity = [
+                velocity + gain * ((value - last) / period - velocity)
+                for velocity, value, last in zip(self._velocity, position, self._last, strict=True)
+            ]
         self._last = position
-        return position.copy(), self._velocity.copy()
+        return np.array(position), np.array(self._velocity)
+
+
+class Measurement(NamedTuple):
+    """An external measurement of the end effector.
+
+    Attributes:
+        sample: number of the one at which it was true.
+        x: measured position, m.
+    """
+
+    sample: int
+    x: tuple[float, float]
+
+
+class PoseSensor:
+    """A camera on the end effector: its own rate, latency, noise and gaps.
+
+    An exposure falls on the first sample at or after it is due; its result arrives at the first sample that is
+    at least the delay later, in the order of the exposures.
+
+    Args:
+        period: between two samples, s.
+        rate: exposures per second; 0 is no camera.
+        delay: from the exposure to the arrival, s.
+        noise: standard deviation of each coordinate, m.
+        dropout: probability that an exposure gives nothing.
+        outages: spans of time since the first sample (from, to) without exposures, s.
+        seed: of noise and dropout.
+
+    Raises:
+        ParameterError: a value is out of its range.
+    """
+
+    def __init__(
+        self,
+        period: float,
+        *,
+        rate: float = 0.0,
+        delay: float = 0.0,
+        noise: float = 0.0,
+        dropout: float = 0.0,
+        outages: Sequence[tuple[float, float]] = (),
+        seed: int = 0,
+    ) -> None:
+        if not (period > 0.0 and math.isfinite(period)):
+            raise ParameterError(f"pose period = {period} s; it must be > 0")
+        for name, value in (("rate", rate), ("delay", delay), ("noise", noise)):
+            if not (value >= 0.0 and math.isfinite(value)):
+                raise ParameterError(f"pose {name} = {value}; it must be >= 0")
+        if rate * period > 1.0 + _ROUNDING:
+            raise ParameterError(f"pose rate = {rate} Hz; it must be <= {1.0 / period:g} Hz, that of the samples")
+        check_probability("pose dropout", dropout)
+        for begin, end in outages:
+            if not begin <= end:
+                raise ParameterError(f"pose outage from {begin} to {end} s; it must end after it begins")
+        self._interval = 1.0 / (rate * period) if rate else math.inf
+        self._latency = math.ceil(delay / period - _ROUNDING)
+        self._noise = noise
+        self._dropout = dropout
+        self._outages = [(begin / period, end / period) for begin, end in outages]
+        self._random = np.random.default_rng(seed)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what is under way; the coming sample is the first. Noise and dropout go on."""
+        self._line: deque[Measurement] = deque()
+        self._first: int | None = None
+        self._exposures = 0
+        self._due = 0
+
+    def sense(self, sample: int, x: Sequence[float]) -> Measurement | None:
+        """Look at one sample, and hand out the measurement that arrives with it.
+
+        Args:
+            sample: its number, one more at each call.
+            x: true end effector position then, m, shape (2,).
+        """
+        if self._first is None:
+            self._first = sample
+            self._due = sample if self._interval < math.inf else sys.maxsize
+        if sample >= self._due:
+            self._expose(sample, sample - self._first, x)
+        line = self._line
+        return line.popleft() if line and sample >= line[0].sample + self._latency else None
+
+    def _expose(self, sample: int, age: int, x: Sequence[float]) -> None:
+        self._exposures += 1
+        self._due = sample - age + math.ceil(self._exposures * self._interval - _ROUNDING)
+        noise = self._noise * self._random.standard_normal(2)
+        lost = self._random.random() < self._dropout
+        if not lost and not any(begin <= age < end for begin, end in self._outages):
+            self._line.append(Measurement(sample, (float(x[0] + noise[0]), float(x[1] + noise[1]))))
 
 
 class CommandDelay(Generic[Item]):
@@ -157,7 +272,8 @@ class CommandHold:
 
     def receive(self, command: Command) -> bool:
         """Hold this command from now on; False when it is not finite and the last one stays."""
-        if not all(math.isfinite(value) for value in command.torque):
+        first, second = command.torque
+        if not (math.isfinite(first) and math.isfinite(second)):
             self.refused += 1
             return False
         self._held = command
@@ -174,6 +290,8 @@ class CommandHold:
             return 0.0, 0.0
         self._tripped = False
         limit = self._limit
-        first, second = (max(-limit, min(limit, value)) for value in held.torque)
-        self.saturated += (first, second) != tuple(held.torque)
-        return first, second
+        first, second = held.torque
+        if -limit <= first <= limit and -limit <= second <= limit:
+            return first, second
+        self.saturated += 1
+        return max(-limit, min(limit, first)), max(-limit, min(limit, second))

@@ -1,0 +1,231 @@
+"""A rig in a plain loop: a plant and everything that stands between it and its controller. No ROS here.
+
+After a reset, again and again: ``sample = rig.read()``, then ``rig.write(torque)`` with the controller's answer,
+or None where the sample was lost.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.robot import RobotParameters
+from dextar_sim.cartesian import CartesianPlant
+from dextar_sim.plant import Plant
+from dextar_sim.sensors import Command, CommandDelay, CommandHold, Encoder, PoseSensor, check_probability
+from dextar_sim.state import AnyPlant, PlantState
+
+PLANTS: dict[str, type[Plant] | type[CartesianPlant]] = {"pybullet": Plant, "cartesian": CartesianPlant}
+_NANOSECONDS = 1.0e9
+
+
+class Pose(NamedTuple):
+    """An external measurement of the end effector.
+
+    Attributes:
+        time: at which it was true, s.
+        x: measured position, m, shape (2,).
+    """
+
+    time: float
+    x: np.ndarray  # (2,)
+
+
+class Sample(NamedTuple):
+    """What reaches the controller in one period.
+
+    Attributes:
+        time: at which the sample was taken, s.
+        q_a: measured active joints, rad, shape (2,).
+        pose: newest external measurement that has arrived and was in no sample before.
+    """
+
+    time: float
+    q_a: np.ndarray  # (2,)
+    pose: Pose | None
+
+
+class Rig:
+    """A plant behind encoders, a lossy line, drives with a delay and a watchdog, and perhaps a camera.
+
+    A run repeats bit for bit from its seed: each reset starts all chance anew.
+
+    Args:
+        robot: the true robot, which need not be the controller's model.
+        plant: a name in ``PLANTS``.
+        period: of the control loop, s.
+        substeps: physics steps in one period.
+        encoder_resolution: counts per revolution; 0 is exact.
+        position_noise: standard deviation before quantisation, rad.
+        command_delay: s, rounded to periods.
+        sample_loss: probability that a sample does not reach the controller.
+        jitter: share of the period up to which a command is late within it, evenly distributed and rounded to
+            substeps; the command before it acts until then.
+        command_timeout: age of the state that a command answers, without the delay, beyond which the drives give no
+            torque, s.
+        max_torque: saturation of the drives, N m; the robot's when None.
+        seed: of all noise and loss.
+        pose_rate: external measurements per second; 0 is none.
+        pose_delay: from the instant when a pose was true to its arrival, s.
+        pose_noise: standard deviation of each coordinate, m.
+        pose_dropout: probability that an external measurement is missing.
+        pose_outages: spans (from, to) without external measurements, s.
+
+    Attributes:
+        samples_lost: that did not reach the controller since the reset.
+
+    Raises:
+        ParameterError: a value is out of its range.
+    """
+
+    def __init__(
+        self,
+        robot: RobotParameters,
+        *,
+        plant: str = "pybullet",
+        period: float = 1.0e-3,
+        substeps: int = 4,
+        encoder_resolution: int = 2**17,
+        position_noise: float = 0.0,
+        command_delay: float = 0.0,
+        sample_loss: float = 0.0,
+        jitter: float = 0.0,
+        command_timeout: float = 0.02,
+        max_torque: float | None = None,
+        seed: int = 0,
+        pose_rate: float = 0.0,
+        pose_delay: float = 0.0,
+        pose_noise: float = 0.0,
+        pose_dropout: float = 0.0,
+        pose_outages: Sequence[tuple[float, float]] = (),
+    ) -> None:
+        if plant not in PLANTS:
+            raise ParameterError(f"plant = {plant!r}; it must be one of {', '.join(PLANTS)}")
+        check_probability("sample_loss", sample_loss)
+        check_probability("jitter", jitter)
+        self.plant: AnyPlant = PLANTS[plant](robot, period=period, substeps=substeps, max_torque=max_torque)
+        self.period = period
+        self._period_ns = round(_NANOSECONDS * period)
+        self._loss, self._jitter = sample_loss, jitter * substeps
+        seeds = [int(word) for word in np.random.SeedSequence(seed).generate_state(4)]
+        self._seeds = seeds
+        self._new_encoder = partial(Encoder, period, resolution=encoder_resolution, position_noise=position_noise,
+                                    seed=seeds[0])  # fmt: skip
+        self._new_camera = partial(PoseSensor, period, rate=pose_rate, delay=pose_delay, noise=pose_noise,
+                                   dropout=pose_dropout, outages=pose_outages, seed=seeds[1])  # fmt: skip
+        self._delay: CommandDelay[Command] = CommandDelay(round(command_delay / period))
+        self._delay_ns = self._delay.periods * self._period_ns
+        self._timeout = round(_NANOSECONDS * command_timeout)
+        self._has_pose = pose_rate > 0.0
+        self._begin()
+
+    def _begin(self) -> None:
+        """All between plant and controller as new, and the first sample."""
+        self._encoder, self._camera = self._new_encoder(), self._new_camera()
+        self._delay.reset()
+        self._hold = CommandHold(self._timeout, self.plant.max_torque)
+        self._losses, self._lateness = random.Random(self._seeds[2]), random.Random(self._seeds[3])
+        self._newest: Command | None = None
+        self._applied = (0.0, 0.0)
+        self._index = 0
+        self._pose: Pose | None = None
+        self.samples_lost = 0
+        self._measure()
+
+    @property
+    def time(self) -> float:
+        """Of the present sample, s."""
+        return self._index * self.period
+
+    @property
+    def saturated(self) -> int:
+        """Periods since the reset in which a command exceeded the drives' limit."""
+        return self._hold.saturated
+
+    @property
+    def trips(self) -> int:
+        """Times since the reset that the drives let go of a command grown too old."""
+        return self._hold.trips
+
+    def reset(self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)) -> PlantState:
+        """Put the end effector at x (m) with velocity x_dot (m/s) in the robot's working mode, at time 0.
+
+        Raises:
+            GeometryError: a leg does not reach x, or cannot move at x_dot there.
+        """
+        state = self.plant.reset(x, x_dot)
+        self._begin()
+        return state
+
+    def reset_joints(
+        self, q_a: Sequence[float], assembly_mode: int, x_dot: Sequence[float] = (0.0, 0.0)
+    ) -> PlantState:
+        """Put the active joints at q_a (rad) in the given assembly mode, at time 0.
+
+        Where the true geometry is not the model's, this is how a rig starts where its encoders say.
+
+        Raises:
+            GeometryError: the distal links do not meet there, or the elbows coincide.
+        """
+        state = self.plant.reset_joints(q_a, assembly_mode, x_dot)
+        self._begin()
+        return state
+
+    def _measure(self) -> None:
+        state = self.plant.state()
+        if self._has_pose:
+            arrived = self._camera.sense(self._index, state.x.tolist())
+            if arrived is not None:
+                self._pose = Pose(arrived.sample * self.period, np.array(arrived.x))
+        q_a = self._encoder.position(state.q_a.tolist())
+        if self._loss and self._losses.random() < self._loss:
+            self.samples_lost += 1
+            self._sample: Sample | None = None
+        else:
+            self._sample = Sample(self._index * self.period, np.array(q_a), self._pose)
+            self._pose = None
+
+    def read(self) -> Sample | None:
+        """The present sample; None when it was lost."""
+        return self._sample
+
+    def write(self, torque: Sequence[float] | None) -> np.ndarray:
+        """Give the command that answers the present sample, and let one period pass.
+
+        Args:
+            torque: of the motors q11, q21, N m, shape (2,); None when there is no answer: the last command goes on.
+
+        Returns:
+            Torque of the drives at the end of the period, N m, shape (2,).
+        """
+        now = self._index * self._period_ns
+        if torque is not None:
+            self._newest = Command(now, (float(torque[0]), float(torque[1])))
+        delayed = self._delay.shift(self._newest)
+        if delayed is not None:
+            if self._delay_ns:
+                delayed = Command(delayed.stamp + self._delay_ns, delayed.torque)
+            self._hold.receive(delayed)
+        before, self._applied = self._applied, self._hold.torque(now)
+        late = round(self._jitter * self._lateness.random()) if self._jitter else 0
+        applied = self.plant.step(self._applied, before, late)
+        self._index += 1
+        self._measure()
+        return applied
+
+    def strike(self, impulse: Sequence[float]) -> None:
+        """Strike the end effector with an impulse (N s, shape (2,)) during the coming period's first substep."""
+        self.plant.apply_impulse(impulse)
+
+    def truth(self) -> PlantState:
+        """The true state now."""
+        return self.plant.state()
+
+    def close(self) -> None:
+        """Let go of the plant; harmless when repeated."""
+        self.plant.close()
