@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
@@ -45,13 +46,21 @@ def end_effector(stamp: Time, values: Sequence[float]) -> Odometry:
     return message
 
 
+def external_pose(stamp: Time, values: Sequence[float]) -> PoseStamped:
+    """Position (m) in base, not turned."""
+    message = PoseStamped(header=Header(stamp=stamp, frame_id=BASE_FRAME))
+    message.pose.position.x, message.pose.position.y = values
+    return message
+
+
 class StateWriter:
-    """CDR bytes of the plant's three state topics."""
+    """CDR bytes of the plant's state topics."""
 
     def __init__(self) -> None:
         self._measured = CdrTemplate(lambda stamp, values: joint_state(stamp, JOINT_NAMES, values), 6)
         self._true = CdrTemplate(lambda stamp, values: joint_state(stamp, SIM_JOINT_NAMES, values), 12)
         self._platform = CdrTemplate(end_effector, 4)
+        self._pose = CdrTemplate(external_pose, 2)
 
     def measured(self, stamp: int, q_a: np.ndarray, q_a_dot: np.ndarray, torque: np.ndarray) -> bytes:
         """``joint_states``: encoder position (rad) and velocity (rad/s), applied torque (N m), each (2,)."""
@@ -65,6 +74,10 @@ class StateWriter:
     def true_end_effector(self, stamp: int, state: PlantState) -> bytes:
         """``sim/end_effector``."""
         return self._platform.pack(stamp, [*state.x.tolist(), *state.x_dot.tolist()])
+
+    def external_pose(self, stamp: int, x: Sequence[float]) -> bytes:
+        """``external_pose``: measured end effector position (m), shape (2,), at the stamp (ns) when it was true."""
+        return self._pose.pack(stamp, x)
 
 
 class CommandReader:

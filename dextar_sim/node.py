@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -19,12 +20,18 @@ from std_srvs.srv import SetBool, Trigger
 from dextar_control.contract.cdr import NANOSECONDS
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.node import DextarNode, qos, run_node
-from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES, SIM_END_EFFECTOR, SIM_JOINT_STATES
+from dextar_control.contract.topics import (
+    EXTERNAL_POSE,
+    JOINT_COMMANDS,
+    JOINT_STATES,
+    SIM_END_EFFECTOR,
+    SIM_JOINT_STATES,
+)
 from dextar_sim.messages import CommandReader, StateWriter
 from dextar_sim.pace import Schedule, spin
 from dextar_sim.parameters import PARAMETERS
 from dextar_sim.plant import Plant
-from dextar_sim.sensors import Command, CommandDelay, CommandHold, Encoder
+from dextar_sim.sensors import Command, CommandDelay, CommandHold, Encoder, PoseSensor
 
 REPEAT_AFTER = 0.5
 """s without an answer after which lockstep publishes a state again."""
@@ -55,6 +62,8 @@ class PlantNode(DextarNode):
         self._encoder = Encoder(period, resolution=values["encoder_resolution"], seed=values["seed"],
                                 velocity_cutoff=values["velocity_cutoff"],
                                 position_noise=values["position_noise"])  # fmt: skip
+        self._camera = PoseSensor(period, rate=values["pose_rate"], delay=values["pose_delay"],
+                                  noise=values["pose_noise"], seed=values["seed"])  # fmt: skip
         self._delay: CommandDelay[Command] = CommandDelay(round(values["command_delay"] / period))
         self._hold = CommandHold(round(values["command_timeout"] * NANOSECONDS), max_torque)
         self.schedule = Schedule(self.period_ns)
@@ -66,6 +75,7 @@ class PlantNode(DextarNode):
         self._newest: Command | None = None
         self._sample: list[tuple[Any, bytes]] | None = None
         self._sent: list[tuple[Any, bytes]] = []
+        self._pose: bytes | None = None
         self._sent_at = 0.0
         self.answered = False
         self._budget: int | None = 0 if values["start_paused"] else None
@@ -79,6 +89,7 @@ class PlantNode(DextarNode):
         self._states = self.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
         self._true_platform = self.create_publisher(Odometry, SIM_END_EFFECTOR.name, qos(SIM_END_EFFECTOR))
         self._true_joints = self.create_publisher(JointState, SIM_JOINT_STATES.name, qos(SIM_JOINT_STATES))
+        self._poses = self.create_publisher(PoseStamped, EXTERNAL_POSE.name, qos(EXTERNAL_POSE)) if values["pose_rate"] else None
         self._commands = self.create_subscription(JointState, JOINT_COMMANDS.name, self._on_command,
                                                   qos(JOINT_COMMANDS, reliable=self.lockstep), raw=True)  # fmt: skip
         self.create_service(SetBool, "~/pause", self._on_pause)
@@ -123,18 +134,23 @@ class PlantNode(DextarNode):
         self._max_loop_gap = max(self._max_loop_gap, state.loop_gap)
         q_a, q_a_dot = self._encoder.read(state.q_a.tolist())
         self._sample = [(self._states, self._writer.measured(stamp, q_a, q_a_dot, applied))]
+        if self._poses is not None:
+            seen = self._camera.sense(self._index, state.x.tolist())
+            self._pose = seen and self._writer.external_pose(self._first_stamp + seen.sample * self.period_ns, seen.x)
         if self.values["publish_truth"]:
             self._sample.append((self._true_platform, self._writer.true_end_effector(stamp, state)))
             self._sample.append((self._true_joints, self._writer.true_joints(stamp, state, applied)))
 
     def publish(self) -> None:
-        """Send the prepared state, all topics in one burst."""
+        """Send the prepared state, all topics in one burst, and before it the external pose that arrives then."""
         if self._sample is None:
             return
         self._sent, self._sample = self._sample, None
         self._published = self._stamp()
         self.answered = False
         self._sent_at = time.monotonic()
+        if self._poses is not None and self._pose is not None:
+            self._poses.publish(self._pose)
         for publisher, raw in self._sent:
             publisher.publish(raw)
         if self._budget:
@@ -200,7 +216,7 @@ class PlantNode(DextarNode):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Start pose at rest as the next sample, without torque; earlier states' commands no longer count."""
         self.plant.reset(self.values["task.start"])
-        for part in (self._encoder, self._delay, self._hold):
+        for part in (self._encoder, self._camera, self._delay, self._hold):
             part.reset()
         self._newest = None
         if self._index >= 0:

@@ -30,7 +30,7 @@ def dextar(*arguments: str) -> subprocess.CompletedProcess[str]:
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
     """One lockstep demo, shared by the tests that look at what it left."""
     runs = tmp_path_factory.mktemp("runs")
-    answer = dextar("demo", "--lockstep", "--output", str(runs))
+    answer = dextar("demo", "--lockstep", "--output", str(runs), "-p", "plant.pose_rate:=100.0")
     return runs / "latest", answer
 
 

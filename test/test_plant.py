@@ -183,6 +183,6 @@ def test_window_without_a_display_is_one_clear_error(monkeypatch: pytest.MonkeyP
         Plant(DEXTAR, window=True)
 
 
-def test_plant_and_sensors_know_no_ros() -> None:
-    code = "import sys, dextar_sim.plant, dextar_sim.sensors; sys.exit('rclpy' in sys.modules)"
+def test_plants_sensors_and_rig_know_no_ros() -> None:
+    code = "import sys, dextar_sim.rig; sys.exit('rclpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], env=os.environ, check=False).returncode == 0

@@ -44,6 +44,10 @@ JOINT_COMMANDS = Topic(
     "joint_commands", "sensor_msgs/msg/JointState", "controller", STREAM_DEPTH, False, 1000.0,
     "q11, q21 by name: effort (N m); stamp of the state it answers",
 )  # fmt: skip
+EXTERNAL_POSE = Topic(
+    "external_pose", "geometry_msgs/msg/PoseStamped", "camera or plant", STREAM_DEPTH, False, 0.0,
+    "measured end effector position (m) in frame base, at the sensor's own rate; stamp of the instant when it was true",
+)  # fmt: skip
 TRAJECTORY = Topic(
     "trajectory", "trajectory_msgs/msg/MultiDOFJointTrajectory", "trajectory server", 1, True, 0.0,
     "end effector (m, m/s, m/s^2) over time_from_start; stamp 0 starts at once; no points means stop",
@@ -72,8 +76,8 @@ DIAGNOSTICS = Topic(
 )  # fmt: skip
 
 TOPICS = (
-    JOINT_STATES, JOINT_COMMANDS, TRAJECTORY, CONTROLLER_STATE, CRITERION, SIM_END_EFFECTOR, SIM_JOINT_STATES,
-    DIAGNOSTICS,
+    JOINT_STATES, JOINT_COMMANDS, EXTERNAL_POSE, TRAJECTORY, CONTROLLER_STATE, CRITERION, SIM_END_EFFECTOR,
+    SIM_JOINT_STATES, DIAGNOSTICS,
 )  # fmt: skip
 
 CRITERION_NAMES = ("residual", "s", "sigma_min", "projection_weight", "assembly_mode", "phase")
