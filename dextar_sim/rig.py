@@ -106,6 +106,8 @@ class Rig:
     ) -> None:
         if plant not in PLANTS:
             raise ParameterError(f"plant = {plant!r}; it must be one of {', '.join(PLANTS)}")
+        if seed < 0:
+            raise ParameterError(f"seed = {seed}; it must be >= 0")
         check_probability("sample_loss", sample_loss)
         check_probability("jitter", jitter)
         self.plant: AnyPlant = PLANTS[plant](robot, period=period, substeps=substeps, max_torque=max_torque)

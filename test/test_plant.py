@@ -153,6 +153,40 @@ def test_reset_repeats_a_run_bit_for_bit() -> None:
     plant.close()
 
 
+@pytest.mark.parametrize("substeps", [1, 2, 3, 4])
+def test_a_period_is_its_substeps_bit_for_bit(substeps: int) -> None:
+    """PyBullet divides the period itself where it can; a period of one substep cannot be divided."""
+    whole, parts = Plant(DEXTAR, period=substeps * 2.5e-4, substeps=substeps), Plant(DEXTAR, period=2.5e-4, substeps=1)
+    for plant in (whole, parts):
+        plant.reset((0.01, 0.1), (0.1, -0.2))
+    for step in range(200):
+        torque = (0.05 * math.sin(0.02 * step), 0.04)
+        if step == 50:
+            whole.apply_impulse((0.003, -0.002))
+            parts.apply_impulse((0.003, -0.002))
+        whole.step(torque)
+        for _ in range(substeps):
+            parts.step(torque)
+        assert whole.state().joints.tolist() == parts.state().joints.tolist()
+    whole.close()
+    parts.close()
+
+
+def test_a_plant_after_another_one_is_as_new() -> None:
+    """Connections are kept: nothing of the mock-up before may show."""
+    fresh = Plant(DEXTAR)
+    others = [Plant(MOCKUP, period=2.0e-3, substeps=2) for _ in range(3)]
+    expected = drive(fresh, 100)
+    for other in (fresh, *others):
+        drive(other, 20)
+        other.close()
+        other.close()
+    for _ in range(3):
+        plant = Plant(DEXTAR)
+        assert drive(plant, 100) == expected
+        plant.close()
+
+
 def test_mass_floor_of_massless_links_does_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     ends = []
     for floor in (urdf.MASS_FLOOR, 0.01 * urdf.MASS_FLOOR):

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
@@ -29,6 +30,7 @@ from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import (
     DIAGNOSTICS,
+    EXTERNAL_POSE,
     JOINT_COMMANDS,
     JOINT_STATES,
     SIM_END_EFFECTOR,
@@ -57,12 +59,15 @@ class Commander:
         self.states: list[JointState] = []
         self.platform: list[Odometry] = []
         self.joints: list[JointState] = []
+        self.poses: list[PoseStamped] = []
+        self.newest_at_pose: list[int] = []
         self.health: dict[str, str] = {}
         self.answer: Callable[[JointState], JointState | None] = lambda state: None
         self.commands = self.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
         for topic, kind, take in (
             (SIM_END_EFFECTOR, Odometry, self.platform.append),
             (SIM_JOINT_STATES, JointState, self.joints.append),
+            (EXTERNAL_POSE, PoseStamped, self._on_pose),
             (DIAGNOSTICS, DiagnosticArray, self._on_health),
         ):
             self.node.create_subscription(kind, topic.name, take, qos(topic))
@@ -80,6 +85,10 @@ class Commander:
         command = self.answer(state)
         if command is not None:
             self.commands.publish(command)
+
+    def _on_pose(self, pose: PoseStamped) -> None:
+        self.poses.append(pose)
+        self.newest_at_pose.append(from_time(self.states[-1].header.stamp) if self.states else -1)
 
     def _on_health(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -203,6 +212,59 @@ def test_command_delay_is_whole_periods(start: Callable[..., Commander]) -> None
     commander = lockstep_run(start, 50, command_delay="0.004")
     for index, state in enumerate(commander.states[:50]):
         assert list(state.effort) == (wavy(PERIOD * (index - 5)) if index >= 5 else [0.0, 0.0])
+
+
+def test_external_pose_was_true_at_its_stamp_and_comes_after_its_delay(start: Callable[..., Commander]) -> None:
+    commander = start(mode="lockstep", pose_rate="80.0", pose_delay="0.0153")
+    commander.answer = lambda state: wavy_answer(state) if commander.platform else None
+    commander.until(lambda: len(commander.poses) >= 10 and len(commander.platform) >= 200)
+    due = [PERIOD * math.ceil(12.5 * index) for index in range(30)]
+    first = due.index(stamps(commander.poses)[0])  # a reader that matches late misses what came before
+    assert stamps(commander.poses[:10]) == due[first : first + 10]
+    platforms = by_stamp(commander.platform)
+    for pose, newest in zip(commander.poses[:10], commander.newest_at_pose, strict=False):
+        stamp = from_time(pose.header.stamp)
+        assert pose.header.frame_id == "base"
+        assert pose.pose.position == platforms[stamp].pose.pose.position
+        assert pose.pose.orientation.w == 1.0
+        assert newest >= stamp + 15 * PERIOD
+
+
+def test_external_noise_repeats_and_a_repeated_state_brings_no_second_pose(start: Callable[..., Commander]) -> None:
+    runs = []
+    for _ in range(2):
+        commander = start(mode="lockstep", pose_rate="100.0", pose_noise="1.0e-3", seed="7")
+        asked: list[int] = []
+
+        def answer(state: JointState, asked: list[int] = asked) -> JointState | None:
+            asked.append(from_time(state.header.stamp))
+            return None if asked[-1] == 10 * PERIOD and asked.count(asked[-1]) == 1 else wavy_answer(state)
+
+        commander.answer = answer
+        commander.until(lambda commander=commander: len(commander.poses) >= 20)
+        assert asked.count(10 * PERIOD) == 2
+        times = stamps(commander.poses[:20])
+        assert times == [times[0] + 10 * PERIOD * index for index in range(20)]
+        runs.append({stamp: (pose.pose.position.x, pose.pose.position.y) for stamp, pose in by_stamp(commander.poses).items()})
+        commander.close()
+    common = runs[0].keys() & runs[1].keys()
+    assert len(common) >= 10
+    assert all(runs[0][stamp] == runs[1][stamp] for stamp in common)
+
+
+def test_without_a_rate_nobody_publishes_an_external_pose(start: Callable[..., Commander]) -> None:
+    commander = start(mode="lockstep", pose_noise="1.0e-3")
+    commander.answer = wavy_answer
+    commander.until(lambda: len(commander.states) >= 50)
+    assert commander.node.count_publishers(EXTERNAL_POSE.name) == 0
+    assert commander.poses == []
+
+
+def test_external_rate_above_that_of_the_samples_is_refused(start: Callable[..., Commander]) -> None:
+    commander = start(mode="lockstep", pose_rate="2000.0")
+    assert commander.process.wait(WAIT) == 2
+    code, text = commander.close()
+    assert (code, text.strip()) == (2, "error: pose rate = 2000.0 Hz; it must be <= 1000 Hz, that of the samples")
 
 
 def test_joints_in_another_order_are_mapped_by_name(start: Callable[..., Commander]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dextar_control.contract.errors import ParameterError
-from dextar_sim.sensors import Command, CommandDelay, CommandHold, Encoder
+from dextar_sim.sensors import Command, CommandDelay, CommandHold, Encoder, PoseSensor
 
 PERIOD = 1.0e-3
 MILLISECOND = 1_000_000
@@ -112,6 +112,46 @@ def test_answers_to_old_states_trip_the_watchdog_too() -> None:
     assert hold.torque(100 * MILLISECOND) == (0.0, 0.0)
 
 
+def test_position_alone_is_that_of_a_sample() -> None:
+    sampled, plain = (Encoder(PERIOD, resolution=1000, position_noise=1.0e-3, seed=3) for _ in range(2))
+    for step in range(20):
+        assert plain.position((0.1 * step, -0.3)) == sampled.read((0.1 * step, -0.3))[0].tolist()
+
+
+def look(sensor: PoseSensor, samples: range) -> dict[int, int]:
+    """Sample of arrival to sample of truth, of a target that moves 1 m in each sample."""
+    seen = {sample: sensor.sense(sample, (float(sample), -float(sample))) for sample in samples}
+    for measurement in seen.values():
+        assert measurement is None or measurement.x == (measurement.sample, -measurement.sample)
+    return {arrival: measurement.sample for arrival, measurement in seen.items() if measurement}
+
+
+@pytest.mark.parametrize(
+    ("rate", "exposures"),
+    [(1000.0, list(range(12))), (500.0, [0, 2, 4, 6, 8, 10]), (300.0, [0, 4, 7, 10]), (0.0, [])],
+)
+def test_camera_exposes_at_its_rate_and_answers_after_its_delay(rate: float, exposures: list[int]) -> None:
+    """Due at 0, 3.33, 6.67, 10 ms: at the first sample not earlier; 2.2 ms are three samples."""
+    seen = look(PoseSensor(PERIOD, rate=rate, delay=2.2e-3), range(15))
+    assert {arrival: truth for arrival, truth in seen.items() if truth < 12} == {truth + 3: truth for truth in exposures}
+
+
+def test_camera_without_delay_answers_at_once() -> None:
+    assert look(PoseSensor(PERIOD, rate=1000.0), range(100, 103)) == {100: 100, 101: 101, 102: 102}
+
+
+def test_camera_forgets_what_is_under_way() -> None:
+    sensor = PoseSensor(PERIOD, rate=250.0, delay=3.0e-3)
+    assert look(sensor, range(10)) == {3: 0, 7: 4}
+    sensor.reset()
+    assert look(sensor, range(10, 20)) == {13: 10, 17: 14}
+
+
+def test_camera_outage_is_counted_from_the_first_sample() -> None:
+    sensor = PoseSensor(PERIOD, rate=1000.0, outages=[(2.0e-3, 5.0e-3)])
+    assert list(look(sensor, range(40, 48))) == [40, 41, 45, 46, 47]
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_command_that_is_not_finite_is_refused_and_the_last_one_stays(bad: float) -> None:
     hold = hold_with((0.1, -0.1))
@@ -132,6 +172,12 @@ def test_command_saturates_and_is_counted() -> None:
         (lambda: Encoder(0.0), "period"),
         (lambda: Encoder(PERIOD, resolution=-1), "resolution"),
         (lambda: Encoder(PERIOD, position_noise=math.nan), "position_noise"),
+        (lambda: PoseSensor(0.0, rate=1.0), "period"),
+        (lambda: PoseSensor(PERIOD, rate=-1.0), "rate"),
+        (lambda: PoseSensor(PERIOD, rate=1001.0), "<= 1000 Hz"),
+        (lambda: PoseSensor(PERIOD, delay=math.nan), "delay"),
+        (lambda: PoseSensor(PERIOD, noise=-1.0), "noise"),
+        (lambda: PoseSensor(PERIOD, dropout=1.1), "dropout"),
         (lambda: CommandDelay(-1), "delay"),
         (lambda: CommandHold(0, 0.3), "timeout"),
         (lambda: CommandHold(1, 0.0), "max_torque"),
