@@ -150,6 +150,11 @@ class Rig:
         return self._hold.saturated
 
     @property
+    def refused(self) -> int:
+        """Commands since the reset that were not finite: the one before went on."""
+        return self._hold.refused
+
+    @property
     def trips(self) -> int:
         """Times since the reset that the drives let go of a command grown too old."""
         return self._hold.trips

@@ -150,6 +150,14 @@ def test_saturated_periods_are_counted_since_the_reset() -> None:
         assert rig.saturated == 4
 
 
+def test_a_command_that_is_not_finite_is_refused_and_counted() -> None:
+    rig = Rig(DEXTAR, plant="cartesian")
+    rig.reset(START)
+    rig.write((0.01, 0.0))
+    assert rig.write((math.nan, 0.0)).tolist() == [0.01, 0.0]
+    assert rig.refused == 1
+
+
 @pytest.mark.parametrize("plant", PLANT_NAMES)
 def test_a_late_command_gives_the_share_of_its_impulse_that_is_left(plant: str) -> None:
     """From rest and without a command before, speed after one period grows with the substeps that remain."""
