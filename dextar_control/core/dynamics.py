@@ -49,7 +49,7 @@ def inertia(model: Model, kin: Kinematics) -> Inertia:
 @njit
 def joint_acceleration(kin: Kinematics, x_ddot: Array) -> Array:
     """q_a_ddot (2,) of a platform acceleration (Eq. 12)."""
-    return kin.J_inv @ x_ddot + kin.g
+    return apply(kin.J_inv, x_ddot) + kin.g
 
 
 @njit
@@ -57,8 +57,8 @@ def wrenches(model: Model, kin: Kinematics, x_ddot: Array) -> tuple[Array, Array
     """w_b (2,), N m, and w_d (2,), N, of a platform acceleration (Eqs. 3, 10, 12)."""
     terms = inertia(model, kin)
     q_a_ddot = joint_acceleration(kin, x_ddot)
-    w_b = terms.M_a * q_a_ddot + terms.M_ax @ x_ddot + terms.c_a
-    w_d = terms.M_ax.T @ q_a_ddot + terms.M_x * x_ddot + terms.c_x
+    w_b = terms.M_a * q_a_ddot + apply(terms.M_ax, x_ddot) + terms.c_a
+    w_d = apply(terms.M_ax.T, q_a_ddot) + terms.M_x * x_ddot + terms.c_x
     return w_b, w_d
 
 
@@ -96,25 +96,44 @@ def platform_dynamics(model: Model, kin: Kinematics) -> tuple[Array, Array]:
     positive definite and regular on the Type 2 locus.
     """
     terms = inertia(model, kin)
-    J = kin.J_inv
-    cross = J.T @ terms.M_ax
-    mass = (J.T * terms.M_a) @ J + cross + cross.T + terms.M_x * np.eye(2)
-    bias = J.T @ (terms.M_a * kin.g + terms.c_a) + terms.M_ax.T @ kin.g + terms.c_x
+    J, M_ax = kin.J_inv, terms.M_ax
+    mass = np.zeros((2, 2))
+    bias = terms.c_x.copy()
+    for i in range(2):
+        mass[i, i] = terms.M_x
+    for leg in range(2):
+        joint = terms.M_a[leg] * kin.g[leg] + terms.c_a[leg]  # N m
+        for i in range(2):
+            for j in range(2):
+                mass[i, j] += J[leg, i] * terms.M_a[leg] * J[leg, j] + J[leg, i] * M_ax[leg, j] + M_ax[leg, i] * J[leg, j]
+            bias[i] += J[leg, i] * joint + M_ax[leg, i] * kin.g[leg]
     return mass, bias
+
+
+@njit
+def inverse(matrix: Array) -> Array:
+    """Of a regular 2 x 2 matrix."""
+    determinant = matrix[0, 0] * matrix[1, 1] - matrix[0, 1] * matrix[1, 0]
+    found = np.empty((2, 2))
+    found[0, 0], found[0, 1] = matrix[1, 1] / determinant, -matrix[0, 1] / determinant
+    found[1, 0], found[1, 1] = -matrix[1, 0] / determinant, matrix[0, 0] / determinant
+    return found
+
+
+@njit
+def apply(matrix: Array, vector: Array) -> Array:
+    """2 x 2 matrix times vector (2,), without the call of a library."""
+    product = np.empty(2)
+    product[0] = matrix[0, 0] * vector[0] + matrix[0, 1] * vector[1]
+    product[1] = matrix[1, 0] * vector[0] + matrix[1, 1] * vector[1]
+    return product
 
 
 @njit
 def forward_dynamics(model: Model, kin: Kinematics, tau: Array) -> Array:
     """x_ddot (2,), m/s^2, under the input torques; regular on the Type 2 locus."""
     mass, bias = platform_dynamics(model, kin)
-    force = kin.J_inv.T @ (tau - friction(model, kin.q_a_dot)) - bias
-    determinant = mass[0, 0] * mass[1, 1] - mass[0, 1] * mass[1, 0]
-    return np.array(
-        [
-            (mass[1, 1] * force[0] - mass[0, 1] * force[1]) / determinant,
-            (-mass[1, 0] * force[0] + mass[0, 0] * force[1]) / determinant,
-        ]
-    )
+    return apply(inverse(mass), apply(kin.J_inv.T, tau - friction(model, kin.q_a_dot)) - bias)
 
 
 @njit

@@ -172,8 +172,9 @@ class DirectEstimator:
 
 
 @njit
-def _begin(packed: Array, noise: Noise, x: Array, main: Gauss) -> None:
-    observer.begin_at_rest(unpack(packed), noise, x, main)
+def _begin(packed: Array, noise: Noise, x: Array, bank: Bank) -> None:
+    observer.begin_at_rest(unpack(packed), noise, x, bank.main)
+    observer.copy(bank.main, bank.same)
 
 
 @njit
@@ -203,13 +204,22 @@ def _row_of(model: Model, main: Gauss, belief: Array, row: Array) -> float:
     return singularity(model, kin.A_r)
 
 
+@njit
+def _filter(memory: JointMemory, q_meas: Array, dt: float, bandwidth: float, row: Array) -> None:
+    """The joints' own motion, in place of the one that the platform's estimate implies."""
+    dgm.filter_joints(memory, q_meas, memory.q_ref, np.zeros(2), dt, bandwidth)
+    row[Q_HAT : Q_HAT + 2] = memory.q
+    row[Q_HAT + 2 : Q_HAT + 4] = memory.q_dot
+
+
 class ObserverEstimator:
     """``observer``."""
 
     def __init__(self, robot: RobotParameters, settings: Settings) -> None:
         self._packed = pack(make_model(robot))
-        self._bank = Bank(*(Gauss(np.zeros(STATES), np.zeros((STATES, STATES))) for _ in range(3)))
+        self._bank = Bank(*(Gauss(np.zeros(STATES), np.zeros((STATES, STATES)), np.zeros(2)) for _ in range(3)))
         self._belief = np.zeros(BELIEF)
+        self._joints = JointMemory(np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2))
         self.row = np.zeros(ESTIMATE)
         self.s = np.nan
         self.note = ""
@@ -219,7 +229,7 @@ class ObserverEstimator:
         """See ``Estimator``."""
         self._noise = Noise(
             settings.encoder_deviation, settings.bias_deviation, settings.bias_walk, settings.torque_deviation,
-            settings.acceleration_deviation,
+            settings.acceleration_deviation, settings.shock_gate**2, settings.shock_speed,
         )  # fmt: skip
         tight = self._noise._replace(
             encoder=settings.passage_encoder_deviation, torque=settings.passage_torque_deviation,
@@ -228,7 +238,7 @@ class ObserverEstimator:
         self._passage = Passage(
             settings.passage_armed, settings.passage_begin, settings.passage_log_odds, tight
         )
-        self._sure = settings.verdict_confidence
+        self._sure, self._bandwidth = settings.verdict_confidence, settings.filter_bandwidth
 
     @property
     def mode_known(self) -> bool:
@@ -247,7 +257,9 @@ class ObserverEstimator:
 
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
         """See ``Estimator``."""
-        _begin(self._packed, self._noise, x, self._bank.main)
+        _begin(self._packed, self._noise, x, self._bank)
+        self._joints.q[:] = q_a
+        self._joints.q_dot[:] = 0.0
         self._belief[:] = 0.0
         self._belief[MODE], self._belief[LOG_ODDS] = float(assembly_mode), CERTAIN
         self.row[MODE_HAT], self.row[CONFIDENCE] = float(assembly_mode), 1.0
@@ -261,16 +273,17 @@ class ObserverEstimator:
 
     def release(self, crossing: bool) -> None:
         """See ``Estimator``."""
+        self._joints.q[:] = self.row[Q_HAT : Q_HAT + 2]
+        self._joints.q_dot[:] = self.row[Q_HAT + 2 : Q_HAT + 4]
 
     def track(self, dt: float, q_a: Array, tau: Array, reference: Array, zone: float, width: float) -> None:
         """See ``Estimator``."""
-        self.coast(dt, q_a, tau)
+        self.s = _observe(self._packed, self._noise, self._passage, self._bank, self._belief, tau, dt, q_a, self.row)
 
     def coast(self, dt: float, q_a: Array, tau: Array) -> None:
-        """See ``Estimator``."""
-        self.s = _observe(
-            self._packed, self._noise, self._passage, self._bank, self._belief, tau, dt, q_a, self.row
-        )
+        """See ``Estimator``: what brakes are the joints themselves, wherever the platform is thought to be."""
+        self.s = _observe(self._packed, self._noise, self._passage, self._bank, self._belief, tau, dt, q_a, self.row)
+        _filter(self._joints, q_a, dt, self._bandwidth, self.row)
 
     def take_pose(self, pose: Pose, time: float) -> None:
         """See ``Estimator``."""

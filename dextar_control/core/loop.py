@@ -60,6 +60,7 @@ REST_ZONE, REST_WIDTH = 0.05, 0.05  # |s| of the estimator's hold while holding 
 MIN_HOLD_S = REST_ZONE + REST_WIDTH  # |s| nearer than which no point is held
 FIRST_PERIOD = 1e-3  # s taken for the first sample
 START_MARGIN = 2e-3  # s by which a trajectory's start may have passed when it begins
+OPEN_BEFORE = 0.02  # s before a planned crossing from which on it counts as begun
 WATCH_DECAY = 0.25  # a torque that swings between its limits is watched too
 MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
@@ -78,7 +79,7 @@ class Passed(NamedTuple):
     planned_time: float  # since the trajectory's start, s
     verdict: Verdict
     confidence: float  # in the assembly mode that the verdict rests on, 0.5 to 1
-    time: float  # of the verdict, since the trajectory's start, s
+    time: float  # of the verdict, since the trajectory's start, s; nan while undecided
 
 
 class Tick:
@@ -174,6 +175,7 @@ class ControlLoop:
         self._pending: tuple[Trajectory, Certificate, float | None] | None = None
         self._watch = 0.0
         self._near_limit = robot.max_torque
+        self._open = -1
         self._q_a = np.zeros(2)
         self._stop_time = 0.0
         self._stop_wanted = False
@@ -326,6 +328,9 @@ class ControlLoop:
 
     def _go_limp(self, phase: Phase, reason: str) -> None:
         """Leave the reference: from now on the robot is only watched, and damped in SAFE_STOP."""
+        current = self._current_crossing()
+        moving = self.phase in MOVING
+        self._open = current if moving and current >= 0 and self.passed[current].verdict is Verdict.UNDECIDED else -1
         self.estimator.release(self.phase == Phase.CROSSING)
         self.phase, self.reason, self._pending, self._stop_wanted = phase, reason, None, False
         self._stop_time = self._time
@@ -388,6 +393,7 @@ class ControlLoop:
             self.estimator.take_pose(pose, time)
         if self.phase in LIMP:
             self.estimator.coast(dt, q_a, self._tau)
+            self._compare_afterwards()
             self._limp()
         else:
             self._servo(reference_time, dt, q_a)
@@ -403,7 +409,7 @@ class ControlLoop:
             self.refusal = str(error)
             return
         self.certificate = certificate
-        self.passed = []
+        self.passed = [Passed(float(time), Verdict.UNDECIDED, 0.5, math.nan) for time in certificate.crossing_times]
         self._near_limit = self._limit_near(certificate)
         self._start = time if start is None else start
         self._set_trajectory(trajectory, certificate.profile.time, certificate.profile.multipliers)
@@ -439,8 +445,7 @@ class ControlLoop:
         if crossing:
             near = abs(s_ref) < settings.hold_zone + settings.hold_width
             self.phase = Phase.CROSSING if near else Phase.TRACK
-            if abs(s_ref) < settings.watch_s:
-                limit = self._near_limit
+            limit = self._near_limit
         control(self._packed, self._gains, self._law, ref, self.estimator.row, self._integral, limit, dt, out)
         self._supervise(dt, s_ref, crossing, limit)
         if self.phase in LIMP:
@@ -457,12 +462,14 @@ class ControlLoop:
         if self._stop_wanted and self.phase != Phase.CROSSING:
             self._go_limp(Phase.SAFE_STOP, self.reason)
             return
+        self._compare_sides(s_ref)
+        if self.phase in LIMP:
+            return
         error = math.hypot(out[ERROR], out[ERROR + 1])
         if error > settings.max_tracking_error:
             self._go_limp(Phase.SAFE_STOP, f"tracking error {error:.4f} m; the limit is {settings.max_tracking_error} m")
             return
-        self._compare_sides(s_ref)
-        if not crossing or self.phase in LIMP:
+        if not crossing:
             return
         self._watch = self._watch + dt if saturated else max(self._watch - WATCH_DECAY * dt, 0.0)
         if self._watch > settings.watch_time:
@@ -474,32 +481,45 @@ class ControlLoop:
 
     def _compare_sides(self, s_ref: float) -> None:
         """The believed assembly mode against the reference's, away from the locus: a verdict for each crossing."""
-        settings, row, s = self.settings, self.estimator.row, self.estimator.s
-        sure = abs(s) >= settings.passage_begin and row[CONFIDENCE] >= settings.verdict_confidence
-        if sure and abs(s_ref) >= settings.verdict_s and row[MODE_HAT] * s_ref < 0.0:
-            self._judge(Verdict.BOUNCED)
+        if abs(s_ref) < self.settings.verdict_s or not self._sure_of_side():
+            return
+        row = self.estimator.row
+        current = self._current_crossing()
+        if row[MODE_HAT] * s_ref < 0.0:
+            self._judge(current, Verdict.BOUNCED)
             self._go_limp(
                 Phase.SAFE_STOP,
-                f"bounced: the robot is at s = {s:+.2f}, the reference at {s_ref:+.2f} (confidence {row[CONFIDENCE]:.3f})",
+                f"bounced: the robot is at s = {self.estimator.s:+.2f}, the reference at {s_ref:+.2f}"
+                f" (confidence {row[CONFIDENCE]:.3f})",
             )
-            return
-        if self.certificate is None or len(self.passed) == len(self.certificate.crossing_times):
-            return
-        if self.phase not in (Phase.TRACK, Phase.CROSSING):
-            return
-        index = len(self.passed)
-        if self._time - self._start <= self.certificate.crossing_times[index]:
-            return
-        if sure and s_ref * self.certificate.crossing_signs[index] >= settings.verdict_s:
-            self._judge(Verdict.CROSSED)
-        elif self.phase is Phase.TRACK:
-            self._judge(Verdict.UNDECIDED)
+        elif current >= 0 and self.phase in MOVING and s_ref * self.certificate.crossing_signs[current] > 0.0:
+            self._judge(current, Verdict.CROSSED)
 
-    def _judge(self, verdict: Verdict) -> None:
-        if self.certificate is not None and len(self.passed) < len(self.certificate.crossing_times):
-            time = self._time - self._start
-            planned = float(self.certificate.crossing_times[len(self.passed)])
-            self.passed.append(Passed(planned, verdict, float(self.estimator.row[CONFIDENCE]), time))
+    def _compare_afterwards(self) -> None:
+        """A verdict on the crossing during which the loop let go, once the estimator has one."""
+        if self._open < 0 or self.certificate is None or not self._sure_of_side():
+            return
+        same = self.estimator.row[MODE_HAT] * self.certificate.crossing_signs[self._open] > 0.0
+        self._judge(self._open, Verdict.CROSSED if same else Verdict.BOUNCED)
+        if not same:
+            self.reason = f"bounced (s = {self.estimator.s:+.2f}, confidence {self.estimator.row[CONFIDENCE]:.3f}); {self.reason}"
+        self._open = -1
+
+    def _sure_of_side(self) -> bool:
+        """Whether the estimator has an opinion about the assembly mode that counts."""
+        return bool(self.estimator.row[CONFIDENCE] >= self.settings.verdict_confidence)
+
+    def _current_crossing(self) -> int:
+        """Index of the last planned crossing that has begun; -1 before the first and without a trajectory."""
+        if self.certificate is None:
+            return -1
+        begun = self._time - self._start + OPEN_BEFORE
+        return int(np.searchsorted(self.certificate.crossing_times, begun, side="right")) - 1
+
+    def _judge(self, index: int, verdict: Verdict) -> None:
+        if index >= 0 and self.passed[index].verdict is Verdict.UNDECIDED:
+            time, confidence = self._time - self._start, float(self.estimator.row[CONFIDENCE])
+            self.passed[index] = self.passed[index]._replace(verdict=verdict, confidence=confidence, time=time)
 
     def _limp(self) -> None:
         """One tick without the law: damped in SAFE_STOP until its time is over, else without torque."""

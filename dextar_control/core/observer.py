@@ -14,12 +14,13 @@ what is measured (Wald's sequential test) tells which of the two is the robot.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from dextar_control.core.compiled import njit
-from dextar_control.core.dynamics import forward_dynamics, platform_dynamics
+from dextar_control.core.dynamics import apply, forward_dynamics, inverse, platform_dynamics
 from dextar_control.core.kinematics import (
     direct_geometric_model,
     inverse_geometric_model,
@@ -27,12 +28,17 @@ from dextar_control.core.kinematics import (
     singularity,
     state_of_platform,
 )
+from dextar_control.core.law import smooth_step
 from dextar_control.core.model import Array, Model
 
 STATES = 6
-STEP_X, STEP_X_DOT = 1e-6, 1e-5  # m, m/s of the finite differences of x_ddot
+STEP = 1e-6  # m of the finite differences of s
+REST_SPEED = 1e-3  # m/s, standard deviation of a robot at rest
 MAX_STEP = 1e-3  # s of one prediction; a longer gap is predicted in several
 CERTAIN = 20.0  # log-odds at which a belief is kept
+CORRELATED = 10.0  # samples over which the innovations of a wrong model hang together: so many count as one
+RISE, FORGET = 0.05, 5.0  # s over which the misfit in a known assembly mode is averaged, up and down: a model stays wrong
+CONTRAST = 3.0, 6.0  # how many times worse the less likely filter has to fit before the test begins to count, and fully does
 
 
 class Noise(NamedTuple):
@@ -43,6 +49,8 @@ class Noise(NamedTuple):
     bias_walk: float  # of b's random walk, rad/sqrt(s)
     torque: float  # of a sample: friction and motors, N m
     acceleration: float  # of a sample: masses, m/s^2
+    shock_gate: float  # squared normalised innovation that only a blow explains
+    shock_speed: float  # of x_dot after a blow, m/s
 
 
 class Gauss(NamedTuple):
@@ -50,6 +58,7 @@ class Gauss(NamedTuple):
 
     mean: Array  # (6,) x, x_dot, b
     covariance: Array  # (6, 6)
+    x_ddot: Array  # (2,) of the last prediction
 
 
 class Passage(NamedTuple):
@@ -65,116 +74,146 @@ class Bank(NamedTuple):
     """The filters: the one that serves, and the two of the test."""
 
     main: Gauss
-    same: Gauss  # from the main one's state
+    same: Gauss  # from the main one's state; while there is no test it tells how well the model fits
     image: Gauss  # from its mirror image
 
 
-MODE, LOG_ODDS, ARMED, TESTING, RATIO, MISFIT_SAME, MISFIT_IMAGE, SAMPLES, SWAPS = range(9)
-BELIEF = 9  # numbers of a belief
-
-
-@njit
-def _symmetric(P: Array) -> None:
-    for i in range(P.shape[0]):
-        for j in range(i):
-            mean = 0.5 * (P[i, j] + P[j, i])
-            P[i, j] = mean
-            P[j, i] = mean
+MODE, LOG_ODDS, ARMED, TESTING, RATIO, MISFIT_SAME, MISFIT_IMAGE, SAMPLES, SWAPS, MISFIT_KNOWN = range(10)
+BELIEF = 10  # numbers of a belief
 
 
 @njit
 def begin_at_rest(model: Model, noise: Noise, x: Array, state: Gauss) -> None:
     """A robot at rest at x (2,), known from its joints: what b may be, x may be off by J_inv^-1 b."""
-    kin = state_of_platform(model, x, np.zeros(2))
-    J = kin.J_inv
-    determinant = J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]
-    inverse = np.array([[J[1, 1], -J[0, 1]], [-J[1, 0], J[0, 0]]]) / determinant
+    J = inverse(state_of_platform(model, x, np.zeros(2)).J_inv)
     bias, encoder = noise.bias**2, noise.encoder**2
     P = state.covariance
     P[:, :] = 0.0
-    P[0:2, 0:2] = (bias + encoder) * (inverse @ inverse.T)
-    P[0:2, 4:6] = -bias * inverse
-    P[4:6, 0:2] = -bias * inverse.T
+    P[0:2, 0:2] = (bias + encoder) * (J @ J.T)
+    P[0:2, 4:6] = -bias * J
+    P[4:6, 0:2] = -bias * J.T
     for i in range(2):
-        P[2 + i, 2 + i] = 1e-6
+        P[2 + i, 2 + i] = REST_SPEED**2
         P[4 + i, 4 + i] = bias
     state.mean[:] = 0.0
     state.mean[0:2] = x
-
-
-@njit
-def _acceleration(model: Model, x: Array, x_dot: Array, tau: Array) -> Array:
-    return forward_dynamics(model, state_of_platform(model, x, x_dot), tau)
+    state.x_ddot[:] = 0.0
 
 
 @njit
 def predict(model: Model, noise: Noise, state: Gauss, tau: Array, dt: float) -> None:
-    """One step of the midpoint rule under tau (2,), N m, and the covariance with it."""
+    """One step under tau (2,), N m: x_ddot by the forward dynamics in its middle, and the covariance with it.
+
+    The covariance takes x_ddot for independent of the state, which over a sample it nearly is. The torque's
+    noise acts through M^-1 J_inv^T: not along t_s on the locus.
+    """
     mean, P = state.mean, state.covariance
     x, x_dot = mean[0:2].copy(), mean[2:4].copy()
-    a = _acceleration(model, x, x_dot, tau)
-    F = np.eye(STATES)
-    for j in range(2):
-        shifted = x.copy()
-        shifted[j] += STEP_X
-        by_x = (_acceleration(model, shifted, x_dot, tau) - a) / STEP_X
-        shifted = x_dot.copy()
-        shifted[j] += STEP_X_DOT
-        by_x_dot = (_acceleration(model, x, shifted, tau) - a) / STEP_X_DOT
-        F[j, 2 + j] = dt
-        for i in range(2):
-            F[i, j] += 0.5 * dt * dt * by_x[i]
-            F[2 + i, j] += dt * by_x[i]
-            F[2 + i, 2 + j] += dt * by_x_dot[i]
-    middle = _acceleration(model, x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * a, tau)
-    mean[0:2] += dt * x_dot + 0.5 * dt * dt * a
-    mean[2:4] += dt * middle
-    kin = state_of_platform(model, x, x_dot)
+    kin = state_of_platform(model, x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * state.x_ddot)
+    state.x_ddot[:] = forward_dynamics(model, kin, tau)
     mass, _ = platform_dynamics(model, kin)
-    determinant = mass[0, 0] * mass[1, 1] - mass[0, 1] * mass[1, 0]
-    inverse = np.array([[mass[1, 1], -mass[0, 1]], [-mass[1, 0], mass[0, 0]]]) / determinant
-    G = inverse @ kin.J_inv.T  # x_ddot per torque: nothing along t_s on the locus
-    P[:, :] = F @ P @ F.T
+    M = inverse(mass)
+    J = kin.J_inv
+    G = np.zeros((2, 2))  # x_ddot per torque
+    for i in range(2):
+        for leg in range(2):
+            G[i, leg] = M[i, 0] * J[leg, 0] + M[i, 1] * J[leg, 1]
+    for i in range(2):
+        mean[i] += dt * (x_dot[i] + 0.5 * dt * state.x_ddot[i])
+        mean[2 + i] += dt * state.x_ddot[i]
+    for i in range(2):  # F P, then (F P) F^T, with F = [[1, dt, 0], [0, 1, 0], [0, 0, 1]]
+        for j in range(STATES):
+            P[i, j] += dt * P[2 + i, j]
+    for i in range(2):
+        for j in range(STATES):
+            P[j, i] += dt * P[j, 2 + i]
     for i in range(2):
         for j in range(2):
-            shared = noise.torque**2 * (G[i, 0] * G[j, 0] + G[i, 1] * G[j, 1])
-            if i == j:
-                shared += noise.acceleration**2
-            P[2 + i, 2 + j] += dt * dt * shared
+            P[2 + i, 2 + j] += (dt * noise.torque) ** 2 * (G[i, 0] * G[j, 0] + G[i, 1] * G[j, 1])
+        P[2 + i, 2 + i] += (dt * noise.acceleration) ** 2
         P[4 + i, 4 + i] += dt * noise.bias_walk**2
-    _symmetric(P)
+
+
+@njit
+def allow_for_shock(noise: Noise, state: Gauss, dt: float) -> None:
+    """A blow somewhere in the last dt: x_dot is anything up to shock_speed off, and x what came of it."""
+    variance = noise.shock_speed**2
+    P = state.covariance
+    for i in range(2):
+        P[i, i] += variance * dt * dt
+        P[i, 2 + i] += variance * dt
+        P[2 + i, i] += variance * dt
+        P[2 + i, 2 + i] += variance
 
 
 @njit
 def _update(state: Gauss, H: Array, innovation: Array, variance: float) -> tuple[float, float]:
     """Kalman update with H (2, 6) and equal variances: the innovation's normalised square and ln det of its covariance."""
     P = state.covariance
-    PH = P @ H.T
-    S = H @ PH
-    S[0, 0] += variance
-    S[1, 1] += variance
-    determinant = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]
-    inverse = np.array([[S[1, 1], -S[0, 1]], [-S[1, 0], S[0, 0]]]) / determinant
-    K = PH @ inverse
-    state.mean[:] += K @ innovation
-    P[:, :] = P - K @ PH.T
-    _symmetric(P)
-    return innovation @ (inverse @ innovation), np.log(determinant)
+    PH = np.zeros((STATES, 2))
+    for i in range(STATES):
+        for row in range(2):
+            for j in range(STATES):
+                PH[i, row] += P[i, j] * H[row, j]
+    S = np.zeros((2, 2))
+    for row in range(2):
+        S[row, row] = variance
+        for column in range(2):
+            for j in range(STATES):
+                S[row, column] += H[row, j] * PH[j, column]
+    S_inverse = inverse(S)
+    weighted = apply(S_inverse, innovation)
+    for i in range(STATES):
+        state.mean[i] += PH[i, 0] * weighted[0] + PH[i, 1] * weighted[1]
+    for i in range(STATES):
+        gain = apply(S_inverse, PH[i])
+        for j in range(i + 1):
+            P[i, j] -= gain[0] * PH[j, 0] + gain[1] * PH[j, 1]
+            P[j, i] = P[i, j]
+    square = innovation[0] * weighted[0] + innovation[1] * weighted[1]
+    return square, np.log(S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0])
 
 
 @njit
-def correct(model: Model, noise: Noise, state: Gauss, q_meas: Array) -> tuple[float, float]:
-    """Take the active joints (2,), rad, on any turn; see ``_update`` for what is returned."""
-    x = state.mean[0:2].copy()
-    kin = state_of_platform(model, x, np.zeros(2))
+def _innovation(model: Model, state: Gauss, q_meas: Array) -> tuple[Array, Array]:
+    """H (2, 6) and the innovation (2,), rad, of the active joints (2,) on any turn."""
+    kin = state_of_platform(model, state.mean[0:2].copy(), np.zeros(2))
     H = np.zeros((2, STATES))
-    H[:, 0:2] = kin.J_inv
     innovation = np.empty(2)
     for i in range(2):
+        H[i, 0] = kin.J_inv[i, 0]
+        H[i, 1] = kin.J_inv[i, 1]
         H[i, 4 + i] = 1.0
         angle = q_meas[i] - kin.q_a[i] - state.mean[4 + i]
         innovation[i] = angle - 2.0 * np.pi * np.floor((angle + np.pi) / (2.0 * np.pi))
+    return H, innovation
+
+
+@njit
+def innovate(model: Model, noise: Noise, state: Gauss, q_meas: Array) -> tuple[float, float]:
+    """Take the active joints (2,), rad; see ``_update`` for what is returned."""
+    H, innovation = _innovation(model, state, q_meas)
     return _update(state, H, innovation, noise.encoder**2)
+
+
+@njit
+def correct(model: Model, noise: Noise, state: Gauss, q_meas: Array, dt: float) -> bool:
+    """Take the active joints (2,), rad, and see whether the robot was struck in the last dt."""
+    H, innovation = _innovation(model, state, q_meas)
+    S = np.zeros((2, 2))
+    P = state.covariance
+    for row in range(2):
+        S[row, row] = noise.encoder**2
+        for column in range(2):
+            for i in range(STATES):
+                for j in range(STATES):
+                    S[row, column] += H[row, i] * P[i, j] * H[column, j]
+    weighted = apply(inverse(S), innovation)
+    struck = innovation[0] * weighted[0] + innovation[1] * weighted[1] > noise.shock_gate
+    if struck:
+        allow_for_shock(noise, state, dt)
+    _update(state, H, innovation, noise.encoder**2)
+    return struck
 
 
 @njit
@@ -193,18 +232,17 @@ def mirror(model: Model, state: Gauss, image: Gauss) -> bool:
     kin = state_of_platform(model, x, x_dot)
     mode = 1.0 if singularity(model, kin.A_r) > 0.0 else -1.0
     other = direct_geometric_model(model, kin.q_a, -mode)
-    J = kinematics(model, kin.q_a, other, np.zeros(2)).J_inv
-    determinant = J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]
-    inverse = np.array([[J[1, 1], -J[0, 1]], [-J[1, 0], J[0, 0]]]) / determinant
+    J = inverse(kinematics(model, kin.q_a, other, np.zeros(2)).J_inv)
     T = np.zeros((STATES, STATES))
-    T[0:2, 0:2] = inverse @ kin.J_inv
+    T[0:2, 0:2] = J @ kin.J_inv
     T[2:4, 2:4] = T[0:2, 0:2]
     T[4, 4] = 1.0
     T[5, 5] = 1.0
     image.mean[0:2] = other
-    image.mean[2:4] = inverse @ kin.q_a_dot
+    image.mean[2:4] = apply(J, kin.q_a_dot)
     image.mean[4:6] = state.mean[4:6]
     image.covariance[:, :] = T @ state.covariance @ T.T
+    image.x_ddot[:] = 0.0
     same = inverse_geometric_model(model, other)
     near = abs(same[0] - kin.q_a[0]) + abs(same[1] - kin.q_a[1]) < 1e-6  # still in this working mode
     return bool(near and np.isfinite(image.mean).all())
@@ -226,7 +264,8 @@ def observe(
 
     Args:
         belief: (BELIEF,) assembly mode; log-odds of it; armed; testing; log-likelihood ratio of the two filters of the
-            test; sum of each one's squared normalised innovations; samples; how often the image was the robot.
+            test; sum of each one's squared normalised innovations; samples; how often the image was the robot; mean
+            of the former while the assembly mode is known.
         tau: (2,) commanded since the last sample, N m.
         dt: since the last sample, s.
         q_meas: (2,) rad.
@@ -235,55 +274,92 @@ def observe(
     steps = int(np.ceil(dt / MAX_STEP - 1e-6))
     for _ in range(steps):
         predict(model, noise, bank.main, tau, dt / steps)
+        predict(model, passage.noise, bank.same, tau, dt / steps)
         if testing:
-            predict(model, passage.noise, bank.same, tau, dt / steps)
             predict(model, passage.noise, bank.image, tau, dt / steps)
-    correct(model, noise, bank.main, q_meas)
+    shocked = correct(model, noise, bank.main, q_meas, dt)
+    if shocked and testing:  # the two filters of the test know nothing of the blow
+        belief[TESTING], belief[LOG_ODDS], belief[ARMED] = 0.0, 0.0, 1.0
+        testing = False
+    same, spread_same = innovate(model, passage.noise, bank.same, q_meas)
     if testing:
-        same, spread_same = correct(model, passage.noise, bank.same, q_meas)
-        image, spread_image = correct(model, passage.noise, bank.image, q_meas)
+        image, spread_image = innovate(model, passage.noise, bank.image, q_meas)
         if np.isfinite(same + image):
             weigh(belief, same, spread_same, image, spread_image)
+    elif belief[ARMED] == 0.0 and not shocked and np.isfinite(same):
+        excess = 0.5 * same - belief[MISFIT_KNOWN]
+        belief[MISFIT_KNOWN] += min(dt / (RISE if excess > 0.0 else FORGET), 1.0) * excess
+    if shocked or not np.isfinite(same):
+        copy(bank.main, bank.same)
     judge_passage(model, passage, bank, belief)
+
+
+@njit
+def copy(source: Gauss, target: Gauss) -> None:
+    """Make the target the source."""
+    target.mean[:] = source.mean
+    target.covariance[:, :] = source.covariance
+    target.x_ddot[:] = source.x_ddot
 
 
 @njit
 def weigh(belief: Array, same: float, spread_same: float, image: float, spread_image: float) -> None:
     """Take one measurement's two likelihoods into the belief.
 
-    Where even the better filter fits worse than the noise that it was told, the log-odds shrink by that factor:
-    a wrong model makes the test unsure, not wrong.
+    Where even the better filter fits worse than the noise that it was told, now or while the assembly mode was known,
+    the log-odds shrink by that factor, and where both fit alike badly they vanish: a wrong model makes the test
+    unsure, not wrong.
     """
     belief[RATIO] += 0.5 * (image + spread_image - same - spread_same)
     belief[MISFIT_SAME] += same
     belief[MISFIT_IMAGE] += image
     belief[SAMPLES] += 1.0
-    misfit = min(belief[MISFIT_SAME], belief[MISFIT_IMAGE]) / (2.0 * belief[SAMPLES])
-    belief[LOG_ODDS] = belief[RATIO] / max(1.0, misfit)
+    better, worse = min(belief[MISFIT_SAME], belief[MISFIT_IMAGE]), max(belief[MISFIT_SAME], belief[MISFIT_IMAGE])
+    contrast = smooth_step(worse / better, CONTRAST[0], CONTRAST[1])
+    misfit = max(1.0, belief[MISFIT_KNOWN], better / (2.0 * belief[SAMPLES]))
+    belief[LOG_ODDS] = contrast * belief[RATIO] / (CORRELATED * misfit)
+
+
+@njit
+def log_odds_of_side(model: Model, state: Gauss, s: float) -> float:
+    """Of the sign of s, as the covariance has it: logit of the normal distribution at |s| over its deviation."""
+    slope = np.empty(2)
+    for i in range(2):
+        shifted = state.mean[0:2].copy()
+        shifted[i] += STEP
+        slope[i] = (singularity(model, state_of_platform(model, shifted, np.zeros(2)).A_r) - s) / STEP
+    P = state.covariance
+    variance = slope[0] ** 2 * P[0, 0] + 2.0 * slope[0] * slope[1] * P[0, 1] + slope[1] ** 2 * P[1, 1]
+    wrong = 0.5 * math.erfc(abs(s) / math.sqrt(2.0 * max(variance, 1e-30)))
+    return min(math.log1p(-wrong) - math.log(max(wrong, 1e-300)), CERTAIN)
 
 
 @njit
 def judge_passage(model: Model, passage: Passage, bank: Bank, belief: Array) -> None:
-    """Begin, go on with or end the test of crossed against bounced; see ``observe``."""
+    """Begin, go on with or end the test of crossed against bounced; see ``observe``.
+
+    Where the distal links are folded there is nothing to test: the image is a whole turn of them away, and the
+    joints tell the side as well as they tell s.
+    """
     main = bank.main
     s, stretched = _measure(model, main)
     mode = 1.0 if s > 0.0 else -1.0
     if abs(s) < passage.armed:
-        belief[ARMED:SWAPS] = 0.0
+        belief[TESTING:SWAPS] = 0.0
         belief[ARMED] = 1.0
-        belief[LOG_ODDS] = 0.0
+        belief[LOG_ODDS] = 0.0 if stretched else log_odds_of_side(model, main, s)
+    elif belief[ARMED] > 0.0 and not stretched:
+        belief[LOG_ODDS] = log_odds_of_side(model, main, s)
+        belief[ARMED] = 0.0 if abs(s) >= passage.begin else 1.0
     elif belief[ARMED] > 0.0 and abs(s) >= passage.begin:
         belief[ARMED] = 0.0
-        if not stretched:
-            belief[LOG_ODDS] = CERTAIN  # folded: the image is a whole turn away, the joints tell
-        elif mirror(model, main, bank.image):
-            bank.same.mean[:] = main.mean
-            bank.same.covariance[:, :] = main.covariance
+        if mirror(model, main, bank.image):
+            copy(main, bank.same)
             belief[TESTING] = 1.0
     elif belief[TESTING] > 0.0 and abs(belief[LOG_ODDS]) >= passage.log_odds:
         if belief[LOG_ODDS] < 0.0:
-            main.mean[:] = bank.image.mean
-            main.covariance[:, :] = bank.image.covariance
+            copy(bank.image, main)
+            copy(bank.image, bank.same)
             mode = -mode
             belief[SWAPS] += 1.0
         belief[TESTING] = 0.0

@@ -42,6 +42,8 @@ class Settings:
         bias_walk: of their random walk, rad/sqrt(s).
         torque_deviation: of a sample's torque (friction, motors), N m.
         acceleration_deviation: of a sample's platform acceleration (masses), m/s^2.
+        shock_gate: innovation of the joints, in standard deviations, from which on the observer allows for a blow ...
+        shock_speed: ... that may have changed the platform's speed by this, m/s.
         passage_armed: |s| within which the observer takes the assembly mode for unknown.
         passage_begin: |s| at which its test of crossed against bounced begins.
         passage_log_odds: that decide it.
@@ -57,8 +59,8 @@ class Settings:
         max_residual: of the criterion at a crossing of an accepted trajectory, N.
         verdict_s: |s| of the reference outside which a believed assembly mode is compared with the plan's.
         verdict_confidence: in the believed assembly mode from which on it counts.
-        watch_ratio, watch_torque, watch_s: within |s| < watch_s the torque is held below the larger of ratio x planned
-            peak and watch_torque (N m).
+        watch_ratio, watch_torque: while a crossing trajectory is tracked the torque is held below the larger of
+            ratio x planned peak and watch_torque (N m).
         watch_time: at a torque limit that ends a motion in a safe stop, s: a robot that bounced asks for it.
         brake_gain: of the safe stop, N m s/rad.
         brake_time: after which the safe stop's torque is gone, s.
@@ -80,6 +82,8 @@ class Settings:
     bias_walk: float
     torque_deviation: float
     acceleration_deviation: float
+    shock_gate: float
+    shock_speed: float
     passage_armed: float
     passage_begin: float
     passage_log_odds: float
@@ -97,7 +101,6 @@ class Settings:
     verdict_confidence: float
     watch_ratio: float
     watch_torque: float
-    watch_s: float
     watch_time: float
     brake_gain: float
     brake_time: float
