@@ -25,14 +25,28 @@ from dextar_control.core.kinematics import (
     state_of_platform,
     type1_distance,
 )
+from dextar_control.core.locus import MIN_END_S, LocusPoint, locus_point
 from dextar_control.core.model import Array, Model, make_model
+from dextar_control.core.search import (
+    GOAL,
+    SPLIT,
+    START,
+    STATE,
+    TORQUE_SHARE,
+    Criterion,
+    guesses_through,
+    make_problem,
+    search,
+    trajectory_of,
+)
 from dextar_control.core.trajectory import Trajectory, hold, join
 
 PLAN_RESIDUAL = 1e-9  # N, at the crossing of a plan
 LINE_SAMPLES = 17  # at which the line through a candidate point is looked at for the locus
 COARSE_SAMPLES = 60  # of a candidate while optimising
 DEGREE = 10
-MIN_END_S = 0.4  # |s| at start and goal: there the direct model holds the estimate again (hold_zone + hold_width)
+MIN_SLOPE = 0.1  # sine of the angle between a crossing's direction and the locus
+FIRST_DURATION = 0.4  # s, at which a way of open duration is searched
 MIN_APPROACH_S = 0.2  # |s| that an approach keeps on its way
 
 
@@ -242,7 +256,109 @@ def plan_return_trip(
         raise TrajectoryError(f"repeat = {repeat}; it must be >= 1")
     out = plan_crossing(robot, start, goal, duration).trajectory
     back = out.reversed() if robot.gravity == (0.0, 0.0) else plan_crossing(robot, goal, start, duration).trajectory
-    start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
-    parts = [hold(start, dwell)] + [out, hold(goal, dwell), back, hold(start, dwell)] * repeat
-    trip = join(parts)
+    return _there_and_back(robot, out, back, dwell, repeat)
+
+
+def robot_at(robot: RobotParameters, point: LocusPoint) -> RobotParameters:
+    """The robot in the working mode of a locus point."""
+    return robot.replace(working_mode=point.working_mode)
+
+
+def _place(robot: RobotParameters, point: LocusPoint | Array) -> LocusPoint:
+    if not isinstance(point, LocusPoint):
+        return locus_point(robot, point)
+    if point.working_mode != robot.working_mode:
+        raise GeometryError(
+            f"the locus point ({point.x[0]:.4f}, {point.x[1]:.4f}) m belongs to working mode {list(point.working_mode)}, the"
+            f" robot is in {list(robot.working_mode)}: set robot.working_mode"
+        )
+    return point
+
+
+def _way(point: LocusPoint, direction: int | float | Array) -> tuple[float, Array | None]:
+    """The sign of s after the crossing and the unit direction of the velocity, if one was given."""
+    if np.ndim(direction) == 0:
+        if float(direction) not in (-1.0, 1.0):
+            raise TrajectoryError(f"direction = {direction}; it must be +1 or -1 (the sign of s after the crossing) or a vector")
+        return float(direction), None
+    towards = np.asarray(direction, dtype=np.float64)
+    norm = float(np.hypot(*towards))
+    if not norm > 0.0:
+        raise TrajectoryError(f"direction = {towards.tolist()}; it must not vanish")
+    slope = float(point.gradient @ towards) / norm / float(np.hypot(*point.gradient))
+    if abs(slope) < MIN_SLOPE:
+        normal = point.gradient / np.hypot(*point.gradient)
+        raise TrajectoryError(
+            f"the direction ({towards[0]:.3f}, {towards[1]:.3f}) runs along the locus at ({point.x[0]:.4f}, {point.x[1]:.4f}) m:"
+            f" the sine of its angle to the locus is {abs(slope):.3f}; a crossing needs {MIN_SLOPE}; across is"
+            f" ({normal[0]:.3f}, {normal[1]:.3f})"
+        )
+    return float(np.sign(slope)), towards / norm
+
+
+def plan_through(
+    robot: RobotParameters,
+    point: LocusPoint | Array,
+    direction: int | Array,
+    duration: float | None = None,
+    *,
+    criterion: Criterion = Criterion.RECIPROCAL,
+) -> Plan:
+    """One way through a given point of the locus, rest to rest; the planner chooses both ends.
+
+    Args:
+        robot: in the working mode of the point (``robot_at``).
+        point: a locus point, or its position (2,), m.
+        direction: the sign of s after the crossing, or the direction (2,) of the velocity there.
+        duration: s; chosen when None, so that the peak torque is TORQUE_SHARE of the limit.
+        criterion: what holds at the crossing.
+
+    Raises:
+        GeometryError: the point is off the locus or has no room for a rest on both sides.
+        TrajectoryError: the direction does not cross, or no way within the limits was found.
+    """
+    place = _place(robot, point)
+    sign, towards = _way(place, direction)
+    problem = make_problem(robot, place, sign, duration or FIRST_DURATION, criterion, START + GOAL + SPLIT + STATE)
+    guesses = guesses_through(problem, towards)
+    found = search(problem, guesses)
+    if found is None:
+        raise GeometryError(
+            f"the locus point ({place.x[0]:.4f}, {place.x[1]:.4f}) m has no room for a rest (|s| >= {MIN_END_S}) on both sides"
+        )
+    trajectory = trajectory_of(problem, found[1])
+    if duration is None:
+        peak = measure(problem.model, trajectory).peak_torque
+        trajectory = trajectory.scaled(float(np.sqrt(peak / (TORQUE_SHARE * robot.max_torque))))
+    return Plan(trajectory, certify(robot, trajectory, max_residual=PLAN_RESIDUAL, crossings=1))
+
+
+def plan_return_trip_through(
+    robot: RobotParameters,
+    point: LocusPoint | Array,
+    direction: int | Array,
+    duration: float | None,
+    dwell: float,
+    repeat: int = 1,
+    *,
+    criterion: Criterion = Criterion.RECIPROCAL,
+) -> Plan:
+    """Out through a given point of the locus and back, ``repeat`` times, with rests before, between and after.
+
+    Args:
+        duration: of one way, s; chosen when None.
+        dwell: of each rest, s.
+
+    Raises:
+        GeometryError, TrajectoryError: as ``plan_through``.
+    """
+    if repeat < 1:
+        raise TrajectoryError(f"repeat = {repeat}; it must be >= 1")
+    out = plan_through(robot, point, direction, duration, criterion=criterion).trajectory
+    return _there_and_back(robot, out, out.reversed(), dwell, repeat)
+
+
+def _there_and_back(robot: RobotParameters, out: Trajectory, back: Trajectory, dwell: float, repeat: int) -> Plan:
+    start, goal = out.at(0.0).x, out.at(out.duration).x
+    trip = join([hold(start, dwell)] + [out, hold(goal, dwell), back, hold(start, dwell)] * repeat)
     return Plan(trip, certify(robot, trip, max_residual=PLAN_RESIDUAL, crossings=2 * repeat))
