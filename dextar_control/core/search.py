@@ -1,7 +1,8 @@
-"""The search for a crossing: guesses around a locus point, and a quasi-Newton descent from each."""
+"""The search for a crossing or a leg: guesses, and a quasi-Newton descent from each."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from enum import Enum
 from typing import NamedTuple
 
@@ -9,21 +10,34 @@ import numpy as np
 from scipy.optimize import minimize
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core.crossing import candidate, cost_and_gradient, joined
+from dextar_control.core.crossing import (
+    BENDS,
+    SPANS,
+    VARIABLES,
+    VELOCITY,
+    Limits,
+    Task,
+    cost_and_gradient,
+    crossing_state,
+    halves,
+)
 from dextar_control.core.locus import REST_REACH, REST_S, LocusPoint, rests_around
 from dextar_control.core.model import Array, Model, make_model
 from dextar_control.core.trajectory import Trajectory
 
-TORQUE_SHARE = 0.3  # of max_torque: the peak torque that costs one
+TORQUE_SHARE = 0.3  # of max_torque: the peak torque that costs one, and that a way of open duration has
 NEAR_TIME = 0.05  # s near the locus that costs NEAR_WEIGHT
-NEAR_WEIGHT = 0.3
+NEAR_WEIGHT = 1.0
 SOFT_TYPE1 = 0.12  # distance to Type 1 that a plan keeps where it can
 SOFT_END_S = 0.45  # |s| of ends that the planner chooses
-GOOD = 1.0  # cost below which no further guess is tried
-ITERATIONS, EVALUATIONS = 120, 200  # of one descent
-GUESSES = 4
-SPLIT_BOUNDS = (0.25, 0.75)  # fraction of the time before the crossing
-START, GOAL, PLACE, SPLIT, STATE = (0, 1), (2, 3), (4,), (5,), (6, 7, 8, 9, 10)  # indices of ``crossing.candidate``'s z
+LEG_TIME = 2.0  # s of a leg between two crossings that costs one
+GOOD = 1.8  # cost below which no further guess is tried
+ITERATIONS = 80  # of one descent
+TOLERANCE = 1e-3  # on the gradient
+GUESSES = 3
+VISIT = 0.9  # cosine of the angle between the ways of two guesses that are taken as one
+
+Progress = Callable[[float, str], None]
 
 
 class Criterion(Enum):
@@ -34,73 +48,95 @@ class Criterion(Enum):
 
 
 class Problem(NamedTuple):
-    """A crossing whose open variables are searched."""
+    """A crossing or leg whose open variables are searched."""
 
     model: Model
-    point: LocusPoint
-    duration: float  # s
-    length: float  # m, scale
-    criterion: Criterion
-    sign: float  # of s after the crossing
-    limits: Array
+    task: Task
     free: Array  # indices of the open variables
 
 
-def make_problem(
-    robot: RobotParameters, point: LocusPoint, sign: float, duration: float, criterion: Criterion, free: tuple[int, ...]
-) -> Problem:
-    """A problem in the robot's own limits."""
-    model = make_model(robot)
-    limits = np.array(
-        [
-            TORQUE_SHARE * robot.max_torque, NEAR_TIME, NEAR_WEIGHT, robot.max_joint_speed, robot.max_platform_speed,
-            max(SOFT_TYPE1, 1.2 * robot.min_type1_distance), SOFT_END_S,
-        ]
+def soft_limits(robot: RobotParameters, end_s: float) -> Limits:
+    """What the search aims at, inside the robot's limits."""
+    return Limits(
+        TORQUE_SHARE * robot.max_torque, NEAR_TIME, NEAR_WEIGHT, LEG_TIME, robot.max_joint_speed, robot.max_platform_speed,
+        max(SOFT_TYPE1, 1.2 * robot.min_type1_distance), end_s,
     )  # fmt: skip
-    return Problem(
-        model, point, duration, float(model.l2.mean()), criterion, sign, limits, np.array(sorted(free), dtype=np.int64)
-    )
+
+
+def crossing_problem(
+    robot: RobotParameters,
+    point: LocusPoint,
+    sign: float,
+    duration: float,
+    criterion: Criterion,
+    free: Sequence[int],
+    end_s: float = SOFT_END_S,
+    towards: Array | None = None,
+) -> Problem:
+    """A crossing near a locus point.
+
+    Args:
+        sign: of s after the crossing.
+        duration: s.
+        free: indices of the variables that are open, ``crossing.START`` and so on.
+        end_s: |s| that the ends keep.
+        towards: (2,) unit direction of the velocity at the crossing; open when None.
+    """
+    model = make_model(robot)
+    nothing = np.zeros((4, 2))
+    task = Task(
+        False, float(point.family.value), float(point.branch), criterion is Criterion.ZERO_WRENCH, sign, float(duration),
+        float(model.l2.mean()), np.zeros(2) if towards is None else towards, nothing, nothing, soft_limits(robot, end_s),
+    )  # fmt: skip
+    open_ones = set(free) - ({VELOCITY[1]} if towards is not None else set())
+    return Problem(model, task, np.array(sorted(open_ones), dtype=np.int64))
+
+
+def leg_problem(robot: RobotParameters, left: Array, reached: Array, sign: float, duration: float) -> Problem:
+    """A leg on the side ``sign`` between two crossing states (4, 2), about ``duration`` s long."""
+    model = make_model(robot)
+    task = Task(
+        True, 1.0, 1.0, False, sign, float(duration), float(model.l2.mean()), np.zeros(2), left, reached,
+        soft_limits(robot, SOFT_END_S),
+    )  # fmt: skip
+    return Problem(model, task, np.array([*range(8), *SPANS, *BENDS], dtype=np.int64))
 
 
 def trajectory_of(problem: Problem, z: Array) -> Trajectory:
-    """The candidate z as a trajectory."""
-    point = problem.point
-    first, second, before = candidate(
-        problem.model, float(point.family.value), float(point.branch), problem.duration, problem.length,
-        problem.criterion is Criterion.ZERO_WRENCH, z,
-    )  # fmt: skip
-    return joined(first, second, before, problem.duration)
+    """The candidate z as a trajectory from time 0."""
+    pair = halves(problem.model, problem.task, z)
+    coefficients = np.stack([pair.first, pair.second])
+    first, second = abs(pair.first_span), abs(pair.second_span)
+    origins = np.array([0.0, first + second]) if problem.task.leg else np.array([first, first])
+    return Trajectory(np.array([0.0, first, first + second]), origins, coefficients)
 
 
-def descend(problem: Problem, guess: Array) -> tuple[float, Array]:
+def state_at_crossing(problem: Problem, z: Array) -> Array:
+    """Rows x, x_dot, x_ddot, jerk (4, 2) at the crossing of a candidate."""
+    return crossing_state(problem.model, problem.task, z)
+
+
+def descend(problem: Problem, guess: Array, iterations: int = ITERATIONS) -> tuple[float, Array]:
     """The cost and the variables at the end of one descent."""
-    point, z = problem.point, guess.copy()
-    full = problem.criterion is Criterion.ZERO_WRENCH
+    z = guess.copy()
 
     def value(free: Array) -> tuple[float, Array]:
         z[problem.free] = free
-        found: tuple[float, Array] = cost_and_gradient(
-            problem.model, float(point.family.value), float(point.branch), problem.duration, problem.length, full,
-            problem.sign, problem.limits, z, problem.free,
-        )  # fmt: skip
+        found: tuple[float, Array] = cost_and_gradient(problem.model, problem.task, z, problem.free)
         return found
 
-    bounds = [SPLIT_BOUNDS if index in SPLIT else (None, None) for index in problem.free]
-    found = minimize(
-        value, guess[problem.free], jac=True, method="L-BFGS-B", bounds=bounds,
-        options={"maxiter": ITERATIONS, "maxfun": EVALUATIONS},
-    )  # fmt: skip
+    found = minimize(value, guess[problem.free], jac=True, method="BFGS", options={"maxiter": iterations, "gtol": TOLERANCE})
     best = guess.copy()
     best[problem.free] = found.x
     return float(found.fun), best
 
 
-def guesses_through(problem: Problem, towards: Array | None = None) -> list[Array]:
+def guesses_through(problem: Problem, point: LocusPoint, towards: Array | None = None) -> list[Array]:
     """Guesses with rests straight ahead of the point on both sides, as much in line as can be."""
-    model, x, length = problem.model, problem.point.x, problem.length
-    clear, reach = problem.limits[5], REST_REACH * problem.length
-    starts = rests_around(model, x, -problem.sign, clear, REST_S, reach)
-    goals = rests_around(model, x, problem.sign, clear, REST_S, reach)
+    model, x, length, sign = problem.model, point.x, problem.task.length, problem.task.sign
+    clear, reach = problem.task.limits.type1, REST_REACH * length
+    starts = rests_around(model, x, -sign, clear, REST_S, reach)
+    goals = rests_around(model, x, sign, clear, REST_S, reach)
     if len(starts) == 0 or len(goals) == 0:
         return []
     before, after = x - starts[:, :2], goals[:, :2] - x
@@ -110,34 +146,22 @@ def guesses_through(problem: Problem, towards: Array | None = None) -> list[Arra
     clearance = np.minimum(starts[:, 3][:, None], goals[:, 3][None])
     score = 1.0 - aligned + np.abs(total / (0.7 * length) - 1.0) + 0.5 * np.maximum(0.0, 1.0 - clearance / 0.3)
     if towards is not None:
-        score -= 2.0 * (after / far_after[:, None] @ towards)[None] + 2.0 * (before / far_before[:, None] @ towards)[:, None]
+        score = score - 2.0 * (after / far_after[:, None] @ towards)[None] - 2.0 * (before / far_before[:, None] @ towards)[:, None]
     chosen: list[Array] = []
     found: list[Array] = []
     for index in np.argsort(score, axis=None):
         row, column = np.unravel_index(index, score.shape)
         way = goals[column, :2] - starts[row, :2]
         direction = way / np.hypot(*way)
-        if any(direction @ other > 0.9 for other in chosen):
+        if any(direction @ other > VISIT for other in chosen):
             continue
         chosen.append(direction)
-        z = np.zeros(12)
+        z = np.zeros(VARIABLES)
         z[0:2], z[2:4] = starts[row, :2] / length, goals[column, :2] / length
-        z[4] = problem.point.angle
+        z[4] = point.angle
         z[5] = np.clip(far_before[row] / total[row, column], 0.35, 0.65)
-        z[6:8] = 2.0 * way / length
+        z[6:8] = 2.0 * (way if towards is None else np.array([np.hypot(*way), 0.0])) / length
         found.append(z)
         if len(found) == GUESSES:
             break
     return found
-
-
-def search(problem: Problem, guesses: list[Array]) -> tuple[float, Array] | None:
-    """The best of the descents, which stop at the first good one."""
-    best: tuple[float, Array] | None = None
-    for guess in guesses:
-        found = descend(problem, guess)
-        if best is None or found[0] < best[0]:
-            best = found
-        if best[0] < GOOD:
-            break
-    return best
