@@ -288,7 +288,9 @@ def _through(
             if progress is not None:
                 progress(row / len(guesses), f"guess {row + 1} of {len(guesses)} at ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
             if into.offer(problem, guess):
-                break
+                return True
+        if into.z is not None:
+            into.offer(problem._replace(free=np.append(problem.free, BENDS)), into.z)
         return len(guesses) > 0
 
     if not attempt(place, None, best):

@@ -31,10 +31,11 @@ NEAR_WEIGHT = 1.0
 SOFT_TYPE1 = 0.12  # distance to Type 1 that a plan keeps where it can
 SOFT_END_S = 0.45  # |s| of ends that the planner chooses
 LEG_TIME = 2.0  # s of a leg between two crossings that costs one
-GOOD = 1.8  # cost below which no further guess is tried
+GOOD = 1.5  # cost below which no further guess is tried
 ITERATIONS = 80  # of one descent
 TOLERANCE = 1e-3  # on the gradient
 GUESSES = 3
+HURRIED, HURRY = 2, 2.5  # of them that are tried with a velocity so many times larger
 VISIT = 0.9  # cosine of the angle between the ways of two guesses that are taken as one
 
 Progress = Callable[[float, str], None]
@@ -164,4 +165,7 @@ def guesses_through(problem: Problem, point: LocusPoint, towards: Array | None =
         found.append(z)
         if len(found) == GUESSES:
             break
-    return found
+    hurried = [guess.copy() for guess in found[:HURRIED]]
+    for guess in hurried:
+        guess[6:8] *= HURRY
+    return found + hurried
