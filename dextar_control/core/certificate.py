@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import json
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,8 +15,11 @@ from dextar_control.core.kinematics import singularity, state_of_platform, type1
 from dextar_control.core.model import Array, Model, make_model
 from dextar_control.core.trajectory import Trajectory, evaluate
 
+PLAN_RESIDUAL = 1e-9  # N, at the crossing of a plan
 NEAR_LOCUS = 0.1  # |s| below which a torque counts as near the locus
 LIMIT_ZONE = 0.01  # |s| below which the multipliers are taken from their neighbourhood: 0/0 on the locus
+LIMIT_NODES = np.array([1.0, 2.0 / 3.0, 1.0 / 3.0])  # of that zone, where they are taken on either side of a crossing
+ON_CROSSING = 1e-9  # s, closer to a crossing than this counts as on it
 REST_SPEED = 1e-6  # m/s
 REST_ACCELERATION = 1e-3  # m/s^2
 
@@ -35,6 +39,22 @@ class Profile(NamedTuple):
     type1: Array  # (m,) distance to Type 1
 
 
+class Crossing(NamedTuple):
+    """One crossing of a checked trajectory."""
+
+    time: float  # s
+    x: tuple[float, float]  # m
+    x_dot: tuple[float, float]  # m/s
+    family: str  # of the locus: "stretched" or "folded"
+    sign: int  # of s after the crossing
+    rate: float  # of s, 1/s
+    speed: float  # along t_s, m/s
+    residual: float  # |t_s.w_d|, N
+    multipliers: tuple[float, float]  # limit on the locus, N/m
+    torque: tuple[float, float]  # limit on the locus, N m
+    near_time: float  # s within |s| < NEAR_LOCUS about the crossing
+
+
 class Certificate(NamedTuple):
     """A checked trajectory: its crossings and its extremes."""
 
@@ -51,6 +71,21 @@ class Certificate(NamedTuple):
     least_type1: float
     duration: float  # s
     profile: Profile
+    crossings: tuple[Crossing, ...] = ()
+    least_s: float = float("nan")  # |s| at the start and the end
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the profile, in plain numbers and lists: what travels with the trajectory."""
+        return {
+            "duration": self.duration, "peak_torque": self.peak_torque, "peak_torque_near": self.peak_torque_near,
+            "peak_joint_speed": self.peak_joint_speed, "peak_platform_speed": self.peak_platform_speed,
+            "least_type1": self.least_type1, "least_s": self.least_s,
+            "crossings": [crossing._asdict() for crossing in self.crossings],
+        }  # fmt: skip
+
+    def to_json(self) -> str:
+        """``to_dict`` as JSON; a number that does not exist is null."""
+        return json.dumps(_finite(self.to_dict()), allow_nan=False)
 
     def lines(self) -> list[str]:
         """The certificate in words, one fact a line."""
@@ -59,14 +94,31 @@ class Certificate(NamedTuple):
             f", peak joint speed {self.peak_joint_speed:.2f} rad/s, peak platform speed {self.peak_platform_speed:.3f} m/s"
             f", distance to Type 1 {self.least_type1:.3f}"
         ]
-        for index, time in enumerate(self.crossing_times):
-            x, y = self.crossing_points[index]
-            left, right = self.multipliers[index]
+        for index, crossing in enumerate(self.crossings):
             text.append(
-                f"crossing {index + 1} at {time:.4f} s in ({x:.4f}, {y:.4f}) m, {self.crossing_speeds[index]:.3f} m/s along t_s"
-                f", residual {self.residuals[index]:.1e} N, multiplier ({left:.3f}, {right:.3f}) N/m"
+                f"crossing {index + 1} ({crossing.family}, to {'s > 0' if crossing.sign > 0 else 's < 0'}) at {crossing.time:.4f} s"
+                f" in ({crossing.x[0]:.4f}, {crossing.x[1]:.4f}) m, {crossing.speed:.3f} m/s along t_s"
+                f", {1e3 * crossing.near_time:.0f} ms within |s| < {NEAR_LOCUS}"
+                f", residual {crossing.residual:.1e} N, multiplier ({crossing.multipliers[0]:.3f}, {crossing.multipliers[1]:.3f}) N/m"
+                f", torque ({crossing.torque[0]:.4f}, {crossing.torque[1]:.4f}) N m"
             )
         return text
+
+
+def _finite(value: Any) -> Any:
+    """Plain data with None for each number that is not finite."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+class Plan(NamedTuple):
+    """A served trajectory and what was checked about it."""
+
+    trajectory: Trajectory
+    certificate: Certificate
 
 
 @njit
@@ -93,25 +145,30 @@ def _sample(model: Model, knots: Array, origins: Array, coefficients: Array, tim
 def sample_profile(model: Model, trajectory: Trajectory, times: Array) -> Profile:
     """What the robot needs along a trajectory at times (m,), s.
 
-    Within LIMIT_ZONE of the locus the multipliers are continued from both sides (a cubic through the
-    four nearest samples outside it): the value they tend to when the criterion holds.
+    Within LIMIT_ZONE of the locus the multipliers are continued from either side of the crossing by a parabola:
+    towards the value they tend to when the criterion holds.
     """
     times = np.asarray(times, dtype=np.float64)
     rows = _sample(model, trajectory.knots, trajectory.origins, trajectory.coefficients, times)
     s, lam = rows[:, 8], rows[:, 10:12].copy()
     inside = ~(np.abs(s) >= LIMIT_ZONE)
-    outside = np.flatnonzero(~inside)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        split = np.searchsorted(outside, start)
-        near = outside[max(split - 2, 0) : split + 2]
-        if len(near) == 0 or not np.isfinite(rows[near, 10:12]).all():
+        first, last = max(start - 1, 0), min(stop, len(times) - 1)
+        if not s[first] * s[last] < 0.0:
             continue
-        middle = times[start]
-        scale = max(np.ptp(times[near]), 1e-9)
-        for leg in range(2):
-            fit = np.polyfit((times[near] - middle) / scale, rows[near, 10 + leg], len(near) - 1)
-            lam[start:stop, leg] = np.polyval(fit, (times[start:stop] - middle) / scale)
+        turn = first + int(np.argmax(s[first:last] * s[first + 1 : last + 1] <= 0.0))
+        step = times[turn + 1] - times[turn]
+        middle = times[turn] + step * s[turn] / (s[turn] - s[turn + 1])
+        reach = LIMIT_ZONE * (times[last] - times[first]) / abs(s[last] - s[first])
+        ahead = times[start:stop] - middle
+        sides = []
+        for side in (-1.0, 1.0):
+            nodes = side * reach * LIMIT_NODES
+            near = _sample(model, trajectory.knots, trajectory.origins, trajectory.coefficients, middle + nodes)
+            sides.append(np.stack([np.polyval(np.polyfit(nodes, near[:, 10 + leg], 2), ahead) for leg in range(2)], axis=1))
+        weight = np.select([ahead < -ON_CROSSING, ahead > ON_CROSSING], [0.0, 1.0], 0.5)[:, None]
+        lam[start:stop] = (1.0 - weight) * sides[0] + weight * sides[1]
     torque = rows[:, 12:14] - rows[:, 14:16] * lam
     return Profile(
         time=times, x=rows[:, 0:2], x_dot=rows[:, 2:4], q_a=rows[:, 4:6], q_a_dot=rows[:, 6:8], s=s,
@@ -164,16 +221,12 @@ def measure(model: Model, trajectory: Trajectory, period: float = 1e-3) -> Certi
     rows = np.searchsorted(profile.time, crossings)
     near = np.abs(profile.s) < NEAR_LOCUS
     after = np.minimum(np.searchsorted(times, crossings, side="right"), len(times) - 1)
-    t_s = np.zeros((len(rows), 2))
-    for index, row in enumerate(rows):
-        kin = state_of_platform(model, profile.x[row], profile.x_dot[row])
-        r_1 = kin.A_r[0] / np.linalg.norm(kin.A_r[0])
-        t_s[index] = (-r_1[1], r_1[0])
+    found = tuple(_crossing(model, profile, int(row), float(sign)) for row, sign in zip(rows, np.sign(rough.s[after]), strict=True))
     return Certificate(
         crossing_times=crossings,
         crossing_points=profile.x[rows],
         crossing_signs=np.sign(rough.s[after]),
-        crossing_speeds=np.abs((t_s * profile.x_dot[rows]).sum(axis=1)),
+        crossing_speeds=np.array([crossing.speed for crossing in found]),
         residuals=np.abs(profile.residual[rows]),
         multipliers=profile.multipliers[rows],
         peak_torque=float(np.abs(profile.torque).max()),
@@ -183,7 +236,34 @@ def measure(model: Model, trajectory: Trajectory, period: float = 1e-3) -> Certi
         least_type1=float(profile.type1.min()),
         duration=trajectory.duration,
         profile=profile,
+        crossings=found,
+        least_s=float(np.abs(profile.s[[0, -1]]).min()),
     )
+
+
+def _crossing(model: Model, profile: Profile, row: int, sign: float) -> Crossing:
+    """The crossing at one row of a profile."""
+    x, x_dot = profile.x[row], profile.x_dot[row]
+    A_r = state_of_platform(model, x, x_dot).A_r
+    r_1 = A_r[0] / np.linalg.norm(A_r[0])
+    far = np.abs(profile.s) >= NEAR_LOCUS
+    before = np.flatnonzero(far[:row])
+    after = np.flatnonzero(far[row:])
+    enter = profile.time[before[-1] + 1] if len(before) else profile.time[0]
+    leave = profile.time[row + after[0] - 1] if len(after) else profile.time[-1]
+    near = slice(max(row - 1, 0), row + 2)
+    span = np.ptp(profile.time[near])
+    return Crossing(
+        time=float(profile.time[row]), x=_pair(x), x_dot=_pair(x_dot),
+        family="stretched" if A_r[0] @ A_r[1] < 0.0 else "folded", sign=int(sign),
+        rate=float(np.diff(profile.s[near][[0, -1]])[0] / span) if span > 0.0 else float("nan"),
+        speed=float(abs(r_1[0] * x_dot[1] - r_1[1] * x_dot[0])), residual=float(abs(profile.residual[row])),
+        multipliers=_pair(profile.multipliers[row]), torque=_pair(profile.torque[row]), near_time=float(leave - enter),
+    )  # fmt: skip
+
+
+def _pair(values: Array) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
 
 
 def certify(

@@ -1,0 +1,139 @@
+"""Regular motion: from rest to rest on one side of the locus, straight where possible, around it else."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import PPoly, make_interp_spline
+
+from dextar_control.contract.errors import GeometryError, TrajectoryError
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.core.certificate import PLAN_RESIDUAL, certify, measure
+from dextar_control.core.kinematics import inverse_model, singularity, state_of_platform, type1_distance
+from dextar_control.core.model import Array, Model, make_model
+from dextar_control.core.regions import SPACING, find_way, make_regions
+from dextar_control.core.trajectory import Trajectory
+
+MIN_APPROACH_S = 0.2  # |s| that an approach keeps on its way
+KEPT_S = 1.3  # times that, on the grid: what a spline may cut off corners
+LEAST_DURATION = 0.1  # s, of a motion however short
+SPLINE_DEGREE = 7
+BUSY_TORQUE = 0.6  # of max_torque that a regular motion takes at most
+STRIDES = (16, 10, 6, 4, 2)  # grid places from one spline point to the next: the first that keeps clear counts
+TIGHTENINGS = 6  # of the pace, each to what the torque asks for
+
+
+def side_of(model: Model, name: str, x: Array, robot: RobotParameters) -> float:
+    """s of a place where a motion starts or ends.
+
+    Raises:
+        GeometryError: it is unreachable or too near to Type 1.
+    """
+    if not np.isfinite(x).all() or x.shape != (2,):
+        raise GeometryError(f"{name} = {x.tolist()}; it must be two finite numbers, m")
+    try:
+        inverse_model(model, x)
+    except GeometryError as error:
+        raise GeometryError(f"{name}: {error}") from error
+    kin = state_of_platform(model, x, np.zeros(2))
+    distance = type1_distance(model, kin)
+    if distance < robot.min_type1_distance:
+        raise GeometryError(
+            f"{name} ({x[0]:.4f}, {x[1]:.4f}) m is {distance:.4f} from Type 1; the limit is {robot.min_type1_distance}"
+        )
+    return float(singularity(model, kin.A_r))
+
+
+def straight(start: Array, goal: Array, speed: float) -> Trajectory:
+    """x = start + (goal - start)(35 t^4 - 84 t^5 + 70 t^6 - 20 t^7): rest to rest, zero jerk at both ends."""
+    law = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
+    duration = max(35.0 / 16.0 * float(np.hypot(*(goal - start))) / speed, LEAST_DURATION)
+    coefficients = np.outer(law / duration ** np.arange(8), goal - start)
+    coefficients[0] += start
+    return Trajectory(np.array([0.0, duration]), np.zeros(1), coefficients[None])
+
+
+def spline(places: Array, speed: float) -> Trajectory:
+    """Rest to rest, zero jerk at both ends, through places (n, 2), slower where it starts and ends; four at least."""
+    steps = np.hypot(*np.diff(places, axis=0).T)
+    share = np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
+    # the time law 10 t^3 - 15 t^4 + 6 t^5, inverted on a table, spreads the places as a motion from rest to rest does
+    table = np.linspace(0.0, 1.0, 1001)
+    times = np.interp(share, table**3 * (10.0 - 15.0 * table + 6.0 * table**2), table)
+    rest = [(order, np.zeros(2)) for order in (1, 2, 3)]
+    curve = PPoly.from_spline(make_interp_spline(times, places, k=SPLINE_DEGREE, bc_type=(rest, rest)))
+    pieces = np.diff(curve.x) > 0.0
+    knots = np.append(curve.x[:-1][pieces], curve.x[-1])
+    coefficients = np.moveaxis(curve.c[::-1, pieces], 0, 1)
+    unit = Trajectory(knots - knots[0], knots[:-1] - knots[0], coefficients)
+    fastest = float(np.hypot(*unit.table(np.linspace(0.0, unit.duration, 200))[1].T).max())
+    return unit.scaled(max(fastest / speed, LEAST_DURATION))
+
+
+def _clear(robot: RobotParameters, model: Model, motion: Trajectory) -> bool:
+    profile = measure(model, motion, motion.duration / 400.0).profile
+    return bool(
+        np.isfinite(profile.s).all()
+        and np.abs(profile.s).min() >= MIN_APPROACH_S
+        and np.ptp(np.sign(profile.s)) == 0.0
+        and profile.type1.min() >= robot.min_type1_distance
+    )
+
+
+def _paced(robot: RobotParameters, motion: Trajectory) -> Trajectory:
+    """The motion, slowed down until the torque it needs is BUSY_TORQUE of the limit or the rest's own torque."""
+    model = make_model(robot)
+    for _ in range(TIGHTENINGS):
+        peak = measure(model, motion, motion.duration / 400.0).peak_torque
+        if peak <= BUSY_TORQUE * robot.max_torque:
+            break
+        motion = motion.scaled(float(np.clip(np.sqrt(peak / (BUSY_TORQUE * robot.max_torque)), 1.05, 2.0)))
+    return motion
+
+
+def plan_approach(robot: RobotParameters, start: Array, goal: Array, speed: float) -> Trajectory:
+    """From start to goal, rest to rest, on one side of the locus: a straight line, or a spline where that fails.
+
+    Args:
+        start, goal: (2,) m.
+        speed: peak speed, m/s.
+
+    Raises:
+        GeometryError: start or goal is unreachable or too near to Type 1.
+        TrajectoryError: no way stays on one side and clear of Type 1.
+    """
+    start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
+    if not speed > 0.0:
+        raise TrajectoryError(f"speed = {speed} m/s; it must be > 0")
+    model = make_model(robot)
+    signs = [np.sign(side_of(model, name, x, robot)) for name, x in (("start", start), ("goal", goal))]
+    line = straight(start, goal, speed)
+    motion = line if _clear(robot, model, line) else None
+    if motion is None and signs[0] == signs[1]:
+        found = find_way(make_regions(robot), start, signs[0], goal, signs[1], KEPT_S * MIN_APPROACH_S)
+        for stride in STRIDES if found is not None else ():
+            places = _thinned(found[0], stride)
+            curve = spline(places, speed)
+            if _clear(robot, model, curve):
+                motion = curve
+                break
+    if motion is None:
+        least = np.abs(measure(model, line).profile.s).min()
+        raise TrajectoryError(
+            f"the straight way from ({start[0]:.4f}, {start[1]:.4f}) to ({goal[0]:.4f}, {goal[1]:.4f}) m comes to |s| ="
+            f" {least:.3f} of the Type 2 locus; an approach keeps {MIN_APPROACH_S}, and no way around was found"
+        )
+    motion = _paced(robot, motion)
+    certify(robot, motion, max_residual=PLAN_RESIDUAL, crossings=0)
+    return motion
+
+
+def _thinned(way: Array, stride: int) -> Array:
+    """Every ``stride``-th place, with both ends, at least four, none closer to an end than a cell."""
+    inner = way[1:-1][(np.hypot(*(way[1:-1] - way[0]).T) > SPACING) & (np.hypot(*(way[1:-1] - way[-1]).T) > SPACING)]
+    count = max(2, int(np.ceil(len(inner) / stride)))
+    if len(inner) < 2:
+        return np.linspace(way[0], way[-1], 4)
+    rows = np.linspace(0, len(inner) - 1, count + 2).round().astype(int)[1:-1]
+    return np.vstack([way[0], inner[np.unique(rows)], way[-1]]) if len(np.unique(rows)) > 1 else np.vstack(
+        [way[0], inner[[0, -1]], way[-1]]
+    )
