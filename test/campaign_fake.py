@@ -62,7 +62,8 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: Any) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
+    from dextar_control import cli
     from dextar_control.campaign.command import run_command
-    from dextar_control.cli import _parser
 
-    sys.exit(run_command(_parser().parse_args(["campaign", *sys.argv[1:]]), MODULE))
+    cli._campaign = lambda arguments: run_command(arguments, MODULE)
+    sys.exit(cli.main(["campaign", *sys.argv[1:]]))

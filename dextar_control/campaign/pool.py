@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from types import TracebackType
 from typing import NamedTuple
 
@@ -56,6 +58,8 @@ class Pool:
             raise ParameterError(f"workers = {workers} with scheduler {scheduler}; a scheduler has its own workers")
         if workers is not None and workers < 1:
             raise ParameterError(f"workers = {workers}; it must be >= 1")
+        for logger in ("distributed", "distributed.client"):
+            logging.getLogger(logger).setLevel(logging.CRITICAL)
         self._cluster: LocalCluster | None = None
         if scheduler is None:
             self._client = self._local(workers or core_count())
@@ -133,24 +137,29 @@ class Pool:
                 processes=True,
                 host="127.0.0.1",
                 dashboard_address=None,
-                silence_logs=60,
-                preload=["dextar_control.campaign.preload"],
+                silence_logs=logging.CRITICAL,
             )
             return Client(self._cluster)
 
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Ctrl-C waits until the workers have started, or ended."""
+    """Ctrl-C waits until the block is done; threads and processes that start in it, and theirs, never see one.
+
+    The tracker of multiprocessing starts before, since starting it lifts the block.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    resource_tracker.ensure_running()
     came: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    handler = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, handler)
     if came:
         raise KeyboardInterrupt
 
@@ -160,9 +169,12 @@ def _connected(scheduler: str) -> Client:
         client = Client(scheduler, timeout=CONNECT_TIMEOUT)
     except (OSError, TimeoutError, ValueError) as error:
         raise CampaignError(f"no Dask scheduler answers at {scheduler} within {CONNECT_TIMEOUT:g} s") from error
-    if not client.nthreads():
+    threads = client.nthreads()
+    how = f"dask worker {scheduler} --nworkers auto --nthreads 1"
+    if not threads or max(threads.values()) > 1:
         client.close()
-        raise CampaignError(f"the Dask scheduler at {scheduler} has no workers; start some with: dask worker {scheduler}")
+        problem = f"workers with {max(threads.values())} threads, and a trial needs its own process" if threads else "no workers"
+        raise CampaignError(f"the Dask scheduler at {scheduler} has {problem}; start some with: {how}")
     return client
 
 

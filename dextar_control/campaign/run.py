@@ -43,7 +43,7 @@ class Campaign:
         """What the rows of a folder are of."""
         return {
             "version": design.version(),
-            "code": self.job.code,
+            "digest of the sources": self.job.code,
             "config": self.config.model_dump(),
             "robot": flatten(self.job.robot),
         }

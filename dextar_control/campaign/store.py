@@ -157,8 +157,11 @@ def _column(values: list[Any]) -> pa.Array:
 def _difference(found: Any, wanted: Any, where: str = "") -> str:
     """The first place where two pieces of plain data differ, in words."""
     if isinstance(found, dict) and isinstance(wanted, dict):
-        for key in [*wanted, *(key for key in found if key not in wanted)]:
-            inner = _difference(found.get(key), wanted.get(key), f"{where}.{key}" if where else str(key))
+        for key in {**wanted, **found}:
+            name = f"{where}.{key}" if where else str(key)
+            if key not in found or key not in wanted:
+                return f"{name} is only {'here' if key in wanted else 'there'}"
+            inner = _difference(found[key], wanted[key], name)
             if inner:
                 return inner
         return ""
