@@ -7,6 +7,7 @@ import random
 import signal
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 from dextar_control.campaign.design import CrossingPoint, Trial
@@ -37,11 +38,11 @@ def plan_trial(robot: RobotParameters, trial: Trial) -> None:
 
 
 def run_trial(robot: RobotParameters, trial: Trial, rig: Any) -> dict[str, Any]:
-    log = os.environ.get("CAMPAIGN_FAKE_LOG")
-    if log:
-        with open(log, "a", encoding="utf-8") as file:
-            file.write(f"{trial.case} {trial.index}\n")
-    if trial.index == 0 and trial.case == "exits":
+    log = Path(os.environ["CAMPAIGN_FAKE_LOG"])
+    met_before = log.is_file() and f"{trial.case} {trial.index}\n" in log.read_text(encoding="utf-8")
+    with log.open("a", encoding="utf-8") as file:
+        file.write(f"{trial.case} {trial.index}\n")
+    if trial.index == 0 and (trial.case == "exits" or trial.case == "exits_once" and not met_before):
         os._exit(3)
     if trial.index == 0 and trial.case == "killed":
         os.kill(os.getpid(), signal.SIGKILL)

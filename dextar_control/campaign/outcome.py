@@ -57,7 +57,7 @@ def judge(config: CampaignConfig, keys: Sequence[str], store: Store, console: Co
         store.write_text("summary.json", _json(config, groups, speeds, elapsed, bars - len(missed), bars))
         store.write_text("summary.md", _markdown(groups, verdict, missed, speed))
         store.write_text("failures.md", report.markdown_failures(failed, others, default_name))
-        for plant in config.plants:
+        for plant in dict.fromkeys(group.plant for group in groups):
             name = "figure" if plant == default.plant or len(config.plants) == 1 else f"figure-{plant}"
             figure = draw_summary(config, groups, plant)
             for kind in ("png", "svg"):

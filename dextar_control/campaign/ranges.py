@@ -43,5 +43,5 @@ BARS = {
     "min_recognised": Range(0.0, 1.0, "share of the bounces that are called bounces"),
     "max_false_alarms": Range(0.0, math.inf, "crossings called bounces, in all trials together"),
     "max_bounce_torque": Range(0.0, math.inf, "largest torque from a bounce on over the planned peak"),
-    "max_reaction": Range(0.0, math.inf, "longest time from a bounce's recognition until the torque brakes or is gone, s"),
+    "min_safe_after": Range(0.0, 1.0, "share of the recognised bounces whose torque brakes or is gone within 30 ms"),
 }

@@ -12,7 +12,7 @@ from dextar_control.campaign.summary import Group
 from dextar_control.campaign.worker import Row
 
 LENGTHS = {"max_error", "median_error", "max_end_error"}  # bars in m, said in mm
-SHARES = {"min_success", "min_crossed", "min_planned", "min_recognised"}
+SHARES = {"min_success", "min_crossed", "min_planned", "min_recognised", "min_safe_after"}
 HEADINGS = ("case", "law / estimator", "n", "cross %", "ok %", "med. mm", "max mm", "end mm", "near ×", "sat.",
             "called %", "false", "bars")  # fmt: skip
 LEGEND = (
@@ -49,11 +49,11 @@ def terminal_table(groups: Sequence[Group], title: str) -> Table:
 def markdown_table(groups: Sequence[Group]) -> str:
     """The summary for a file."""
     many = len({group.plant for group in groups}) > 1
-    lines = [" | ".join(HEADINGS), "|".join(["---"] * 2 + ["---:"] * (len(HEADINGS) - 2))]
+    rows = []
     for group in groups:
         row = cells(group, many)
-        lines.append(" | ".join(f"**{cell}**" if group.judged and index < 2 else cell for index, cell in enumerate(row)))
-    return "\n".join(f"| {line} |" for line in lines)
+        rows.append([f"**{cell}**" if group.judged and index < 2 else cell for index, cell in enumerate(row)])
+    return _markdown(HEADINGS, rows, left=2)
 
 
 def cells(group: Group, with_plant: bool) -> list[str]:
@@ -118,9 +118,7 @@ def markdown_failures(judged: Sequence[list[str]], others: Sequence[list[str]], 
     for title, found in ((judged_name, judged), ("the other combinations", others)):
         parts.append(f"## {title}: {len(found)} failed\n")
         if found:
-            rule = "|".join(["---"] * len(FAILURE_HEADINGS))
-            lines = [" | ".join(FAILURE_HEADINGS), rule, *(" | ".join(_escaped(cell) for cell in cells) for cells in found)]
-            parts.append("\n".join(f"| {line} |" for line in lines) + "\n")
+            parts.append(_markdown(FAILURE_HEADINGS, found, left=len(FAILURE_HEADINGS)) + "\n")
     return "\n".join(parts)
 
 
@@ -156,5 +154,9 @@ def _number(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else "-"
 
 
-def _escaped(cell: str) -> str:
-    return cell.replace("|", "\\|")
+def _markdown(headings: Sequence[str], rows: Iterable[Sequence[str]], left: int) -> str:
+    """A table whose first columns are aligned to the left."""
+    rule = "|".join(["---"] * left + ["---:"] * (len(headings) - left))
+    lines = [[*headings], *([cell.replace("|", "\\|") for cell in row] for row in rows)]
+    text = [f"| {' | '.join(line)} |" for line in lines]
+    return "\n".join([text[0], f"|{rule}|", *text[1:]])

@@ -50,8 +50,8 @@ class Group:
     recognised: float  # share of them that was called a bounce
     false_alarms: float  # crossings called bounces, in all rows
     recognition_delay: float  # s, the longest
-    bounce_torque_ratio: float  # largest torque after a bounce over the planned peak
-    reaction_time: float  # s, from recognition until the torque brakes or is gone, the longest
+    torque_after_bounce: float  # largest from a bounce on, over the planned peak
+    safe_after: float  # share of the recognised bounces whose torque brakes or is gone in time
     simulated_time: float  # s
     wall_time: float  # s, of the worker
     judged: bool = False
@@ -79,8 +79,8 @@ MEASURES = {
     "max_saturated": "saturated",
     "min_recognised": "recognised",
     "max_false_alarms": "false_alarms",
-    "max_bounce_torque": "bounce_torque_ratio",
-    "max_reaction": "reaction_time",
+    "max_bounce_torque": "torque_after_bounce",
+    "min_safe_after": "safe_after",
 }
 
 
@@ -132,7 +132,6 @@ def as_json(group: Group) -> dict[str, Any]:
 
 def _group(rows: list[Row]) -> Group:
     count = len(rows)
-    recognised = _numbers(rows, "recognised")
     false_alarms = _numbers(rows, "false_alarms")
     saturated = _numbers(rows, "saturated")
     errors = _numbers(rows, "max_error")
@@ -152,12 +151,12 @@ def _group(rows: list[Row]) -> Group:
         peak_ratio_near=_largest(_numbers(rows, "peak_ratio_near")),
         saturated=_largest(saturated),
         saturated_rows=int(np.count_nonzero(saturated)),
-        bounces=recognised.size,
-        recognised=float(np.mean(recognised)) if recognised.size else math.nan,
+        bounces=_numbers(rows, "recognised").size,
+        recognised=_share(rows, "recognised"),
         false_alarms=float(np.sum(false_alarms)) if false_alarms.size else math.nan,
         recognition_delay=_largest(_numbers(rows, "recognition_delay")),
-        bounce_torque_ratio=_largest(_numbers(rows, "bounce_torque_ratio")),
-        reaction_time=_largest(_numbers(rows, "reaction_time")),
+        torque_after_bounce=_largest(_numbers(rows, "torque_after_bounce")),
+        safe_after=_share(rows, "safe_after"),
         simulated_time=float(np.sum(_numbers(rows, "simulated_time"))),
         wall_time=float(np.sum(_numbers(rows, "wall_time"))),
     )
@@ -171,6 +170,11 @@ def _verdict(group: Group, bar: str, limit: float) -> Verdict:
 
 def _numbers(rows: list[Row], name: str) -> np.ndarray:
     return np.array([float(row[name]) for row in rows if row.get(name) is not None])
+
+
+def _share(rows: list[Row], name: str) -> float:
+    values = _numbers(rows, name)
+    return float(values.mean()) if values.size else math.nan
 
 
 def _largest(values: np.ndarray) -> float:

@@ -7,9 +7,11 @@ from typing import Any
 from dextar_control.campaign.design import CrossingPoint, Trial
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.core.law import Law
+from dextar_control.core.settings import Estimation
 
-LAWS = ("classic", "projected", "consistent", "multi_model", "joint_space")
-ESTIMATORS = ("dgm", "observer", "external")
+LAWS = tuple(law.name.lower() for law in Law)
+ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
 
 
 def sample_points(robot: RobotParameters, count: int, folded: int, seed: int) -> list[CrossingPoint]:
@@ -39,6 +41,6 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: Any) -> dict[str, float
         planned, plan_problem, crossings_planned, crossed, success, reason, max_error (m), end_error (m),
         planned_peak_torque (N m), peak_torque (N m), peak_ratio, peak_ratio_near, saturated (ticks), phase,
         called_crossed, called_bounced, called_undecided, false_alarms, simulated_time (s), wall_time (s); with a bounce
-        recognised, recognition_delay (s), bounce_torque_ratio, reaction_time (s). None where there is no number.
+        recognised, recognition_delay (s), torque_after_bounce, safe_after. None where there is no number.
     """
     raise ParameterError("this version cannot run trials yet")
