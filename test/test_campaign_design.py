@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from dextar_control.campaign.config import CampaignConfig, load_config, select
+from dextar_control.campaign.config import CampaignConfig, load_config
 from dextar_control.campaign.design import CrossingPoint, Trial, code_digest, digest, row_key, trials_of
+from dextar_control.campaign.selection import select
 from dextar_control.contract.robot import RobotParameters
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -12,9 +12,10 @@ import pytest
 from rich.console import Console
 
 from dextar_control.campaign import report
-from dextar_control.campaign.config import CampaignConfig, load_config, select
+from dextar_control.campaign.config import CampaignConfig, load_config
 from dextar_control.campaign.figure import draw_summary
 from dextar_control.campaign.outcome import judge
+from dextar_control.campaign.selection import select
 from dextar_control.campaign.store import Store
 from dextar_control.campaign.summary import Group, as_json, real_time_factor, summarise
 

@@ -7,9 +7,10 @@ import sys
 
 from rich.console import Console
 
-from dextar_control.campaign.config import load_config, names, select
+from dextar_control.campaign.config import load_config
 from dextar_control.campaign.rerun import rerun
 from dextar_control.campaign.run import TRIAL_MODULE, prepare, run_campaign
+from dextar_control.campaign.selection import names, select
 
 FILE_WIDTH = 120  # characters, where the output is no terminal
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,14 +12,13 @@ from pydantic_core import PydanticCustomError
 
 from dextar_control.campaign.ranges import BARS, PERTURBATIONS, Range
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.resources import config_file, node_defaults
+from dextar_control.contract.resources import NODES_FILE, config_file, node_defaults
 
-Share = Annotated[float, Field(allow_inf_nan=False)]
-Numbers = dict[str, Share]
+Numbers = dict[str, Annotated[float, Field(allow_inf_nan=False)]]
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+    model_config = ConfigDict(strict=True, frozen=True)
 
     @model_validator(mode="before")
     @classmethod
@@ -126,18 +124,19 @@ class CampaignConfig(_Section):
         sections: list[tuple[str, CampaignConfig | Combination | Case]] = [("", self)]
         sections += [(f"combination {combination.name}: ", combination) for combination in self.combinations]
         sections += [(f"case {name}: ", case) for name, case in self.cases.items()]
-        settings = set(node_defaults("controller", config_file("crossing.yaml")))
+        settings = list(node_defaults("controller", config_file(NODES_FILE)))
         for where, section in sections:
-            _within(section.perturbation, PERTURBATIONS, f"{where}perturbation")
+            _within(section.perturbation, PERTURBATIONS, "perturbation", where)
             for key in section.settings:
-                _known(key, settings, f"{where}setting")
+                _known(key, settings, "setting", where)
+        laws = list(dict.fromkeys(combination.law for combination in self.combinations))
+        estimators = list(dict.fromkeys(combination.estimator for combination in self.combinations))
         for name, case in self.cases.items():
-            for plant in case.plants or []:
-                _known(plant, self.plants, f"case {name}: plant")
-            for law in case.laws or []:
-                _known(law, {combination.law for combination in self.combinations}, f"case {name}: law")
-            for estimator in case.estimators or []:
-                _known(estimator, {combination.estimator for combination in self.combinations}, f"case {name}: estimator")
+            for chosen, known, what in (
+                (case.plants, self.plants, "plant"), (case.laws, laws, "law"), (case.estimators, estimators, "estimator")
+            ):  # fmt: skip
+                for item in chosen or []:
+                    _known(item, known, what, f"case {name}: ")
         return self
 
 
@@ -153,79 +152,15 @@ def load_config(path: str | Path) -> CampaignConfig:
         raise ParameterError(f"campaign file {path}: {error.strerror or error}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ParameterError(f"campaign file {path}: {' '.join(str(error).split())}") from error
-    return _validated(document, f"campaign file {path}")
+    return validated(document, f"campaign file {path}")
 
 
-def select(
-    config: CampaignConfig,
-    *,
-    seed: int | None = None,
-    points: int | None = None,
-    cases: list[str] | None = None,
-    laws: list[str] | None = None,
-    estimators: list[str] | None = None,
-) -> CampaignConfig:
-    """A campaign with what the command line changes; with both laws and estimators each law meets each estimator.
+def validated(data: Any, source: str) -> CampaignConfig:
+    """A campaign from plain data.
 
     Raises:
-        ParameterError: a case is not of this campaign, or nothing is left to run.
+        ParameterError: something in it is unknown, missing or out of its range; it names the source.
     """
-    data = config.model_dump()
-    if seed is not None:
-        data["seed"] = seed
-    if points is not None:
-        data["points"] = {"count": points, "folded": min(round(config.points.folded / config.points.count * points), points)}
-    if cases is not None:
-        for case in cases:
-            _known(case, config.cases, "case", ParameterError)
-        data["cases"] = {name: data["cases"][name] for name in config.cases if name in cases}
-    if laws is not None and estimators is not None:
-        known = {combination.name: combination.model_dump() for combination in config.combinations}
-        pairs = [(law, estimator) for law in laws for estimator in estimators]
-        data["combinations"] = [known.get(f"{law}/{estimator}", {"law": law, "estimator": estimator}) for law, estimator in pairs]
-    else:
-        for key, wanted in (("law", laws), ("estimator", estimators)):
-            for name in wanted or []:
-                _known(name, {combination[key] for combination in data["combinations"]}, key, ParameterError)
-            if wanted is not None:
-                data["combinations"] = [item for item in data["combinations"] if item[key] in wanted]
-    for key in ("law", "estimator"):
-        left = {item[key] for item in data["combinations"]}
-        for case in data["cases"].values():
-            if case[f"{key}s"] is not None:
-                case[f"{key}s"] = [name for name in case[f"{key}s"] if name in left]
-        data["cases"] = {name: case for name, case in data["cases"].items() if case[f"{key}s"] != []}
-    if not data["cases"]:
-        raise ParameterError("none of the cases has a law and an estimator among those chosen")
-    return _validated(data, "command line")
-
-
-def check_names(config: CampaignConfig, laws: Collection[str], estimators: Collection[str], plants: Collection[str]) -> None:
-    """Raise for a law, an estimator or a plant that does not exist."""
-    for law in [combination.law for combination in config.combinations] + [config.default.law]:
-        _known(law, laws, "law", ParameterError)
-    for estimator in [combination.estimator for combination in config.combinations] + [config.default.estimator]:
-        _known(estimator, estimators, "estimator", ParameterError)
-    for plant in [*config.plants, config.default.plant]:
-        _known(plant, plants, "plant", ParameterError)
-
-
-def resolve(name: str) -> Any:
-    """What ``module:attribute`` names.
-
-    Raises:
-        ParameterError: there is no such module or attribute.
-    """
-    module, _, attribute = name.partition(":")
-    if not module or not attribute:
-        raise ParameterError(f"rig '{name}'; it must be of the form module:Class")
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise ParameterError(f"rig '{name}' cannot be loaded: {error}") from error
-
-
-def _validated(data: Any, source: str) -> CampaignConfig:
     try:
         return CampaignConfig.model_validate(data)
     except ValidationError as error:
@@ -244,19 +179,23 @@ def _problem(text: str) -> PydanticCustomError:
     return PydanticCustomError("dextar", "{text}", {"text": text})
 
 
-def _within(numbers: Numbers, ranges: Mapping[str, Range], what: str) -> Numbers:
+def _within(numbers: Numbers, ranges: Mapping[str, Range], what: str, where: str = "") -> Numbers:
     for key, value in numbers.items():
-        _known(key, ranges, what)
+        _known(key, ranges, what, where)
         low, high, _ = ranges[key]
         if not low <= value <= high:
-            raise _problem(f"{what} {key} = {value:g}; it must lie in [{low:g}, {high:g}]")
+            raise _problem(f"{where}{what} {key} = {value:g}; it must lie in [{low:g}, {high:g}]")
     return numbers
 
 
-def _known(name: str, known: Collection[str], what: str, error: type[Exception] | None = None) -> None:
+def _known(name: str, known: Collection[str], what: str, where: str = "") -> None:
     if name not in known:
-        said = f"unknown {what} '{name}'; known are: {', '.join(known if isinstance(known, (list, dict)) else sorted(known))}"
-        raise error(said) if error else _problem(said)
+        raise _problem(f"{where}{unknown(name, known, what)}")
+
+
+def unknown(name: str, known: Collection[str], what: str) -> str:
+    """What is said of a name that does not exist."""
+    return f"unknown {what} '{name}'; known are: {', '.join(known)}"
 
 
 def _each_once(items: list[Any], what: str) -> list[Any]:
@@ -264,8 +203,3 @@ def _each_once(items: list[Any], what: str) -> list[Any]:
         if items.count(item) > 1:
             raise _problem(f"{what} {item} stands there {items.count(item)} times; it must be there once")
     return items
-
-
-def names(text: str | None) -> list[str] | None:
-    """The names of a comma-separated argument."""
-    return None if text is None else [item.strip() for item in text.split(",") if item.strip()]

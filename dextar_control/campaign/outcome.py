@@ -55,7 +55,7 @@ def judge(config: CampaignConfig, keys: Sequence[str], store: Store, console: Co
     try:
         store.write_table(keys)
         store.write_text("summary.json", _json(config, groups, speeds, elapsed, bars - len(missed), bars))
-        store.write_text("summary.md", _markdown(groups, verdict, missed, speed))
+        store.write_text("summary.md", _markdown(config, len(rows), groups, verdict, missed, speed))
         store.write_text("failures.md", report.markdown_failures(failed, others, default_name))
         for plant in dict.fromkeys(group.plant for group in groups):
             name = "figure" if plant == default.plant or len(config.plants) == 1 else f"figure-{plant}"
@@ -84,8 +84,14 @@ def _verdict(bars: int, missed: Sequence[str], default_name: str) -> str:
     return f"{held} {bars} bars hold for {default_name}"
 
 
-def _markdown(groups: Sequence[summary.Group], verdict: str, missed: Sequence[str], speed: str) -> str:
+def _markdown(
+    config: CampaignConfig, rows: int, groups: Sequence[summary.Group], verdict: str, missed: Sequence[str], speed: str
+) -> str:
+    points = f"{config.points.count} crossing points ({config.points.folded} folded)"
     lines = [
+        f"{rows} rows: {points}, {len(config.directions)} directions, {config.seeds} seeds from {config.seed};"
+        f" one way lasts {config.duration:g} s unless the case says otherwise.",
+        "",
         report.markdown_table(groups),
         "",
         report.LEGEND + ".",

@@ -16,16 +16,18 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from dextar_control.campaign import design
-from dextar_control.campaign.config import CampaignConfig, check_names, resolve
+from dextar_control.campaign.config import CampaignConfig
 from dextar_control.campaign.design import Trial
+from dextar_control.campaign.loading import resolve
 from dextar_control.campaign.outcome import judge
 from dextar_control.campaign.pool import Pool
+from dextar_control.campaign.selection import check_names
 from dextar_control.campaign.store import Store
 from dextar_control.campaign.worker import Job, plan_trials, run_trials
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import flatten, load_robot
 
-BATCH = 8  # trials that one call of a worker runs: 1 to 3 s
+BATCH = 4  # trials that one call of a worker runs: about a second
 TRIAL_MODULE = "dextar_control.campaign.trial"
 INTERRUPTED = 130
 
@@ -121,11 +123,11 @@ def run_campaign(
 
 def _run(campaign: Campaign, missing: dict[str, Trial], store: Store, pool: Pool, console: Console) -> None:
     keys = {id(trial): key for key, trial in missing.items()}
-    columns = (TextColumn("{task.description:<8}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"),
+    columns = (TextColumn("{task.description:<8}"), BarColumn(bar_width=20), MofNCompleteColumn(), TimeElapsedColumn(),
                TimeRemainingColumn(), TextColumn("{task.fields[said]}"))  # fmt: skip
     places = [list(trials) for _, trials in itertools.groupby(missing.values(), key=lambda trial: trial.place)]
     with Progress(*columns, console=console) as progress:
-        task = progress.add_task("planning", total=len(places), said=f"points and directions, {pool.workers} workers")
+        task = progress.add_task("planning", total=len(places), said=f"{pool.workers} workers")
         for _ in pool.map(plan_trials, campaign.job, map(_distinct_plans, places)):
             progress.advance(task)
         succeeded = failed = 0
@@ -135,7 +137,7 @@ def _run(campaign: Campaign, missing: dict[str, Trial], store: Store, pool: Pool
             store.append(rows)
             good = sum(bool(row.get("success")) for row in rows)
             succeeded, failed = succeeded + good, failed + len(rows) - good
-            progress.update(task, advance=len(rows), said=f"{succeeded} succeeded, {failed} failed")
+            progress.update(task, advance=len(rows), said=f"{succeeded} ok, {failed} failed")
 
 
 def _distinct_plans(trials: Iterable[Trial]) -> list[Trial]:

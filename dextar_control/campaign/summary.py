@@ -52,8 +52,6 @@ class Group:
     recognition_delay: float  # s, the longest
     torque_after_bounce: float  # largest from a bounce on, over the planned peak
     safe_after: float  # share of the recognised bounces whose torque brakes or is gone in time
-    simulated_time: float  # s
-    wall_time: float  # s, of the worker
     judged: bool = False
     verdicts: tuple[Verdict, ...] = ()
 
@@ -112,11 +110,10 @@ def crossed_all(row: Row) -> bool:
 
 
 def real_time_factor(rows: Iterable[Row]) -> float:
-    """Simulated over wall time of the workers, each of which has one core; nan without rows."""
-    rows = list(rows)
-    simulated = sum(row.get("simulated_time") or 0.0 for row in rows)
-    wall = sum(row.get("wall_time") or 0.0 for row in rows)
-    return simulated / wall if wall > 0.0 else math.nan
+    """Simulated over wall time of a worker, which has one core: the median over the rows, nan without any."""
+    times = [(row.get("simulated_time"), row.get("wall_time")) for row in rows]
+    factors = [simulated / wall for simulated, wall in times if simulated and wall]
+    return float(np.median(factors)) if factors else math.nan
 
 
 def as_json(group: Group) -> dict[str, Any]:
@@ -157,8 +154,6 @@ def _group(rows: list[Row]) -> Group:
         recognition_delay=_largest(_numbers(rows, "recognition_delay")),
         torque_after_bounce=_largest(_numbers(rows, "torque_after_bounce")),
         safe_after=_share(rows, "safe_after"),
-        simulated_time=float(np.sum(_numbers(rows, "simulated_time"))),
-        wall_time=float(np.sum(_numbers(rows, "wall_time"))),
     )
 
 

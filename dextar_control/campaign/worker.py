@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from dextar_control.campaign.config import resolve
 from dextar_control.campaign.design import Trial, code_digest
+from dextar_control.campaign.loading import resolve
 from dextar_control.contract.errors import CampaignError
 from dextar_control.contract.robot import RobotParameters
 
