@@ -110,7 +110,9 @@ def _campaign(arguments: argparse.Namespace) -> int:
     try:
         from dextar_control.campaign.command import run_command
     except ImportError as error:
-        raise ParameterError(f"a campaign needs a package that is not installed ({error.name}); pip install it") from error
+        if str(error.name).startswith("dextar"):
+            raise
+        raise ParameterError(f"a campaign needs the packages named in setup.py, installed by pip: {error}") from error
     return run_command(arguments)
 
 

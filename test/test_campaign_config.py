@@ -61,7 +61,7 @@ def test_the_big_campaign_is_as_large_as_the_claims() -> None:
     ("changes", "said"),
     [
         ({"points__count": 0}, "points.count: 0 is not valid"),
-        ({"points__folded": 9}, "folded = 9 of count = 8; it must be <= count"),
+        ({"points": {"count": 8, "folded": 9}}, "folded = 9 of count = 8; it must be <= count"),
         ({"directions": [1, 2]}, "direction 2; it must be 1 or -1"),
         ({"directions": [1, 1]}, "direction 1 stands there 2 times"),
         ({"duration": -0.3}, "duration: -0.3 is not valid: input should be greater than 0"),
@@ -78,6 +78,7 @@ def test_the_big_campaign_is_as_large_as_the_claims() -> None:
         ({"cases__masses__plants": ["mujoco"]}, "case masses: unknown plant 'mujoco'; known are: pybullet, cartesian"),
         ({"cases__masses__settings": {"zoen": 0.1}}, "case masses: unknown setting 'zoen'"),
         ({"cases__bounced__estimators": ["dgn"]}, "case bounced: unknown estimator 'dgn'"),
+        ({"cases__bounced__judged": ["consistent"]}, "case bounced: unknown combination 'consistent'"),
         ({"cases": {}}, "cases: {} is not valid"),
         ({"default__plant": None}, "default.plant: it is missing"),
     ],

@@ -80,6 +80,14 @@ def test_bars_are_for_the_default_combination_alone(config: CampaignConfig) -> N
     assert not any(group.missed for group in groups)
 
 
+def test_a_case_may_name_the_combinations_that_its_bars_are_for(config: CampaignConfig) -> None:
+    data = config.model_dump()
+    data["cases"]["nominal"]["judged"] = ["classic/plain"]
+    rows = [GOOD, ROWS[2] | {"law": "classic", "estimator": "plain"}]
+    groups = summarise(CampaignConfig.model_validate(data), rows)
+    assert [(group.name, group.judged) for group in groups] == [("consistent/observer", False), ("classic/plain", True)]
+
+
 def test_a_summary_is_strict_json(group: Group) -> None:
     assert json.loads(json.dumps(as_json(group), allow_nan=False))["recognised"] is None
 
@@ -116,8 +124,8 @@ def test_the_outcome_is_in_its_folder(tmp_path: Path, config: CampaignConfig) ->
     for name in ("figure.png", "figure.svg"):
         assert (tmp_path / name).stat().st_size > 10_000
     said = console.export_text()
-    assert "1 of 6 bars hold for consistent / observer on pybullet" in said
-    assert "nominal: max_error is 20.0 mm, the bar is 0.300 mm" in said
+    assert "1 of 6 bars hold" in said
+    assert "nominal, consistent / observer: max_error is 20.0 mm, the bar is 0.300 mm" in said
     assert "…" not in said
 
 

@@ -67,7 +67,7 @@ class Default(_Section):
 
 
 class Case(_Section):
-    """One perturbation, and what the default combination must reach under it."""
+    """One perturbation, and what the default combination, or those that it names, must reach under it."""
 
     title: str = ""
     perturbation: Numbers = {}
@@ -79,6 +79,7 @@ class Case(_Section):
     laws: list[str] | None = Field(default=None, min_length=1)
     estimators: list[str] | None = Field(default=None, min_length=1)
     bars: Numbers = {}
+    judged: list[str] | None = Field(default=None, min_length=1)
 
     @field_validator("bars")
     @classmethod
@@ -133,7 +134,8 @@ class CampaignConfig(_Section):
         estimators = list(dict.fromkeys(combination.estimator for combination in self.combinations))
         for name, case in self.cases.items():
             for chosen, known, what in (
-                (case.plants, self.plants, "plant"), (case.laws, laws, "law"), (case.estimators, estimators, "estimator")
+                (case.plants, self.plants, "plant"), (case.laws, laws, "law"), (case.estimators, estimators, "estimator"),
+                (case.judged, [combination.name for combination in self.combinations], "combination"),
             ):  # fmt: skip
                 for item in chosen or []:
                     _known(item, known, what, f"case {name}: ")

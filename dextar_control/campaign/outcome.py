@@ -81,7 +81,7 @@ def _verdict(bars: int, missed: Sequence[str], default_name: str) -> str:
     if not bars:
         return f"no bars: none of the rows is of {default_name}, or the cases ask for nothing"
     held = "all" if not missed else f"{bars - len(missed)} of"
-    return f"{held} {bars} bars hold for {default_name}"
+    return f"{held} {bars} bars hold"
 
 
 def _markdown(

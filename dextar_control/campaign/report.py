@@ -79,7 +79,7 @@ def cells(group: Group, with_plant: bool) -> list[str]:
 def missed_lines(groups: Iterable[Group]) -> list[str]:
     """One sentence for each bar that does not hold."""
     return [
-        f"{group.case}: {verdict.bar} is {_bar_value(verdict.bar, verdict.measured)}, the bar is"
+        f"{group.case}, {group.law} / {group.estimator}: {verdict.bar} is {_bar_value(verdict.bar, verdict.measured)}, the bar is"
         f" {_bar_value(verdict.bar, verdict.limit)}"
         for group in groups
         for verdict in group.missed

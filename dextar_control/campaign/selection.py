@@ -33,8 +33,9 @@ def select(
         data["cases"] = {name: data["cases"][name] for name in config.cases if name in cases}
     if laws is not None and estimators is not None:
         known = {combination.name: combination.model_dump() for combination in config.combinations}
-        pairs = [(law, estimator) for law in laws for estimator in estimators]
-        data["combinations"] = [known.get(f"{law}/{estimator}", {"law": law, "estimator": estimator}) for law, estimator in pairs]
+        data["combinations"] = [
+            known.get(f"{law}/{estimator}", {"law": law, "estimator": estimator}) for law in laws for estimator in estimators
+        ]
     else:
         for key, wanted in (("law", laws), ("estimator", estimators)):
             for name in wanted or []:
@@ -47,6 +48,9 @@ def select(
             if case[f"{key}s"] is not None:
                 case[f"{key}s"] = [name for name in case[f"{key}s"] if name in left]
         data["cases"] = {name: case for name, case in data["cases"].items() if case[f"{key}s"] != []}
+    pairs = {f"{item['law']}/{item['estimator']}" for item in data["combinations"]}
+    for case in data["cases"].values():
+        case["judged"] = [name for name in case["judged"] or [] if name in pairs] or None
     if not data["cases"]:
         raise ParameterError("none of the cases has a law and an estimator among those chosen")
     return validated(data, "command line")

@@ -88,7 +88,7 @@ def summarise(config: CampaignConfig, rows: Iterable[Row]) -> list[Group]:
     for row in rows:
         sorted_rows.setdefault((row["case"], row["plant"], row["law"], row["estimator"]), []).append(row)
     groups = []
-    wanted = (config.default.plant, config.default.law, config.default.estimator)
+    default = f"{config.default.law}/{config.default.estimator}"
     for name, case in config.cases.items():
         for plant in config.plants:
             for combination in config.combinations:
@@ -96,7 +96,7 @@ def summarise(config: CampaignConfig, rows: Iterable[Row]) -> list[Group]:
                 if not found:
                     continue
                 group = _group(found)
-                if (plant, combination.law, combination.estimator) == wanted:
+                if plant == config.default.plant and combination.name in (case.judged or [default]):
                     verdicts = tuple(_verdict(group, bar, limit) for bar, limit in case.bars.items())
                     group = dataclasses.replace(group, judged=True, verdicts=verdicts)
                 groups.append(group)
