@@ -1,12 +1,14 @@
 # make            lists the targets; the first one that needs the environment builds it in .venv
 # LAW=consistent  law of the demo: consistent, projected or classic
 # DURATION=       duration of one way in the demo, s
+# CONFIG=         file of the campaign (config/campaign_small.yaml)
 # ARGS=           further arguments of dextar or pytest
 # PYTHON=python3  the interpreter that .venv is made with, 3.10 to 3.13
 
 PYTHON ?= python3
 LAW ?= consistent
 DURATION ?=
+CONFIG ?= config/campaign_small.yaml
 ARGS ?=
 
 SHELL := /bin/bash
@@ -14,7 +16,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test bench lint clean FORCE
+.PHONY: help setup demo campaign test bench lint clean FORCE
 
 BIN := .venv/bin
 PIP = $(BIN)/python -m pip install --disable-pip-version-check --no-input --progress-bar off $(CONSTRAINT)
@@ -63,6 +65,9 @@ setup: .venv/warm ## make .venv with everything the demo needs; the other target
 
 demo: .venv/warm ## plan, simulate, control, record and judge one crossing; result in runs/
 	@$(BIN)/dextar demo --law $(LAW) $(if $(DURATION),--duration $(DURATION)) $(ARGS)
+
+campaign: .venv/warm ## a small campaign on all cores, in about two minutes; result in runs/
+	@$(BIN)/dextar campaign $(CONFIG) $(ARGS)
 
 test: .venv/installed-test .venv/warm ## run the tests
 	@$(BIN)/python -m pytest -q --durations=10 $(ARGS)

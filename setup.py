@@ -42,6 +42,9 @@ setup(
         "mcap>=1.6",
         "zstandard",
         "rosbags",
+        "pydantic>=2",
+        "distributed",
+        "pyarrow",
         # PyBullet's own wheels end at CPython 3.11; the fork is the same module with wheels for later ones.
         'pybullet; python_version < "3.12"',
         'pybullet-arm64; python_version >= "3.12"',

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from dextar_control.contract.errors import DextarError
+from dextar_control.contract.errors import DextarError, ParameterError
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -52,6 +52,24 @@ def _parser() -> argparse.ArgumentParser:
     analyze.add_argument("bag", type=Path, help="an .mcap file, or the run's folder")
     analyze.add_argument("--output", type=Path, metavar="DIR", help="where metrics and figure go (default: beside the bag)")
 
+    campaign = commands.add_parser(
+        "campaign",
+        help="run crossing points x directions x cases x laws x estimators x seeds in parallel, and judge them",
+        description="Runs what its folder lacks, so an interrupted campaign goes on with the same command, and writes"
+        " rows.parquet, summary.md, summary.json, failures.md and figure.png there. Exit code 0 when all bars of the"
+        " file hold, 1 when one is missed, 2 for a wrong argument, 130 when interrupted.",
+    )
+    campaign.add_argument("config", type=Path, help="campaign file, e.g. config/campaign_small.yaml")
+    campaign.add_argument("--output", type=Path, metavar="DIR", help="folder (default: runs/<file>-<digest of the campaign>)")
+    campaign.add_argument("--seed", type=int, metavar="N", help="of the crossing points and of all that is random")
+    campaign.add_argument("--points", type=int, metavar="N", help="crossing points, the share of folded ones kept")
+    campaign.add_argument("--cases", metavar="A,B", help="only these cases")
+    campaign.add_argument("--laws", metavar="A,B", help="only these laws; with --estimators each law meets each estimator")
+    campaign.add_argument("--estimators", metavar="A,B", help="only these estimators")
+    campaign.add_argument("--workers", type=int, metavar="N", help="processes on this machine (default: one for each core)")
+    campaign.add_argument("--scheduler", metavar="TCP://HOST:PORT", help="use the workers of a running Dask scheduler instead")
+    campaign.add_argument("--row", metavar="KEY", help="run one row again, print it and compare it with the recorded one")
+
     bench = commands.add_parser(
         "bench",
         help="cost of a tick, of a DDS round trip and of a plant step, beside a baseline of the same minute",
@@ -75,6 +93,8 @@ def main(argv: list[str] | None = None) -> int:
             metrics = analyze(arguments.bag, arguments.output)
             _print(summary_table(metrics))
             return EXIT_FAILED if metrics.success is False else 0
+        if arguments.command == "campaign":
+            return _campaign(arguments)
         from dextar_control.ros.bench import run_bench
 
         return run_bench(arguments.seconds)
@@ -84,6 +104,16 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"dextar {arguments.command}: interrupted", file=sys.stderr)
         return 130
+
+
+def _campaign(arguments: argparse.Namespace) -> int:
+    try:
+        from dextar_control.campaign.command import run_command
+    except ImportError as error:
+        if str(error.name).startswith("dextar"):
+            raise
+        raise ParameterError(f"a campaign needs the packages named in setup.py, installed by pip: {error}") from error
+    return run_command(arguments)
 
 
 def _print(renderable: object) -> None:

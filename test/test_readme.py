@@ -44,7 +44,7 @@ def test_ci_calls_the_readmes_own_commands() -> None:
     assert "pip install" not in script
 
 
-@pytest.mark.parametrize("command", ["demo", "analyze", "bench"])
+@pytest.mark.parametrize("command", ["demo", "analyze", "campaign", "bench"])
 def test_every_command_helps(command: str) -> None:
     answer = subprocess.run(
         [sys.executable, "-m", "dextar_control.cli", command, "--help"], cwd=ROOT, capture_output=True, text=True

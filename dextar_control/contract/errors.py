@@ -25,3 +25,7 @@ class StateError(DextarError):
 
 class BagError(DextarError):
     """A recording cannot be written or read."""
+
+
+class CampaignError(DextarError):
+    """A campaign's folder, workers or scheduler cannot be used."""

@@ -13,7 +13,7 @@ from dextar_control.core.dynamics import criterion_acceleration
 from dextar_control.core.kinematics import inverse_model, state_of_platform
 from dextar_control.core.loop import ControlLoop
 from dextar_control.core.planner import plan_approach
-from dextar_control.core.settings import Estimation, Settings
+from dextar_control.core.settings import Settings
 
 
 def default_settings(**changes: object) -> Settings:

@@ -1,0 +1,41 @@
+"""``dextar campaign``: from arguments to a campaign."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from rich.console import Console
+
+from dextar_control.campaign.config import load_config
+from dextar_control.campaign.rerun import rerun
+from dextar_control.campaign.run import TRIAL_MODULE, prepare, run_campaign
+from dextar_control.campaign.selection import names, select
+
+FILE_WIDTH = 120  # characters, where the output is no terminal
+
+
+def run_command(arguments: argparse.Namespace, trial_module: str = TRIAL_MODULE) -> int:
+    """Run a campaign, or one of its rows; the exit code.
+
+    Args:
+        arguments: of the command line.
+        trial_module: plans and runs a trial.
+
+    Raises:
+        DextarError: the campaign file, an argument, the folder or the workers cannot be used.
+    """
+    console = Console(width=None if sys.stdout.isatty() else FILE_WIDTH)
+    config = select(
+        load_config(arguments.config),
+        seed=arguments.seed,
+        points=arguments.points,
+        cases=names(arguments.cases),
+        laws=names(arguments.laws),
+        estimators=names(arguments.estimators),
+    )
+    campaign = prepare(config, arguments.config, trial_module)
+    folder = arguments.output or campaign.folder(arguments.config)
+    if arguments.row is not None:
+        return rerun(campaign, folder, arguments.row, console)
+    return run_campaign(campaign, folder, console, arguments.workers, arguments.scheduler)

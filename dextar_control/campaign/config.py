@@ -1,0 +1,207 @@
+"""The campaign file: what it may hold, and one sentence for each mistake in it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+from dextar_control.campaign.ranges import BARS, PERTURBATIONS, Range
+from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.resources import NODES_FILE, config_file, node_defaults
+
+Numbers = dict[str, Annotated[float, Field(allow_inf_nan=False)]]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            raise _problem(f"it must be a mapping with some of: {', '.join(cls.model_fields)}")
+        for key in data:
+            if key not in cls.model_fields:
+                raise _problem(f"unknown key '{key}'; known are: {', '.join(cls.model_fields)}")
+        return data
+
+
+class Points(_Section):
+    """How many crossing points, and how many of them with the distal links folded."""
+
+    count: int = Field(ge=1, le=100_000)
+    folded: int = Field(default=0, ge=0)
+
+    @model_validator(mode="after")
+    def _folded_among_all(self) -> Points:
+        if self.folded > self.count:
+            raise _problem(f"folded = {self.folded} of count = {self.count}; it must be <= count")
+        return self
+
+
+class Combination(_Section):
+    """A law with an estimator, and what only this pair gets."""
+
+    law: str
+    estimator: str
+    perturbation: Numbers = {}
+    settings: dict[str, float | str] = {}
+
+    @property
+    def name(self) -> str:
+        """Law and estimator in one word."""
+        return f"{self.law}/{self.estimator}"
+
+
+class Default(_Section):
+    """The combination and the plant that the bars are for."""
+
+    law: str
+    estimator: str
+    plant: str
+
+
+class Case(_Section):
+    """One perturbation, and what the default combination, or those that it names, must reach under it."""
+
+    title: str = ""
+    perturbation: Numbers = {}
+    settings: dict[str, float | str] = {}
+    duration: float | None = Field(default=None, gt=0.0, le=60.0, allow_inf_nan=False)
+    dwell: float | None = Field(default=None, ge=0.0, le=60.0, allow_inf_nan=False)
+    repeat: int | None = Field(default=None, ge=1, le=1000)
+    plants: list[str] | None = Field(default=None, min_length=1)
+    laws: list[str] | None = Field(default=None, min_length=1)
+    estimators: list[str] | None = Field(default=None, min_length=1)
+    bars: Numbers = {}
+    judged: list[str] | None = Field(default=None, min_length=1)
+
+    @field_validator("bars")
+    @classmethod
+    def _known_bars(cls, bars: Numbers) -> Numbers:
+        return _within(bars, BARS, "bar")
+
+
+class CampaignConfig(_Section):
+    """Everything a campaign is made of."""
+
+    robot: str
+    rig: str
+    seed: int = Field(default=0, ge=0, lt=2**32)
+    seeds: int = Field(default=1, ge=1, le=10_000)
+    points: Points
+    directions: list[int] = Field(default=[1, -1], min_length=1)
+    plants: list[str] = Field(min_length=1)
+    combinations: list[Combination] = Field(min_length=1)
+    default: Default
+    duration: float = Field(gt=0.0, le=60.0, allow_inf_nan=False)
+    dwell: float = Field(ge=0.0, le=60.0, allow_inf_nan=False)
+    repeat: int = Field(default=1, ge=1, le=1000)
+    perturbation: Numbers = {}
+    settings: dict[str, float | str] = {}
+    cases: dict[str, Case] = Field(min_length=1)
+
+    @field_validator("directions")
+    @classmethod
+    def _signs(cls, directions: list[int]) -> list[int]:
+        for direction in directions:
+            if direction not in (1, -1):
+                raise _problem(f"direction {direction}; it must be 1 or -1, the sign of s after the first crossing")
+        return _each_once(directions, "direction")
+
+    @field_validator("plants")
+    @classmethod
+    def _plants_once(cls, plants: list[str]) -> list[str]:
+        return _each_once(plants, "plant")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> CampaignConfig:
+        _each_once([combination.name for combination in self.combinations], "combination")
+        sections: list[tuple[str, CampaignConfig | Combination | Case]] = [("", self)]
+        sections += [(f"combination {combination.name}: ", combination) for combination in self.combinations]
+        sections += [(f"case {name}: ", case) for name, case in self.cases.items()]
+        settings = list(node_defaults("controller", config_file(NODES_FILE)))
+        for where, section in sections:
+            _within(section.perturbation, PERTURBATIONS, "perturbation", where)
+            for key in section.settings:
+                _known(key, settings, "setting", where)
+        laws = list(dict.fromkeys(combination.law for combination in self.combinations))
+        estimators = list(dict.fromkeys(combination.estimator for combination in self.combinations))
+        for name, case in self.cases.items():
+            for chosen, known, what in (
+                (case.plants, self.plants, "plant"), (case.laws, laws, "law"), (case.estimators, estimators, "estimator"),
+                (case.judged, [combination.name for combination in self.combinations], "combination"),
+            ):  # fmt: skip
+                for item in chosen or []:
+                    _known(item, known, what, f"case {name}: ")
+        return self
+
+
+def load_config(path: str | Path) -> CampaignConfig:
+    """A campaign from its YAML file.
+
+    Raises:
+        ParameterError: the file cannot be read, or something in it is unknown, missing or out of its range.
+    """
+    try:
+        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"campaign file {path}: {error.strerror or error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ParameterError(f"campaign file {path}: {' '.join(str(error).split())}") from error
+    return validated(document, f"campaign file {path}")
+
+
+def validated(data: Any, source: str) -> CampaignConfig:
+    """A campaign from plain data.
+
+    Raises:
+        ParameterError: something in it is unknown, missing or out of its range; it names the source.
+    """
+    try:
+        return CampaignConfig.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"] if part not in ("float", "str"))
+        if first["type"] == "dextar":
+            said = first["msg"]
+        elif first["type"] == "missing":
+            said = "it is missing"
+        else:
+            said = f"{first['input']!r} is not valid: {first['msg'][0].lower()}{first['msg'][1:]}"
+        raise ParameterError(f"{source}: {where}: {said}" if where else f"{source}: {said}") from error
+
+
+def _problem(text: str) -> PydanticCustomError:
+    return PydanticCustomError("dextar", "{text}", {"text": text})
+
+
+def _within(numbers: Numbers, ranges: Mapping[str, Range], what: str, where: str = "") -> Numbers:
+    for key, value in numbers.items():
+        _known(key, ranges, what, where)
+        low, high, _ = ranges[key]
+        if not low <= value <= high:
+            raise _problem(f"{where}{what} {key} = {value:g}; it must lie in [{low:g}, {high:g}]")
+    return numbers
+
+
+def _known(name: str, known: Collection[str], what: str, where: str = "") -> None:
+    if name not in known:
+        raise _problem(f"{where}{unknown(name, known, what)}")
+
+
+def unknown(name: str, known: Collection[str], what: str) -> str:
+    """What is said of a name that does not exist."""
+    return f"unknown {what} '{name}'; known are: {', '.join(known)}"
+
+
+def _each_once(items: list[Any], what: str) -> list[Any]:
+    for item in items:
+        if items.count(item) > 1:
+            raise _problem(f"{what} {item} stands there {items.count(item)} times; it must be there once")
+    return items

@@ -1,0 +1,119 @@
+"""What a campaign leaves behind: columnar file, summary, failures, figure, and the verdict on its bars."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import Console
+
+from dextar_control.campaign import design, report, summary
+from dextar_control.campaign.config import CampaignConfig
+from dextar_control.campaign.figure import draw_summary
+from dextar_control.campaign.pool import core_count
+from dextar_control.campaign.store import Store
+from dextar_control.contract.errors import CampaignError
+
+EXIT_FAILED = 1
+SHOWN_FAILURES = 8
+RESOLUTION = 150  # dots per inch
+
+
+def judge(config: CampaignConfig, keys: Sequence[str], store: Store, console: Console, elapsed: float) -> int:
+    """Write the results of the rows with these keys, print their table and the bars that are missed.
+
+    Args:
+        config: of the campaign.
+        keys: of its rows, in their order.
+        store: which holds them.
+        console: for the table.
+        elapsed: wall time of the rows that were run now, s.
+
+    Returns:
+        The exit code: 0 if all bars hold, 1 if one is missed.
+
+    Raises:
+        CampaignError: the results cannot be written.
+    """
+    rows = [store.rows[key] for key in keys if key in store.rows]
+    groups = summary.summarise(config, rows)
+    default = config.default
+    default_name = f"{default.law} / {default.estimator} on {default.plant}"
+    wanted = (default.law, default.estimator, default.plant)
+    failed, others = (
+        report.failures(row for row in rows if ((row["law"], row["estimator"], row["plant"]) == wanted) is judged)
+        for judged in (True, False)
+    )
+    missed = report.missed_lines(groups)
+    bars = sum(len(group.verdicts) for group in groups)
+    speeds = {plant: summary.real_time_factor(row for row in rows if row["plant"] == plant) for plant in config.plants}
+    verdict = _verdict(bars, missed, default_name)
+    speed = ", ".join(f"{factor:.1f} x real time on {plant}" for plant, factor in speeds.items() if math.isfinite(factor))
+    try:
+        store.write_table(keys)
+        store.write_text("summary.json", _json(config, groups, speeds, elapsed, bars - len(missed), bars))
+        store.write_text("summary.md", _markdown(config, len(rows), groups, verdict, missed, speed))
+        store.write_text("failures.md", report.markdown_failures(failed, others, default_name))
+        for plant in dict.fromkeys(group.plant for group in groups):
+            name = "figure" if plant == default.plant or len(config.plants) == 1 else f"figure-{plant}"
+            figure = draw_summary(config, groups, plant)
+            for kind in ("png", "svg"):
+                figure.savefig(store.folder / f"{name}.{kind}", dpi=RESOLUTION)
+    except OSError as error:
+        raise CampaignError(f"cannot write the results into {store.folder}: {error.strerror or error}") from error
+    console.print(report.terminal_table(groups, f"{len(rows)} rows, seed {config.seed}"))
+    console.print(f"one core runs {speed}", highlight=False)
+    for cells in failed[:SHOWN_FAILURES]:
+        console.print(f"  {cells[0]}  {cells[1]}, point {cells[4]} ({cells[5]} mm), s after {cells[8]}: {cells[10]}",
+                      highlight=False, markup=False, soft_wrap=True)  # fmt: skip
+    if len(failed) > SHOWN_FAILURES:
+        console.print(f"  and {len(failed) - SHOWN_FAILURES} more in failures.md", highlight=False)
+    for line in [verdict, *missed]:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    console.print(f"{store.folder}: rows.parquet summary.md summary.json failures.md figure.png", highlight=False, soft_wrap=True)
+    return EXIT_FAILED if missed else 0
+
+
+def _verdict(bars: int, missed: Sequence[str], default_name: str) -> str:
+    if not bars:
+        return f"no bars: none of the rows is of {default_name}, or the cases ask for nothing"
+    held = "all" if not missed else f"{bars - len(missed)} of"
+    return f"{held} {bars} bars hold"
+
+
+def _markdown(
+    config: CampaignConfig, rows: int, groups: Sequence[summary.Group], verdict: str, missed: Sequence[str], speed: str
+) -> str:
+    points = f"{config.points.count} crossing points ({config.points.folded} folded)"
+    lines = [
+        f"{rows} rows: {points}, {len(config.directions)} directions, {config.seeds} seeds from {config.seed};"
+        f" one way lasts {config.duration:g} s unless the case says otherwise.",
+        "",
+        report.markdown_table(groups),
+        "",
+        report.LEGEND + ".",
+        "",
+        f"{verdict}; one core runs {speed}.",
+        *(f"- {line}" for line in missed),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _json(
+    config: CampaignConfig, groups: Sequence[summary.Group], speeds: dict[str, float], elapsed: float, held: int, bars: int
+) -> str:
+    content: dict[str, Any] = {
+        "version": design.version(),
+        "seed": config.seed,
+        "default": config.default.model_dump(),
+        "bars": bars,
+        "bars_held": held,
+        "real_time_factor_per_core": {plant: factor if math.isfinite(factor) else None for plant, factor in speeds.items()},
+        "elapsed": elapsed,
+        "machine": {"cores": core_count(), "platform": platform.platform(), "python": platform.python_version()},
+        "groups": [summary.as_json(group) for group in groups],
+    }
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
