@@ -1,46 +1,329 @@
-"""One trial: a return trip through one crossing point in a plain loop, against one perturbed plant."""
+"""One trial: return trips through one crossing point in a plain loop, against one perturbed plant."""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from dextar_control.campaign.design import CrossingPoint, Trial
-from dextar_control.contract.errors import ParameterError
+import numpy as np
+
+from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.core.certificate import Certificate
+from dextar_control.core.dynamics import platform_dynamics
+from dextar_control.core.estimator import Pose
+from dextar_control.core.kinematics import inverse_model, singular_values, singularity_of_platform, state_of_platform
 from dextar_control.core.law import Law
+from dextar_control.core.locus import locus_point, sample_locus
+from dextar_control.core.loop import LIMP, ControlLoop, Phase, Verdict
+from dextar_control.core.model import Array, make_model
+from dextar_control.core.planner import Criterion, Plan, plan_return_trip_through
 from dextar_control.core.settings import Estimation
+from dextar_control.core.warmup import default_settings
+
+if TYPE_CHECKING:
+    from dextar_control.campaign.design import CrossingPoint, Trial
 
 LAWS = tuple(law.name.lower() for law in Law)
 ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
+MAX_ERROR, END_ERROR = 5e-3, 1e-3  # m, true
+NEAR = 0.1  # |s| that counts as near the locus
+SIDE = 0.3  # |s| of the plan before and after a crossing where the true sides are read
+SETTLE = 0.2  # s of holding after the trip
+STRIKE_SPREAD = 0.01  # s before and after the planned crossing between which a bounce is struck
+RESTITUTION = (0.6, 1.0)  # speed after over before, of a bounce
+GONE = 1e-3  # N m below which a torque counts as gone
+BRAKING = 0.03  # s after recognition within which the torque is gone or brakes
+BODIES = (
+    "left.proximal_mass", "left.proximal_inertia", "left.distal_mass", "left.distal_inertia", "left.rotor_inertia",
+    "right.proximal_mass", "right.proximal_inertia", "right.distal_mass", "right.distal_inertia", "right.rotor_inertia",
+    "end_effector_mass",
+)  # fmt: skip
+LENGTHS = ("left.proximal_length", "left.distal_length", "right.proximal_length", "right.distal_length")
+RIG_OPTIONS = ("command_delay", "sample_loss", "jitter", "position_noise", "pose_rate", "pose_delay", "pose_noise")
+
+
+class Built(NamedTuple):
+    """The true robot: its parameters, and where its base lies in the frame that the controller takes for its own."""
+
+    robot: RobotParameters
+    angle: float  # of its base line, rad
+    middle: Array  # (2,) of its motor axes, m
 
 
 def sample_points(robot: RobotParameters, count: int, folded: int, seed: int) -> list[CrossingPoint]:
     """Crossing points spread over the locus."""
-    from dextar_control.core.locus import sample_locus
+    from dextar_control.campaign.design import CrossingPoint
 
     return [
-        CrossingPoint((float(place.x[0]), float(place.x[1])), place.working_mode, str(place.family))
+        CrossingPoint(
+            (float(place.x[0]), float(place.x[1])),
+            (int(place.working_mode[0]), int(place.working_mode[1])),
+            place.family.name.lower(),
+        )
         for place in sample_locus(robot, count, seed, folded=folded)
     ]
 
 
-def plan_trial(robot: RobotParameters, trial: Trial) -> None:
-    """Plan, and leave the plan in the planner's cache."""
-    raise ParameterError("this version cannot run trials yet")
+def build(robot: RobotParameters, perturbation: Mapping[str, float], generator: np.random.Generator) -> Built:
+    """A robot as it was built and not as it was drawn.
+
+    ``masses``: each mass and inertia is off by an evenly distributed share of up to this. ``geometry``: the four
+    lengths and both coordinates of both motor axes, eight numbers, are off by up to this, m.
+    """
+    changes: dict[str, Any] = {}
+    flat = {name: getattr(leg, key) for side, leg in (("left", robot.left), ("right", robot.right))
+            for key in leg.__dataclass_fields__ for name in (f"{side}.{key}",)} | {"end_effector_mass": robot.end_effector_mass}  # fmt: skip
+    for name, share in zip(BODIES, generator.uniform(-1.0, 1.0, len(BODIES)), strict=True):
+        changes[name] = flat[name] * (1.0 + perturbation.get("masses", 0.0) * share)
+    off = perturbation.get("geometry", 0.0) * generator.uniform(-1.0, 1.0, 8)
+    for name, shift in zip(LENGTHS, off[:4], strict=True):
+        changes[name] = flat[name] + shift
+    half = 0.5 * robot.base_distance
+    left, right = np.array([-half, 0.0]) + off[4:6], np.array([half, 0.0]) + off[6:8]
+    across = right - left
+    changes["base_distance"] = float(np.hypot(*across))
+    for side in ("left", "right"):
+        if "coulomb" in perturbation:
+            changes[f"{side}.coulomb_friction"] = perturbation["coulomb"]
+    return Built(robot.replace(**changes), math.atan2(across[1], across[0]), 0.5 * (left + right))
 
 
-def run_trial(robot: RobotParameters, trial: Trial, rig: Any) -> dict[str, float | int | str | bool | None]:
+def known(robot: RobotParameters, perturbation: Mapping[str, float]) -> RobotParameters:
+    """The controller's model: of the perturbation it knows the modelled share of the friction."""
+    if "coulomb" not in perturbation:
+        return robot
+    modelled = perturbation["coulomb"] * perturbation.get("coulomb_modelled", 0.0)
+    return robot.replace(**{f"{side}.coulomb_friction": modelled for side in ("left", "right")})
+
+
+def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
+    """The trial's trip, from the planner's cache where it was planned before.
+
+    Raises:
+        DextarError: there is none.
+    """
+    robot = robot.replace(working_mode=trial.working_mode)
+    criterion = Criterion.ZERO_WRENCH if trial.law == "multi_model" else Criterion.RECIPROCAL
+    place = locus_point(robot, np.array(trial.point))
+    return plan_return_trip_through(
+        robot, place, trial.direction, trial.duration, trial.dwell, trial.repeat, criterion=criterion
+    )
+
+
+def run_trial(robot: RobotParameters, trial: Trial, rig: Callable[..., Any]) -> dict[str, float | int | str | bool | None]:
     """One row of results.
 
     Args:
-        robot: the controller's model.
-        trial: what to run.
-        rig: the class that the campaign file names.
-
-    Returns:
-        planned, plan_problem, crossings_planned, crossed, success, reason, max_error (m), end_error (m),
-        planned_peak_torque (N m), peak_torque (N m), peak_ratio, peak_ratio_near, saturated (ticks), phase,
-        called_crossed, called_bounced, called_undecided, false_alarms, simulated_time (s), wall_time (s); with a bounce
-        recognised, recognition_delay (s), torque_after_bounce, safe_after. None where there is no number.
+        robot: as the controller knows it but for working mode and friction.
+        trial: what to do.
+        rig: makes the rig: ``rig(robot, **options)`` with reset_joints, read, write, truth, strike, close.
     """
-    raise ParameterError("this version cannot run trials yet")
+    begin = time.perf_counter()
+    try:
+        plan = plan_trial(robot, trial)
+    except DextarError as error:
+        return {"planned": False, "plan_problem": str(error), "success": False, "reason": f"not planned: {error}"}
+    planning = time.perf_counter() - begin
+    begin, begin_cpu = time.perf_counter(), time.process_time()
+    perturbation = dict(trial.perturbation)
+    generator = np.random.default_rng(trial.seed)
+    robot = robot.replace(working_mode=trial.working_mode)
+    built = build(robot, perturbation, generator)
+    loop = ControlLoop(
+        known(robot, perturbation),
+        default_settings(**{"law": trial.law, "estimator": trial.estimator, **trial.settings}),
+        -trial.direction,
+    )
+    options = {name: perturbation[name] for name in RIG_OPTIONS if name in perturbation}
+    if "encoder_resolution" in perturbation:
+        options["encoder_resolution"] = int(perturbation["encoder_resolution"])
+    plant = rig(built.robot, plant=trial.plant, seed=trial.seed, **options)
+    try:
+        log = _drive(loop, plan, plant, built, _strike_of(loop, plan, generator) if perturbation.get("bounce") else None)
+        saturated_drives = plant.saturated
+    except DextarError as error:
+        return {"planned": True, "success": False, "reason": str(error), "wall_time": time.perf_counter() - begin}
+    finally:
+        plant.close()
+    row = _judge(loop, log, bool(perturbation.get("bounce")))
+    return row | {
+        "saturated_drives": saturated_drives,
+        "planning_time": planning,
+        "simulated_time": len(log.time) * plant.period,
+        "wall_time": time.perf_counter() - begin,
+        "cpu_time": time.process_time() - begin_cpu,
+    }
+
+
+class Strike(NamedTuple):
+    """A blow that sends the robot back."""
+
+    time: float  # s
+    impulse: Array  # (2,) N s
+
+
+class Log(NamedTuple):
+    """What happened, a row each period."""
+
+    time: Array  # (m,) s
+    x: Array  # (m, 2) true, m
+    x_ref: Array  # (m, 2) m
+    tau: Array  # (m, 2) commanded, N m
+    power: Array  # (m,) of the commanded torques, W
+    s: Array  # (m,) true
+    limp: Array  # (m,) no law acts
+    strike: float  # s; nan without
+
+
+def _strike_of(loop: ControlLoop, plan: Plan, generator: np.random.Generator) -> Strike:
+    """A blow that turns the motion at the first crossing round.
+
+    Of the planned velocity it is the part along t_s, which the joints do not show, where the distal links are
+    stretched; where they are folded, and t_s leads along the locus, all of it.
+    """
+    crossing = float(plan.certificate.crossing_times[0])
+    moment = round((crossing + generator.uniform(-STRIKE_SPREAD, STRIKE_SPREAD)) * 1000.0) / 1000.0
+    point = plan.trajectory.at(moment)
+    kin = state_of_platform(loop.model, point.x, point.x_dot)
+    turned = point.x_dot
+    if kin.A_r[0] @ kin.A_r[1] < 0.0:
+        t_s = singular_values(kin.A_r).v2
+        turned = (t_s @ point.x_dot) * t_s
+    mass, _ = platform_dynamics(loop.model, kin)
+    return Strike(moment, -(1.0 + generator.uniform(*RESTITUTION)) * (mass @ turned))
+
+
+def _drive(loop: ControlLoop, plan: Plan, rig: Any, built: Built, strike: Strike | None) -> Log:
+    start = plan.trajectory.at(0.0).x
+    rig.reset_joints(inverse_model(loop.model, start) - built.angle, round(np.sign(singularity_of_platform(loop.model, start))))
+    loop.accept(plan.trajectory)
+    cosine, sine = math.cos(built.angle), math.sin(built.angle)
+    turn = np.array([[cosine, -sine], [sine, cosine]])
+    rows: list[tuple[float, ...]] = []
+    time_now = 0.0
+    x_ref, tau = start, np.zeros(2)
+    for _ in range(round((plan.trajectory.duration + SETTLE) / rig.period)):
+        sample = rig.read()
+        truth = rig.truth()
+        if sample is not None:
+            pose = None
+            if sample.pose is not None:
+                pose = Pose(sample.pose.time, turn @ sample.pose.x + built.middle)
+            tau = loop.step(sample.time, sample.q_a + built.angle, pose)
+            x_ref = loop.tick.x_ref
+        if loop.tick is not None and loop.phase in LIMP:  # the trip goes on without the robot: its error is against the plan
+            x_ref = plan.trajectory.at(time_now).x
+        if strike is not None and abs(time_now - strike.time) < 0.5 * rig.period:
+            rig.strike(turn.T @ strike.impulse)
+        left, right = truth.joints[0] + truth.joints[1], truth.joints[2] + truth.joints[3]
+        rows.append(
+            (time_now, *truth.x.tolist(), *x_ref.tolist(), *tau.tolist(), float(tau @ truth.q_a_dot),
+             math.sin(right - left), loop.phase in LIMP)
+        )  # fmt: skip
+        rig.write(None if sample is None else tau)
+        time_now += rig.period
+    table = np.array(rows)
+    return Log(
+        table[:, 0], table[:, 1:3] @ turn.T + built.middle, table[:, 3:5], table[:, 5:7], table[:, 7], table[:, 8],
+        table[:, 9] > 0.0, math.nan if strike is None else strike.time,
+    )  # fmt: skip
+
+
+def sides(certificate: Certificate, log: Log, index: int) -> tuple[float, float]:
+    """True s before and after a planned crossing, where the plan leaves |s| < SIDE."""
+    planned, time_grid = certificate.profile.s, certificate.profile.time
+    row = int(np.searchsorted(time_grid, certificate.crossing_times[index]))
+    clear = np.abs(planned) >= SIDE
+    before = time_grid[np.flatnonzero(clear[:row])[-1]]
+    after = time_grid[row + int(np.argmax(clear[row:]))]
+    first, last = np.searchsorted(log.time, (before, after))
+    return float(log.s[max(first - 1, 0)]), float(log.s[min(last, len(log.s) - 1)])
+
+
+def _judge(loop: ControlLoop, log: Log, bounced: bool) -> dict[str, float | int | str | bool | None]:
+    certificate = loop.certificate
+    if certificate is None:
+        return {"planned": True, "success": False, "reason": f"the trip did not begin: {loop.refusal}"}
+    error = np.hypot(*(log.x_ref - log.x).T)
+    peak = np.abs(log.tau).max(axis=1)
+    count = len(certificate.crossing_times)
+    crossed = []
+    for index in range(count):
+        before, after = sides(certificate, log, index)
+        sign = certificate.crossing_signs[index]
+        crossed.append(before * sign < 0.0 < after * sign)
+    verdicts = [passed.verdict for passed in loop.passed]
+    truths = [_on_side(log, passed.time, sign) for passed, sign in zip(loop.passed, certificate.crossing_signs, strict=True)]
+    near = np.abs(log.s) < NEAR
+    planned = certificate.peak_torque
+    reason = _reason(loop, crossed, error)
+    row: dict[str, float | int | str | bool | None] = {
+        "planned": True,
+        "plan_problem": "",
+        "crossings_planned": count,
+        "crossed": sum(crossed),
+        "success": not reason,
+        "reason": reason,
+        "max_error": float(error.max()),
+        "end_error": float(error[-1]),
+        "planned_peak_torque": planned,
+        "peak_torque": float(peak.max()),
+        "peak_ratio": float(peak.max() / planned),
+        "peak_ratio_near": float(peak[near].max() / planned) if near.any() else math.nan,
+        "saturated": loop.saturated_ticks,
+        "phase": loop.phase.name,
+        "called_crossed": verdicts.count(Verdict.CROSSED),
+        "called_bounced": verdicts.count(Verdict.BOUNCED),
+        "called_undecided": count - verdicts.count(Verdict.CROSSED) - verdicts.count(Verdict.BOUNCED),
+        "false_alarms": sum(v is Verdict.BOUNCED and was for v, was in zip(verdicts, truths, strict=True)),
+        "missed_bounces": sum(v is Verdict.CROSSED and not was for v, was in zip(verdicts, truths, strict=True)),
+        "recognised": None,
+    }
+    return row | _bounce(loop, log, crossed[0] and truths[0], planned) if bounced else row
+
+
+def _on_side(log: Log, time_of_verdict: float, sign: float) -> bool:
+    """Whether the true robot was on the planned side when the verdict fell; true where none did."""
+    if math.isnan(time_of_verdict):
+        return True
+    return bool(log.s[min(int(np.searchsorted(log.time, time_of_verdict)), len(log.s) - 1)] * sign > 0.0)
+
+
+def _reason(loop: ControlLoop, crossed: list[bool], error: Array) -> str:
+    if not all(crossed):
+        first = crossed.index(False) + 1
+        ended = f"; {loop.phase.name}: {loop.reason}" if loop.phase in LIMP else ""
+        return f"crossing {first} of {len(crossed)} did not happen{ended}"
+    if loop.phase is not Phase.HOLD:
+        return f"{loop.phase.name}: {loop.reason}"
+    if not error.max() < MAX_ERROR:
+        return f"true error {1e3 * error.max():.2f} mm; the limit is {1e3 * MAX_ERROR:g} mm"
+    if not error[-1] < END_ERROR:
+        return f"true error at the end {1e3 * error[-1]:.2f} mm; the limit is {1e3 * END_ERROR:g} mm"
+    return ""
+
+
+def _bounce(loop: ControlLoop, log: Log, crossed: bool, planned: float) -> dict[str, float | int | str | bool | None]:
+    """What became of a run that was struck; ``recognised`` is None when the blow did not turn the robot round."""
+    if crossed:
+        return {"reason": "the blow did not turn the robot round", "success": True}
+    named = loop.passed[0].verdict is Verdict.BOUNCED
+    stopped = np.flatnonzero(log.limp)
+    struck = int(np.searchsorted(log.time, log.strike))
+    after = np.abs(log.tau[struck:]).max(axis=1)
+    row: dict[str, float | int | str | bool | None] = {
+        "recognised": named,
+        "success": named,
+        "reason": "" if named else f"the bounce was not recognised; {loop.phase.name}: {loop.reason}",
+        "torque_after_bounce": float(after.max() / planned),
+    }
+    if named:
+        moment = int(stopped[0])
+        late = moment + round(BRAKING / (log.time[1] - log.time[0]))
+        gone = (np.abs(log.tau[late:]).max(axis=1) < GONE) | (log.power[late:] <= 0.0)
+        row["recognition_delay"] = float(log.time[moment] - log.strike)
+        row["safe_after"] = bool(gone.all())
+    return row
