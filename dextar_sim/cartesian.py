@@ -84,11 +84,8 @@ class CartesianPlant:
         self._joints_dot[:] = geometry.joints_dot_at(self.robot, joints, x_dot)
         self._joints[:] = joints
         self._check(max(abs(math.sin(joints[1])), abs(math.sin(joints[3]))), 0.0)
-        tips = [
-            geometry.tip(leg, base, joints[start : start + 2], (0.0, 0.0))
-            for leg, base, start in zip(self.robot.legs, geometry.bases(self.robot), (0, 2), strict=True)
-        ]
-        self._platform[:] = (0.5 * (tips[0][0] + tips[1][0]), 0.5 * (tips[0][1] + tips[1][1]), *x_dot)
+        left, right = geometry.tips(geometry.shape(self.robot), tuple(map(float, joints)), (0.0, 0.0, 0.0, 0.0))
+        self._platform[:] = (0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1]), *x_dot)
         self._steps = 0
         self._push = (0.0, 0.0)
         self._state = None

@@ -9,12 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numba
+
 from dextar_control.contract.errors import GeometryError
 from dextar_control.contract.robot import LegParameters, RobotParameters
 
 Point = tuple[float, float]
 _SIDES = ("left", "right")
 _LEAST_SINE = 1.0e-9
+_compiled = numba.njit(cache=True, nogil=True)
 
 
 def bases(robot: RobotParameters) -> tuple[Point, Point]:
@@ -133,17 +136,40 @@ def joints_dot_at(robot: RobotParameters, joints: Sequence[float], x_dot: Sequen
     return rates
 
 
-def tip(
-    leg: LegParameters, base: Point, joints: Sequence[float], joints_dot: Sequence[float]
+@_compiled
+def _tip(
+    base_x: float, base_y: float, l1: float, l2: float, q: float, passive: float, rate: float, passive_rate: float
 ) -> tuple[float, float, float, float]:
-    """Position (m) and velocity (m/s) of a distal tip: x, y, x_dot, y_dot."""
-    l1, l2 = leg.proximal_length, leg.distal_length
-    q, rate = joints[0], joints_dot[0]
-    total, total_rate = q + joints[1], rate + joints_dot[1]
+    total, total_rate = q + passive, rate + passive_rate
     cos_1, sin_1, cos_2, sin_2 = math.cos(q), math.sin(q), math.cos(total), math.sin(total)
     return (
-        base[0] + l1 * cos_1 + l2 * cos_2,
-        base[1] + l1 * sin_1 + l2 * sin_2,
+        base_x + l1 * cos_1 + l2 * cos_2,
+        base_y + l1 * sin_1 + l2 * sin_2,
         -l1 * sin_1 * rate - l2 * sin_2 * total_rate,
         l1 * cos_1 * rate + l2 * cos_2 * total_rate,
+    )
+
+
+def shape(robot: RobotParameters) -> tuple[float, ...]:
+    """What ``tips`` takes of a robot: x, y of the motor axis and both lengths, left and right, m."""
+    return tuple(
+        float(value)
+        for leg, base in zip(robot.legs, bases(robot), strict=True)
+        for value in (*base, leg.proximal_length, leg.distal_length)
+    )
+
+
+@_compiled
+def tips(
+    shape: tuple[float, ...], joints: tuple[float, ...], joints_dot: tuple[float, ...]
+) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
+    """Position (m) and velocity (m/s) of the left and the right distal tip: x, y, x_dot, y_dot of each.
+
+    Args:
+        shape: of the robot.
+        joints, joints_dot: q11, q12, q21, q22, rad and rad/s.
+    """
+    return (
+        _tip(shape[0], shape[1], shape[2], shape[3], joints[0], joints[1], joints_dot[0], joints_dot[1]),
+        _tip(shape[4], shape[5], shape[6], shape[7], joints[2], joints[3], joints_dot[2], joints_dot[3]),
     )

@@ -52,7 +52,7 @@ class Plant:
             raise ParameterError("window = true needs a display; DISPLAY is not set")
         self._window = window
         self._client = world.connect(window)
-        self._bases = geometry.bases(robot)
+        self._shape = geometry.shape(robot)
         self._friction = [(leg.viscous_friction, leg.coulomb_friction) for leg in robot.legs]
         self._has_friction = any(any(pair) for pair in self._friction)
         self._divisible = substeps & (substeps - 1) == 0 and not self._has_friction
@@ -188,12 +188,9 @@ class Plant:
         )  # fmt: skip
         self._state: PlantState | None = None
 
-    def _tip_states(self) -> list[tuple[float, float, float, float]]:
+    def _tip_states(self) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
         """x, y, x_dot, y_dot of the left and the right distal tip."""
-        return [
-            geometry.tip(leg, base, self._angles[start : start + 2], self._joints_dot[start : start + 2])
-            for leg, base, start in zip(self.robot.legs, self._bases, (0, 2), strict=True)
-        ]
+        return geometry.tips(self._shape, self._angles, self._joints_dot)
 
     def state(self) -> PlantState:
         """The true state now."""

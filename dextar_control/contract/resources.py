@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -47,9 +48,14 @@ def node_defaults(node: str, path: Path | None = None) -> dict[str, Any]:
     """
     path = path or config_file(NODES_FILE)
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return dict(_node_defaults(node, path, path.stat().st_mtime_ns))
     except (OSError, yaml.YAMLError) as error:
         raise ParameterError(f"parameter file {path}: {error}") from error
+
+
+@lru_cache(maxsize=64)
+def _node_defaults(node: str, path: Path, _: int) -> dict[str, Any]:
+    document = yaml.safe_load(path.read_text(encoding="utf-8"))
     values: dict[str, Any] = {}
     for section in ("/**", f"/**/{node}", node):
         values.update(_dotted(((document or {}).get(section) or {}).get("ros__parameters") or {}))

@@ -20,7 +20,7 @@ from dextar_control.core.dgm import JointMemory
 from dextar_control.core.kinematics import kinematics, singularity, state_of_platform
 from dextar_control.core.law import CONFIDENCE, ESTIMATE, MODE_HAT, Q_HAT, Q_REF, S_REF, X_HAT, X_REF
 from dextar_control.core.model import Array, Model, make_model, pack, unpack
-from dextar_control.core.observer import BELIEF, CERTAIN, LOG_ODDS, MODE, STATES, SWAPS, Bank, Gauss, Noise, Passage
+from dextar_control.core.observer import BELIEF, CERTAIN, FILTER, LOG_ODDS, MODE, SWAPS, Bank, Gauss, Noise, Passage
 from dextar_control.core.settings import Estimation, Settings
 
 
@@ -179,10 +179,11 @@ def _begin(packed: Array, noise: Noise, x: Array, bank: Bank) -> None:
 
 @njit
 def _observe(
-    packed: Array, noise: Noise, passage: Passage, bank: Bank, belief: Array, tau: Array, dt: float, q_meas: Array,
-    row: Array,
-) -> float:  # fmt: skip
+    packed: Array, tuning: Array, filters: Array, belief: Array, tau: Array, dt: float, q_meas: Array, row: Array
+) -> float:
     model = unpack(packed)
+    noise, passage = observer.unpack_tuning(tuning)
+    bank = observer.unpack_bank(filters)
     observer.observe(model, noise, passage, bank, belief, tau, dt, q_meas)
     return _row_of(model, bank.main, belief, row)
 
@@ -217,7 +218,8 @@ class ObserverEstimator:
 
     def __init__(self, robot: RobotParameters, settings: Settings) -> None:
         self._packed = pack(make_model(robot))
-        self._bank = Bank(*(Gauss(np.zeros(STATES), np.zeros((STATES, STATES)), np.zeros(2)) for _ in range(3)))
+        self._filters = np.zeros((3, FILTER))
+        self._bank = observer.unpack_bank(self._filters)
         self._belief = np.zeros(BELIEF)
         self._joints = JointMemory(np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2))
         self.row = np.zeros(ESTIMATE)
@@ -235,9 +237,8 @@ class ObserverEstimator:
             encoder=settings.passage_encoder_deviation, torque=settings.passage_torque_deviation,
             acceleration=settings.passage_acceleration_deviation,
         )  # fmt: skip
-        self._passage = Passage(
-            settings.passage_armed, settings.passage_begin, settings.passage_log_odds, tight
-        )
+        passage = Passage(settings.passage_armed, settings.passage_begin, settings.passage_log_odds, tight)
+        self._tuning = observer.pack_tuning(self._noise, passage)
         self._sure, self._bandwidth = settings.verdict_confidence, settings.filter_bandwidth
 
     @property
@@ -278,11 +279,11 @@ class ObserverEstimator:
 
     def track(self, dt: float, q_a: Array, tau: Array, reference: Array, zone: float, width: float) -> None:
         """See ``Estimator``."""
-        self.s = _observe(self._packed, self._noise, self._passage, self._bank, self._belief, tau, dt, q_a, self.row)
+        self.s = _observe(self._packed, self._tuning, self._filters, self._belief, tau, dt, q_a, self.row)
 
     def coast(self, dt: float, q_a: Array, tau: Array) -> None:
         """See ``Estimator``: what brakes are the joints themselves, wherever the platform is thought to be."""
-        self.s = _observe(self._packed, self._noise, self._passage, self._bank, self._belief, tau, dt, q_a, self.row)
+        self.s = _observe(self._packed, self._tuning, self._filters, self._belief, tau, dt, q_a, self.row)
         _filter(self._joints, q_a, dt, self._bandwidth, self.row)
 
     def take_pose(self, pose: Pose, time: float) -> None:

@@ -5,6 +5,7 @@ It knows no ROS and no simulator; a rig, a node or a plain ``for`` calls it alik
 
 from __future__ import annotations
 
+import bisect
 import math
 from enum import IntEnum
 from typing import NamedTuple
@@ -176,6 +177,7 @@ class ControlLoop:
         self._watch = 0.0
         self._near_limit = robot.max_torque
         self._open = -1
+        self._crossing_times: list[float] = []
         self._q_a = np.zeros(2)
         self._stop_time = 0.0
         self._stop_wanted = False
@@ -411,6 +413,7 @@ class ControlLoop:
         self.certificate = certificate
         self.passed = [Passed(float(time), Verdict.UNDECIDED, 0.5, math.nan) for time in certificate.crossing_times]
         self._near_limit = self._limit_near(certificate)
+        self._crossing_times = certificate.crossing_times.tolist()
         self._start = time if start is None else start
         self._set_trajectory(trajectory, certificate.profile.time, certificate.profile.multipliers)
         self._integral[:] = 0.0
@@ -511,10 +514,7 @@ class ControlLoop:
 
     def _current_crossing(self) -> int:
         """Index of the last planned crossing that has begun; -1 before the first and without a trajectory."""
-        if self.certificate is None:
-            return -1
-        begun = self._time - self._start + OPEN_BEFORE
-        return int(np.searchsorted(self.certificate.crossing_times, begun, side="right")) - 1
+        return bisect.bisect_right(self._crossing_times, self._time - self._start + OPEN_BEFORE) - 1
 
     def _judge(self, index: int, verdict: Verdict) -> None:
         if index >= 0 and self.passed[index].verdict is Verdict.UNDECIDED:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dextar_control.core.compiled import njit
-from dextar_control.core.dynamics import apply, forward_dynamics, inverse, platform_dynamics
+from dextar_control.core.dynamics import apply, friction, inverse, platform_dynamics
 from dextar_control.core.kinematics import (
     direct_geometric_model,
     inverse_geometric_model,
@@ -78,6 +78,34 @@ class Bank(NamedTuple):
     image: Gauss  # from its mirror image
 
 
+FILTER = STATES + 2 + STATES * STATES  # numbers of a filter
+TUNING = 2 * len(Noise._fields) + 3  # numbers of a tuning
+
+
+@njit
+def unpack_filter(numbers: Array) -> Gauss:
+    """A filter in a vector (FILTER,); its arrays are views."""
+    return Gauss(numbers[0:STATES], numbers[STATES + 2 :].reshape(STATES, STATES), numbers[STATES : STATES + 2])
+
+
+@njit
+def unpack_bank(filters: Array) -> Bank:
+    """The filters in an array (3, FILTER); their arrays are views."""
+    return Bank(unpack_filter(filters[0]), unpack_filter(filters[1]), unpack_filter(filters[2]))
+
+
+@njit
+def unpack_tuning(v: Array) -> tuple[Noise, Passage]:
+    """The noise and the passage of a packed vector (TUNING,); see ``pack_tuning``."""
+    noise = Noise(v[0], v[1], v[2], v[3], v[4], v[5], v[6])
+    return noise, Passage(v[14], v[15], v[16], Noise(v[7], v[8], v[9], v[10], v[11], v[12], v[13]))
+
+
+def pack_tuning(noise: Noise, passage: Passage) -> Array:
+    """One vector (TUNING,) of both."""
+    return np.array([*noise, *passage.noise, passage.armed, passage.begin, passage.log_odds])
+
+
 MODE, LOG_ODDS, ARMED, TESTING, RATIO, MISFIT_SAME, MISFIT_IMAGE, SAMPLES, SWAPS, MISFIT_KNOWN = range(10)
 BELIEF = 10  # numbers of a belief
 
@@ -110,10 +138,9 @@ def predict(model: Model, noise: Noise, state: Gauss, tau: Array, dt: float) -> 
     mean, P = state.mean, state.covariance
     x, x_dot = mean[0:2].copy(), mean[2:4].copy()
     kin = state_of_platform(model, x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * state.x_ddot)
-    state.x_ddot[:] = forward_dynamics(model, kin, tau)
-    mass, _ = platform_dynamics(model, kin)
-    M = inverse(mass)
-    J = kin.J_inv
+    mass, bias = platform_dynamics(model, kin)
+    M, J = inverse(mass), kin.J_inv
+    state.x_ddot[:] = apply(M, apply(J.T, tau - friction(model, kin.q_a_dot)) - bias)
     G = np.zeros((2, 2))  # x_ddot per torque
     for i in range(2):
         for leg in range(2):
@@ -147,28 +174,32 @@ def allow_for_shock(noise: Noise, state: Gauss, dt: float) -> None:
 
 
 @njit
-def _update(state: Gauss, H: Array, innovation: Array, variance: float) -> tuple[float, float]:
-    """Kalman update with H (2, 6) and equal variances: the innovation's normalised square and ln det of its covariance."""
-    P = state.covariance
-    PH = np.zeros((STATES, 2))
-    for i in range(STATES):
-        for row in range(2):
-            for j in range(STATES):
-                PH[i, row] += P[i, j] * H[row, j]
-    S = np.zeros((2, 2))
+def _seen(P: Array, J: Array, bias: float, variance: float) -> tuple[Array, Array]:
+    """P H^T (6, 2) and H P H^T + variance 1 (2, 2), with H = [J, 0, bias 1]."""
+    PH = np.empty((STATES, 2))
+    S = np.empty((2, 2))
     for row in range(2):
-        S[row, row] = variance
+        for i in range(STATES):
+            PH[i, row] = P[i, 0] * J[row, 0] + P[i, 1] * J[row, 1] + bias * P[i, 4 + row]
+    for row in range(2):
         for column in range(2):
-            for j in range(STATES):
-                S[row, column] += H[row, j] * PH[j, column]
+            S[row, column] = J[row, 0] * PH[0, column] + J[row, 1] * PH[1, column] + bias * PH[4 + row, column]
+        S[row, row] += variance
+    return PH, S
+
+
+@njit
+def _update(state: Gauss, PH: Array, S: Array, innovation: Array) -> tuple[float, float]:
+    """Kalman update: the innovation's normalised square and ln det of its covariance S."""
+    P = state.covariance
     S_inverse = inverse(S)
     weighted = apply(S_inverse, innovation)
     for i in range(STATES):
         state.mean[i] += PH[i, 0] * weighted[0] + PH[i, 1] * weighted[1]
-    for i in range(STATES):
-        gain = apply(S_inverse, PH[i])
+        left = PH[i, 0] * S_inverse[0, 0] + PH[i, 1] * S_inverse[1, 0]
+        right = PH[i, 0] * S_inverse[0, 1] + PH[i, 1] * S_inverse[1, 1]
         for j in range(i + 1):
-            P[i, j] -= gain[0] * PH[j, 0] + gain[1] * PH[j, 1]
+            P[i, j] -= left * PH[j, 0] + right * PH[j, 1]
             P[j, i] = P[i, j]
     square = innovation[0] * weighted[0] + innovation[1] * weighted[1]
     return square, np.log(S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0])
@@ -176,53 +207,42 @@ def _update(state: Gauss, H: Array, innovation: Array, variance: float) -> tuple
 
 @njit
 def _innovation(model: Model, state: Gauss, q_meas: Array) -> tuple[Array, Array]:
-    """H (2, 6) and the innovation (2,), rad, of the active joints (2,) on any turn."""
-    kin = state_of_platform(model, state.mean[0:2].copy(), np.zeros(2))
-    H = np.zeros((2, STATES))
+    """J_inv (2, 2) and the innovation (2,), rad, of the active joints (2,) on any turn."""
+    kin = state_of_platform(model, state.mean[0:2], np.zeros(2))
     innovation = np.empty(2)
     for i in range(2):
-        H[i, 0] = kin.J_inv[i, 0]
-        H[i, 1] = kin.J_inv[i, 1]
-        H[i, 4 + i] = 1.0
         angle = q_meas[i] - kin.q_a[i] - state.mean[4 + i]
         innovation[i] = angle - 2.0 * np.pi * np.floor((angle + np.pi) / (2.0 * np.pi))
-    return H, innovation
+    return kin.J_inv, innovation
 
 
 @njit
 def innovate(model: Model, noise: Noise, state: Gauss, q_meas: Array) -> tuple[float, float]:
     """Take the active joints (2,), rad; see ``_update`` for what is returned."""
-    H, innovation = _innovation(model, state, q_meas)
-    return _update(state, H, innovation, noise.encoder**2)
+    J, innovation = _innovation(model, state, q_meas)
+    PH, S = _seen(state.covariance, J, 1.0, noise.encoder**2)
+    return _update(state, PH, S, innovation)
 
 
 @njit
 def correct(model: Model, noise: Noise, state: Gauss, q_meas: Array, dt: float) -> bool:
     """Take the active joints (2,), rad, and see whether the robot was struck in the last dt."""
-    H, innovation = _innovation(model, state, q_meas)
-    S = np.zeros((2, 2))
-    P = state.covariance
-    for row in range(2):
-        S[row, row] = noise.encoder**2
-        for column in range(2):
-            for i in range(STATES):
-                for j in range(STATES):
-                    S[row, column] += H[row, i] * P[i, j] * H[column, j]
+    J, innovation = _innovation(model, state, q_meas)
+    PH, S = _seen(state.covariance, J, 1.0, noise.encoder**2)
     weighted = apply(inverse(S), innovation)
     struck = innovation[0] * weighted[0] + innovation[1] * weighted[1] > noise.shock_gate
     if struck:
         allow_for_shock(noise, state, dt)
-    _update(state, H, innovation, noise.encoder**2)
+        PH, S = _seen(state.covariance, J, 1.0, noise.encoder**2)
+    _update(state, PH, S, innovation)
     return struck
 
 
 @njit
 def correct_position(state: Gauss, x_meas: Array, deviation: float) -> tuple[float, float]:
     """Take an external position (2,), m, with its standard deviation, m; see ``_update`` for what is returned."""
-    H = np.zeros((2, STATES))
-    H[0, 0] = 1.0
-    H[1, 1] = 1.0
-    return _update(state, H, x_meas - state.mean[0:2], deviation**2)
+    PH, S = _seen(state.covariance, np.eye(2), 0.0, deviation**2)
+    return _update(state, PH, S, x_meas - state.mean[0:2])
 
 
 @njit
