@@ -201,9 +201,12 @@ def trace_locus(
             modes = [_mode(row) if good else None for row, good in zip(rows, clear, strict=True)]
             modes = [mode if mode in working_modes else None for mode in modes]
             if crossable:
-                for k in range(0, len(rows), THIN):
-                    if modes[k] is not None and not is_crossable(models[modes[k]], rows[k, 1:3], type1):
-                        modes[k : k + THIN] = [None] * len(modes[k : k + THIN])
+                seen = range(0, len(rows), THIN)
+                open_ = {k for k in seen if modes[k] is not None and is_crossable(models[modes[k]], rows[k, 1:3], type1)}
+                modes = [
+                    mode if k // THIN * THIN in open_ and (-(-k // THIN) * THIN in open_ or k + THIN >= len(rows)) else None
+                    for k, mode in enumerate(modes)
+                ]
             begin = 0
             for k in range(1, len(rows) + 1):
                 if k < len(rows) and modes[k] == modes[begin]:

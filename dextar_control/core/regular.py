@@ -59,11 +59,13 @@ def spline(places: Array, speed: float) -> Trajectory:
     # the time law 10 t^3 - 15 t^4 + 6 t^5, inverted on a table, spreads the places as a motion from rest to rest does
     table = np.linspace(0.0, 1.0, 1001)
     times = np.interp(share, table**3 * (10.0 - 15.0 * table + 6.0 * table**2), table)
-    rest = [(order, np.zeros(2)) for order in (1, 2, 3)]
-    curve = PPoly.from_spline(make_interp_spline(times, places, k=SPLINE_DEGREE, bc_type=(rest, rest)))
-    pieces = np.diff(curve.x) > 0.0
-    knots = np.append(curve.x[:-1][pieces], curve.x[-1])
-    coefficients = np.moveaxis(curve.c[::-1, pieces], 0, 1)
+    rest = [(1, 0.0), (2, 0.0), (3, 0.0)]
+    curves = [
+        PPoly.from_spline(make_interp_spline(times, places[:, axis], k=SPLINE_DEGREE, bc_type=(rest, rest))) for axis in range(2)
+    ]
+    pieces = np.diff(curves[0].x) > 0.0
+    knots = np.append(curves[0].x[:-1][pieces], curves[0].x[-1])
+    coefficients = np.stack([curve.c[::-1, pieces].T for curve in curves], axis=2)
     unit = Trajectory(knots - knots[0], knots[:-1] - knots[0], coefficients)
     fastest = float(np.hypot(*unit.table(np.linspace(0.0, unit.duration, 200))[1].T).max())
     return unit.scaled(max(fastest / speed, LEAST_DURATION))
