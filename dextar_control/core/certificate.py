@@ -96,11 +96,12 @@ class Certificate(NamedTuple):
             f", distance to Type 1 {self.least_type1:.3f}"
         ]
         for index, crossing in enumerate(self.crossings):
+            left, right = crossing.multipliers
             text.append(
-                f"crossing {index + 1} ({crossing.family}, to {'s > 0' if crossing.sign > 0 else 's < 0'}) at {crossing.time:.4f} s"
+                f"crossing {index + 1} ({crossing.family}, to s {'>' if crossing.sign > 0 else '<'} 0) at {crossing.time:.4f} s"
                 f" in ({crossing.x[0]:.4f}, {crossing.x[1]:.4f}) m, {crossing.speed:.3f} m/s along t_s"
                 f", {1e3 * crossing.near_time:.0f} ms within |s| < {NEAR_LOCUS}"
-                f", residual {crossing.residual:.1e} N, multiplier ({crossing.multipliers[0]:.3f}, {crossing.multipliers[1]:.3f}) N/m"
+                f", residual {crossing.residual:.1e} N, multiplier ({left:.3f}, {right:.3f}) N/m"
                 f", torque ({crossing.torque[0]:.4f}, {crossing.torque[1]:.4f}) N m"
             )
         return text

@@ -292,7 +292,9 @@ def _through(
                 return True
         bent = problem._replace(free=np.append(problem.free, BENDS))
         generator = np.random.default_rng(0)
-        for row in range(RESTARTS if into.z is not None and most is None else 0):
+        for row in range(RESTARTS if most is None else 0):
+            if into.z is None:
+                break
             if progress is not None:
                 progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS} at ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
             shake = generator.normal(size=VARIABLES) * RESTART_SPREAD * (row > 0)
