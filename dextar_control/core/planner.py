@@ -479,6 +479,15 @@ def _between(
             guess[list(BENDS)] = 0.0
         if best.offer(problem, guess):
             break
+    generator = np.random.default_rng(0)
+    for row in range(RESTARTS):
+        if best.plan is not None or best.problem is None or best.z is None:
+            break
+        if progress is not None:
+            progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS}")
+        shake = np.zeros(VARIABLES)
+        shake[best.problem.free] = RESTART_SPREAD * generator.normal(size=len(best.problem.free))
+        best.offer(best.problem, best.z + shake)
     if progress is not None:
         progress(1.0, "certified" if best.plan is not None else "not found")
     if duration is None and best.problem is not None:
