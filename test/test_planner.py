@@ -2,21 +2,42 @@
 
 from __future__ import annotations
 
+import json
+import re
+
 import numpy as np
 import pytest
 from oracle import Oracle
 
 from dextar_control.contract.errors import DextarError, GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core.certificate import certify, measure
+from dextar_control.core.certificate import Certificate, certify, measure
+from dextar_control.core.crossing import instant
 from dextar_control.core.dynamics import criterion
 from dextar_control.core.kinematics import singular_values, singularity, state_of_platform
+from dextar_control.core.locus import MIN_END_S, WORKING_MODES, Family, LocusPoint, sample_locus
 from dextar_control.core.model import make_model
-from dextar_control.core.planner import Plan, crossing_polynomial, plan_approach, plan_crossing, plan_return_trip
+from dextar_control.core.plan_bench import answer, random_requests
+from dextar_control.core.planner import (
+    Criterion,
+    Plan,
+    crossing_polynomial,
+    plan_approach,
+    plan_crossing,
+    plan_return_trip,
+    plan_return_trip_through,
+    plan_through,
+    robot_at,
+)
 from dextar_control.core.trajectory import Trajectory, quintic
+from dextar_sim.geometry import bases, elbow, joints_at
 
 PLAN_RESIDUAL = 1e-9  # N
 RELATIVE = 1e-9  # two exact formulations in float64; 0.1 N m is the size of the planned torques
+LONG_AND_SHORT = {f"{side}.{link}_length": length for side in ("left", "right")
+                  for link, length in (("proximal", 0.12), ("distal", 0.06))}  # m: Type 1 parts y > 0 and y < 0  # fmt: skip
+FAST_PEAK = 0.2  # N m, of a fast trip through any crossable point; the limit is 0.3
+MASS_FORCE = 2e-5  # N, of the second difference over 1e-4 s of 0.1 kg m of moments known to 1e-17 m: rounding and truncation
 LIMIT_AGREEMENT = 1e-4  # just before and after the locus: the torque's slope makes 1e-5 of it over 2e-6 of s, rounding less
 
 
@@ -121,9 +142,7 @@ def test_an_approach_stays_on_its_side(robot: RobotParameters) -> None:
 
 
 def test_uneven_links_are_planned_or_refused_in_words(robot: RobotParameters) -> None:
-    lengths = {f"{side}.{link}_length": 0.12 if link == "proximal" else 0.06 for side in ("left", "right")
-               for link in ("proximal", "distal")}  # fmt: skip
-    generator, uneven = np.random.default_rng(1), robot.replace(**lengths)
+    generator, uneven = np.random.default_rng(1), robot.replace(**LONG_AND_SHORT)
     for _ in range(12):
         start, goal = generator.uniform([-0.06, 0.06], [0.06, 0.16], (2, 2))
         try:
@@ -131,6 +150,196 @@ def test_uneven_links_are_planned_or_refused_in_words(robot: RobotParameters) ->
         except DextarError:
             continue
         assert (plan.certificate.residuals <= PLAN_RESIDUAL).all()
+
+
+@pytest.fixture(scope="module")
+def points(robot: RobotParameters) -> list[LocusPoint]:
+    """Twelve points of the locus, both families, all working modes."""
+    return sample_locus(robot, 12, seed=7, folded=5)
+
+
+def _wrench(robot: RobotParameters, trajectory: Trajectory, time: float, h: float = 1e-4) -> np.ndarray:
+    """w_d by differences: the rate of sum m_Px P_dot + M_x x_dot of uniform rods, from the simulator's geometry."""
+
+    def moment(instant: float) -> np.ndarray:
+        x = trajectory.at(instant).x
+        joints = joints_at(robot, x)
+        total = robot.end_effector_mass * x
+        for leg, base, q in zip(robot.legs, bases(robot), (joints[0], joints[2]), strict=True):
+            total = total + leg.distal_mass * (np.array(elbow(leg, q, base)) / 6.0 + x / 3.0)
+        return total
+
+    def second(step: float) -> np.ndarray:
+        return (moment(time + step) - 2.0 * moment(time) + moment(time - step)) / step**2
+
+    return (4.0 * second(h) - second(2.0 * h)) / 3.0
+
+
+@pytest.mark.parametrize("duration", [0.33, 2.0, None])
+def test_any_point_of_the_locus_is_crossed_both_ways(
+    robot: RobotParameters, points: list[LocusPoint], duration: float | None
+) -> None:
+    assert {point.family for point in points} == set(Family)
+    assert {point.working_mode for point in points} == set(WORKING_MODES)
+    for point in points:
+        for sign in (1, -1):
+            plan = plan_return_trip_through(robot_at(robot, point), point, sign, duration, 0.1, cache=False)
+            crossings = plan.certificate.crossings
+            assert [crossing.sign for crossing in crossings] == [sign, -sign]
+            assert {crossing.family for crossing in crossings} == {point.family.name.lower()}
+            np.testing.assert_allclose([crossing.x for crossing in crossings], [point.x, point.x], atol=1e-12)
+            assert (plan.certificate.residuals <= PLAN_RESIDUAL).all()
+            assert plan.certificate.least_s >= MIN_END_S
+            assert plan.certificate.peak_torque <= FAST_PEAK
+
+
+def test_torque_is_continuous_through_every_kind_of_crossing(robot: RobotParameters, points: list[LocusPoint]) -> None:
+    for point in points:
+        at = robot_at(robot, point)
+        plan = plan_through(at, point, 1, 0.33, cache=False)
+        crossing = plan.certificate.crossings[0]
+        before, after = (_torque_at(at, plan.trajectory, crossing.time, s) for s in (-1e-6, 1e-6))
+        scale = LIMIT_AGREEMENT * max(np.abs(after).max(), 0.05)
+        np.testing.assert_allclose(before, after, atol=scale)
+        np.testing.assert_allclose(crossing.torque, after, atol=scale)
+
+
+def test_zero_wrench_plans_have_no_wrench_at_the_crossing_and_others_none_along_t_s(
+    robot: RobotParameters, points: list[LocusPoint]
+) -> None:
+    for point in points[::3]:
+        at = robot_at(robot, point)
+        for wanted in Criterion:
+            plan = plan_through(at, point, 1, 0.4, criterion=wanted, cache=False)
+            w_d = _wrench(at, plan.trajectory, plan.certificate.crossings[0].time)
+            scale = MASS_FORCE + 2e-3 * np.abs(_wrench(at, plan.trajectory, 0.1)).max()
+            assert abs(w_d @ point.t_s) < scale
+            if wanted is Criterion.ZERO_WRENCH:
+                assert np.abs(w_d).max() < scale
+
+
+def test_a_crossing_moves_in_the_direction_asked_for(robot: RobotParameters, points: list[LocusPoint]) -> None:
+    for point in points[::4]:
+        across = point.gradient / np.hypot(*point.gradient)
+        wanted = across + 0.4 * np.array([-across[1], across[0]])
+        for way in (wanted, -wanted):
+            crossing = plan_through(robot_at(robot, point), point, way, 0.4, cache=False).certificate.crossings[0]
+            cosine = np.array(crossing.x_dot) @ way / np.hypot(*way) / np.hypot(*crossing.x_dot)
+            assert cosine == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_given_start_and_goal_meet_a_given_point(robot: RobotParameters) -> None:
+    plan = plan_crossing(robot, [-0.025, 0.115], [0.01, 0.06], 0.5, point=np.array([0.01, 0.0838]), cache=False)
+    np.testing.assert_allclose(plan.certificate.crossings[0].x, [0.01, 0.0838], atol=1e-3)
+    np.testing.assert_allclose(plan.trajectory.at(0.0).x, [-0.025, 0.115])
+    np.testing.assert_allclose(plan.trajectory.at(0.5).x, [0.01, 0.06])
+
+
+def test_an_open_duration_is_chosen_by_the_torque(robot: RobotParameters) -> None:
+    certificate = plan_crossing(robot, [-0.025, 0.115], [0.01, 0.06], cache=False).certificate
+    assert certificate.peak_torque == pytest.approx(0.3 * robot.max_torque, rel=0.05)
+
+
+def test_random_requests_on_two_sides_are_planned(robot: RobotParameters) -> None:
+    answers = [answer(request) for request in random_requests(robot, 12, seed=11)]
+    assert [item.refusal for item in answers if item.refusal] == []
+
+
+def test_the_searchs_torque_is_the_oracles(uneven: RobotParameters) -> None:
+    generator, count = np.random.default_rng(3), 0
+    for mode in WORKING_MODES:
+        at = uneven.replace(working_mode=mode)
+        model, oracle = make_model(at), Oracle(at)
+        for _ in range(20):
+            x, x_dot, x_ddot = generator.uniform(-0.1, 0.1, 2), generator.normal(size=2), 10.0 * generator.normal(size=2)
+            kin = state_of_platform(model, x, x_dot)
+            if not np.isfinite(kin.q_a).all() or abs(singularity(model, kin.A_r)) < 0.2:
+                continue
+            found = instant(model, np.array([x, x_dot, x_ddot]))
+            expected = oracle.inverse(kin.q_a, x, x_dot, x_ddot)
+            np.testing.assert_allclose(found.tau, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
+            count += 1
+    assert count >= 20
+
+
+def test_unequal_links_under_gravity_are_crossed_in_both_families(uneven: RobotParameters) -> None:
+    strong = uneven.replace(max_torque=1.0)
+    for point in sample_locus(strong, 6, seed=2, folded=3):
+        plan = plan_return_trip_through(robot_at(strong, point), point, 1, 0.4, 0.1, cache=False)
+        assert [crossing.family for crossing in plan.certificate.crossings] == 2 * [point.family.name.lower()]
+        assert (plan.certificate.residuals <= PLAN_RESIDUAL).all()
+
+
+def test_a_certificate_travels_as_text(trip: Plan) -> None:
+    certificate = trip.certificate
+    read = json.loads(certificate.to_json())
+    assert read["peak_torque"] == certificate.peak_torque
+    assert [crossing["family"] for crossing in read["crossings"]] == ["stretched", "stretched"]
+    assert read["crossings"][0]["residual"] == certificate.residuals[0]
+    assert all(f"crossing {row + 1} (stretched" in certificate.lines()[row + 1] for row in range(2))
+    nothing = json.loads(measure_of_rest(certificate).to_json())
+    assert nothing["peak_torque_near"] is None
+
+
+def measure_of_rest(certificate: Certificate) -> Certificate:
+    """A certificate of a motion without a crossing."""
+    return certificate._replace(crossings=(), peak_torque_near=float("nan"))
+
+
+def test_progress_is_told_while_it_searches(robot: RobotParameters, points: list[LocusPoint]) -> None:
+    told: list[tuple[float, str]] = []
+    plan_through(robot_at(robot, points[0]), points[0], 1, 0.33, cache=False, progress=lambda *word: told.append(word))
+    assert told[0][0] == 0.0
+    assert told[-1] == (1.0, "certified")
+
+
+def test_an_approach_goes_round_the_locus_where_a_line_would_meet_it(robot: RobotParameters) -> None:
+    start, goal = np.array([-0.075, 0.02]), np.array([0.0, 0.115])
+    line = np.array([start + fraction * (goal - start) for fraction in np.linspace(0.0, 1.0, 200)])
+    model = make_model(robot)
+    s = [float(singularity(model, state_of_platform(model, x, np.zeros(2)).A_r)) for x in line]
+    assert min(s) < 0.2
+    motion = plan_approach(robot, start, goal, 0.2)
+    profile = measure(model, motion).profile
+    assert profile.s.min() >= 0.2
+    for time, x in ((0.0, start), (motion.duration, goal)):
+        np.testing.assert_allclose(motion.at(time).x, x, atol=1e-12)
+        np.testing.assert_allclose(motion.at(time).x_dot, 0.0, atol=1e-9)
+        np.testing.assert_allclose(motion.at(time).x_ddot, 0.0, atol=1e-6)
+
+
+def test_a_short_duration_is_refused_with_the_one_that_works(robot: RobotParameters) -> None:
+    start, goal = np.array([-0.025, 0.115]), np.array([0.01, 0.06])
+    with pytest.raises(TrajectoryError, match=r"N m; the limit is 0.3 N m .*; the nearest duration that works is") as refusal:
+        plan_crossing(robot, start, goal, 0.12, cache=False)
+    nearest = float(re.findall(r"works is (\d+\.\d+) s", str(refusal.value))[0])
+    assert 0.12 < nearest < 0.3
+    plan_crossing(robot, start, goal, 1.01 * nearest, cache=False)
+    with pytest.raises(TrajectoryError, match=r"platform speed .* m/s .*; the nearest duration that works is"):
+        plan_crossing(robot.replace(max_platform_speed=0.2), start, goal, 0.33, cache=False)
+
+
+def test_what_cannot_be_crossed_is_refused_in_words(robot: RobotParameters, points: list[LocusPoint]) -> None:
+    point = points[0]
+    at = robot_at(robot, point)
+    along = np.array([-point.gradient[1], point.gradient[0]])
+    other = robot_at(robot, next(item for item in points if item.working_mode != point.working_mode))
+    refusals: list[tuple[type[DextarError], str, RobotParameters, object, object]] = [
+        (TrajectoryError, r"runs along the locus .* the sine of its angle .* a crossing needs 0.1", at, point, along),
+        (TrajectoryError, r"direction = 2; it must be \+1 or -1", at, point, 2),
+        (TrajectoryError, r"direction = \[0.0, 0.0\]; it must be a vector", at, point, np.zeros(2)),
+        (GeometryError, r"belongs to working mode .* set robot.working_mode", other, point, 1),
+        (GeometryError, r"off the Type 2 locus: \|s\| = .* the nearest point", robot, np.array([0.0, 0.11]), 1),
+    ]
+    for kind, message, place, where, direction in refusals:
+        with pytest.raises(kind, match=message):
+            plan_through(place, where, direction, 0.33)  # type: ignore[arg-type]
+    with pytest.raises(GeometryError, match="must be two finite numbers"):
+        plan_crossing(robot, [np.nan, 0.1], [0.01, 0.06], 0.33)
+    with pytest.raises(TrajectoryError, match="dwell = 0.0 s; it must be > 0"):
+        plan_return_trip(robot, [-0.025, 0.115], [0.01, 0.06], 0.33, 0.0)
+    with pytest.raises(TrajectoryError, match=r"Type 1 parts start .* and goal .* in working mode \[1, -1\]"):
+        plan_crossing(robot.replace(**LONG_AND_SHORT), [-0.043, 0.063], [-0.107, -0.053], 0.5)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import json
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.contract.robot import RobotParameters
@@ -46,7 +47,7 @@ class Crossing(NamedTuple):
     x: tuple[float, float]  # m
     x_dot: tuple[float, float]  # m/s
     family: str  # of the locus: "stretched" or "folded"
-    sign: int  # of s after the crossing
+    sign: int  # of s after the crossing; 0 when it leaves the workspace there
     rate: float  # of s, 1/s
     speed: float  # along t_s, m/s
     residual: float  # |t_s.w_d|, N
@@ -95,11 +96,12 @@ class Certificate(NamedTuple):
             f", distance to Type 1 {self.least_type1:.3f}"
         ]
         for index, crossing in enumerate(self.crossings):
+            left, right = crossing.multipliers
             text.append(
-                f"crossing {index + 1} ({crossing.family}, to {'s > 0' if crossing.sign > 0 else 's < 0'}) at {crossing.time:.4f} s"
+                f"crossing {index + 1} ({crossing.family}, to s {'>' if crossing.sign > 0 else '<'} 0) at {crossing.time:.4f} s"
                 f" in ({crossing.x[0]:.4f}, {crossing.x[1]:.4f}) m, {crossing.speed:.3f} m/s along t_s"
                 f", {1e3 * crossing.near_time:.0f} ms within |s| < {NEAR_LOCUS}"
-                f", residual {crossing.residual:.1e} N, multiplier ({crossing.multipliers[0]:.3f}, {crossing.multipliers[1]:.3f}) N/m"
+                f", residual {crossing.residual:.1e} N, multiplier ({left:.3f}, {right:.3f}) N/m"
                 f", torque ({crossing.torque[0]:.4f}, {crossing.torque[1]:.4f}) N m"
             )
         return text
@@ -221,11 +223,13 @@ def measure(model: Model, trajectory: Trajectory, period: float = 1e-3) -> Certi
     rows = np.searchsorted(profile.time, crossings)
     near = np.abs(profile.s) < NEAR_LOCUS
     after = np.minimum(np.searchsorted(times, crossings, side="right"), len(times) - 1)
-    found = tuple(_crossing(model, profile, int(row), float(sign)) for row, sign in zip(rows, np.sign(rough.s[after]), strict=True))
+    far = np.flatnonzero(np.abs(profile.s) >= NEAR_LOCUS)
+    signs = np.sign(rough.s[after])
+    found = tuple(_crossing(model, profile, far, int(row), float(sign)) for row, sign in zip(rows, signs, strict=True))
     return Certificate(
         crossing_times=crossings,
         crossing_points=profile.x[rows],
-        crossing_signs=np.sign(rough.s[after]),
+        crossing_signs=signs,
         crossing_speeds=np.array([crossing.speed for crossing in found]),
         residuals=np.abs(profile.residual[rows]),
         multipliers=profile.multipliers[rows],
@@ -241,21 +245,19 @@ def measure(model: Model, trajectory: Trajectory, period: float = 1e-3) -> Certi
     )
 
 
-def _crossing(model: Model, profile: Profile, row: int, sign: float) -> Crossing:
-    """The crossing at one row of a profile."""
+def _crossing(model: Model, profile: Profile, far: NDArray[np.int64], row: int, sign: float) -> Crossing:
+    """The crossing at one row of a profile, whose rows ``far`` lie away from the locus."""
     x, x_dot = profile.x[row], profile.x_dot[row]
     A_r = state_of_platform(model, x, x_dot).A_r
     r_1 = A_r[0] / np.linalg.norm(A_r[0])
-    far = np.abs(profile.s) >= NEAR_LOCUS
-    before = np.flatnonzero(far[:row])
-    after = np.flatnonzero(far[row:])
-    enter = profile.time[before[-1] + 1] if len(before) else profile.time[0]
-    leave = profile.time[row + after[0] - 1] if len(after) else profile.time[-1]
+    place = int(np.searchsorted(far, row))
+    enter = profile.time[far[place - 1] + 1] if place > 0 else profile.time[0]
+    leave = profile.time[far[place] - 1] if place < len(far) else profile.time[-1]
     near = slice(max(row - 1, 0), row + 2)
     span = np.ptp(profile.time[near])
     return Crossing(
         time=float(profile.time[row]), x=_pair(x), x_dot=_pair(x_dot),
-        family="stretched" if A_r[0] @ A_r[1] < 0.0 else "folded", sign=int(sign),
+        family="stretched" if A_r[0] @ A_r[1] < 0.0 else "folded", sign=int(np.nan_to_num(sign)),
         rate=float(np.diff(profile.s[near][[0, -1]])[0] / span) if span > 0.0 else float("nan"),
         speed=float(abs(r_1[0] * x_dot[1] - r_1[1] * x_dot[0])), residual=float(abs(profile.residual[row])),
         multipliers=_pair(profile.multipliers[row]), torque=_pair(profile.torque[row]), near_time=float(leave - enter),

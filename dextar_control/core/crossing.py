@@ -167,9 +167,9 @@ def halves(model: Model, task: Task, z: Array) -> Halves:
 
     Args:
         z: (20,), lengths over ``task.length`` and times over ``task.duration``. Of a crossing: start, goal, tracing angle
-            on the locus, fraction of the time before the crossing, velocity (or speed and one unused), acceleration along v_1, jerk, one unused, bends of
-            the first half and of the second. Of a leg: the state where its halves meet, two unused, logarithms of the
-            spans, bends.
+            on the locus, fraction of the time before the crossing, velocity (or speed and one unused), acceleration
+            along v_1, jerk, one unused, bends of the first half and of the second. Of a leg: the state where its halves
+            meet, two unused, logarithms of the spans, bends.
     """
     bends = z[12:20].reshape(4, 2) * task.length
     end = np.zeros((4, 2))
@@ -272,7 +272,8 @@ def cost(model: Model, task: Task, z: Array) -> float:
             broken += max(0.0, at.joint_speed / limits.joint_speed - SPEED_SHARE)
     found = (peak / max(total, 1e-9)) ** (1.0 / SOFT_MAXIMUM) + limits.near_weight * near_time / limits.near_time + broken
     if task.leg:
-        found += 10.0 * (max(0.0, abs(z[10]) - SPAN_MOST) + max(0.0, abs(z[11]) - SPAN_MOST)) + (abs(pair.first_span) + abs(pair.second_span)) / limits.time
+        found += 10.0 * (max(0.0, abs(z[10]) - SPAN_MOST) + max(0.0, abs(z[11]) - SPAN_MOST))
+        found += (abs(pair.first_span) + abs(pair.second_span)) / limits.time
     else:
         found += 10.0 * max(0.0, abs(z[5] - 0.5) - (0.5 - SPLIT_LEAST))
     return found if np.isfinite(found) else IMPOSSIBLE

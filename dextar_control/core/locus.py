@@ -198,12 +198,18 @@ def trace_locus(
             rows = _trace(model, float(family.value), float(branch), TRACE)
             with np.errstate(invalid="ignore"):
                 clear = (np.abs(rows[:, 3:5]) / scale).min(axis=1) >= type1
-            modes = [_mode(row) if good else None for row, good in zip(rows, clear, strict=True)]
-            modes = [mode if mode in working_modes else None for mode in modes]
+            modes: list[tuple[int, int] | None] = [
+                _mode(row) if good and _mode(row) in working_modes else None for row, good in zip(rows, clear, strict=True)
+            ]
             if crossable:
-                for k in range(0, len(rows), THIN):
-                    if modes[k] is not None and not is_crossable(models[modes[k]], rows[k, 1:3], type1):
-                        modes[k : k + THIN] = [None] * len(modes[k : k + THIN])
+                seen = range(0, len(rows), THIN)
+                passable = {
+                    k for k in seen if (at := modes[k]) is not None and is_crossable(models[at], rows[k, 1:3], type1)
+                }
+                modes = [
+                    mode if k // THIN * THIN in passable and -(-k // THIN) * THIN in passable else None
+                    for k, mode in enumerate(modes)
+                ]
             begin = 0
             for k in range(1, len(rows) + 1):
                 if k < len(rows) and modes[k] == modes[begin]:

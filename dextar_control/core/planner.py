@@ -43,6 +43,7 @@ MIN_SLOPE = 0.1  # sine of the angle between a crossing's direction and the locu
 BASE_DURATION, PACE = 0.25, 0.8  # s and m/s: duration over a way's length at which a way of open duration is searched
 SHIFTS = (0.0, 0.025, -0.025)  # m along the locus, of the places where a crossing is tried
 NEIGHBOURS = (0.005, -0.005, 0.01, -0.01, 0.02, -0.02, 0.04, -0.04)  # m along the locus, where another point is looked for
+RESTARTS, RESTART_SPREAD = 6, 0.15  # from the best so far where it is not good, and by how much it is shaken
 DETOUR = 1.05  # length of a way over the straight one above which the guess is bent
 BISECTIONS = 3  # of the nearest duration
 HEADROOM = 1.002  # of a duration over the one at which the limit is met
@@ -289,8 +290,17 @@ def _through(
                 progress(row / len(guesses), f"guess {row + 1} of {len(guesses)} at ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
             if into.offer(problem, guess):
                 return True
-        if into.z is not None:
-            into.offer(problem._replace(free=np.append(problem.free, BENDS)), into.z)
+        bent = problem._replace(free=np.append(problem.free, BENDS))
+        generator = np.random.default_rng(0)
+        for row in range(RESTARTS if most is None else 0):
+            if into.z is None:
+                break
+            if progress is not None:
+                progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS} at ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
+            shake = generator.normal(size=VARIABLES) * RESTART_SPREAD * (row > 0)
+            shake[list(PLACE)] = 0.0
+            if into.offer(bent, into.z + shake):
+                break
         return len(guesses) > 0
 
     if not attempt(place, None, best):
@@ -469,6 +479,15 @@ def _between(
             guess[list(BENDS)] = 0.0
         if best.offer(problem, guess):
             break
+    generator = np.random.default_rng(0)
+    for row in range(RESTARTS):
+        if best.plan is not None or best.problem is None or best.z is None:
+            break
+        if progress is not None:
+            progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS}")
+        shake = np.zeros(VARIABLES)
+        shake[best.problem.free] = RESTART_SPREAD * generator.normal(size=len(best.problem.free))
+        best.offer(best.problem, best.z + shake)
     if progress is not None:
         progress(1.0, "certified" if best.plan is not None else "not found")
     if duration is None and best.problem is not None:

@@ -17,7 +17,7 @@ MIN_APPROACH_S = 0.2  # |s| that an approach keeps on its way
 KEPT_S = 1.3  # times that, on the grid: what a spline may cut off corners
 LEAST_DURATION = 0.1  # s, of a motion however short
 SPLINE_DEGREE = 7
-BUSY_TORQUE = 0.6  # of max_torque that a regular motion takes at most
+BUSY_TORQUE = 0.3  # of max_torque that a regular motion takes at most
 STRIDES = (16, 10, 6, 4, 2)  # grid places from one spline point to the next: the first that keeps clear counts
 TIGHTENINGS = 6  # of the pace, each to what the torque asks for
 
@@ -59,11 +59,13 @@ def spline(places: Array, speed: float) -> Trajectory:
     # the time law 10 t^3 - 15 t^4 + 6 t^5, inverted on a table, spreads the places as a motion from rest to rest does
     table = np.linspace(0.0, 1.0, 1001)
     times = np.interp(share, table**3 * (10.0 - 15.0 * table + 6.0 * table**2), table)
-    rest = [(order, np.zeros(2)) for order in (1, 2, 3)]
-    curve = PPoly.from_spline(make_interp_spline(times, places, k=SPLINE_DEGREE, bc_type=(rest, rest)))
-    pieces = np.diff(curve.x) > 0.0
-    knots = np.append(curve.x[:-1][pieces], curve.x[-1])
-    coefficients = np.moveaxis(curve.c[::-1, pieces], 0, 1)
+    rest = [(1, 0.0), (2, 0.0), (3, 0.0)]
+    curves = [
+        PPoly.from_spline(make_interp_spline(times, places[:, axis], k=SPLINE_DEGREE, bc_type=(rest, rest))) for axis in range(2)
+    ]
+    pieces = np.diff(curves[0].x) > 0.0
+    knots = np.append(curves[0].x[:-1][pieces], curves[0].x[-1])
+    coefficients = np.stack([curve.c[::-1, pieces].T for curve in curves], axis=2)
     unit = Trajectory(knots - knots[0], knots[:-1] - knots[0], coefficients)
     fastest = float(np.hypot(*unit.table(np.linspace(0.0, unit.duration, 200))[1].T).max())
     return unit.scaled(max(fastest / speed, LEAST_DURATION))
@@ -80,7 +82,7 @@ def _clear(robot: RobotParameters, model: Model, motion: Trajectory) -> bool:
 
 
 def _paced(robot: RobotParameters, motion: Trajectory) -> Trajectory:
-    """The motion, slowed down until the torque it needs is BUSY_TORQUE of the limit or the rest's own torque."""
+    """The motion, slowed down until it takes BUSY_TORQUE of the torque limit (or as little as gravity lets it)."""
     model = make_model(robot)
     for _ in range(TIGHTENINGS):
         peak = measure(model, motion, motion.duration / 400.0).peak_torque
@@ -110,12 +112,8 @@ def plan_approach(robot: RobotParameters, start: Array, goal: Array, speed: floa
     motion = line if _clear(robot, model, line) else None
     if motion is None and signs[0] == signs[1]:
         found = find_way(make_regions(robot), start, signs[0], goal, signs[1], KEPT_S * MIN_APPROACH_S)
-        for stride in STRIDES if found is not None else ():
-            places = _thinned(found[0], stride)
-            curve = spline(places, speed)
-            if _clear(robot, model, curve):
-                motion = curve
-                break
+        curves = () if found is None else (spline(_thinned(found[0], stride), speed) for stride in STRIDES)
+        motion = next((curve for curve in curves if _clear(robot, model, curve)), None)
     if motion is None:
         least = np.abs(measure(model, line).profile.s).min()
         raise TrajectoryError(
@@ -133,7 +131,5 @@ def _thinned(way: Array, stride: int) -> Array:
     count = max(2, int(np.ceil(len(inner) / stride)))
     if len(inner) < 2:
         return np.linspace(way[0], way[-1], 4)
-    rows = np.linspace(0, len(inner) - 1, count + 2).round().astype(int)[1:-1]
-    return np.vstack([way[0], inner[np.unique(rows)], way[-1]]) if len(np.unique(rows)) > 1 else np.vstack(
-        [way[0], inner[[0, -1]], way[-1]]
-    )
+    rows = np.unique(np.linspace(0, len(inner) - 1, count + 2).round().astype(int)[1:-1])
+    return np.vstack([way[0], inner[rows if len(rows) > 1 else [0, -1]], way[-1]])

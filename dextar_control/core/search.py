@@ -147,7 +147,8 @@ def guesses_through(problem: Problem, point: LocusPoint, towards: Array | None =
     clearance = np.minimum(starts[:, 3][:, None], goals[:, 3][None])
     score = 1.0 - aligned + np.abs(total / (0.7 * length) - 1.0) + 0.5 * np.maximum(0.0, 1.0 - clearance / 0.3)
     if towards is not None:
-        score = score - 2.0 * (after / far_after[:, None] @ towards)[None] - 2.0 * (before / far_before[:, None] @ towards)[:, None]
+        score = score - 2.0 * (after / far_after[:, None] @ towards)[None]
+        score = score - 2.0 * (before / far_before[:, None] @ towards)[:, None]
     chosen: list[Array] = []
     found: list[Array] = []
     for index in np.argsort(score, axis=None):
