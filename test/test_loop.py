@@ -12,9 +12,10 @@ from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.core.kinematics import inverse_model, singularity_of_platform
 from dextar_control.core.law import Law
-from dextar_control.core.loop import ControlLoop, Phase
+from dextar_control.core.loop import ControlLoop, Phase, Verdict
 from dextar_control.core.model import make_model
 from dextar_control.core.planner import MIN_END_S, Plan, plan_approach, plan_return_trip
+from dextar_control.core.settings import Estimation
 from dextar_control.core.trajectory import Trajectory
 from dextar_control.core.warmup import default_settings
 from dextar_sim.plant import Plant
@@ -39,7 +40,7 @@ class Run(NamedTuple):
 
 
 def drive(
-    robot: RobotParameters, plan: Plan, law: Law = Law.CONSISTENT, resolution: int = RESOLUTION, **changes: float
+    robot: RobotParameters, plan: Plan, law: Law = Law.CONSISTENT, resolution: int = RESOLUTION, **changes: object
 ) -> Run:
     """plan -> estimate -> control -> plant, without ROS."""
     plant = Plant(robot)
@@ -103,42 +104,51 @@ def test_the_papers_projection_steps_where_ours_does_not(robot: RobotParameters,
     paper = drive(robot, trip, Law.PROJECTED)
 
     def step(run: Run) -> float:
-        near = (np.abs(run.s[1:]) < 0.15) & (np.abs(run.s[1:]) > 0.05)
+        near = (np.abs(run.s[1:]) < 0.25) & (np.abs(run.s[1:]) > 0.15)
         return float(np.abs(np.diff(run.tau, axis=0)).max(axis=1)[near].max())
 
     assert step(paper) > 3.0 * step(fast_run)
 
 
-def test_the_classic_law_fails_near_the_locus(robot: RobotParameters, trip: Plan) -> None:
+def test_the_classic_law_asks_for_too_much_near_the_locus(robot: RobotParameters, trip: Plan, fast_run: Run) -> None:
     run = drive(robot, trip, Law.CLASSIC)
-    saturated = np.abs(run.tau).max(axis=1) >= robot.max_torque
-    assert saturated.any()
-    first = int(np.argmax(saturated))
-    assert abs(run.s[first]) < 0.1
-    assert run.loop.saturated_ticks > 0
+    peak = np.abs(run.tau).max(axis=1)
+    limit = default_settings().watch_ratio * trip.certificate.peak_torque
+    assert run.loop.saturated_ticks > fast_run.loop.saturated_ticks == 0
+    assert abs(run.s[int(np.argmax(peak >= limit))]) < 0.1
+
+
+def test_the_classic_law_with_the_plain_direct_model_saturates_at_each_crossing(robot: RobotParameters, trip: Plan) -> None:
+    run = drive(robot, trip, Law.CLASSIC, estimator=Estimation.PLAIN)
+    limit = default_settings().watch_ratio * trip.certificate.peak_torque
+    at_limit = np.flatnonzero((np.abs(run.tau).max(axis=1) >= limit) & (np.abs(run.s) < 0.1)) * 1e-3
+    for crossing in trip.certificate.crossing_times:
+        assert np.abs(at_limit - crossing).min() < 0.02
 
 
 def test_the_direct_model_alone_amplifies_what_the_hold_does_not(robot: RobotParameters, trip: Plan) -> None:
-    held = drive(robot, trip, resolution=2**13)
-    bare = drive(robot, trip, resolution=2**13, hold_zone=0.0)
+    held = drive(robot, trip, resolution=2**13, estimator=Estimation.DGM)
+    bare = drive(robot, trip, resolution=2**13, estimator=Estimation.PLAIN)
 
     def step(run: Run) -> float:
         return float(np.abs(np.diff(run.tau, axis=0)).max(axis=1)[np.abs(run.s[1:]) < NEAR].max())
 
     assert held.loop.phase == Phase.HOLD
     assert held.error.max() < 1e-3
-    assert bare.loop.saturated_ticks > held.loop.saturated_ticks == 0
-    assert step(bare) > 20.0 * step(held)
+    assert step(bare) > 5.0 * step(held)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_robot_built_a_tenth_of_a_millimetre_off_still_crosses(robot: RobotParameters, trip: Plan, seed: int) -> None:
+@pytest.mark.parametrize("estimator", [Estimation.OBSERVER, Estimation.DGM])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_built_a_tenth_of_a_millimetre_off_still_crosses_with(
+    robot: RobotParameters, trip: Plan, seed: int, estimator: Estimation
+) -> None:
     """The plant's lengths and base differ from the model's by up to 0.1 mm; it starts where the encoders say."""
     generator = np.random.default_rng(seed)
     lengths = {f"{side}.{link}_length": 0.09 + generator.uniform(-1e-4, 1e-4) for side in ("left", "right")
                for link in ("proximal", "distal")}  # fmt: skip
     built = robot.replace(base_distance=robot.base_distance + generator.uniform(-1e-4, 1e-4), **lengths)
-    plant, loop, worst = Plant(built), ControlLoop(robot, default_settings(), 1), 0.0
+    plant, loop, worst = Plant(built), ControlLoop(robot, default_settings(estimator=estimator), 1), 0.0
     plant.reset_joints(inverse_model(loop.model, trip.trajectory.at(0.0).x), 1)
     loop.accept(trip.trajectory)
     for _ in range(1460):
@@ -154,6 +164,21 @@ def test_a_robot_built_a_tenth_of_a_millimetre_off_still_crosses(robot: RobotPar
 def test_phases_follow_the_crossings(fast_run: Run) -> None:
     seen = [phase for index, phase in enumerate(fast_run.phases) if index == 0 or phase != fast_run.phases[index - 1]]
     assert seen == [Phase.TRACK, Phase.CROSSING, Phase.TRACK, Phase.CROSSING, Phase.TRACK, Phase.HOLD]
+    assert [passed.verdict for passed in fast_run.loop.passed] == [Verdict.CROSSED] * 2
+
+
+@pytest.mark.parametrize("law", [Law.PROJECTED, Law.MULTI_MODEL, Law.JOINT_SPACE])
+def test_each_law_crosses_with_the_exact_model(robot: RobotParameters, trip: Plan, law: Law) -> None:
+    run = drive(robot, trip, law)
+    assert run.loop.completed == 1
+    assert run.error.max() < 5.0 * MAX_ERROR
+
+
+def test_an_unknown_law_or_estimator_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ParameterError, match="law = 'magic'; it must be one of classic, projected, consistent"):
+        default_settings(law="magic")
+    with pytest.raises(ParameterError, match="estimator = 'eyes'; it must be one of plain, dgm, observer, external"):
+        default_settings(estimator="eyes")
 
 
 def test_an_approach_has_its_own_phase(robot: RobotParameters) -> None:
@@ -267,26 +292,28 @@ def test_a_fault_on_the_locus_asks_for_the_assembly_mode(robot: RobotParameters,
     plant.close()
 
 
-def test_a_bounce_that_asks_for_too_much_torque_ends_in_a_safe_stop(robot: RobotParameters, trip: Plan) -> None:
-    """An impulse against the motion 12 ms before the crossing turns the robot back.
-
-    Not every bounce is seen: the joints alone look alike, and 0.06 N s leads to a mirrored motion
-    without much torque.
-    """
+@pytest.mark.parametrize("impulse", [0.04, 0.06, 0.08, 0.12])
+def test_an_impulse_against_the_motion_is_judged_as_it_was(robot: RobotParameters, trip: Plan, impulse: float) -> None:
+    """Struck 12 ms before the crossing the robot crosses late, or turns back; the joints alone look alike."""
     plant, loop = _drive_until(robot, trip, float(trip.certificate.crossing_times[0]) - 0.012)
     velocity = plant.state().x_dot
-    plant.apply_impulse(-0.04 * velocity / np.hypot(*velocity))
-    taus = []
+    plant.apply_impulse(-impulse * velocity / np.hypot(*velocity))
+    taus, judged = [], 0.0
     for _ in range(2500):
         state = plant.state()
         taus.append(loop.step(state.time, state.q_a))
+        if loop.passed[0].verdict is not Verdict.UNDECIDED and judged == 0.0:
+            judged = singularity_of_platform(loop.model, state.x)
         plant.step(taus[-1])
-    assert loop.phase == Phase.SAFE_STOP
-    assert loop.reason
-    assert np.abs(taus).max() <= robot.max_torque
-    assert (taus[-1] == 0.0).all()
-    assert np.abs(plant.state().q_a_dot).max() < 0.5
-    assert singularity_of_platform(loop.model, plant.state().x) > 0.0
+    wrong = Verdict.BOUNCED if judged < 0.0 else Verdict.CROSSED
+    assert loop.passed[0].verdict is not wrong
+    assert loop.passed[0].verdict is not Verdict.UNDECIDED or loop.phase == Phase.SAFE_STOP
+    assert np.abs(taus).max() <= default_settings().watch_ratio * trip.certificate.peak_torque + 1e-12
+    if loop.passed[0].verdict is Verdict.BOUNCED:
+        assert loop.phase == Phase.SAFE_STOP
+        assert "bounced" in loop.reason
+        assert (taus[-1] == 0.0).all()
+        assert np.abs(plant.state().q_a_dot).max() < 0.5
     plant.close()
 
 

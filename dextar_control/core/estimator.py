@@ -20,7 +20,7 @@ from dextar_control.core.dgm import JointMemory
 from dextar_control.core.kinematics import kinematics, singularity, state_of_platform
 from dextar_control.core.law import CONFIDENCE, ESTIMATE, MODE_HAT, Q_HAT, Q_REF, S_REF, X_HAT, X_REF
 from dextar_control.core.model import Array, Model, make_model, pack, unpack
-from dextar_control.core.observer import BELIEF, CERTAIN, FILTER, LOG_ODDS, MODE, SWAPS, Bank, Gauss, Noise, Passage
+from dextar_control.core.observer import BELIEF, CERTAIN, FILTER, LOG_ODDS, MODE, REST_SPEED, SWAPS, Bank, Gauss, Noise, Passage
 from dextar_control.core.settings import Estimation, Settings
 
 
@@ -53,7 +53,7 @@ class Estimator(Protocol):
         """The robot rests at x (2,) with joints q_a (2,), in a known assembly mode."""
 
     def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
-        """Somebody looked: the robot rests with joints q_a in this assembly mode."""
+        """Somebody looked: the robot is in this assembly mode, with joints q_a (2,); it may move."""
 
     def rebase(self, q_a: Array) -> None:
         """The reference is at rest at q_a (2,) from now on, without the robot having moved."""
@@ -172,8 +172,8 @@ class DirectEstimator:
 
 
 @njit
-def _begin(packed: Array, noise: Noise, x: Array, bank: Bank) -> None:
-    observer.begin_at_rest(unpack(packed), noise, x, bank.main)
+def _begin(packed: Array, noise: Noise, x: Array, speed: float, bank: Bank) -> None:
+    observer.begin(unpack(packed), noise, x, speed, bank.main)
     observer.copy(bank.main, bank.same)
 
 
@@ -258,7 +258,10 @@ class ObserverEstimator:
 
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
         """See ``Estimator``."""
-        _begin(self._packed, self._noise, x, self._bank)
+        self._begin(x, q_a, assembly_mode, REST_SPEED)
+
+    def _begin(self, x: Array, q_a: Array, assembly_mode: int, speed: float) -> None:
+        _begin(self._packed, self._noise, x, speed, self._bank)
         self._joints.q[:] = q_a
         self._joints.q_dot[:] = 0.0
         self._belief[:] = 0.0
@@ -267,7 +270,8 @@ class ObserverEstimator:
 
     def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
         """See ``Estimator``."""
-        self.start(dgm.direct_geometric_model(unpack(self._packed), q_a, float(assembly_mode)), q_a, assembly_mode)
+        x = dgm.direct_geometric_model(unpack(self._packed), q_a, float(assembly_mode))
+        self._begin(x, q_a, assembly_mode, self._noise.shock_speed)
 
     def rebase(self, q_a: Array) -> None:
         """See ``Estimator``."""

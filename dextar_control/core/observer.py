@@ -35,6 +35,7 @@ STATES = 6
 STEP = 1e-6  # m of the finite differences of s
 REST_SPEED = 1e-3  # m/s, standard deviation of a robot at rest
 MAX_STEP = 1e-3  # s of one prediction; a longer gap is predicted in several
+LONG = 0.1  # s of a gap over which nothing is predicted any more
 CERTAIN = 20.0  # log-odds at which a belief is kept
 CORRELATED = 10.0  # samples over which the innovations of a wrong model hang together: so many count as one
 RISE, FORGET = 0.05, 5.0  # s over which the misfit in a known assembly mode is averaged, up and down: a model stays wrong
@@ -111,8 +112,12 @@ BELIEF = 10  # numbers of a belief
 
 
 @njit
-def begin_at_rest(model: Model, noise: Noise, x: Array, state: Gauss) -> None:
-    """A robot at rest at x (2,), known from its joints: what b may be, x may be off by J_inv^-1 b."""
+def begin(model: Model, noise: Noise, x: Array, speed: float, state: Gauss) -> None:
+    """A robot at x (2,), known from its joints: what b may be, x may be off by J_inv^-1 b.
+
+    Args:
+        speed: standard deviation of its velocity about zero, m/s.
+    """
     J = inverse(state_of_platform(model, x, np.zeros(2)).J_inv)
     bias, encoder = noise.bias**2, noise.encoder**2
     P = state.covariance
@@ -121,11 +126,20 @@ def begin_at_rest(model: Model, noise: Noise, x: Array, state: Gauss) -> None:
     P[0:2, 4:6] = -bias * J
     P[4:6, 0:2] = -bias * J.T
     for i in range(2):
-        P[2 + i, 2 + i] = REST_SPEED**2
+        P[2 + i, 2 + i] = speed**2
         P[4 + i, 4 + i] = bias
     state.mean[:] = 0.0
     state.mean[0:2] = x
     state.x_ddot[:] = 0.0
+
+
+@njit
+def begin_again(model: Model, noise: Noise, bank: Bank, belief: Array, q_meas: Array) -> None:
+    """The joints q_meas (2,) are all that is known: they are taken in the assembly mode believed so far, unsure of it."""
+    x = direct_geometric_model(model, q_meas, belief[MODE] if belief[MODE] != 0.0 else 1.0)
+    begin(model, noise, x, noise.shock_speed, bank.main)
+    copy(bank.main, bank.same)
+    belief[LOG_ODDS:SWAPS] = 0.0
 
 
 @njit
@@ -290,6 +304,9 @@ def observe(
         dt: since the last sample, s.
         q_meas: (2,) rad.
     """
+    if dt > LONG or not np.isfinite(bank.main.mean).all():
+        begin_again(model, noise, bank, belief, q_meas)
+        return
     testing = belief[TESTING] > 0.0
     steps = int(np.ceil(dt / MAX_STEP - 1e-6))
     for _ in range(steps):
