@@ -323,7 +323,7 @@ def _bounce(loop: ControlLoop, log: Log, crossed: bool, planned: float) -> dict[
     """What became of a run that was struck; ``recognised`` is None when the blow did not turn the robot round."""
     if crossed:
         return {"reason": "the blow did not turn the robot round", "success": True}
-    named = loop.passed[0].verdict is Verdict.BOUNCED
+    named = loop.passed[0].verdict is Verdict.BOUNCED or "bounced" in loop.reason  # it may have coasted across since
     stopped = np.flatnonzero(log.limp)
     struck = int(np.searchsorted(log.time, log.strike))
     after = np.abs(log.tau[struck:]).max(axis=1)

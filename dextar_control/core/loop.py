@@ -331,8 +331,10 @@ class ControlLoop:
     def _go_limp(self, phase: Phase, reason: str) -> None:
         """Leave the reference: from now on the robot is only watched, and damped in SAFE_STOP."""
         current = self._current_crossing()
-        moving = self.phase in MOVING
-        self._open = current if moving and current >= 0 and self.passed[current].verdict is Verdict.UNDECIDED else -1
+        if self.phase in MOVING:
+            self._open = current
+        elif self.phase not in LIMP:
+            self._open = -1
         self.estimator.release(self.phase == Phase.CROSSING)
         self.phase, self.reason, self._pending, self._stop_wanted = phase, reason, None, False
         self._stop_time = self._time
@@ -499,14 +501,16 @@ class ControlLoop:
             self._judge(current, Verdict.CROSSED)
 
     def _compare_afterwards(self) -> None:
-        """A verdict on the crossing during which the loop let go, once the estimator has one."""
+        """The side on which a robot ends that was let go during a crossing: it may change as it coasts."""
         if self._open < 0 or self.certificate is None or not self._sure_of_side():
             return
         same = self.estimator.row[MODE_HAT] * self.certificate.crossing_signs[self._open] > 0.0
-        self._judge(self._open, Verdict.CROSSED if same else Verdict.BOUNCED)
+        verdict = Verdict.CROSSED if same else Verdict.BOUNCED
+        if self.passed[self._open].verdict is verdict:
+            return
+        self._judge(self._open, verdict)
         if not same:
             self.reason = f"bounced (s = {self.estimator.s:+.2f}, confidence {self.estimator.row[CONFIDENCE]:.3f}); {self.reason}"
-        self._open = -1
 
     def _sure_of_side(self) -> bool:
         """Whether the estimator has an opinion about the assembly mode that counts."""
@@ -517,7 +521,7 @@ class ControlLoop:
         return bisect.bisect_right(self._crossing_times, self._time - self._start + OPEN_BEFORE) - 1
 
     def _judge(self, index: int, verdict: Verdict) -> None:
-        if index >= 0 and self.passed[index].verdict is Verdict.UNDECIDED:
+        if index >= 0 and self.passed[index].verdict is not verdict:
             time, confidence = self._time - self._start, float(self.estimator.row[CONFIDENCE])
             self.passed[index] = self.passed[index]._replace(verdict=verdict, confidence=confidence, time=time)
 

@@ -9,7 +9,8 @@ motion along t_s, amplified by 1/s. Where the weak direction of J_inv does not s
 **Crossed or bounced.** Both give the same q_a(t) with the end effector mirrored about the line of the
 elbows. After each passage of the locus a second filter starts from the mirror image of the first one's
 state and covariance; both predict the joints with their own dynamics, and the log-likelihood ratio of
-what is measured (Wald's sequential test) tells which of the two is the robot.
+what is measured (Wald's sequential test) tells which of the two is the robot. The same test begins where
+the joints suddenly fit the believed motion no longer.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ MAX_STEP = 1e-3  # s of one prediction; a longer gap is predicted in several
 LONG = 0.1  # s of a gap over which nothing is predicted any more
 CERTAIN = 20.0  # log-odds at which a belief is kept
 CORRELATED = 10.0  # samples over which the innovations of a wrong model hang together: so many count as one
+DOUBT, DOUBT_TIME = 20.0, 5e-3  # misfit over the known one, averaged over so many s, that begins a test away from the locus
 RISE, FORGET = 0.05, 5.0  # s over which the misfit in a known assembly mode is averaged, up and down: a model stays wrong
 CONTRAST = 3.0, 6.0  # how many times worse the less likely filter has to fit before the test begins to count, and fully does
 
@@ -107,8 +109,8 @@ def pack_tuning(noise: Noise, passage: Passage) -> Array:
     return np.array([*noise, *passage.noise, passage.armed, passage.begin, passage.log_odds])
 
 
-MODE, LOG_ODDS, ARMED, TESTING, RATIO, MISFIT_SAME, MISFIT_IMAGE, SAMPLES, SWAPS, MISFIT_KNOWN = range(10)
-BELIEF = 10  # numbers of a belief
+MODE, LOG_ODDS, ARMED, TESTING, RATIO, MISFIT_SAME, MISFIT_IMAGE, SAMPLES, SWAPS, MISFIT_KNOWN, MISFIT_NOW, DOUBTFUL = range(12)
+BELIEF = 12  # numbers of a belief
 
 
 @njit
@@ -299,7 +301,7 @@ def observe(
     Args:
         belief: (BELIEF,) assembly mode; log-odds of it; armed; testing; log-likelihood ratio of the two filters of the
             test; sum of each one's squared normalised innovations; samples; how often the image was the robot; mean
-            of the former while the assembly mode is known.
+            of the former while the assembly mode is known; over the last samples; whether that makes it doubtful.
         tau: (2,) commanded since the last sample, N m.
         dt: since the last sample, s.
         q_meas: (2,) rad.
@@ -324,8 +326,12 @@ def observe(
         if np.isfinite(same + image):
             weigh(belief, same, spread_same, image, spread_image)
     elif belief[ARMED] == 0.0 and not shocked and np.isfinite(same):
-        excess = 0.5 * same - belief[MISFIT_KNOWN]
-        belief[MISFIT_KNOWN] += min(dt / (RISE if excess > 0.0 else FORGET), 1.0) * excess
+        belief[MISFIT_NOW] += min(dt / DOUBT_TIME, 1.0) * (0.5 * same - belief[MISFIT_NOW])
+        if belief[MISFIT_NOW] > DOUBT * max(1.0, belief[MISFIT_KNOWN]):
+            belief[DOUBTFUL] = 1.0
+        else:
+            excess = belief[MISFIT_NOW] - belief[MISFIT_KNOWN]
+            belief[MISFIT_KNOWN] += min(dt / (RISE if excess > 0.0 else FORGET), 1.0) * excess
     if shocked or not np.isfinite(same):
         copy(bank.main, bank.same)
     judge_passage(model, passage, bank, belief)
@@ -393,6 +399,10 @@ def judge_passage(model: Model, passage: Passage, bank: Bank, belief: Array) -> 
         if mirror(model, main, bank.image):
             copy(main, bank.same)
             belief[TESTING] = 1.0
+    elif belief[DOUBTFUL] > 0.0 and belief[TESTING] == 0.0 and abs(s) >= passage.begin and mirror(model, main, bank.image):
+        copy(main, bank.same)
+        belief[TESTING:SWAPS] = 0.0
+        belief[TESTING], belief[LOG_ODDS] = 1.0, 0.0
     elif belief[TESTING] > 0.0 and abs(belief[LOG_ODDS]) >= passage.log_odds:
         if belief[LOG_ODDS] < 0.0:
             copy(bank.image, main)
@@ -401,4 +411,7 @@ def judge_passage(model: Model, passage: Passage, bank: Bank, belief: Array) -> 
             belief[SWAPS] += 1.0
         belief[TESTING] = 0.0
         belief[LOG_ODDS] = CERTAIN
+    belief[DOUBTFUL] = 0.0
+    if belief[TESTING] > 0.0 or belief[ARMED] > 0.0:
+        belief[MISFIT_NOW] = 0.0
     belief[MODE] = mode
