@@ -222,7 +222,7 @@ def measure(model: Model, trajectory: Trajectory, period: float = 1e-3) -> Certi
     profile = sample_profile(model, trajectory, np.union1d(times, crossings)) if len(crossings) else rough
     rows = np.searchsorted(profile.time, crossings)
     near = np.abs(profile.s) < NEAR_LOCUS
-    after = np.minimum(np.searchsorted(times, crossings, side="right"), len(times) - 1)
+    after = np.minimum(np.searchsorted(times, crossings + ON_CROSSING, side="right"), len(times) - 1)
     far = np.flatnonzero(np.abs(profile.s) >= NEAR_LOCUS)
     signs = np.sign(rough.s[after])
     found = tuple(_crossing(model, profile, far, int(row), float(sign)) for row, sign in zip(rows, signs, strict=True))
