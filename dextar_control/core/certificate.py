@@ -214,13 +214,6 @@ def sample_times(trajectory: Trajectory, period: float) -> Array:
     return merged[keep]
 
 
-def _signs_after(times: Array, s: Array, crossings: Array) -> Array:
-    """Sign of s (n,) after each crossing, opposite to that of the last sample clear of zero before it."""
-    clear = np.flatnonzero(np.isfinite(s) & (s != 0.0))
-    before = np.searchsorted(times[clear], crossings) - 1
-    return -np.sign(s[clear[before]]) if len(crossings) else np.zeros(0)
-
-
 def measure(model: Model, trajectory: Trajectory, period: float = 1e-3) -> Certificate:
     """A trajectory's crossings and extremes, limits unchecked."""
     times = sample_times(trajectory, period)
@@ -229,8 +222,9 @@ def measure(model: Model, trajectory: Trajectory, period: float = 1e-3) -> Certi
     profile = sample_profile(model, trajectory, np.union1d(times, crossings)) if len(crossings) else rough
     rows = np.searchsorted(profile.time, crossings)
     near = np.abs(profile.s) < NEAR_LOCUS
+    after = np.minimum(np.searchsorted(times, crossings + ON_CROSSING, side="right"), len(times) - 1)
     far = np.flatnonzero(np.abs(profile.s) >= NEAR_LOCUS)
-    signs = _signs_after(times, rough.s, crossings)
+    signs = np.sign(rough.s[after])
     found = tuple(_crossing(model, profile, far, int(row), float(sign)) for row, sign in zip(rows, signs, strict=True))
     return Certificate(
         crossing_times=crossings,

@@ -27,6 +27,7 @@ _BUMP = 256.0 * np.array([[1.0, -4.0, 6.0, -4.0, 1.0, 0.0], [-1.0, 6.0, -14.0, 1
 ROWS = 10  # coefficients of a half
 
 HALF_SAMPLES = 24  # of each half while optimising, none of them on the locus
+DENSITY = 0.35  # spacing of those samples at the crossing over their mean spacing
 SOFT_MAXIMUM = 12  # exponent of the mean that stands for the peak torque
 NEAR = 0.15  # |s| that counts as near the locus
 NEAR_EMPHASIS = 0.5  # how much more a torque on the locus counts than one away from it
@@ -247,9 +248,10 @@ def cost(model: Model, task: Task, z: Array) -> float:
         span = pair.first_span if side == 0 else pair.second_span
         coefficients = pair.first if side == 0 else pair.second
         wanted = -task.sign if side == 0 and not task.leg else task.sign
-        step = abs(span) / HALF_SAMPLES
         for k in range(HALF_SAMPLES + 1):
-            fraction = (k + 0.5) / HALF_SAMPLES if k < HALF_SAMPLES else 1.0
+            share = (k + 0.5) / HALF_SAMPLES if k < HALF_SAMPLES else 1.0
+            fraction = share * (DENSITY + (1.0 - DENSITY) * share * share)
+            step = abs(span) * (DENSITY + 3.0 * (1.0 - DENSITY) * share * share) / HALF_SAMPLES
             point = evaluate_segment(coefficients, fraction * span)
             at = instant(model, point)
             if at.elbow > elbow_limit:

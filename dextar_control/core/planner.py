@@ -132,21 +132,21 @@ class _Best:
     def offer(self, problem: Problem, guess: Array) -> bool:
         """Descend from a guess; True when the plan is good enough to stop."""
         cost, z = descend(problem, guess)
+        plan, error = None, None
         try:
-            plan: Plan | None = self._check(trajectory_of(problem, z))
-            error = None
+            plan = self._check(trajectory_of(problem, z))
+            cost += max(0.0, plan.certificate.peak_torque / problem.task.limits.torque - GOOD)
         except TrajectoryError as refusal:
-            plan, error = None, refusal
+            error = refusal
         better = cost < self.cost if (plan is None) == (self.plan is None) else plan is not None
         if better:
             self.cost, self.plan, self.problem, self.z, self.error = cost, plan, problem, z, error
         return self.plan is not None and self.cost < GOOD
 
 
-def _stretched(robot: RobotParameters, best: _Best, duration: float) -> Plan:
-    """The best candidate at the duration at which its peak torque is TORQUE_SHARE of the limit."""
-    assert best.problem is not None and best.z is not None
-    problem, z = best.problem, best.z
+def _stretched(robot: RobotParameters, problem: Problem, z: Array) -> Plan:
+    """A candidate at the duration at which its peak torque is TORQUE_SHARE of the limit."""
+    duration = problem.task.duration
     trajectory = trajectory_of(problem, z)
     for _ in range(STRETCHES):
         seen = measure(problem.model, trajectory)
@@ -310,8 +310,8 @@ def _through(
         )
     if progress is not None:
         progress(1.0, "certified" if best.plan is not None else "not found")
-    if duration is None and best.problem is not None:
-        return _stretched(robot, best, scale)
+    if duration is None and best.problem is not None and best.z is not None:
+        return _stretched(robot, best.problem, best.z)
     if best.plan is not None:
         return best.plan
 
@@ -490,8 +490,8 @@ def _between(
         best.offer(best.problem, best.z + shake)
     if progress is not None:
         progress(1.0, "certified" if best.plan is not None else "not found")
-    if duration is None and best.problem is not None:
-        return _stretched(robot, best, scale)
+    if duration is None and best.problem is not None and best.z is not None:
+        return _stretched(robot, best.problem, best.z)
     if best.plan is not None:
         return best.plan
     what = f"way from ({start[0]:.4f}, {start[1]:.4f}) to ({goal[0]:.4f}, {goal[1]:.4f}) m"
