@@ -21,6 +21,8 @@ from dextar_control.core.model import make_model
 BLACK, GREY, LIGHT, ACCENT = "#000000", "#6b6b6b", "#b8b8b8", "#a3260f"
 LEGEND_ROOM = 0.22  # of an axis, kept free above its curves
 GRID = 400  # points a side, of the locus
+VERDICT_MARKS = {"crossed": ("o", BLACK), "bounced": ("X", ACCENT)}  # what the estimator says of a crossing
+VERDICT_HEIGHT = -0.92  # of their marks, on the axis of s
 HEADROOM = 1.4  # of the torque axis over the larger of plan and limit
 ERROR_CEILING = 10.0e-3  # m, of the error axis
 
@@ -63,7 +65,7 @@ def draw_run(run: Run, metrics: Metrics) -> Figure:
 
 
 def _title(metrics: Metrics) -> str:
-    law = f"{metrics.robot or 'robot unknown'}, law: {metrics.law or 'unknown'}"
+    law = f"{metrics.robot or 'robot unknown'}, law: {metrics.law or 'unknown'}, estimator: {metrics.estimator or 'unknown'}"
     verdict = {True: "crossed as planned", False: "FAILED", None: "not decidable"}[metrics.success]
     lines = [f"{law} - {verdict}", *metrics.reasons[:3]]
     return "\n".join(textwrap.shorten(line, 150) for line in lines)
@@ -90,7 +92,8 @@ def _path(axes: Any, run: Run, metrics: Metrics, track: Tracked | None) -> None:
         inside = np.isin(run.control.stamps, track.stamps)
         axes.plot(*run.control.estimate[inside].T, color=BLACK, linewidth=1.0, linestyle="--", label="estimated")
     for crossing in metrics.crossings:
-        axes.plot(*crossing.point, "s", color=BLACK, markerfacecolor="white", markersize=6, zorder=5)
+        marker, color = VERDICT_MARKS.get(crossing.verdict or "", ("s", BLACK))
+        axes.plot(*crossing.point, marker, color=color, markerfacecolor="white", markersize=6, zorder=5)
     axes.set_aspect("equal")
     _path_limits(axes, run)
     axes.set_xlabel("x (m)")
@@ -173,6 +176,13 @@ def _criterion(residual: Any, measure: Any, run: Run, metrics: Metrics, track: T
     measure.plot(time, run.criterion.s, GREY, linestyle="--", linewidth=1.0, label="estimated")
     if len(track.true_s):
         measure.plot(track.true_time, track.true_s, BLACK, linewidth=1.0, label="true")
+    if np.isfinite(run.criterion.mode_confidence).any():
+        measure.plot(time, run.criterion.mode_confidence, LIGHT, linewidth=1.0, zorder=1, label="confidence in the side")
+    for verdict, (marker, color) in VERDICT_MARKS.items():
+        times = [crossing.verdict_time for crossing in metrics.crossings if crossing.verdict == verdict]
+        if times:
+            measure.plot(times, [VERDICT_HEIGHT] * len(times), marker, color=color, markerfacecolor="white", markersize=5,
+                         label=f"says {verdict}")  # fmt: skip
     measure.axhline(0.0, color=GREY, linewidth=0.6)
     measure.set_ylim(-1.05, 1.05)
     measure.set_ylabel("s (1)")
