@@ -56,7 +56,7 @@ def draw_run(run: Run, metrics: Metrics) -> Figure:
         if axes.get_legend_handles_labels()[1]:
             low, high = axes.get_ylim()
             axes.set_ylim(low, high + LEGEND_ROOM * (high - low))
-            axes.legend(loc="upper right", fontsize=7, framealpha=0.9, ncols=4)
+            axes.legend(loc="upper right", fontsize=7, framealpha=0.9, ncols=6)
     for axes in (torque, error, residual):
         axes.tick_params(labelbottom=False)
     measure.set_xlabel("time since the trajectory's start (s)")
@@ -177,7 +177,7 @@ def _criterion(residual: Any, measure: Any, run: Run, metrics: Metrics, track: T
     if len(track.true_s):
         measure.plot(track.true_time, track.true_s, BLACK, linewidth=1.0, label="true")
     if np.isfinite(run.criterion.mode_confidence).any():
-        measure.plot(time, run.criterion.mode_confidence, LIGHT, linewidth=1.0, zorder=1, label="confidence in the side")
+        measure.plot(time, run.criterion.mode_confidence, LIGHT, linewidth=1.0, zorder=1, label="confidence")
     for verdict, (marker, color) in VERDICT_MARKS.items():
         times = [crossing.verdict_time for crossing in metrics.crossings if crossing.verdict == verdict]
         if times:
