@@ -21,6 +21,7 @@ from dextar_control.core.model import make_model
 BLACK, GREY, LIGHT, ACCENT = "#000000", "#6b6b6b", "#b8b8b8", "#a3260f"
 LEGEND_ROOM = 0.22  # of an axis, kept free above its curves
 GRID = 400  # points a side, of the locus
+MOST_LINKAGES = 2  # drawn
 VERDICT_MARKS = {"crossed": ("o", BLACK), "bounced": ("X", ACCENT)}  # what the estimator says of a crossing
 VERDICT_HEIGHT = -0.92  # of their marks, on the axis of s
 HEADROOM = 1.4  # of the torque axis over the larger of plan and limit
@@ -72,17 +73,18 @@ def _title(metrics: Metrics) -> str:
 
 
 def _path(axes: Any, run: Run, metrics: Metrics, track: Tracked | None) -> None:
+    places = list(dict.fromkeys((round(c.point[0], 4), round(c.point[1], 4)) for c in metrics.crossings))
     if run.robot is not None:
         _locus(axes, run.robot)
-        for crossing in metrics.crossings:
-            _linkage(axes, run.robot, np.array(crossing.point))
+        for point in places[:MOST_LINKAGES]:
+            _linkage(axes, run.robot, np.array(point))
         half = 0.5 * run.robot.base_distance
         axes.plot([-half, half], [0.0, 0.0], "k^", markersize=9, zorder=4)
     if run.trajectory is not None:
         x = run.trajectory.x
         axes.plot(*x.T, color=GREY, linewidth=3.0, alpha=0.6, label="planned")
         far = x[np.hypot(*(x - x[0]).T).argmax()]
-        for name, point in (("A", x[0]), ("B", far)):
+        for name, point in (("A", x[0]), ("B", far)) if len(places) < 2 else (("start", x[0]),):
             axes.plot(*point, "ko", markersize=5, zorder=5)
             axes.annotate(name, point, xytext=(7, 4), textcoords="offset points", weight="bold")
     if run.truth is not None and track is not None:
@@ -98,7 +100,7 @@ def _path(axes: Any, run: Run, metrics: Metrics, track: Tracked | None) -> None:
     _path_limits(axes, run)
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
-    axes.set_title("(a) path, linkage at the planned crossings, Type 2 locus", fontsize=9)
+    axes.set_title("(a) path, linkage at a planned crossing, Type 2 locus", fontsize=9)
     axes.legend(loc="lower right", fontsize=7)
 
 

@@ -34,7 +34,7 @@ class Topic:
 
 
 # A reliable writer can repair a reader that was away for as long as its history reaches.
-STREAM_DEPTH = 200
+STREAM_DEPTH = 1000
 
 JOINT_STATES = Topic(
     "joint_states", "sensor_msgs/msg/JointState", "rig or plant", STREAM_DEPTH, False, 1000.0,
@@ -84,6 +84,7 @@ TOPICS = (
 CRITERION_NAMES = (
     "residual", "s", "sigma_min", "projection_weight", "assembly_mode", "phase", "mode_confidence", "verdict",
 )  # fmt: skip
+MAX_TRAJECTORY_POINTS = 50_000
 PLATFORM_NAMES = ("x", "y")
 END_EFFECTOR_NAME = "end_effector"
 BASE_FRAME = "base"

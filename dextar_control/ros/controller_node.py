@@ -26,6 +26,7 @@ from dextar_control.contract.topics import (
     CRITERION,
     JOINT_COMMANDS,
     JOINT_STATES,
+    MAX_TRAJECTORY_POINTS,
     TRAJECTORY,
 )
 from dextar_control.core.certificate import Certificate
@@ -36,8 +37,10 @@ from dextar_control.core.trajectory import Trajectory
 from dextar_control.core.warmup import warm_up
 from dextar_control.ros import messages
 from dextar_control.ros.external_pose import ExternalPoseReader
+from dextar_control.ros.task import in_words
 
 LAWS = tuple(law.name.lower() for law in Law)
+WORDS = {verdict: verdict.name.lower() for verdict in Verdict}
 ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
 
 PARAMETERS = (
@@ -88,7 +91,6 @@ PARAMETERS = (
 )  # fmt: skip
 
 SERVED_BEFORE = 1.0  # s, by which a latched trajectory may be older than the node; allows for two machines' clocks
-MAX_POINTS = 50_000  # of a trajectory
 SWITCH_INTERVAL = 2e-4  # s until the thread that checks a trajectory lets the control thread go on
 STALLED = 0.5  # s on the steady clock without a state before a fault is latched
 WATCH_PERIOD = 0.01  # s
@@ -321,7 +323,7 @@ class ControllerNode(DextarNode):
                 trajectory, certificate, start = checked
                 self._loop.schedule(trajectory, certificate, start)
                 self._trajectory_note = "accepted"
-                self.get_logger().info("trajectory accepted: " + "; ".join(certificate.lines()))
+                self.get_logger().info(f"trajectory accepted: {in_words(certificate)}")
         except DextarError as error:
             self._note_refusal(str(error))
         self._diagnose()
@@ -333,8 +335,8 @@ class ControllerNode(DextarNode):
             raise TrajectoryError(f"it was served {age:.1f} s before this controller began; serve it again")
         if len(message.points) == 0:
             return None
-        if len(message.points) > MAX_POINTS:
-            raise TrajectoryError(f"the trajectory has {len(message.points)} points; the limit is {MAX_POINTS}")
+        if len(message.points) > MAX_TRAJECTORY_POINTS:
+            raise TrajectoryError(f"the trajectory has {len(message.points)} points; the limit is {MAX_TRAJECTORY_POINTS}")
         stamp = from_time(message.header.stamp)
         trajectory = messages.to_trajectory(message)
         return trajectory, self._loop.check(trajectory), stamp / NANOSECONDS if stamp else None
@@ -399,10 +401,10 @@ class ControllerNode(DextarNode):
 
     def _verdicts(self) -> dict[str, object]:
         """How many planned crossings the estimator takes for crossed and bounced, and each one's verdict."""
-        verdicts = [passed.verdict for passed in self._loop.passed]
+        words = [WORDS[passed.verdict] for passed in self._loop.passed]
         return {
-            "crossings": len(verdicts), "crossed": verdicts.count(Verdict.CROSSED), "bounced": verdicts.count(Verdict.BOUNCED),
-            "verdicts": " ".join(verdict.name.lower() for verdict in verdicts),
+            "crossings": len(words), "crossed": words.count("crossed"), "bounced": words.count("bounced"),
+            "verdicts": " ".join(words),
         }  # fmt: skip
 
     def close(self) -> None:
