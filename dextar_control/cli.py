@@ -10,6 +10,8 @@ from dextar_control.contract.errors import DextarError, ParameterError
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
+LAWS = ("consistent", "projected", "classic", "multi_model", "joint_space")
+ESTIMATORS = ("observer", "dgm", "plain", "external")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -24,16 +26,21 @@ def _parser() -> argparse.ArgumentParser:
         "demo",
         help="run A -> B -> A through the singularity in simulation, record and draw it",
         description="Starts plant, controller, trajectory server and recorder as separate ROS 2 processes, runs the"
-        " return trip and leaves runs/<UTC stamp>/ with run.mcap, metrics.json, figure.png and the nodes' logs."
+        " return trip and leaves runs/<UTC stamp>/ with plan.png, run.mcap, metrics.json, figure.png and the nodes' logs."
         " Exit code 0 when the run was a success, 1 when it was not, 2 for a wrong argument.",
     )
     demo.add_argument(
-        "--law", default="consistent", choices=("consistent", "projected", "classic"),
-        help="control law near the locus; classic is the plain inverse model, which must fail (default: %(default)s)",
+        "--law", default="consistent", choices=LAWS,
+        help="control law near the locus; classic is the plain inverse model, which fails with the estimator plain"
+        " (default: %(default)s)",
     )  # fmt: skip
+    demo.add_argument("--estimator", choices=ESTIMATORS, help="of the platform state (default: config/crossing.yaml)")
+    where = demo.add_mutually_exclusive_group()
+    where.add_argument("--tour", type=int, metavar="N", help="cross at N points spread over the locus, one after the other")
+    where.add_argument("--point", type=float, nargs=2, metavar=("X", "Y"), help="return trip through this point of the locus, m")
     demo.add_argument("--lockstep", action="store_true", help="each simulated step waits for its command: deterministic")
     demo.add_argument("--duration", type=float, metavar="S", help="of one way, s (default: config/crossing.yaml)")
-    demo.add_argument("--repeat", type=int, metavar="N", help="return trips (default: config/crossing.yaml)")
+    demo.add_argument("--repeat", type=int, metavar="N", help="return trips, or laps of a tour (default: config/crossing.yaml)")
     demo.add_argument("--robot", type=Path, metavar="FILE", help="robot description (default: config/dextar.yaml)")
     demo.add_argument("--params", type=Path, metavar="FILE", help="node parameters (default: config/crossing.yaml)")
     demo.add_argument(

@@ -24,8 +24,12 @@ SWITCH = ["true", "false"]
 DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 ARGUMENTS = [
-    DeclareLaunchArgument("law", default_value="", description="consistent, projected or classic; empty: params_file's",
-                          choices=["", "consistent", "projected", "classic"]),
+    DeclareLaunchArgument("law", default_value="", description="near the locus; empty: params_file's",
+                          choices=["", "consistent", "projected", "classic", "multi_model", "joint_space"]),
+    DeclareLaunchArgument("estimator", default_value="", choices=["", "observer", "dgm", "plain", "external"],
+                          description="of the platform state; external needs poses, of a camera or the plant's pose_rate;"
+                          " empty: params_file's"),
+    DeclareLaunchArgument("tour", default_value="", description="crossings spread over the locus; empty: params_file's"),
     DeclareLaunchArgument("lockstep", default_value="false", choices=SWITCH,
                           description="each simulated step waits for its command: repeatable, not in real time"),
     DeclareLaunchArgument("duration", default_value="", description="of one way, s; empty: params_file's"),
@@ -64,6 +68,12 @@ def nodes(context: LaunchContext) -> list[Node]:
     }
     if value("law"):
         overrides["controller"]["law"] = value("law")
+    if value("law") == "multi_model":
+        overrides["trajectory_server"]["criterion"] = "zero_wrench"
+    if value("estimator"):
+        overrides["controller"]["estimator"] = value("estimator")
+    if value("tour"):
+        overrides["trajectory_server"]["tour"] = int(value("tour"))
     if value("duration"):
         overrides["trajectory_server"]["duration"] = float(value("duration"))
     if value("output"):

@@ -29,6 +29,8 @@ CROSSINGS = (
     1.0 - math.acos((LOCUS - MIDDLE) / SWING) / (2.0 * math.pi),
 )  # s
 BASE_TORQUE, NEAR_TORQUE, FAR_TORQUE = 0.02, 0.05, 0.11  # N m
+DECIDED = 0.05  # s after a crossing at which the estimator says what became of it
+CONFIDENCE = 0.9999  # from then on; 0.5 between
 MISSED = (500, 501, 502)  # ticks, at B
 TRUE_OFFSET = 1.0e-4  # m, between reference and truth
 
@@ -155,10 +157,25 @@ def effort_at(tick: int) -> tuple[float, float]:
     return (-NEAR_TORQUE, 0.0) if tick == round(1e3 * CROSSINGS[0]) else (-BASE_TORQUE, 0.0)
 
 
+def said_at(time: float, says: tuple[int, int]) -> tuple[float, float]:
+    """(confidence, verdict on the crossing that began last)."""
+    begun = [index for index, crossing in enumerate(CROSSINGS) if time >= crossing - 0.02]
+    if not begun:
+        return 1.0, 0.0
+    decided = time >= CROSSINGS[begun[-1]] + DECIDED
+    return (CONFIDENCE, float(says[begun[-1]])) if decided else (0.5, 0.0)
+
+
 def write_run(
-    file: Path, *, bounce: bool = False, truth: bool = True, phase: int = 3, last_phase: int = 1, close: bool = True
-) -> BagWriter:
-    """Record the run. bounce: the end effector is reflected at the locus instead of passing it."""
+    file: Path, *, bounce: bool = False, truth: bool = True, phase: int = 3, last_phase: int = 1, close: bool = True,
+    says: tuple[int, int] | None = (1, 1),
+) -> BagWriter:  # fmt: skip
+    """Record the run.
+
+    Args:
+        bounce: the end effector is reflected at the locus instead of passing it.
+        says: the estimator's verdicts; None records none, as bags did before there were any.
+    """
     writer = BagWriter(file)
     clock = [START]
 
@@ -174,7 +191,7 @@ def write_run(
     record = {
         "version": "9.9",
         "topics": json.dumps(counts),
-        "parameters.controller": yaml.safe_dump({"law": "consistent", **flat}),
+        "parameters.controller": yaml.safe_dump({"law": "consistent", "estimator": "observer", **flat}),
     }
     writer.add_metadata("dextar", record)
     put("/trajectory", _served(np.arange(TICKS) * 1e-3))
@@ -192,7 +209,11 @@ def write_run(
         mode = 1.0 if y > LOCUS else -1.0
         now = last_phase if tick == TICKS - 1 and last_phase > 4 else phase
         names = ["residual", "s", "sigma_min", "projection_weight", "assembly_mode", "phase"]
-        put("/criterion", joint_state(stamp, names, (0.25, 0.3 * mode, 0.5, 0.0, mode, now)))
+        row = [0.25, 0.3 * mode, 0.5, 0.0, mode, now]
+        if says is not None:
+            names += ["mode_confidence", "verdict"]
+            row += said_at(time, says)
+        put("/criterion", joint_state(stamp, names, row))
         if truth:
             put("/sim/end_effector", _odometry(stamp, y_true, y_dot))
             sim = (q_a[0], 0.0, q_a[1], 0.0)

@@ -11,7 +11,9 @@ import pytest
 from rich.console import Console
 from synthetic_run import (
     BASE_TORQUE,
+    CONFIDENCE,
     CROSSINGS,
+    DECIDED,
     FAR_TORQUE,
     LOCUS,
     MISSED,
@@ -24,15 +26,18 @@ from synthetic_run import (
     write_run,
 )  # fmt: skip
 
+from dextar_control.analysis.crossings import SIDE, clear_times
 from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.geometry import active_joints, singularity_measure
 from dextar_control.analysis.load import load_run
 from dextar_control.analysis.metrics import compute_metrics
 from dextar_control.analysis.report import analyze, summary_table
 from dextar_control.analysis.run import Run
+from dextar_control.analysis.tracking import plan_of
 
 INSTANT = 2.0e-6  # s: interpolation of a smooth s between ticks of 1 ms
 ROUNDING = 1.0e-12
+TICK = 1.0e-3  # s
 
 
 def _run(folder: Path, **options: object) -> Run:
@@ -93,10 +98,92 @@ def test_a_bounce_is_no_crossing_whatever_the_estimate_says(tmp_path: Path) -> N
     assert any("crossing 1" in reason for reason in metrics.reasons)
 
 
+def _table(run: Run) -> str:
+    console = Console(width=120, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    console.print(summary_table(compute_metrics(run)))
+    return console.export_text()
+
+
+def test_the_estimators_verdicts_are_read_and_compared_with_the_truth(good: Run) -> None:
+    metrics = compute_metrics(good)
+    assert [c.verdict for c in metrics.crossings] == ["crossed", "crossed"]
+    assert [c.verdict_time for c in metrics.crossings] == pytest.approx([c + DECIDED for c in CROSSINGS], abs=TICK)
+    assert [c.verdict_confidence for c in metrics.crossings] == [CONFIDENCE] * 2
+    assert [c.verdict_correct for c in metrics.crossings] == [True, True]
+    assert "2 crossed, 0 bounced, 0 undecided; agrees with the truth" in _table(good)
+    assert "estimator observer" in _table(good)
+
+
+def test_a_wrong_verdict_is_a_reason(tmp_path: Path) -> None:
+    run = _run(tmp_path, says=(1, 2))
+    metrics = compute_metrics(run)
+    assert metrics.crossings[1].verdict_correct is False
+    assert metrics.success is False
+    assert metrics.reasons == [
+        f"the estimator says of crossing 2: bounced (confidence {CONFIDENCE:.4f}, at {metrics.crossings[1].verdict_time:.4f} s),"
+        " and the true robot was on the other side"
+    ]
+    assert "1 crossed, 1 bounced, 0 undecided; WRONG at crossing 2" in _table(run)
+
+
+def test_a_bounce_called_one_is_a_right_verdict_of_a_failed_run(tmp_path: Path) -> None:
+    run = _run(tmp_path, bounce=True, says=(2, 1))
+    metrics = compute_metrics(run)
+    assert [c.verdict_correct for c in metrics.crossings] == [True, True]
+    assert metrics.success is False
+    draw_run(run, metrics).canvas.draw()
+
+
+def test_undecided_is_neither_right_nor_wrong(tmp_path: Path) -> None:
+    run = _run(tmp_path, says=(0, 0))
+    metrics = compute_metrics(run)
+    assert [c.verdict for c in metrics.crossings] == ["undecided", "undecided"]
+    assert [c.verdict_correct for c in metrics.crossings] == [None, None]
+    assert metrics.success is True
+    assert "0 crossed, 0 bounced, 2 undecided" in _table(run)
+
+
+def test_a_bag_without_verdicts_is_still_read(tmp_path: Path) -> None:
+    run = _run(tmp_path, says=None)
+    metrics = compute_metrics(run)
+    assert metrics.success is True
+    assert [c.verdict for c in metrics.crossings] == [None, None]
+    assert "nothing recorded" in _table(run)
+    json.loads(metrics.to_json())
+    draw_run(run, metrics).canvas.draw()
+
+
+def test_the_sides_are_read_where_the_plan_is_clear_of_the_locus(good: Run) -> None:
+    plan = plan_of(good)
+    assert plan is not None
+    for index in range(2):
+        before, after = clear_times(plan, index)
+        for moment in (before, after):
+            row = int(np.searchsorted(plan.profile.time, moment))
+            assert abs(plan.profile.s[row]) >= SIDE
+        assert before < plan.crossing_times[index] < after
+        between = (plan.profile.time > before) & (plan.profile.time < after)
+        assert np.all(np.abs(plan.profile.s[between]) < SIDE)
+
+
+def test_a_crossing_that_comes_late_counts_and_is_timed(good: Run) -> None:
+    """A slow robot may be tens of milliseconds behind at the locus, and cross all the same."""
+    assert good.truth is not None
+    late = 15
+    x, q_a = np.roll(good.truth.x, late, axis=0), np.roll(good.truth.q_a, late, axis=0)
+    x[:late], q_a[:late] = good.truth.x[0], good.truth.q_a[0]
+    metrics = compute_metrics(dataclasses.replace(good, truth=dataclasses.replace(good.truth, x=x, q_a=q_a)))
+    assert [c.crossed for c in metrics.crossings] == [True, True]
+    shift = late * TICK
+    first = metrics.crossings[0]
+    assert first.true_time == pytest.approx(CROSSINGS[0] + shift + TRUE_OFFSET / abs(path(CROSSINGS[0])[1]), abs=2e-5)
+
+
 def test_without_truth_there_is_no_verdict(tmp_path: Path) -> None:
     metrics = compute_metrics(_run(tmp_path, truth=False))
     assert metrics.success is None
     assert metrics.crossings[0].crossed is None
+    assert [c.verdict_correct for c in metrics.crossings] == [None, None]
     assert "no true motion" in metrics.reasons[0]
     assert json.loads(metrics.to_json())["max_true_error"] is None
 

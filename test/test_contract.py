@@ -12,6 +12,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from dextar_control import cli
 from dextar_control.contract.cdr import from_time, to_time
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
 from dextar_control.contract.node import Parameter, check_value
@@ -90,6 +91,8 @@ def test_every_parameter_has_one_default_and_every_default_a_parameter(node: str
         (Parameter("rate", ""), "fast", 5.0, "it must be a number"),
         (Parameter("count", ""), 1.5, 5, "it must be an integer"),
         (Parameter("point", "", size=2), [1.0], [0.0, 0.0], "it must be 2 numbers"),
+        (Parameter("point", "", size=2), [1.0], [], r"it must be 2 numbers or \[\]"),
+        (Parameter("points", ""), ["a"], [], "it must be numeric"),
         (Parameter("law", "", choices=("a", "b")), "c", "a", "it must be one of a, b"),
         (Parameter("flag", ""), 1, True, "it must be true or false"),
     ],
@@ -101,6 +104,18 @@ def test_a_parameter_out_of_bounds_is_named(spec: Parameter, value: object, defa
 
 def test_an_integer_serves_where_a_float_is_meant() -> None:
     assert check_value(Parameter("rate", ""), 5, 1.0) == 5.0
+
+
+@pytest.mark.parametrize(("value", "taken"), [(None, []), ([], []), ([0, 1], [0.0, 1.0])])
+def test_an_array_that_may_be_empty_is_one_of_floats(value: object, taken: list[float]) -> None:
+    cast = check_value(Parameter("point", "", size=2), value, [])
+    assert cast == taken
+    assert all(isinstance(number, float) for number in cast)
+
+
+def test_the_command_line_offers_every_law_and_estimator() -> None:
+    assert sorted(cli.LAWS) == sorted(controller_node.LAWS)
+    assert sorted(cli.ESTIMATORS) == sorted(controller_node.ESTIMATORS)
 
 
 def test_topic_types_exist() -> None:
@@ -118,8 +133,9 @@ def test_templates_are_the_middlewares_own_bytes() -> None:
     assert list(message.points[1].velocities) == [8.0, 9.0]
     assert list(message.points[3].effort) == [16.0, 17.0]
     assert (message.points[0].time_from_start.sec, message.points[0].time_from_start.nanosec) == (1, 500_000_000)
-    criterion = deserialize_message(messages.criterion_template().pack(5, [1, 2, 3, 4, 5, 6]), JointState)
-    assert dict(zip(criterion.name, criterion.position, strict=True))["phase"] == 6.0
+    criterion = deserialize_message(messages.criterion_template().pack(5, [1, 2, 3, 4, 5, 6, 7, 8]), JointState)
+    read = dict(zip(criterion.name, criterion.position, strict=True))
+    assert (read["phase"], read["mode_confidence"], read["verdict"]) == (6.0, 7.0, 8.0)
 
 
 def test_a_template_reads_what_another_publisher_wrote() -> None:

@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from dextar_control.analysis.load import load_run
 from dextar_control.contract.topics import TOPICS
 
+FOLDED = (0.09**2 - 0.059**2) ** 0.5 - 0.09  # m, y on the axis where both elbows meet above and the distal links hang down
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -99,11 +100,46 @@ def test_two_lockstep_runs_give_bit_identical_states(
     np.testing.assert_array_equal(first.truth.x[:length], second.truth.x[:length])
 
 
-def test_the_classic_law_fails_and_says_why(tmp_path: Path) -> None:
-    answer = dextar("demo", "--lockstep", "--law", "classic", "--output", str(tmp_path))
+def test_the_classic_law_on_the_direct_model_fails_and_says_why(tmp_path: Path) -> None:
+    answer = dextar("demo", "--lockstep", "--law", "classic", "--estimator", "plain", "--output", str(tmp_path))
     assert answer.returncode == 1, answer.stdout + answer.stderr
     metrics = json.loads((tmp_path / "latest" / "metrics.json").read_text())
     assert metrics["success"] is False
     assert metrics["saturated"] > 0
     assert any("saturat" in reason for reason in metrics["reasons"])
     assert (tmp_path / "latest" / "figure.png").exists()
+
+
+def test_a_trip_through_a_folded_point_begins_where_the_planner_lets_it_and_is_drawn(tmp_path: Path) -> None:
+    answer = dextar("demo", "--lockstep", "--point", "0.0", str(FOLDED), "--duration", "0.4", "--output", str(tmp_path))
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    metrics = json.loads((tmp_path / "latest" / "metrics.json").read_text())
+    assert metrics["success"] is True
+    for crossing in metrics["crossings"]:
+        np.testing.assert_allclose(crossing["point"], [0.0, FOLDED], atol=1e-6)
+        assert (crossing["verdict"], crossing["verdict_correct"]) == ("crossed", True)
+    assert (tmp_path / "latest" / "plan.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_tour_crosses_everywhere_and_the_estimator_knows_it(tmp_path: Path) -> None:
+    answer = dextar("demo", "--lockstep", "--tour", "4", "--output", str(tmp_path))
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    metrics = json.loads((tmp_path / "latest" / "metrics.json").read_text())
+    assert [(c["crossed"], c["verdict"]) for c in metrics["crossings"]] == [(True, "crossed")] * 4
+    assert len({tuple(c["point"]) for c in metrics["crossings"]}) == 4
+    assert "4 crossed, 0 bounced, 0 undecided; agrees" in " ".join(answer.stdout.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--point", "0.0", "0.05"), "off the Type 2 locus"),
+        (("--tour", "2", "-p", "trajectory_server.point:=[0.0, 0.08]"), "are given; one may be"),
+        (("--tour", "2", "--point", "0.0", "0.08"), "not allowed with argument"),
+    ],
+)
+def test_a_demo_that_cannot_be_planned_says_so(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    answer = dextar("demo", "--lockstep", *arguments, "--output", str(tmp_path))
+    assert answer.returncode == 2, answer.stdout + answer.stderr
+    assert message in " ".join((answer.stdout + answer.stderr).split())
+    assert "Traceback" not in answer.stderr

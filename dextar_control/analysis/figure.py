@@ -21,6 +21,9 @@ from dextar_control.core.model import make_model
 BLACK, GREY, LIGHT, ACCENT = "#000000", "#6b6b6b", "#b8b8b8", "#a3260f"
 LEGEND_ROOM = 0.22  # of an axis, kept free above its curves
 GRID = 400  # points a side, of the locus
+MOST_LINKAGES = 2  # drawn
+VERDICT_MARKS = {"crossed": ("o", BLACK), "bounced": ("X", ACCENT)}  # what the estimator says of a crossing
+VERDICT_HEIGHT = -0.92  # of their marks, on the axis of s
 HEADROOM = 1.4  # of the torque axis over the larger of plan and limit
 ERROR_CEILING = 10.0e-3  # m, of the error axis
 
@@ -54,7 +57,7 @@ def draw_run(run: Run, metrics: Metrics) -> Figure:
         if axes.get_legend_handles_labels()[1]:
             low, high = axes.get_ylim()
             axes.set_ylim(low, high + LEGEND_ROOM * (high - low))
-            axes.legend(loc="upper right", fontsize=7, framealpha=0.9, ncols=4)
+            axes.legend(loc="upper right", fontsize=7, framealpha=0.9, ncols=6)
     for axes in (torque, error, residual):
         axes.tick_params(labelbottom=False)
     measure.set_xlabel("time since the trajectory's start (s)")
@@ -63,24 +66,25 @@ def draw_run(run: Run, metrics: Metrics) -> Figure:
 
 
 def _title(metrics: Metrics) -> str:
-    law = f"{metrics.robot or 'robot unknown'}, law: {metrics.law or 'unknown'}"
+    law = f"{metrics.robot or 'robot unknown'}, law: {metrics.law or 'unknown'}, estimator: {metrics.estimator or 'unknown'}"
     verdict = {True: "crossed as planned", False: "FAILED", None: "not decidable"}[metrics.success]
     lines = [f"{law} - {verdict}", *metrics.reasons[:3]]
     return "\n".join(textwrap.shorten(line, 150) for line in lines)
 
 
 def _path(axes: Any, run: Run, metrics: Metrics, track: Tracked | None) -> None:
+    places = list(dict.fromkeys((round(c.point[0], 4), round(c.point[1], 4)) for c in metrics.crossings))
     if run.robot is not None:
         _locus(axes, run.robot)
-        for crossing in metrics.crossings:
-            _linkage(axes, run.robot, np.array(crossing.point))
+        for point in places[:MOST_LINKAGES]:
+            _linkage(axes, run.robot, np.array(point))
         half = 0.5 * run.robot.base_distance
         axes.plot([-half, half], [0.0, 0.0], "k^", markersize=9, zorder=4)
     if run.trajectory is not None:
         x = run.trajectory.x
         axes.plot(*x.T, color=GREY, linewidth=3.0, alpha=0.6, label="planned")
         far = x[np.hypot(*(x - x[0]).T).argmax()]
-        for name, point in (("A", x[0]), ("B", far)):
+        for name, point in (("A", x[0]), ("B", far)) if len(places) < 2 else (("start", x[0]),):
             axes.plot(*point, "ko", markersize=5, zorder=5)
             axes.annotate(name, point, xytext=(7, 4), textcoords="offset points", weight="bold")
     if run.truth is not None and track is not None:
@@ -90,12 +94,13 @@ def _path(axes: Any, run: Run, metrics: Metrics, track: Tracked | None) -> None:
         inside = np.isin(run.control.stamps, track.stamps)
         axes.plot(*run.control.estimate[inside].T, color=BLACK, linewidth=1.0, linestyle="--", label="estimated")
     for crossing in metrics.crossings:
-        axes.plot(*crossing.point, "s", color=BLACK, markerfacecolor="white", markersize=6, zorder=5)
+        marker, color = VERDICT_MARKS.get(crossing.verdict or "", ("s", BLACK))
+        axes.plot(*crossing.point, marker, color=color, markerfacecolor="white", markersize=6, zorder=5)
     axes.set_aspect("equal")
     _path_limits(axes, run)
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
-    axes.set_title("(a) path, linkage at the planned crossings, Type 2 locus", fontsize=9)
+    axes.set_title("(a) path, linkage at a planned crossing, Type 2 locus", fontsize=9)
     axes.legend(loc="lower right", fontsize=7)
 
 
@@ -173,6 +178,13 @@ def _criterion(residual: Any, measure: Any, run: Run, metrics: Metrics, track: T
     measure.plot(time, run.criterion.s, GREY, linestyle="--", linewidth=1.0, label="estimated")
     if len(track.true_s):
         measure.plot(track.true_time, track.true_s, BLACK, linewidth=1.0, label="true")
+    if np.isfinite(run.criterion.mode_confidence).any():
+        measure.plot(time, run.criterion.mode_confidence, LIGHT, linewidth=1.0, zorder=1, label="confidence")
+    for verdict, (marker, color) in VERDICT_MARKS.items():
+        times = [crossing.verdict_time for crossing in metrics.crossings if crossing.verdict == verdict]
+        if times:
+            measure.plot(times, [VERDICT_HEIGHT] * len(times), marker, color=color, markerfacecolor="white", markersize=5,
+                         label=f"says {verdict}")  # fmt: skip
     measure.axhline(0.0, color=GREY, linewidth=0.6)
     measure.set_ylim(-1.05, 1.05)
     measure.set_ylabel("s (1)")

@@ -131,7 +131,8 @@ def _criterion(messages: Sequence[Any]) -> Criterion:
     ordered, stamps = _in_order(messages)
     table = _columns(ordered, topics.CRITERION_NAMES, lambda message: message.position)
     phase = np.nan_to_num(table[:, 5], nan=-1.0).astype(np.int64)
-    return Criterion(stamps, table[:, 0], table[:, 1], table[:, 2], table[:, 3], table[:, 4], phase)
+    residual, s, sigma_min, weight, mode, _, confidence, verdict = table.T
+    return Criterion(stamps, residual, s, sigma_min, weight, mode, phase, confidence, verdict)
 
 
 def _truth(platform: Sequence[Any], joints: Sequence[tuple[int, Any]]) -> Truth | None:

@@ -35,7 +35,8 @@ def analyze(path: str | Path, output_dir: str | Path | None = None) -> Metrics:
 
 def summary_table(metrics: Metrics) -> Table:
     """The run in a dozen lines, for a terminal."""
-    table = Table(show_header=False, title=f"{metrics.robot or 'run'}, law {metrics.law or 'unknown'}", title_justify="left")
+    title = f"{metrics.robot or 'run'}, law {metrics.law or 'unknown'}, estimator {metrics.estimator or 'unknown'}"
+    table = Table(show_header=False, title=title, title_justify="left")
     for name, value in summary_lines(metrics):
         table.add_row(name, value)
     return table
@@ -49,6 +50,7 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
     lost = {topic: count for topic, count in metrics.lost.items() if count != 0}
     lines = [
         ("crossed", known),
+        ("estimator says", _verdicts(metrics)),
         ("true error", f"{_mm(metrics.max_true_error)} max, {_mm(metrics.final_true_error)} at the end"),
         ("estimated error", f"{_mm(metrics.max_estimated_error)} max"),
         ("peak torque", f"{_torque(metrics.peak_torque)}, {_times(metrics.torque_ratio)} the plan's"),
@@ -67,6 +69,20 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
     if metrics.truncated:
         lines.append(("bag", "breaks off; read up to its last complete chunk"))
     return lines + [("", reason) for reason in metrics.reasons]
+
+
+def _verdicts(metrics: Metrics) -> str:
+    """What the estimator said of the crossings, and whether that is true."""
+    verdicts = [crossing.verdict for crossing in metrics.crossings]
+    if not verdicts or None in verdicts:
+        return "nothing recorded"
+    text = ", ".join(f"{verdicts.count(word)} {word}" for word in ("crossed", "bounced", "undecided"))
+    wrong = [str(row) for row, crossing in enumerate(metrics.crossings, 1) if crossing.verdict_correct is False]
+    if wrong:
+        return f"{text}; WRONG at crossing {', '.join(wrong)}"
+    if any(crossing.verdict_correct for crossing in metrics.crossings):
+        return f"{text}; agrees with the truth"
+    return text
 
 
 def _late(metrics: Metrics) -> str:

@@ -72,6 +72,8 @@ class Criterion:
         sigma_min, projection_weight: 1.
         assembly_mode: +1 or -1, estimated.
         phase: a ``Phase``.
+        mode_confidence: in the assembly mode, 0.5 to 1; nan when not recorded.
+        verdict: a ``Verdict`` on the planned crossing that began last; nan when not recorded.
     """
 
     stamps: Stamps
@@ -81,6 +83,8 @@ class Criterion:
     projection_weight: Floats
     assembly_mode: Floats
     phase: NDArray[np.int64]
+    mode_confidence: Floats
+    verdict: Floats
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ class Tracked:
     Attributes:
         start: ns of its time zero.
         stamps, time: (n,) of the ticks, ns and s.
-        true_time, true_s, true_error: (k,) where truth is known: s, 1, m.
+        true_time, true_s, true_error: (k,) where truth is known, also after the last tick: s, 1, m; the error is nan
+            where nothing was tracked.
         torque_time, torque: (c,), (c, 2) commanded, s, N m.
         torque_s: (c,) s at the commands: true where known, else estimated.
     """
@@ -59,7 +60,7 @@ def tracked(run: Run) -> Tracked | None:
     empty = np.zeros(0)
     true_time, true_s, true_error = empty, empty, empty
     if run.truth is not None:
-        inside = (run.truth.stamps >= stamps[0]) & (run.truth.stamps <= stamps[-1])
+        inside = run.truth.stamps >= stamps[0]
         true_time = (run.truth.stamps - start)[inside] * 1e-9
         if run.robot is not None:
             true_s = singularity_measure(run.robot, run.truth.x, run.truth.q_a)[inside]

@@ -48,6 +48,11 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
                 f"crossing {index}, planned at {crossing.planned_time:.4f} s, did not happen: "
                 f"s has not changed its sign to {crossing.sign:+d}"
             )
+        if crossing.verdict_correct is False:
+            reasons.append(
+                f"the estimator says of crossing {index}: {crossing.verdict} (confidence {crossing.verdict_confidence:.4f},"
+                f" at {crossing.verdict_time:.4f} s), and the true robot was on the other side"
+            )
     for key, limit, name in (
         ("max_true_error", MAX_ERROR, "the largest true error"),
         ("final_true_error", FINAL_ERROR, "the true error at the end"),

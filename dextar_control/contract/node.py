@@ -34,7 +34,7 @@ class Parameter:
         description: with unit, for ``ros2 param describe``.
         minimum, maximum: inclusive bounds of a number (or of each of an array).
         choices: the allowed words of a string.
-        size: length of an array.
+        size: length of an array; 0 is any. An array whose default is empty may be empty.
         live: may be changed while the node runs.
     """
 
@@ -68,12 +68,16 @@ def check_value(spec: Parameter, value: Any, default: Any) -> Any:
             raise fail(f"one of {', '.join(spec.choices)}")
         return value
     array = isinstance(default, (list, tuple))
+    optional = array and not default
+    if optional and value is None:  # how a parameter file's [] arrives
+        return []
     numbers = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
-    if array != (not isinstance(value, (int, float))) or (array and len(numbers) != (spec.size or len(numbers))):
-        raise fail(f"{spec.size} numbers" if array else "a number")
+    fits = len(numbers) == spec.size or not spec.size or (optional and not numbers)
+    if array != (not isinstance(value, (int, float))) or (array and not fits):
+        raise fail(f"{spec.size or 'any number of'} numbers{' or []' if optional else ''}" if array else "a number")
     if any(isinstance(number, (bool, str)) for number in numbers):
         raise fail("numeric")
-    integer = isinstance(default[0] if array else default, int)
+    integer = not optional and isinstance(default[0] if array else default, int)
     for number in numbers:
         if number != number or abs(number) == float("inf"):
             raise fail("finite")
@@ -158,6 +162,21 @@ class DextarNode(Node):
         subscription = self.create_subscription(message_type, name, lambda _: None, profile, raw=raw)
         self._polled.add(id(subscription))
         return subscription
+
+    @property
+    def services(self) -> Any:
+        """What the executor serves: not the polled ones."""
+        return (entity for entity in super().services if id(entity) not in self._polled)
+
+    def create_polled_service(self, service_type: Any, name: str) -> Any:
+        """A service that no executor serves, so that it may answer later than it is asked.
+
+        ``service.handle.service_take_request(service_type.Request)`` gives (request, header), both None without a
+        request; ``service.send_response(response, header)`` answers it.
+        """
+        service = self.create_service(service_type, name, lambda _, response: response)
+        self._polled.add(id(service))
+        return service
 
     def _declare(self, name: str, value: Any, descriptor: ParameterDescriptor) -> Any:
         self.declare_parameter(name, value, descriptor, ignore_override=True)

@@ -34,7 +34,7 @@ class Topic:
 
 
 # A reliable writer can repair a reader that was away for as long as its history reaches.
-STREAM_DEPTH = 200
+STREAM_DEPTH = 1000
 
 JOINT_STATES = Topic(
     "joint_states", "sensor_msgs/msg/JointState", "rig or plant", STREAM_DEPTH, False, 1000.0,
@@ -59,8 +59,9 @@ CONTROLLER_STATE = Topic(
 )  # fmt: skip
 CRITERION = Topic(
     "criterion", "sensor_msgs/msg/JointState", "controller", STREAM_DEPTH, False, 1000.0,
-    "position by name: residual (N), s (1), sigma_min (1), projection_weight (1), assembly_mode (+1/-1), phase (enum); "
-    "stamp of the state",
+    "position by name: residual (N), s (1), sigma_min (1), projection_weight (1), assembly_mode (+1/-1), phase (enum), "
+    "mode_confidence (in the assembly mode, 0.5 to 1), verdict (on the planned crossing that began last: 0 undecided, "
+    "1 crossed, 2 bounced); stamp of the state",
 )  # fmt: skip
 SIM_END_EFFECTOR = Topic(
     "sim/end_effector", "nav_msgs/msg/Odometry", "plant", STREAM_DEPTH, False, 1000.0,
@@ -80,7 +81,10 @@ TOPICS = (
     SIM_JOINT_STATES, DIAGNOSTICS,
 )  # fmt: skip
 
-CRITERION_NAMES = ("residual", "s", "sigma_min", "projection_weight", "assembly_mode", "phase")
+CRITERION_NAMES = (
+    "residual", "s", "sigma_min", "projection_weight", "assembly_mode", "phase", "mode_confidence", "verdict",
+)  # fmt: skip
+MAX_TRAJECTORY_POINTS = 50_000
 PLATFORM_NAMES = ("x", "y")
 END_EFFECTOR_NAME = "end_effector"
 BASE_FRAME = "base"

@@ -116,6 +116,9 @@ class Tick:
     weight = property(lambda self: float(self._output[SCALARS + 3]), doc="Of the feedback along the weak direction.")
     assembly_mode = property(lambda self: int(self._estimate[MODE_HAT]), doc="Believed sign of s.")
     confidence = property(lambda self: float(self._estimate[CONFIDENCE]), doc="In the assembly mode, 0.5 to 1.")
+    rows = property(
+        lambda self: (self._reference, self._estimate, self._output), doc="Reference, estimate, output; see ``law``."
+    )
 
 
 @njit

@@ -9,7 +9,6 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -22,18 +21,31 @@ from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 from dextar_control.contract.cdr import NANOSECONDS, from_time, read_message
 from dextar_control.contract.errors import DextarError, ParameterError, StateError, TrajectoryError
 from dextar_control.contract.node import DextarNode, Parameter, qos, run_node
-from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_COMMANDS, JOINT_STATES, TRAJECTORY
+from dextar_control.contract.topics import (
+    CONTROLLER_STATE,
+    CRITERION,
+    JOINT_COMMANDS,
+    JOINT_STATES,
+    MAX_TRAJECTORY_POINTS,
+    TRAJECTORY,
+)
 from dextar_control.core.certificate import Certificate
-from dextar_control.core.law import Law
-from dextar_control.core.loop import LIMP, ControlLoop, Phase, Settings
+from dextar_control.core.law import CONFIDENCE, ERROR, FINITE, MODE_HAT, Q_HAT, Q_REF, SCALARS, Law
+from dextar_control.core.loop import LIMP, OPEN_BEFORE, ControlLoop, Passed, Phase, Tick, Verdict
+from dextar_control.core.settings import Estimation, Settings
 from dextar_control.core.trajectory import Trajectory
 from dextar_control.core.warmup import warm_up
 from dextar_control.ros import messages
+from dextar_control.ros.external_pose import ExternalPoseReader
+from dextar_control.ros.task import in_words
 
 LAWS = tuple(law.name.lower() for law in Law)
+WORDS = {verdict: verdict.name.lower() for verdict in Verdict}
+ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
 
 PARAMETERS = (
     Parameter("law", "multipliers near the locus", choices=LAWS),
+    Parameter("estimator", "of the platform state and the assembly mode", choices=ESTIMATORS),
     Parameter("enabled", "hold the first state; false idles until ~/enable"),
     Parameter("lockstep", "states arrive reliably and at any pace"),
     Parameter("assembly_mode", "sign of s where the robot stands; live without torque", -1, 1, live=True),
@@ -42,30 +54,48 @@ PARAMETERS = (
     Parameter("natural_frequency", "of the platform error, rad/s", 1.0, 500.0, live=True),
     Parameter("damping_ratio", "of the platform error", 0.1, 5.0, live=True),
     Parameter("integral_frequency", "of the integral term, 1/s; 0 is off", 0.0, 50.0, live=True),
-    Parameter("filter_bandwidth", "of the joint filter, rad/s", 10.0, 2000.0, live=True),
     Parameter("zone", "|s| in the middle of the law's transition", 0.0, 0.9, live=True),
     Parameter("zone_width", "of the law's transition in |s|", 0.0, 0.9, live=True),
-    Parameter("hold_zone", "|s| below which the direct model is not called", 0.0, 0.9, live=True),
-    Parameter("hold_width", "of the estimator's transition in |s|", 0.0, 0.9, live=True),
-    Parameter("return_time", "over which the direct model takes over after a crossing, s", 0.0, 1.0, live=True),
+    Parameter("hold_zone", "|s| below which dgm does not call the direct model", 0.0, 0.9, live=True),
+    Parameter("hold_width", "of the zone around it that still counts as a crossing, in |s|", 0.0, 0.9, live=True),
+    Parameter("filter_bandwidth", "of the joint filter of dgm and plain, rad/s", 10.0, 2000.0, live=True),
+    Parameter("return_time", "over which dgm takes the direct model again after a crossing, s", 0.0, 1.0, live=True),
+    Parameter("encoder_deviation", "of a joint sample, as the observer is told, rad", 1e-7, 0.1, live=True),
+    Parameter("bias_deviation", "of the joint angles that a wrong geometry explains, rad", 1e-9, 0.1, live=True),
+    Parameter("bias_walk", "of their random walk, rad/sqrt(s)", 0.0, 0.1, live=True),
+    Parameter("torque_deviation", "of a sample's torque, N m", 1e-6, 10.0, live=True),
+    Parameter("acceleration_deviation", "of a sample's platform acceleration, m/s^2", 0.0, 1e3, live=True),
+    Parameter("shock_gate", "innovation of the joints that only a blow explains, deviations", 1.0, 1e6, live=True),
+    Parameter("shock_speed", "by which a blow may change the platform's speed, m/s", 0.0, 100.0, live=True),
+    Parameter("passage_armed", "|s| within which the assembly mode counts as unknown", 0.0, 0.9, live=True),
+    Parameter("passage_begin", "|s| at which the test of crossed against bounced begins", 0.0, 0.9, live=True),
+    Parameter("passage_log_odds", "that decide the test", 0.1, 20.0, live=True),
+    Parameter("passage_encoder_deviation", "of a joint sample, as the test is told, rad", 1e-7, 0.1, live=True),
+    Parameter("passage_torque_deviation", "of a sample's torque, as the test is told, N m", 1e-6, 10.0, live=True),
+    Parameter("passage_acceleration_deviation", "of a sample's platform acceleration, as the test is told, m/s^2", 0.0, 1e3,
+              live=True),
+    Parameter("pose_deviation", "of an external position, m", 1e-6, 0.1, live=True),
+    Parameter("pose_gate", "distance beyond which an external position is refused, deviations", 1.0, 1e3, live=True),
+    Parameter("pose_timeout", "without an external position, after which its absence is told, s", 1e-3, 10.0, live=True),
     Parameter("friction_compensation", "fraction of the modelled friction fed forward", 0.0, 1.5, live=True),
     Parameter("max_tracking_error", "ends a motion in a safe stop, m", 1e-4, 0.2, live=True),
     Parameter("max_start_distance", "between the robot and a trajectory's start, m", 1e-5, 0.05, live=True),
     Parameter("max_residual", "of the criterion at an accepted crossing, N", 1e-12, 10.0, live=True),
-    Parameter("watch_ratio", "torque over planned peak that is watched", 1.0, 1e6, live=True),
-    Parameter("watch_torque", "least torque that is watched, N m", 0.0, 100.0, live=True),
-    Parameter("watch_s", "|s| within which the torque is watched", 0.0, 1.0, live=True),
-    Parameter("watch_time", "that ends a motion in a safe stop, s", 0.0, 10.0, live=True),
+    Parameter("verdict_s", "|s| of the reference outside which the believed assembly mode is compared", 0.0, 0.9, live=True),
+    Parameter("verdict_confidence", "in the assembly mode from which on it counts", 0.6, 0.99999999, live=True),
+    Parameter("watch_ratio", "torque over planned peak that a crossing trajectory is held below", 1.0, 1e6, live=True),
+    Parameter("watch_torque", "that it is always allowed, N m", 0.0, 100.0, live=True),
+    Parameter("watch_time", "at a torque limit that ends a motion in a safe stop, s", 0.0, 10.0, live=True),
     Parameter("brake_gain", "of the safe stop, N m s/rad", 0.0, 10.0, live=True),
     Parameter("brake_time", "after which the safe stop's torque is gone, s", 0.0, 10.0, live=True),
-)
+)  # fmt: skip
 
 SERVED_BEFORE = 1.0  # s, by which a latched trajectory may be older than the node; allows for two machines' clocks
-MAX_POINTS = 50_000  # of a trajectory
 SWITCH_INTERVAL = 2e-4  # s until the thread that checks a trajectory lets the control thread go on
 STALLED = 0.5  # s on the steady clock without a state before a fault is latched
 WATCH_PERIOD = 0.01  # s
 DIAGNOSTICS_PERIOD = 0.2  # s
+TELL_PERIOD = 1.0  # s between two lines about the external pose
 
 
 class ControllerNode(DextarNode):
@@ -83,7 +113,7 @@ class ControllerNode(DextarNode):
         self._period = self.values["task.sample_period"]
         warm_up()
         self._loop = ControlLoop(
-            self.robot, self._settings(), self.values["assembly_mode"], enabled=self.values["enabled"]
+            self.robot, Settings.from_values(self.values), self.values["assembly_mode"], enabled=self.values["enabled"]
         )
         self._states_in = messages.joint_states_template()
         self._commands_out = messages.joint_commands_template()
@@ -100,6 +130,10 @@ class ControllerNode(DextarNode):
         self._checker = ThreadPoolExecutor(max_workers=1)
         self._checking: Future[tuple[Trajectory, Certificate, float | None] | None] | None = None
         self._said: tuple[Phase, str] = (self._loop.phase, "")
+        self._passed: list[Passed] = self._loop.passed
+        self._begun = -1
+        self._pose_note = ""
+        self._pose_told = -math.inf
         reliable = self.values["lockstep"]
         self._command_publisher = self.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
         self._state_publisher = self.create_publisher(JointTrajectory, CONTROLLER_STATE.name, qos(CONTROLLER_STATE))
@@ -108,6 +142,8 @@ class ControllerNode(DextarNode):
             JointState, JOINT_STATES.name, self._on_state, qos(JOINT_STATES, reliable=reliable), raw=True
         )
         self._trajectories = self.create_polled_subscription(MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY))
+        external = self._loop.settings.estimator is Estimation.EXTERNAL
+        self._poses = ExternalPoseReader(self) if external else None
         self._started = time.time_ns()
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(Trigger, "~/stop", self._on_stop)
@@ -117,19 +153,17 @@ class ControllerNode(DextarNode):
         sys.setswitchinterval(SWITCH_INTERVAL)
         gc.collect()
         gc.freeze()
-        self.get_logger().info(f"law {self.values['law']}, waiting for {self.resolve_topic_name(JOINT_STATES.name)}")
-
-    def _settings(self) -> Settings:
-        values = {field.name: self.values[field.name] for field in fields(Settings)}
-        values["law"] = Law[values["law"].upper()]
-        return Settings(**values)
+        self.get_logger().info(
+            f"law {self.values['law']}, estimator {self.values['estimator']},"
+            f" waiting for {self.resolve_topic_name(JOINT_STATES.name)}"
+        )
 
     def on_parameters(self, changes: Mapping[str, Any]) -> None:
         """Take live gains, limits or, without torque, the assembly mode."""
         if changes.get("assembly_mode") == 0:
             raise ParameterError("parameter 'assembly_mode' = 0; it must be +1 or -1")
         if not changes.keys().isdisjoint(Settings.__dataclass_fields__):
-            self._loop.configure(self._settings())
+            self._loop.configure(Settings.from_values(self.values))
         if "assembly_mode" in changes:
             self._loop.set_assembly_mode(changes["assembly_mode"])
 
@@ -151,7 +185,8 @@ class ControllerNode(DextarNode):
                 self._command_publisher.publish(self._last_command)
                 return
             self._check_gap(stamp)
-            tau = self._loop.step(stamp / NANOSECONDS, q_a)
+            pose = None if self._poses is None else self._poses.take()
+            tau = self._loop.step(stamp / NANOSECONDS, q_a, pose)
         except DextarError as error:
             self._refuse(error)
             return
@@ -170,17 +205,24 @@ class ControllerNode(DextarNode):
         assert tick is not None
         self._last_command = self._commands_out.pack(stamp, tau.tolist())
         self._command_publisher.publish(self._last_command)
-        rows = (tick.x_ref, tick.x_ref_dot, tick.x_ref_ddot, tick.x_hat, tick.x_hat_dot, tick.error, tick.error_dot,
-                tick.u, tick.force)  # fmt: skip
-        values = [number for row in rows for number in row.tolist()]
+        reference, estimate, output = tick.rows
+        values = [*reference[:Q_REF].tolist(), *estimate[:Q_HAT].tolist(), *output[ERROR:SCALARS].tolist()]
         self._state_publisher.publish(self._state_out.pack(stamp, values, round(tick.reference_time * NANOSECONDS)))
-        self._criterion_publisher.publish(
-            self._criterion_out.pack(
-                stamp, (tick.residual, tick.s, tick.sigma_min, tick.weight, float(tick.assembly_mode), float(tick.phase))
-            )
-        )
+        mode, confidence = estimate[MODE_HAT : CONFIDENCE + 1].tolist()
+        criterion = [*output[SCALARS:FINITE].tolist(), mode, float(tick.phase), confidence, self._verdict(tick)]
+        self._criterion_publisher.publish(self._criterion_out.pack(stamp, criterion))
         if (self._loop.phase, self._loop.reason) != self._said:
             self._say(answered=True)
+
+    def _verdict(self, tick: Tick) -> float:
+        """Of the planned crossing that has begun last; once the controller let go that one stays."""
+        passed = self._loop.passed
+        if passed is not self._passed:
+            self._passed, self._begun = passed, -1
+        begun = tick.reference_time + OPEN_BEFORE
+        while self._begun + 1 < len(passed) and passed[self._begun + 1].planned_time <= begun:
+            self._begun += 1
+        return float(passed[self._begun].verdict) if self._begun >= 0 else 0.0
 
     def _check_gap(self, stamp: int) -> None:
         if self._stamp < 0:
@@ -220,6 +262,7 @@ class ControllerNode(DextarNode):
     def _watch(self) -> None:
         """New trajectories, states on the steady clock, and who else commands the robot."""
         self._take_trajectory()
+        self._tell_pose()
         if self._loop.phase in (Phase.IDLE, Phase.FAULT):
             return
         others = self.count_publishers(self._command_publisher.topic_name) - 1
@@ -237,6 +280,20 @@ class ControllerNode(DextarNode):
                 self._loop.fault(f"no state for {1e3 * age:.0f} ms; the limit is {1e3 * STALLED:.0f} ms")
         if (self._loop.phase, self._loop.reason) != self._said:
             self._say()
+
+    def _tell_pose(self) -> None:
+        """A complaint about the external pose when it changes, the last one and not more than one each TELL_PERIOD."""
+        if self._poses is None:
+            return
+        note, now = self._poses.note or self._loop.estimator.note, time.monotonic()
+        if note == self._pose_note or now - self._pose_told < TELL_PERIOD:
+            return
+        self._pose_note, self._pose_told = note, now
+        if note:
+            self.get_logger().warning(f"external pose: {note}")
+        else:
+            self.get_logger().info("external pose: accepted")
+        self._diagnose()
 
     def _take_trajectory(self) -> None:
         """The newest trajectory, unless it was served before this node began: a restart moves nothing.
@@ -266,7 +323,7 @@ class ControllerNode(DextarNode):
                 trajectory, certificate, start = checked
                 self._loop.schedule(trajectory, certificate, start)
                 self._trajectory_note = "accepted"
-                self.get_logger().info("trajectory accepted: " + "; ".join(certificate.lines()))
+                self.get_logger().info(f"trajectory accepted: {in_words(certificate)}")
         except DextarError as error:
             self._note_refusal(str(error))
         self._diagnose()
@@ -278,8 +335,8 @@ class ControllerNode(DextarNode):
             raise TrajectoryError(f"it was served {age:.1f} s before this controller began; serve it again")
         if len(message.points) == 0:
             return None
-        if len(message.points) > MAX_POINTS:
-            raise TrajectoryError(f"the trajectory has {len(message.points)} points; the limit is {MAX_POINTS}")
+        if len(message.points) > MAX_TRAJECTORY_POINTS:
+            raise TrajectoryError(f"the trajectory has {len(message.points)} points; the limit is {MAX_TRAJECTORY_POINTS}")
         stamp = from_time(message.header.stamp)
         trajectory = messages.to_trajectory(message)
         return trajectory, self._loop.check(trajectory), stamp / NANOSECONDS if stamp else None
@@ -327,16 +384,28 @@ class ControllerNode(DextarNode):
         x, y = tick.x_hat.tolist() if tick is not None else (math.nan, math.nan)
         values = {
             "phase": loop.phase.name, "reason": loop.reason, "law": self.values["law"],
-            "trajectory": self._trajectory_note, "x": x, "y": y, "s": tick.s if tick else math.nan,
+            "estimator": self.values["estimator"], "trajectory": self._trajectory_note,
+            "x": x, "y": y, "s": tick.s if tick else math.nan,
             "assembly_mode": tick.assembly_mode if tick else self.values["assembly_mode"],
-            "completed": loop.completed, "reference_time": tick.reference_time if tick else 0.0,
+            "mode_confidence": tick.confidence if tick else math.nan, "mode_known": loop.mode_known,
+            **self._verdicts(), "completed": loop.completed, "reference_time": tick.reference_time if tick else 0.0,
             "duration": loop.certificate.duration if loop.certificate else 0.0,
             **self._counts, "saturated_ticks": loop.saturated_ticks,
             "callback_p50_us": round(1e6 * float(np.percentile(times, 50)), 1),
             "callback_p99_us": round(1e6 * float(np.percentile(times, 99)), 1),
         }  # fmt: skip
-        level = DiagnosticStatus.ERROR if bad else DiagnosticStatus.OK
+        if self._poses is not None:
+            values |= {"poses": self._poses.received, "refused_poses": self._poses.refused, "pose_note": self._pose_note}
+        level = DiagnosticStatus.ERROR if bad else DiagnosticStatus.WARN if self._pose_note else DiagnosticStatus.OK
         self.publish_diagnostics(level, loop.reason if bad else loop.phase.name, values)
+
+    def _verdicts(self) -> dict[str, object]:
+        """How many planned crossings the estimator takes for crossed and bounced, and each one's verdict."""
+        words = [WORDS[passed.verdict] for passed in self._loop.passed]
+        return {
+            "crossings": len(words), "crossed": words.count("crossed"), "bounced": words.count("bounced"),
+            "verdicts": " ".join(words),
+        }  # fmt: skip
 
     def close(self) -> None:
         """A last word, and zero torque in answer to the last state."""

@@ -11,11 +11,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from datetime import datetime, timezone
 from pathlib import Path
 
 import rclpy
+import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -24,10 +25,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool
 
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
-from dextar_control.contract.node import qos
-from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
-from dextar_control.contract.robot import load_robot
+from dextar_control.contract.node import check_value, qos
+from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
+from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.contract.topics import DIAGNOSTICS
+from dextar_control.ros.task import PARAMETERS as TASK_PARAMETERS
+from dextar_control.ros.task import Task
 
 MODULES = {
     "recorder": "dextar_control.ros.recorder_node",
@@ -35,7 +38,9 @@ MODULES = {
     "controller": "dextar_control.ros.controller_node",
     "trajectory_server": "dextar_control.ros.trajectory_server",
 }
+CAMERA = {"pose_rate": 100.0, "pose_delay": 0.02, "pose_noise": 0.0002}  # of the plant, where the estimator wants one: Hz, s, m
 PR_SET_PDEATHSIG = 1  # of Linux' prctl
+STARTING = "starting the nodes (the first start on a machine compiles the model)"
 START_TIMEOUT = 180.0  # s: the first start on a machine compiles the core
 RUN_TIMEOUT = 20.0  # s beyond 20 times the trip's duration
 STOP_TIMEOUT = 15.0  # s until a node that does not end is killed
@@ -140,14 +145,20 @@ def run_demo(arguments: argparse.Namespace) -> int:
 
     console = Console()
     robot_file = arguments.robot or config_file(ROBOT_FILE)
-    load_robot(robot_file)
-    settings = _node_arguments(arguments, robot_file)
+    robot = load_robot(robot_file)
+    values = _node_values(arguments)
+    if arguments.point is not None:
+        _stand_at_start(console, robot, values, arguments)
     folder = _make_folder(arguments.output)
-    settings["recorder"] += ["-p", f"recorder:output:={folder / 'run.mcap'}"]
+    values["recorder"].append(f"output:={folder / 'run.mcap'}")
+    values["trajectory_server"].append(f"drawing:={folder / 'plan.png'}")
+    settings = _node_arguments(values, robot_file, arguments)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(1, 100)))
     mode = "lockstep" if arguments.lockstep else "real time"
-    console.print(f"law {arguments.law}, {mode}, ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}, into {folder}", highlight=False)
+    estimator = f", estimator {arguments.estimator}" if arguments.estimator else ""
+    domain = os.environ["ROS_DOMAIN_ID"]
+    console.print(f"law {arguments.law}{estimator}, {mode}, ROS_DOMAIN_ID={domain}, into {folder}", highlight=False)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _interrupt)
     troubles: list[str] = []
@@ -172,30 +183,78 @@ def run_demo(arguments: argparse.Namespace) -> int:
     console.print(summary_table(metrics))
     for line in dict.fromkeys(troubles):
         console.print(line, style="bold", highlight=False)
-    console.print(f"{folder}: run.mcap metrics.json figure.png", highlight=False)
+    console.print(f"{folder}: plan.png run.mcap metrics.json figure.png", highlight=False)
     return 0 if metrics.success and not troubles else 1
 
 
-def _node_arguments(arguments: argparse.Namespace, robot_file: Path) -> dict[str, list[str]]:
-    params_file = arguments.params or config_file(NODES_FILE)
-    if not params_file.is_file():
-        raise ParameterError(f"parameter file {params_file} does not exist")
-    common = ["--params-file", str(robot_file), "--params-file", str(params_file)]
+def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
+    """NAME:=VALUE of each node."""
     values: dict[str, list[str]] = {name: [] for name in MODULES}
     values["plant"] += [f"mode:={'lockstep' if arguments.lockstep else 'realtime'}", "start_paused:=true"]
     values["plant"] += ["window:=true"] if arguments.window else []
     values["controller"] += [f"law:={arguments.law}", f"lockstep:={str(arguments.lockstep).lower()}"]
     values["trajectory_server"] += ["autostart:=true"]
     values["recorder"] += [f"reliable:={str(arguments.lockstep).lower()}"]
+    if arguments.estimator is not None:
+        values["controller"].append(f"estimator:={arguments.estimator}")
+    if arguments.estimator == "external":
+        values["plant"] += [f"{name}:={value}" for name, value in CAMERA.items()]
+    if arguments.law == "multi_model":
+        values["trajectory_server"].append("criterion:=zero_wrench")
     if arguments.duration is not None:
         values["trajectory_server"].append(f"duration:={arguments.duration:f}")
     if arguments.repeat is not None:
         values["trajectory_server"].append(f"repeat:={arguments.repeat}")
+    if arguments.tour is not None:
+        values["trajectory_server"].append(f"tour:={arguments.tour}")
+    if arguments.point is not None:
+        values["trajectory_server"].append(f"point:={_numbers(arguments.point)}")
     for override in arguments.overrides:
         node, dot, rest = override.partition(".")
         if not dot or node not in MODULES or ":=" not in rest:
             raise ParameterError(f"-p {override}: expected NODE.NAME:=VALUE with NODE one of {', '.join(MODULES)}")
         values[node].append(rest)
+    return values
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """Numbers as a parameter's value: each with a decimal point, so that the array is one of floats."""
+    return f"[{', '.join(f'{value:.9f}' for value in values)}]"
+
+
+def _stand_at_start(
+    console: Console, robot: RobotParameters, values: dict[str, list[str]], arguments: argparse.Namespace
+) -> None:
+    """Plan the trip through the point, so that the robot can be put where it begins, and on that side of the locus.
+
+    The trajectory server then finds the same plan in the cache.
+    """
+    defaults = node_defaults("trajectory_server")
+    given = node_defaults("trajectory_server", arguments.params) if arguments.params else {}
+    given |= {name: yaml.safe_load(value) for name, _, value in (text.partition(":=") for text in values["trajectory_server"])}
+    checked = {spec.name: check_value(spec, (defaults | given)[spec.name], defaults[spec.name]) for spec in TASK_PARAMETERS}
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        bar = progress.add_task("planning", total=1.0)
+        plan = Task.from_values(checked).plan(
+            robot, lambda fraction, stage: progress.update(bar, completed=fraction, description=stage)
+        )
+    start = plan.trajectory.at(0.0).x
+    for name in ("plant", "trajectory_server"):
+        values[name].append(f"task.start:={_numbers(start)}")
+    direction = round(plan.certificate.crossing_signs[0])
+    values["trajectory_server"].append(f"direction:={direction}")
+    values["controller"].append(f"assembly_mode:={-direction}")
+
+
+def _node_arguments(
+    values: dict[str, list[str]], robot_file: Path, arguments: argparse.Namespace
+) -> dict[str, list[str]]:
+    """The ROS arguments of each node."""
+    params_file = arguments.params or config_file(NODES_FILE)
+    if not params_file.is_file():
+        raise ParameterError(f"parameter file {params_file} does not exist")
+    common = ["--params-file", str(robot_file), "--params-file", str(params_file)]
     return {  # with the node's name: a plain -p counts as /**, which a file's section for the node overrides
         name: [*common, *(part for value in values[name] for part in ("-p", f"{name}:{value}"))]
         for name in MODULES
@@ -235,11 +294,15 @@ def _monitor() -> Iterator[_Monitor]:
 def _wait_until_ready(console: Console, monitor: _Monitor, processes: _Processes) -> None:
     """Recorder recording with everybody's parameters, trajectory accepted, plant paused."""
     deadline = time.monotonic() + START_TIMEOUT
-    with console.status("starting the nodes (the first start on a machine compiles the model)"):
+    with console.status(STARTING) as status:
         while True:
             rclpy.spin_once(monitor, timeout_sec=0.1)
             processes.check()
             note = monitor.get("controller", "trajectory")
+            planning = monitor.get("trajectory_server", "planning")
+            status.update(f"planning: {planning}" if planning else STARTING)
+            if refusal := monitor.get("trajectory_server", "error"):
+                raise DemoError(f"the trajectory server: {refusal}")
             if note.startswith("refused"):
                 raise DemoError(f"the controller {note}")
             recording = monitor.get("recorder", "parameters_missing") == "none"
@@ -248,6 +311,12 @@ def _wait_until_ready(console: Console, monitor: _Monitor, processes: _Processes
             if time.monotonic() > deadline:
                 known = ", ".join(sorted(monitor.status)) or "none"
                 raise DemoError(f"the nodes were not ready within {START_TIMEOUT:.0f} s; heard of: {known}")
+
+
+def _crossings(monitor: _Monitor) -> str:
+    """How many planned crossings the controller takes for done."""
+    total = monitor.get("controller", "crossings") or "0"
+    return f"crossed {monitor.get('controller', 'crossed') or '0'} of {total}" if total != "0" else ""
 
 
 def _follow(console: Console, monitor: _Monitor, processes: _Processes) -> None:
@@ -267,12 +336,12 @@ def _follow(console: Console, monitor: _Monitor, processes: _Processes) -> None:
             phase = monitor.get("controller", "phase")
             if duration > 0.0:
                 elapsed = float(monitor.get("controller", "reference_time") or 0.0)
-                progress.update(task, description=f"{phase:<9}", completed=min(elapsed / duration, 1.0))
+                progress.update(task, description=f"{phase:<9} {_crossings(monitor)}", completed=min(elapsed / duration, 1.0))
             if monitor.get("controller", "completed") not in ("", "0"):
-                progress.update(task, description="done     ", completed=1.0)
+                progress.update(task, description=f"done      {_crossings(monitor)}", completed=1.0)
                 break
             if phase in ("SAFE_STOP", "FAULT"):
-                progress.update(task, description=phase)
+                progress.update(task, description=f"{phase} {_crossings(monitor)}")
                 break
             if time.monotonic() > deadline:
                 raise DemoError(f"the trip did not end in time; the controller is in phase {phase}")

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import PoseStamped, Transform, Twist, Vector3
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Transform, Twist, Vector3
 from nav_msgs.msg import Path
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
@@ -72,6 +73,38 @@ def controller_state_template() -> CdrTemplate:
         )  # fmt: skip
 
     return CdrTemplate(make, 18, duration=True)
+
+
+def external_pose_template() -> CdrTemplate:
+    """external_pose in the base frame: values position (3), orientation (4)."""
+
+    def make(stamp: Time, v: Sequence[float]) -> PoseStamped:
+        pose = Pose(position=Point(x=v[0], y=v[1], z=v[2]), orientation=Quaternion(x=v[3], y=v[4], z=v[5], w=v[6]))
+        return PoseStamped(header=Header(stamp=stamp, frame_id=BASE_FRAME), pose=pose)
+
+    return CdrTemplate(make, 7)
+
+
+def finite_position(x: float, y: float) -> Array:
+    """A measured position (2,), m.
+
+    Raises:
+        StateError: a number is not finite.
+    """
+    if not math.isfinite(x + y):
+        raise StateError(f"external pose ({x}, {y}) m is not finite")
+    return np.array([x, y])
+
+
+def position_in_base(message: PoseStamped) -> Array:
+    """Position (2,), m, of an external pose.
+
+    Raises:
+        StateError: another frame than base, or a number that is not finite.
+    """
+    if message.header.frame_id != BASE_FRAME:
+        raise StateError(f"external pose in frame '{message.header.frame_id}'; it must be in frame '{BASE_FRAME}'")
+    return finite_position(message.pose.position.x, message.pose.position.y)
 
 
 def active_joints(message: JointState) -> Array:

@@ -1,11 +1,12 @@
-"""The trajectory server: plans the return trip through the locus, says what it planned, serves it."""
+"""The trajectory server: plans a trip or a tour through the locus, says and draws what it planned, serves it."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -14,116 +15,160 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from dextar_control.contract.errors import DextarError, TrajectoryError
-from dextar_control.contract.node import DextarNode, Parameter, qos, run_node
-from dextar_control.contract.topics import DIAGNOSTICS, TRAJECTORY
-from dextar_control.core.certificate import certify, sample_times
-from dextar_control.core.planner import PLAN_RESIDUAL, Plan, plan_approach, plan_crossing, plan_return_trip
+from dextar_control.contract.node import EXIT_USAGE, DextarNode, Parameter, qos, run_node
+from dextar_control.contract.topics import DIAGNOSTICS, MAX_TRAJECTORY_POINTS, TRAJECTORY
+from dextar_control.core.certificate import Certificate, certify, sample_times
+from dextar_control.core.model import Array
+from dextar_control.core.planner import PLAN_RESIDUAL, Plan, plan_approach
 from dextar_control.core.trajectory import Trajectory, join
-from dextar_control.ros import messages
+from dextar_control.ros import messages, task
+from dextar_control.ros.planning import Worker
+from dextar_control.ros.task import Task, in_words
 
 PARAMETERS = (
-    Parameter("task.start", "A, m", size=2, live=True),
-    Parameter("task.goal", "B, m", size=2, live=True),
-    Parameter("duration", "of one way, s", 0.02, 60.0, live=True),
-    Parameter("dwell", "at rest before, between and after, s", 0.01, 60.0, live=True),
-    Parameter("repeat", "return trips", 1, 1000, live=True),
+    *task.PARAMETERS,
     Parameter("approach_speed", "peak speed of the way to the start, m/s", 1e-3, 2.0, live=True),
-    Parameter("sample_period", "of the served trajectory's points, s", 1e-4, 0.02, live=True),
+    Parameter("sample_period", "of the served trajectory's points, s; longer for a long one", 1e-4, 0.02, live=True),
     Parameter("autostart", "serve the trip once it is planned and a controller is there"),
+    Parameter("drawing", "a .png to which each plan is drawn before it runs; empty: none", live=True),
 )
 
 FRESH = 2.0  # s, age of the controller's diagnostics that still tells where the robot stands
 AT_START = 1e-4  # m, closer than this needs no approach
+COARSEST = 0.005  # s between the served points of a long tour
+RESOLUTION = 130  # dots per inch of the drawing
+MOST_TOLD = 60  # crossings that the diagnostics repeat each second
 DIAGNOSTICS_PERIOD = 1.0  # s
-AUTOSTART_PERIOD = 0.1  # s
+POLL_PERIOD = 0.05  # s
+TELL_PERIOD = 1.0  # s between two lines about the progress
+
+
+class Served(NamedTuple):
+    """A trajectory ready to be published."""
+
+    plan: Plan
+    task: Task
+    certificate: Certificate  # of the whole, the way to the start included
+    message: MultiDOFJointTrajectory
 
 
 class TrajectoryServer(DextarNode):
     """Plans at start and on ``~/plan``; ``~/start`` serves the trip from where the robot stands.
 
-    The way to A is a straight line that stays away from the locus; it is served with the trip as one
-    trajectory. ``~/stop`` serves an empty trajectory: the controller stops safely.
+    What is planned are the parameters of ``Task``. The way to its start, on one side of the locus, is served with
+    the trip as one trajectory. ``~/stop`` serves an empty trajectory: the controller stops safely.
     ``~/get_plan`` plans one way between any two poses (A and B where both are zero) and returns its path.
+
+    Planning runs in a thread of its own; the services that need it answer when it is done, ``~/stop`` at once.
     """
 
     def __init__(self) -> None:
         super().__init__("trajectory_server", PARAMETERS, robot=True)
-        self._plan: Plan | None = None
+        self._task = Task.from_values(self.values)
+        self._planned: tuple[Task, Plan] | None = None
+        self._drawn: tuple[Task, str] | None = None
+        self._certificate: Certificate | None = None
         self._served = 0
         self._error = ""
         self._controller: dict[str, str] = {}
         self._controller_time = -FRESH
+        self._worker = Worker()
+        self._told = (0.0, "")
         self._trajectory_publisher = self.create_publisher(MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY))
         self.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS))
-        self._replan()
-        self.create_service(Trigger, "~/plan", self._on_plan)
-        self.create_service(Trigger, "~/start", self._on_start)
+        self._requests: list[tuple[Any, Callable[[Any, Any, Any], None]]] = [
+            (self.create_polled_service(Trigger, "~/plan"), self._on_plan),
+            (self.create_polled_service(Trigger, "~/start"), self._on_start),
+            (self.create_polled_service(GetPlan, "~/get_plan"), self._on_get_plan),
+        ]
         self.create_service(Trigger, "~/stop", self._on_stop)
-        self.create_service(GetPlan, "~/get_plan", self._on_get_plan)
-        self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
-        self._stale = False
+        self._worker.submit(self._plan_of(self._task), self._on_first_plan)
         self._waiting = self.values["autostart"]
-        self.create_timer(AUTOSTART_PERIOD, self._autostart, clock=self.steady_clock)
+        self.create_timer(POLL_PERIOD, self._poll, clock=self.steady_clock)
+        self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
 
     def on_parameters(self, changes: Mapping[str, Any]) -> None:
-        """A changed task is planned again before it is served."""
-        self._stale = True
+        """A changed task is planned before it is served."""
+        self._task = Task.from_values(self.values)
 
-    def _autostart(self) -> None:
-        """Serve the planned trip once there is a controller, which refuses what is older than itself."""
-        if self._waiting and self._plan is not None and self._controller:
+    def _poll(self) -> None:
+        """Requests, results, and the served trip once there is a controller, which refuses what is older than itself."""
+        for service, answer in self._requests:
+            while (taken := service.handle.service_take_request(service.srv_type.Request))[1] is not None:
+                answer(service, *taken)
+        self._worker.poll()
+        self._tell_progress()
+        if self._waiting and self._planned is not None and self._controller:
             self._waiting = False
-            self._serve(self._plan.trajectory)
+            self._worker.submit(self._trip(self._origin()), self._on_autostart)
 
-    def _replan(self) -> str:
-        """Plan the trip of the parameters; the certificate in words.
+    def _tell_progress(self) -> None:
+        now, stage = time.monotonic(), self._worker.stage
+        if stage and stage != self._told[1] and now - self._told[0] > TELL_PERIOD:
+            self._told = now, stage
+            self.get_logger().info(f"planning, {self._worker.fraction:.0%}: {stage}")
+            self._diagnose()
 
-        Raises:
-            DextarError: there is none within the limits.
-        """
-        values = self.values
-        begin = time.perf_counter()
-        self._plan = None
-        self._plan = plan_return_trip(
-            self.robot, np.array(values["task.start"]), np.array(values["task.goal"]),
-            values["duration"], values["dwell"], values["repeat"],
-        )  # fmt: skip
-        self._stale = False
-        text = "; ".join(self._plan.certificate.lines())
-        self.get_logger().info(f"planned in {time.perf_counter() - begin:.2f} s: {text}")
+    def _plan_of(self, wanted: Task) -> Callable[[], tuple[Task, Plan]]:
+        """A job: the plan of a task, drawn where that is asked for."""
+        drawing = self.values["drawing"]
+
+        def work() -> tuple[Task, Plan]:
+            known = self._planned
+            if known is not None and known[0] == wanted:
+                plan = known[1]
+            else:
+                begin = time.perf_counter()
+                plan = wanted.plan(self.robot, self._worker.progress)
+                self.get_logger().info(f"planned in {time.perf_counter() - begin:.2f} s: {in_words(plan.certificate)}")
+            if drawing and self._drawn != (wanted, drawing):
+                _draw(self.robot, plan, Path(drawing).expanduser())
+                self._drawn = wanted, drawing
+            return wanted, plan
+
+        return work
+
+    def _trip(self, origin: Array) -> Callable[[], Served]:
+        """A job: the planned trip with the way from where the robot stands before it, as a message."""
+        plan_now = self._plan_of(self._task)
+        speed, period = self.values["approach_speed"], self.values["sample_period"]
+
+        def work() -> Served:
+            wanted, plan = plan_now()
+            start = plan.trajectory.at(0.0).x
+            trajectory = plan.trajectory
+            if float(np.hypot(*(origin - start))) >= AT_START:
+                trajectory = join([plan_approach(self.robot, origin, start, speed), trajectory])
+            certificate = certify(self.robot, trajectory, max_residual=PLAN_RESIDUAL)
+            times = served_times(trajectory, certificate, period)
+            return Served(plan, wanted, certificate, messages.from_trajectory(trajectory, times))
+
+        return work
+
+    def _origin(self) -> Array:
+        """Where the robot stands as far as is known, else A."""
+        x = np.array([float(self._controller.get(axis, "nan")) for axis in ("x", "y")])
+        return x if np.isfinite(x).all() else np.array(self._task.start)
+
+    def _publish(self, served: Served) -> str:
+        self._planned, self._certificate = (served.task, served.plan), served.certificate
+        self._trajectory_publisher.publish(served.message)
+        self._served += 1
+        self._error = ""
+        text = f"served {len(served.message.points)} points over {served.certificate.duration:.3f} s"
+        self.get_logger().info(text)
+        self._diagnose(whole=True)
         return text
 
-    def _serve(self, trajectory: Trajectory) -> None:
-        certificate = certify(self.robot, trajectory, max_residual=PLAN_RESIDUAL, period=self.values["sample_period"])
-        times = np.union1d(sample_times(trajectory, self.values["sample_period"]), certificate.crossing_times)
-        times = times[np.concatenate([[True], np.diff(times) > 2e-9])]
-        self._trajectory_publisher.publish(messages.from_trajectory(trajectory, times))
-        self._served += 1
-        self.get_logger().info(f"served {len(times)} points over {trajectory.duration:.3f} s")
-
-    def _from_robot(self) -> Trajectory:
-        """The trip, with the way to its start before it.
-
-        Raises:
-            DextarError: no plan, no controller that holds, or no way to the start off the locus.
-        """
-        if self._plan is None or self._stale:
-            self._replan()
-        if self._plan is None:
-            raise TrajectoryError("there is no plan")
-        age = time.monotonic() - self._controller_time
-        if age > FRESH:
+    def _check_robot(self) -> None:
+        """Raise TrajectoryError unless the controller holds the robot somewhere known."""
+        if time.monotonic() - self._controller_time > FRESH:
             raise TrajectoryError(f"no word of the controller on {DIAGNOSTICS.name} for {FRESH:.1f} s")
         phase = self._controller.get("phase", "")
         if phase != "HOLD":
             raise TrajectoryError(f"the controller is in phase {phase}; a trip starts from HOLD")
-        robot = np.array([float(self._controller["x"]), float(self._controller["y"])])
-        start = self._plan.trajectory.at(0.0).x
-        if not np.isfinite(robot).all():
+        if not np.isfinite([float(self._controller[axis]) for axis in ("x", "y")]).all():
             raise TrajectoryError("the controller has had no state yet")
-        if float(np.hypot(*(robot - start))) < AT_START:
-            return self._plan.trajectory
-        return join([plan_approach(self.robot, robot, start, self.values["approach_speed"]), self._plan.trajectory])
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         wanted = f"{self.get_namespace().rstrip('/')}/controller"
@@ -132,64 +177,125 @@ class TrajectoryServer(DextarNode):
                 self._controller = {item.key: item.value for item in status.values}
                 self._controller_time = time.monotonic()
 
-    def _on_plan(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            response.message, response.success, self._error = self._replan(), True, ""
-        except DextarError as error:
-            self._refuse(response, error)
-        return response
+    def _on_first_plan(self, planned: tuple[Task, Plan] | None, error: DextarError | None) -> None:
+        """A server whose parameters have no plan ends as one with a wrong parameter does."""
+        if error is not None:
+            self._error = str(error)
+            print(f"error: {error}", file=sys.stderr)
+            self.finish(EXIT_USAGE)
+            return
+        self._take(planned)
 
-    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            trajectory = self._from_robot()
-            self._serve(trajectory)
-            response.success, self._error = True, ""
-            response.message = f"served {trajectory.duration:.3f} s"
-        except DextarError as error:
-            self._refuse(response, error)
-        return response
+    def _on_autostart(self, served: Served | None, error: DextarError | None) -> None:
+        if served is None:
+            self._note(error)
+        else:
+            self._publish(served)
 
-    def _refuse(self, response: Trigger.Response, error: DextarError) -> None:
+    def _take(self, planned: tuple[Task, Plan] | None) -> None:
+        if planned is not None:
+            self._planned, self._certificate, self._error = planned, planned[1].certificate, ""
+            self._diagnose(whole=True)
+
+    def _note(self, error: DextarError | None) -> str:
+        """Tell a refusal."""
         self._error = str(error)
         self.get_logger().error(self._error)
-        response.success, response.message = False, self._error
+        self._diagnose()
+        return self._error
+
+    def _on_plan(self, service: Any, _: Trigger.Request, header: Any) -> None:
+        def done(planned: tuple[Task, Plan] | None, error: DextarError | None) -> None:
+            self._take(planned)
+            message = self._note(error) if planned is None else in_words(planned[1].certificate)
+            service.send_response(Trigger.Response(success=planned is not None, message=message), header)
+
+        self._worker.submit(self._plan_of(self._task), done)
+
+    def _on_start(self, service: Any, _: Trigger.Request, header: Any) -> None:
+        def done(served: Served | None, error: DextarError | None) -> None:
+            message = self._note(error) if served is None else self._publish(served)
+            service.send_response(Trigger.Response(success=served is not None, message=message), header)
+
+        try:
+            self._check_robot()
+        except DextarError as error:
+            done(None, error)
+            return
+        self._worker.submit(self._trip(self._origin()), done)
+
+    def _on_get_plan(self, service: Any, request: GetPlan.Request, header: Any) -> None:
+        ends = [request.start.pose.position, request.goal.pose.position]
+        start, goal = (np.array([point.x, point.y]) for point in ends)
+        wanted = self._task
+        if not start.any() and not goal.any():
+            start, goal = np.array(wanted.start), np.array(wanted.goal)
+
+        def done(plan: Plan | None, error: DextarError | None) -> None:
+            response = GetPlan.Response()
+            if plan is None:
+                self._note(error)
+            else:
+                response.plan = messages.to_path(plan.trajectory, plan.certificate.profile.time)
+            service.send_response(response, header)
+
+        self._worker.submit(lambda: wanted.plan_between(self.robot, start, goal, self._worker.progress), done)
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._trajectory_publisher.publish(messages.stop_trajectory())
         response.success, response.message = True, "stop served"
         return response
 
-    def _on_get_plan(self, request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
-        ends = [request.start.pose.position, request.goal.pose.position]
-        start, goal = (np.array([point.x, point.y]) for point in ends)
-        if not start.any() and not goal.any():
-            start, goal = np.array(self.values["task.start"]), np.array(self.values["task.goal"])
-        try:
-            plan = plan_crossing(self.robot, start, goal, self.values["duration"])
-        except DextarError as error:
-            self._error = str(error)
-            self.get_logger().error(f"get_plan: {error}")
-            return response
-        response.plan = messages.to_path(plan.trajectory, plan.certificate.profile.time)
-        return response
-
-    def _diagnose(self) -> None:
-        values: dict[str, object] = {"served": self._served, "error": self._error}
-        if self._plan is not None:
-            certificate = self._plan.certificate
+    def _diagnose(self, whole: bool = False) -> None:
+        """Where planning is, and the certificate; ``whole``: with all its crossings, however many."""
+        worker = self._worker
+        planning = f"{worker.fraction:.0%}, {worker.stage}" if worker.stage else ""
+        values: dict[str, object] = {"served": self._served, "error": self._error, "planning": planning}
+        certificate = self._certificate
+        if certificate is not None:
+            told = certificate if whole else certificate._replace(crossings=certificate.crossings[:MOST_TOLD])
             values |= {
-                "crossing_times": certificate.crossing_times.tolist(),
-                "residuals": certificate.residuals.tolist(),
-                "multipliers": certificate.multipliers.tolist(),
-                "peak_torque": certificate.peak_torque,
-                "duration": certificate.duration,
-            }
+                "crossings": len(certificate.crossings), "peak_torque": certificate.peak_torque,
+                "duration": certificate.duration, "certificate": told.to_json(),
+            }  # fmt: skip
         level = DiagnosticStatus.WARN if self._error else DiagnosticStatus.OK
-        self.publish_diagnostics(level, self._error or "planned", values)
+        state = "planning" if certificate is None or planning else "planned"
+        self.publish_diagnostics(level, self._error or state, values)
 
     def close(self) -> None:
-        """A last word."""
+        """A last word; a plan under way is given up."""
+        self._worker.close()
         self._diagnose()
+
+
+def served_times(trajectory: Trajectory, certificate: Certificate, period: float) -> Array:
+    """When a trajectory is sampled: every period, at its knots and at its crossings; a long one less often.
+
+    Raises:
+        TrajectoryError: even COARSEST apart there are more than MAX_TRAJECTORY_POINTS.
+    """
+    while True:
+        times = np.union1d(sample_times(trajectory, period), certificate.crossing_times)
+        times = times[np.concatenate([[True], np.diff(times) > 2e-9])]
+        if len(times) <= MAX_TRAJECTORY_POINTS:
+            return times
+        if period >= COARSEST:
+            raise TrajectoryError(
+                f"the trajectory of {trajectory.duration:.0f} s has {len(times)} points {1e3 * period:g} ms apart;"
+                f" the limit is {MAX_TRAJECTORY_POINTS} points: repeat it less often"
+            )
+        period = min(period * len(times) / MAX_TRAJECTORY_POINTS * 1.01, COARSEST)
+
+
+def _draw(robot: Any, plan: Plan, path: Path) -> None:
+    """Raises: TrajectoryError: the picture cannot be written."""
+    from dextar_control.analysis.plan_figure import draw_plan
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draw_plan(robot, plan).savefig(path, dpi=RESOLUTION)
+    except (OSError, ValueError) as error:
+        raise TrajectoryError(f"the plan cannot be drawn to {path}: {error}") from error
 
 
 def main(args: list[str] | None = None) -> int:

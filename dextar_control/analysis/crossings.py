@@ -1,0 +1,173 @@
+"""Each planned crossing of a run: whether it happened, how, and what the estimator made of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dextar_control.analysis.run import Floats, Run
+from dextar_control.analysis.tracking import Tracked
+from dextar_control.core.certificate import NEAR_LOCUS, Certificate
+from dextar_control.core.loop import OPEN_BEFORE, Verdict
+
+SIDE = 0.3  # |s| of the plan before and after a crossing where the sides are read
+STEP_ZONE = 0.15  # |s| within which torque steps are looked for
+FRESH = 2e-3  # s after a crossing has begun from which on a verdict is its own
+
+
+@dataclass(frozen=True)
+class CrossingMetrics:
+    """One planned crossing; times in s since the trajectory's start.
+
+    Attributes:
+        planned_time: of the plan; ``planned_stamp`` is the same instant in ns.
+        point: planned, m.
+        sign: planned sign of s afterwards.
+        true_time: where the true s is zero, nearest to the plan; None when it is nowhere zero between the sides.
+        crossed: the true s has the other sign before and the planned sign after, where the plan is clear of the
+            locus; None without truth.
+        estimated_mode: assembly mode that the controller took there afterwards; None when not recorded.
+        verdict: the estimator's: crossed, bounced or undecided; None when not recorded.
+        verdict_time, verdict_confidence: when it fell, and in the assembly mode that it rests on; nan while undecided.
+        verdict_correct: against the true side at that time; None without truth or verdict.
+        speed: true speed at the crossing (estimated without truth), m/s.
+        residual: |t_s.w_d| that the controller saw at the planned instant, N.
+        planned_residual: |t_s.w_d| of the plan there, N.
+        peak_torque: within |s| < 0.1 of this crossing, N m.
+        torque_step: largest change in one tick within |s| < 0.15 of this crossing, N m.
+    """
+
+    planned_time: float
+    planned_stamp: int
+    point: tuple[float, float]
+    sign: int
+    true_time: float | None
+    crossed: bool | None
+    estimated_mode: int | None
+    verdict: str | None
+    verdict_time: float
+    verdict_confidence: float
+    verdict_correct: bool | None
+    speed: float
+    residual: float
+    planned_residual: float
+    peak_torque: float
+    torque_step: float
+
+
+def judge_crossings(run: Run, plan: Certificate, track: Tracked) -> list[CrossingMetrics]:
+    """Every planned crossing in order."""
+    return [_crossing(run, plan, track, index) for index in range(len(plan.crossing_times))]
+
+
+def clear_times(plan: Certificate, index: int) -> tuple[float, float]:
+    """Times before and after a planned crossing at which the plan is clear of the locus.
+
+    Its |s| is SIDE there, or where it does not come so far before the neighbouring crossings the largest.
+    """
+    time, clearance = plan.profile.time, np.abs(plan.profile.s)
+    neighbours = [time[0], *plan.crossing_times.tolist(), time[-1]]
+    first, row, last = np.searchsorted(time, neighbours[index : index + 3]).tolist()
+    before, after = clearance[first:row][::-1], clearance[row : last + 1]
+    return float(time[row - 1 - _clear_row(before)]), float(time[row + _clear_row(after)])
+
+
+def _clear_row(clearance: np.ndarray) -> int:
+    clear = np.flatnonzero(clearance >= SIDE)
+    return int(clear[0]) if len(clear) else int(np.argmax(clearance)) if len(clearance) else 0
+
+
+def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> CrossingMetrics:
+    planned = float(plan.crossing_times[index])
+    sign = int(plan.crossing_signs[index])
+    before, after = clear_times(plan, index)
+    crossed = None
+    if len(track.true_s):
+        sides = at(track.true_time, track.true_s, before) * sign, at(track.true_time, track.true_s, after) * sign
+        crossed = bool(sides[0] < 0.0 < sides[1] and planned <= track.time[-1])
+    moment = _true_instant(track, planned, before, after)
+    criterion_time = (run.criterion.stamps - track.start) * 1e-9
+    mode = at(criterion_time, run.criterion.assembly_mode, after)
+    if run.truth is not None:
+        speed_time, speeds = (run.truth.stamps - track.start) * 1e-9, np.hypot(*run.truth.x_dot.T)
+    else:
+        speed_time, speeds = (run.control.stamps - track.start) * 1e-9, np.hypot(*run.control.estimate_dot.T)
+    mine = _own_part(plan, track.torque_time, index)
+    torque, distance = track.torque[mine], np.abs(track.torque_s[mine])
+    zone = distance < STEP_ZONE
+    verdict, verdict_time, confidence = _verdict(run, plan, track, criterion_time, index)
+    return CrossingMetrics(
+        planned_time=planned,
+        planned_stamp=track.start + round(planned * 1e9),
+        point=(float(plan.crossing_points[index][0]), float(plan.crossing_points[index][1])),
+        sign=sign,
+        true_time=moment,
+        crossed=crossed,
+        estimated_mode=int(mode) if math.isfinite(mode) else None,
+        verdict=None if verdict is None else verdict.name.lower(),
+        verdict_time=verdict_time,
+        verdict_confidence=confidence,
+        verdict_correct=_correct(track, verdict, verdict_time, sign),
+        speed=at(speed_time, speeds, planned if moment is None else moment),
+        residual=abs(at(criterion_time, run.criterion.residual, planned)),
+        planned_residual=float(abs(plan.residuals[index])),
+        peak_torque=peak(torque[distance < NEAR_LOCUS]),
+        torque_step=peak(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
+    )
+
+
+def _verdict(
+    run: Run, plan: Certificate, track: Tracked, time: np.ndarray, index: int
+) -> tuple[Verdict | None, float, float]:
+    """(verdict, when, confidence) on one crossing; where the controller let go after it, to the end of the run."""
+    verdicts = run.criterion.verdict
+    if not np.isfinite(verdicts).any():
+        return None, math.nan, math.nan
+    begun = np.append(plan.crossing_times - OPEN_BEFORE, np.inf)
+    if begun[index] > track.time[-1]:
+        return Verdict.UNDECIDED, math.nan, math.nan
+    end = begun[index + 1] if begun[index + 1] <= track.time[-1] else np.inf
+    first, last = np.searchsorted(time, (begun[index] + FRESH, end))
+    said = np.flatnonzero(verdicts[first:last] > 0.0)
+    if len(said) == 0:
+        return Verdict.UNDECIDED, math.nan, math.nan
+    row = first + int(said[0])
+    return Verdict(int(verdicts[row])), float(time[row]), float(run.criterion.mode_confidence[row])
+
+
+def _correct(track: Tracked, verdict: Verdict | None, moment: float, sign: int) -> bool | None:
+    side = at(track.true_time, track.true_s, moment) if verdict else math.nan
+    return None if math.isnan(side) else (side * sign > 0.0) == (verdict is Verdict.CROSSED)
+
+
+def _own_part(plan: Certificate, time: Floats, index: int) -> slice:
+    """The times that are nearer to this crossing than to any other."""
+    times = plan.crossing_times
+    edges = np.concatenate([[-np.inf], 0.5 * (times[1:] + times[:-1]), [np.inf]])
+    return slice(*np.searchsorted(time, edges[index : index + 2]).tolist())
+
+
+def _true_instant(track: Tracked, planned: float, before: float, after: float) -> float | None:
+    inside = slice(*np.searchsorted(track.true_time, (before, after)).tolist())
+    time, s = track.true_time[inside], track.true_s[inside]
+    rows = np.flatnonzero((s[:-1] * s[1:] <= 0.0) & (s[:-1] != s[1:]))
+    if len(rows) == 0:
+        return None
+    zeros = time[rows] - s[rows] * (time[rows + 1] - time[rows]) / (s[rows + 1] - s[rows])
+    return float(zeros[np.abs(zeros - planned).argmin()])
+
+
+def at(time: np.ndarray, values: np.ndarray, moment: float) -> float:
+    """The value recorded nearest to a moment, times rising; nan outside the recording."""
+    if len(values) == 0 or not time[0] <= moment <= time[-1]:
+        return math.nan
+    row = int(np.searchsorted(time, moment))
+    return float(values[row - 1 if row and moment - time[row - 1] < time[row] - moment else row])
+
+
+def peak(values: Floats) -> float:
+    """The largest finite magnitude; nan where there is none."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if finite.size else math.nan

@@ -1,0 +1,131 @@
+"""What the trajectory server is asked to plan, taken from its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.node import Parameter
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.core.certificate import Certificate
+from dextar_control.core.locus import locus_point
+from dextar_control.core.model import Array, make_model
+from dextar_control.core.planner import Criterion, Plan, plan_crossing, plan_return_trip, plan_return_trip_through
+from dextar_control.core.regular import side_of
+from dextar_control.core.search import Progress
+from dextar_control.core.tour import plan_tour
+
+LEAST_DURATION = 0.02  # s
+MOST_LINES = 24  # of a certificate in words
+CRITERIA = tuple(criterion.name.lower() for criterion in Criterion)
+
+PARAMETERS = (
+    Parameter("task.start", "A, m; where the robot stands when nothing is known of it", size=2, live=True),
+    Parameter("task.goal", "B, m, of the trip A -> B -> A", size=2, live=True),
+    Parameter("point", "of the locus through which a return trip leads instead, m; [] is off", size=2, live=True),
+    Parameter("direction", "sign of s after that point; 0 leads away from the side of A", -1, 1, live=True),
+    Parameter("tour", "crossings spread over the locus instead; 0 is off", 0, 1000, live=True),
+    Parameter("tour_points", "x, y of each point of a tour instead, m; [] is off", live=True),
+    Parameter("tour_seed", "of the spread", 0, 2**31 - 1, live=True),
+    Parameter("duration", "of one way, s; 0 leaves it to the planner", 0.0, 60.0, live=True),
+    Parameter("dwell", "at rest before, between and after, s", 0.01, 60.0, live=True),
+    Parameter("repeat", "return trips, or laps of the tour", 1, 1000, live=True),
+    Parameter("criterion", "at a crossing; zero_wrench is what the law multi_model needs", choices=CRITERIA, live=True),
+)
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to plan: a trip A -> B -> A, a return trip through ``point``, or a tour.
+
+    Attributes:
+        start, goal: A and B, m.
+        point: of the locus, m; None without.
+        direction: sign of s after ``point``; 0 leads away from the side of A.
+        tour: how many crossings are spread over the locus.
+        tour_points: of a tour, m.
+        duration: of one way, s; None leaves it to the planner.
+    """
+
+    start: tuple[float, float]
+    goal: tuple[float, float]
+    point: tuple[float, float] | None
+    direction: int
+    tour: int
+    tour_points: tuple[tuple[float, float], ...]
+    tour_seed: int
+    duration: float | None
+    dwell: float
+    repeat: int
+    criterion: Criterion
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> Task:
+        """From parameter values, each of them checked by itself.
+
+        Raises:
+            ParameterError: they ask for several things at once, or contradict each other.
+        """
+        asked = [f"{name} = {values[name]}" for name in ("point", "tour", "tour_points") if values[name]]
+        if len(asked) > 1:
+            raise ParameterError(f"{' and '.join(asked)} are given; one may be (point: [], tour: 0, tour_points: [] are off)")
+        if values["direction"] and not values["point"]:
+            raise ParameterError(f"direction = {values['direction']} is given without a point; it must be 0")
+        if len(values["tour_points"]) % 2:
+            raise ParameterError(f"tour_points has {len(values['tour_points'])} numbers; it must be pairs of x and y")
+        if 0.0 < values["duration"] < LEAST_DURATION:
+            raise ParameterError(f"duration = {values['duration']} s; it must be 0 or >= {LEAST_DURATION}")
+        numbers = values["tour_points"]
+        return cls(
+            start=_pair(values["task.start"]), goal=_pair(values["task.goal"]),
+            point=_pair(values["point"]) if values["point"] else None, direction=values["direction"],
+            tour=values["tour"], tour_points=tuple(zip(numbers[::2], numbers[1::2], strict=True)),
+            tour_seed=values["tour_seed"], duration=values["duration"] or None, dwell=values["dwell"],
+            repeat=values["repeat"], criterion=Criterion[values["criterion"].upper()],
+        )  # fmt: skip
+
+    def plan(self, robot: RobotParameters, progress: Progress | None = None) -> Plan:
+        """The certified plan; a tour begins in A, a trip through a point where the planner lets it begin.
+
+        Raises:
+            DextarError: there is none within the limits; names the limit and what would do.
+        """
+        start = np.array(self.start)
+        if self.tour or self.tour_points:
+            points = self.tour or [np.array(point) for point in self.tour_points]
+            return plan_tour(
+                robot, points, self.repeat, self.tour_seed, start=start, duration=self.duration, dwell=self.dwell,
+                criterion=self.criterion, progress=progress,
+            )  # fmt: skip
+        if self.point is not None:
+            place = locus_point(robot, np.array(self.point))
+            direction = self.direction or -round(np.sign(side_of(make_model(robot), "task.start", start, robot)))
+            return plan_return_trip_through(
+                robot, place, direction, self.duration, self.dwell, self.repeat, criterion=self.criterion, progress=progress
+            )
+        return plan_return_trip(
+            robot, start, np.array(self.goal), self.duration, self.dwell, self.repeat, criterion=self.criterion, progress=progress
+        )
+
+    def plan_between(self, robot: RobotParameters, start: Array, goal: Array, progress: Progress | None = None) -> Plan:
+        """One way between two given places.
+
+        Raises:
+            DextarError: as ``plan``.
+        """
+        return plan_crossing(robot, start, goal, self.duration, criterion=self.criterion, progress=progress)
+
+
+def _pair(numbers: Any) -> tuple[float, float]:
+    return float(numbers[0]), float(numbers[1])
+
+
+def in_words(certificate: Certificate) -> str:
+    """A certificate on one line, cut where it grows long."""
+    lines = certificate.lines()
+    more = len(lines) - MOST_LINES
+    return "; ".join([*lines[:MOST_LINES], *([f"and {more} more"] if more > 0 else [])])
