@@ -12,7 +12,7 @@ import pybullet as p
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import RobotParameters
 from dextar_sim import geometry, world
-from dextar_sim.state import PlantState, check_steps, plant_state, saturated
+from dextar_sim.state import PlantState, check_steps, saturated, state_of
 
 
 class Plant:
@@ -175,7 +175,7 @@ class Plant:
     def _strike(self, impulse: tuple[float, float]) -> None:
         """Half of the impulse on each tip, as a force over the coming substep."""
         force = [0.5 * value / self._substep for value in impulse] + [0.0]
-        for link, (x, y, _, _) in zip(self._tips, self._tip_states(), strict=True):
+        for link, (x, y, _, _) in zip(self._tips, geometry.tips(self._shape, self._angles, self._joints_dot), strict=True):
             p.applyExternalForce(self._body, link, force, [x, y, 0.0], p.WORLD_FRAME, physicsClientId=self._client)
 
     def _read(self) -> None:
@@ -188,19 +188,11 @@ class Plant:
         )  # fmt: skip
         self._state: PlantState | None = None
 
-    def _tip_states(self) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
-        """x, y, x_dot, y_dot of the left and the right distal tip."""
-        return geometry.tips(self._shape, self._angles, self._joints_dot)
-
     def state(self) -> PlantState:
         """The true state now."""
         if self._state is None:
-            (x_1, y_1, x_1_dot, y_1_dot), (x_2, y_2, x_2_dot, y_2_dot) = self._tip_states()
-            self._state = plant_state(
-                self._steps * self.period, self._angles, self._joints_dot,
-                (0.5 * (x_1 + x_2), 0.5 * (y_1 + y_2), 0.5 * (x_1_dot + x_2_dot), 0.5 * (y_1_dot + y_2_dot)),
-                math.hypot(x_1 - x_2, y_1 - y_2),
-            )  # fmt: skip
+            flat = geometry.flat_state(self._shape, self._angles, self._joints_dot)
+            self._state = state_of(self._steps * self.period, flat, float(flat[16]))
         return self._state
 
     def close(self) -> None:

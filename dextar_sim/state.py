@@ -48,7 +48,12 @@ def plant_state(
         loop_gap: m.
     """
     flat = np.array((joints[0], joints[2], joints_dot[0], joints_dot[2], *joints, *joints_dot, *platform))
-    return PlantState(time, flat[:2], flat[2:4], flat[4:8], flat[8:12], flat[12:14], flat[14:], loop_gap)
+    return state_of(time, flat, loop_gap)
+
+
+def state_of(time: float, flat: np.ndarray, loop_gap: float) -> PlantState:
+    """A state whose arrays are views of one, laid out as ``geometry.flat_state`` says."""
+    return PlantState(time, flat[:2], flat[2:4], flat[4:8], flat[8:12], flat[12:14], flat[14:16], loop_gap)
 
 
 class AnyPlant(Protocol):

@@ -210,37 +210,36 @@ def _drive(
     loop.schedule(plan.trajectory, certificate)
     cosine, sine = math.cos(built.angle), math.sin(built.angle)
     turn = np.array([[cosine, -sine], [sine, cosine]])
-    truths, references, torques, limp = [], [], [], []
-    x_ref, tau, blow = start, np.zeros(2), None
-    if strike is not None:
-        blow = round(strike.time / rig.period)
-    for index in range(round((plan.trajectory.duration + SETTLE) / rig.period)):
-        sample = rig.read()
-        truths.append(rig.truth())
+    period = rig.period
+    count = round((plan.trajectory.duration + SETTLE) / period)
+    joints, x, x_ref_log, tau_log, q_a_dot = (np.empty((count, size)) for size in (4, 2, 2, 2, 2))
+    limp = np.zeros(count, dtype=bool)
+    x_ref, tau = start, np.zeros(2)
+    blow = -1 if strike is None else round(strike.time / period)
+    for index in range(count):
+        sample, truth = rig.read(), rig.truth()
         if sample is not None:
             pose = None
             if sample.pose is not None:
                 pose = Pose(sample.pose.time, turn @ sample.pose.x + built.middle)
             tau = loop.step(sample.time, sample.q_a + built.angle, pose)
             x_ref = loop.tick.x_ref
-        limp.append(loop.phase in LIMP)
-        if limp[-1]:  # the trip goes on without the robot: its error is against the plan
-            x_ref = plan.trajectory.at(index * rig.period).x
+        if loop.phase in LIMP:  # the trip goes on without the robot: its error is against the plan
+            limp[index] = True
+            x_ref = plan.trajectory.at(index * period).x
         if index == blow:
             rig.strike(turn.T @ strike.impulse)
-        references.append(x_ref)
-        torques.append(tau)
+        joints[index], x[index], q_a_dot[index] = truth.joints, truth.x, truth.q_a_dot
+        x_ref_log[index], tau_log[index] = x_ref, tau
         rig.write(None if sample is None else tau)
-    joints = np.array([truth.joints for truth in truths])
-    commanded = np.array(torques)
     return Log(
-        time=np.arange(len(truths)) * rig.period,
-        x=np.array([truth.x for truth in truths]) @ turn.T + built.middle,
-        x_ref=np.array(references),
-        tau=commanded,
-        power=(commanded * np.array([truth.q_a_dot for truth in truths])).sum(axis=1),
+        time=np.arange(count) * period,
+        x=x @ turn.T + built.middle,
+        x_ref=x_ref_log,
+        tau=tau_log,
+        power=(tau_log * q_a_dot).sum(axis=1),
         s=np.sin(joints[:, 2] + joints[:, 3] - joints[:, 0] - joints[:, 1]),
-        limp=np.array(limp),
+        limp=limp,
         strike=math.nan if strike is None else strike.time,
     )
 

@@ -460,7 +460,7 @@ class ControlLoop:
             self._limp()
 
     def _supervise(self, dt: float, s_ref: float, crossing: bool, limit: float) -> None:
-        settings, out = self.settings, self._out
+        settings, out = self.settings, self._out.tolist()
         if out[FINITE] == 0.0:
             self._go_limp(Phase.SAFE_STOP, "the law gave a number that is not finite")
             return
