@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from dextar_control.contract.errors import DextarError
-from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.core.certificate import Certificate
 from dextar_control.core.dynamics import platform_dynamics
 from dextar_control.core.estimator import Pose
@@ -19,7 +19,7 @@ from dextar_control.core.kinematics import inverse_model, singular_values, singu
 from dextar_control.core.law import Law
 from dextar_control.core.locus import locus_point, sample_locus
 from dextar_control.core.loop import LIMP, ControlLoop, Phase, Verdict
-from dextar_control.core.model import Array, make_model
+from dextar_control.core.model import Array
 from dextar_control.core.planner import Criterion, Plan, plan_return_trip_through
 from dextar_control.core.settings import Estimation
 from dextar_control.core.warmup import default_settings
@@ -75,10 +75,10 @@ def build(robot: RobotParameters, perturbation: Mapping[str, float], generator: 
     lengths and both coordinates of both motor axes, eight numbers, are off by up to this, m.
     """
     changes: dict[str, Any] = {}
-    flat = {name: getattr(leg, key) for side, leg in (("left", robot.left), ("right", robot.right))
-            for key in leg.__dataclass_fields__ for name in (f"{side}.{key}",)} | {"end_effector_mass": robot.end_effector_mass}  # fmt: skip
-    for name, share in zip(BODIES, generator.uniform(-1.0, 1.0, len(BODIES)), strict=True):
-        changes[name] = flat[name] * (1.0 + perturbation.get("masses", 0.0) * share)
+    flat = flatten(robot)
+    shares = perturbation.get("masses", 0.0) * generator.uniform(-1.0, 1.0, len(BODIES))
+    for name, share in zip(BODIES, shares, strict=True):
+        changes[name] = flat[name] * (1.0 + share)
     off = perturbation.get("geometry", 0.0) * generator.uniform(-1.0, 1.0, 8)
     for name, shift in zip(LENGTHS, off[:4], strict=True):
         changes[name] = flat[name] + shift
@@ -215,7 +215,7 @@ def _drive(
     joints, x, x_ref_log, tau_log, q_a_dot = (np.empty((count, size)) for size in (4, 2, 2, 2, 2))
     limp = np.zeros(count, dtype=bool)
     x_ref, tau = start, np.zeros(2)
-    blow = -1 if strike is None else round(strike.time / period)
+    blow, impulse = (-1, np.zeros(2)) if strike is None else (round(strike.time / period), turn.T @ strike.impulse)
     for index in range(count):
         sample, truth = rig.read(), rig.truth()
         if sample is not None:
@@ -223,12 +223,12 @@ def _drive(
             if sample.pose is not None:
                 pose = Pose(sample.pose.time, turn @ sample.pose.x + built.middle)
             tau = loop.step(sample.time, sample.q_a + built.angle, pose)
-            x_ref = loop.tick.x_ref
+            x_ref = loop.tick.x_ref if loop.tick is not None else start
         if loop.phase in LIMP:  # the trip goes on without the robot: its error is against the plan
             limp[index] = True
             x_ref = plan.trajectory.at(index * period).x
         if index == blow:
-            rig.strike(turn.T @ strike.impulse)
+            rig.strike(impulse)
         joints[index], x[index], q_a_dot[index] = truth.joints, truth.x, truth.q_a_dot
         x_ref_log[index], tau_log[index] = x_ref, tau
         rig.write(None if sample is None else tau)

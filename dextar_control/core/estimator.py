@@ -37,14 +37,16 @@ class Estimator(Protocol):
     Attributes:
         row: the estimate: x, x_dot, q_a, q_a_dot, assembly mode, confidence in it (0.5 to 1).
         s: singularity measure of the estimate.
-        mode_known: whether the assembly mode is known well enough to begin a motion from.
         note: the last complaint about an external measurement; empty when there is none.
     """
 
     row: Array
     s: float
-    mode_known: bool
     note: str
+
+    @property
+    def mode_known(self) -> bool:
+        """Whether the assembly mode is known well enough to begin a motion from."""
 
     def configure(self, settings: Settings) -> None:
         """Take the settings that concern it, also while running."""

@@ -181,6 +181,7 @@ class ControlLoop:
         self._near_limit = robot.max_torque
         self._open = -1
         self._crossing_times: list[float] = []
+        self._crossing_signs: list[float] = []
         self._q_a = np.zeros(2)
         self._stop_time = 0.0
         self._stop_wanted = False
@@ -419,6 +420,7 @@ class ControlLoop:
         self.passed = [Passed(float(time), Verdict.UNDECIDED, 0.5, math.nan) for time in certificate.crossing_times]
         self._near_limit = self._limit_near(certificate)
         self._crossing_times = certificate.crossing_times.tolist()
+        self._crossing_signs = certificate.crossing_signs.tolist()
         self._start = time if start is None else start
         self._set_trajectory(trajectory, certificate.profile.time, certificate.profile.multipliers)
         self._integral[:] = 0.0
@@ -500,14 +502,14 @@ class ControlLoop:
                 f"bounced: the robot is at s = {self.estimator.s:+.2f}, the reference at {s_ref:+.2f}"
                 f" (confidence {row[CONFIDENCE]:.3f})",
             )
-        elif current >= 0 and self.phase in MOVING and s_ref * self.certificate.crossing_signs[current] > 0.0:
+        elif current >= 0 and self.phase in MOVING and s_ref * self._crossing_signs[current] > 0.0:
             self._judge(current, Verdict.CROSSED)
 
     def _compare_afterwards(self) -> None:
         """The side on which a robot ends that was let go during a crossing: it may change as it coasts."""
-        if self._open < 0 or self.certificate is None or not self._sure_of_side():
+        if self._open < 0 or not self._sure_of_side():
             return
-        same = self.estimator.row[MODE_HAT] * self.certificate.crossing_signs[self._open] > 0.0
+        same = self.estimator.row[MODE_HAT] * self._crossing_signs[self._open] > 0.0
         verdict = Verdict.CROSSED if same else Verdict.BOUNCED
         if self.passed[self._open].verdict is verdict:
             return

@@ -39,7 +39,8 @@ MAX_STEP = 1e-3  # s of one prediction; a longer gap is predicted in several
 LONG = 0.1  # s of a gap over which nothing is predicted any more
 CERTAIN = 20.0  # log-odds at which a belief is kept
 CORRELATED = 10.0  # samples over which the innovations of a wrong model hang together: so many count as one
-DOUBT, DOUBT_TIME = 20.0, 5e-3  # misfit over the known one, averaged over so many s, that begins a test away from the locus
+DOUBT, DOUBT_TIME = 20.0, 5e-3  # misfit over the known one, averaged over so many s, that begins a test ...
+DOUBT_S = 0.4  # ... where |s| is below this: farther from the locus it is somebody's push, not the other side
 RISE, FORGET = 0.05, 5.0  # s over which the misfit in a known assembly mode is averaged, up and down: a model stays wrong
 CONTRAST = 3.0, 6.0  # how many times worse the less likely filter has to fit before the test begins to count, and fully does
 
@@ -399,7 +400,7 @@ def judge_passage(model: Model, passage: Passage, bank: Bank, belief: Array) -> 
         if mirror(model, main, bank.image):
             copy(main, bank.same)
             belief[TESTING] = 1.0
-    elif belief[DOUBTFUL] > 0.0 and belief[TESTING] == 0.0 and abs(s) >= passage.begin and mirror(model, main, bank.image):
+    elif belief[DOUBTFUL] > 0.0 and passage.begin <= abs(s) < DOUBT_S and mirror(model, main, bank.image):
         copy(main, bank.same)
         belief[TESTING:SWAPS] = 0.0
         belief[TESTING], belief[LOG_ODDS] = 1.0, 0.0
