@@ -319,6 +319,13 @@ def test_a_short_duration_is_refused_with_the_one_that_works(robot: RobotParamet
         plan_crossing(robot.replace(max_platform_speed=0.2), start, goal, 0.33, cache=False)
 
 
+def test_a_point_without_room_is_refused_with_one_that_has(robot: RobotParameters) -> None:
+    with pytest.raises(GeometryError, match=r"no room for a rest .*; the nearest point that has is \(") as refusal:
+        plan_through(robot, np.array([0.0, -0.158]), 1, 0.33, cache=False)
+    x, y = re.findall(r"has is \((-?\d\.\d+), (-?\d\.\d+)\) m", str(refusal.value))[0]
+    plan_through(robot, np.array([float(x), float(y)]), 1, 0.33, cache=False)
+
+
 def test_what_cannot_be_crossed_is_refused_in_words(robot: RobotParameters, points: list[LocusPoint]) -> None:
     point = points[0]
     at = robot_at(robot, point)

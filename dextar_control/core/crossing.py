@@ -284,13 +284,13 @@ def cost(model: Model, task: Task, z: Array) -> float:
 @njit
 def cost_and_gradient(model: Model, task: Task, z: Array, free: Array) -> tuple[float, Array]:
     """``cost`` and its central differences over the variables at the indices ``free``."""
-    gradient = np.empty(free.shape[0])
+    count = free.shape[0]
+    values = np.empty(2 * count + 1)
     moved = z.copy()
-    for row in range(free.shape[0]):
-        index = free[row]
-        moved[index] = z[index] + DIFFERENCE
-        above = cost(model, task, moved)
-        moved[index] = z[index] - DIFFERENCE
-        gradient[row] = (above - cost(model, task, moved)) / (2.0 * DIFFERENCE)
-        moved[index] = z[index]
-    return cost(model, task, z), gradient
+    for k in range(2 * count + 1):
+        if k < 2 * count:
+            moved[free[k // 2]] = z[free[k // 2]] + (DIFFERENCE if k % 2 == 0 else -DIFFERENCE)
+        values[k] = cost(model, task, moved)
+        if k < 2 * count:
+            moved[free[k // 2]] = z[free[k // 2]]
+    return values[2 * count], (values[0 : 2 * count : 2] - values[1 : 2 * count : 2]) / (2.0 * DIFFERENCE)

@@ -11,6 +11,7 @@ tangent to the locus: s changes only along v_1, radially.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
 from functools import lru_cache
 from typing import NamedTuple
@@ -298,7 +299,7 @@ def sample_locus(
     seed: int = 0,
     *,
     folded: int = 0,
-    working_modes: tuple[tuple[int, int], ...] = WORKING_MODES,
+    working_modes: Sequence[tuple[int, int]] = WORKING_MODES,
 ) -> list[LocusPoint]:
     """Points spread evenly over the locus where it can be crossed, in several working modes.
 
@@ -316,7 +317,7 @@ def sample_locus(
         GeometryError: no working mode reaches the locus, or none reaches a folded point and some are asked for.
     """
     strata: dict[tuple[Family, tuple[int, int]], list[Arc]] = {}
-    for arc in trace_locus(robot, working_modes, crossable=True):
+    for arc in trace_locus(robot, tuple((left, right) for left, right in working_modes), crossable=True):
         strata.setdefault((arc.family, arc.working_mode), []).append(arc)
     if not strata:
         raise GeometryError(f"no Type 2 locus lies at least {MIN_CROSSING_TYPE1} from Type 1 in the working modes asked for")

@@ -16,7 +16,14 @@ from dextar_control.contract.errors import GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.core.certificate import PLAN_RESIDUAL, Plan, certify, measure
 from dextar_control.core.crossing import BENDS, GOAL, PLACE, SPLIT, START, STATE, VARIABLES, half
-from dextar_control.core.locus import MIN_END_S, LocusPoint, locus_point, make_point, trace_locus
+from dextar_control.core.locus import (
+    MIN_CROSSING_TYPE1,
+    MIN_END_S,
+    LocusPoint,
+    locus_point,
+    make_point,
+    trace_locus,
+)
 from dextar_control.core.model import Array, make_model
 from dextar_control.core.plan_cache import answered
 from dextar_control.core.regions import find_way, make_regions
@@ -306,7 +313,7 @@ def _through(
     if not attempt(place, None, best):
         raise GeometryError(
             f"the locus point ({place.x[0]:.4f}, {place.x[1]:.4f}) m has no room for a rest with |s| >= {MIN_END_S} straight"
-            f" ahead on both sides; its distance to Type 1 is {place.type1:.3f}"
+            f" ahead on both sides (distance to Type 1: {place.type1:.3f}){_nearest_with_room(robot, place)}"
         )
     if progress is not None:
         progress(1.0, "certified" if best.plan is not None else "not found")
@@ -424,6 +431,16 @@ def _nearest_on_locus(robot: RobotParameters, x: Array) -> LocusPoint:
     gaps = [np.hypot(*(arc.x - x).T) for arc in arcs]
     arc = arcs[int(np.argmin([gap.min() for gap in gaps]))]
     return make_point(robot, arc.working_mode, arc.family, arc.branch, float(arc.angles[np.argmin(np.hypot(*(arc.x - x).T))]))
+
+
+def _nearest_with_room(robot: RobotParameters, place: LocusPoint) -> str:
+    """In words, the point of the locus nearest to one without room that has some; nothing when there is none."""
+    arcs = trace_locus(robot, (robot.working_mode,), MIN_CROSSING_TYPE1, crossable=True)
+    if not arcs:
+        return ""
+    x = np.vstack([arc.x for arc in arcs])
+    nearest = x[int(np.argmin(np.hypot(*(x - place.x).T)))]
+    return f"; the nearest point that has is ({nearest[0]:.4f}, {nearest[1]:.4f}) m"
 
 
 def _length(way: Array) -> float:

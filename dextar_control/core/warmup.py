@@ -11,8 +11,9 @@ from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_fil
 from dextar_control.contract.robot import load_robot
 from dextar_control.core.dynamics import criterion_acceleration
 from dextar_control.core.kinematics import inverse_model, state_of_platform
+from dextar_control.core.locus import sample_locus
 from dextar_control.core.loop import ControlLoop
-from dextar_control.core.planner import plan_approach
+from dextar_control.core.planner import plan_approach, plan_crossing, plan_through, robot_at
 from dextar_control.core.settings import Settings
 
 
@@ -32,6 +33,9 @@ def warm_up() -> None:
     kin = state_of_platform(loop.model, start, np.zeros(2))
     criterion_acceleration(loop.model, kin, 0.0)
     loop.accept(plan_approach(robot, start, start + np.array([1e-3, 0.0]), 0.1))
+    plan_crossing(robot, start, np.array(task["task.goal"]), cache=False)
+    point = sample_locus(robot, 4)[0]
+    plan_through(robot_at(robot, point), point, 1, cache=False)
     for tick in range(3):
         loop.step(1e-3 * tick, q_a)
     loop.step(0.05, q_a)
