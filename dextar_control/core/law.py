@@ -5,7 +5,7 @@ The Cartesian laws ask for the platform acceleration u = x_ddot_ref + K_d e_dot 
 (Eq. 1). They differ in lambda, the multipliers with w_d = A_r^T lambda; A_r = U S V^T:
 
 - ``classic``: lambda = A_r^-T w_d everywhere (Eq. 4). Grows as 1/s under any tracking error.
-- ``projected``: the paper. Within |s| < zone w_u is projected on the image of A_r^T and the torque of
+- ``projected``: the paper. Within |s| < band w_u is projected on the image of A_r^T and the torque of
   least norm is taken (Eq. 9): bounded, but it jumps at the band's edges, where the internal force along
   the distal links is dropped.
 - ``consistent``: ours. lambda = u1 (v1.w_d)/sigma1 + u2 [(1 - phi) u2.lambda_ref + phi (v2.w_d)/sigma2], phi
@@ -13,7 +13,7 @@ The Cartesian laws ask for the platform acceleration u = x_ddot_ref + K_d e_dot 
   the weak one the multiplier that the trajectory itself needs (finite on the locus when the criterion
   holds) takes over, so that nothing jumps and no internal force is lost. Its limit: along t_s there is
   no feedback inside the zone, where no torque could give any.
-- ``multi_model``: the paper's [10]. Within |s| < zone the reduced model tau = w_b of w_d = 0, in the joints:
+- ``multi_model``: the paper's [10]. Within |s| < band the reduced model tau = w_b of w_d = 0, in the joints:
   q_a_ddot = q_a_ddot_ref + K_d e_q_dot + K_p e_q; Eq. (4) outside. Needs trajectories planned for w_d = 0; the
   models differ at the band's edge by what w_d is there, and w_d = 0 depends on how L was written.
 - ``joint_space``: the paper's future work, without any platform estimate. Matrices are taken on the reference;
@@ -80,7 +80,7 @@ def enforce(
         u: (2,) m/s^2.
         lambda_ref: (2,) multipliers of the reference, N/m.
         law: a ``Law``; those in the joints have ``consistent``'s multipliers.
-        zone: |s| in the middle of the transition (``projected``: the band's edge).
+        zone: |s| in the middle of the transition; for ``projected`` and ``multi_model`` the band's edge.
         width: of the transition in |s|.
     """
     w_b, w_d = wrenches(model, kin, u)

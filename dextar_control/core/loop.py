@@ -35,6 +35,7 @@ from dextar_control.core.law import (
     X_HAT,
     X_REF,
     Gains,
+    Law,
     U,
     brake,
     control,
@@ -208,7 +209,8 @@ class ControlLoop:
         K_p = settings.natural_frequency**2
         self._gains = Gains(
             K_p, 2.0 * settings.damping_ratio * settings.natural_frequency, settings.integral_frequency * K_p,
-            settings.zone, settings.zone_width, settings.friction_compensation,
+            settings.band if settings.law in (Law.PROJECTED, Law.MULTI_MODEL) else settings.zone, settings.zone_width,
+            settings.friction_compensation,
         )  # fmt: skip
         self.estimator.configure(settings)
 

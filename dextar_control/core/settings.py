@@ -32,7 +32,8 @@ class Settings:
         natural_frequency: of the tracking error, rad/s; K_p is its square.
         damping_ratio: K_d = 2 damping_ratio natural_frequency.
         integral_frequency: K_i = integral_frequency natural_frequency^2, 1/s; 0 is off.
-        zone, zone_width: |s| of the law's transition and its width.
+        zone, zone_width: |s| in the middle of the transition of ``consistent`` and ``joint_space``, and its width.
+        band: |s| within which ``projected`` and ``multi_model`` take their other model.
         filter_bandwidth: of the direct estimators' joint filter, rad/s.
         hold_zone, hold_width: |s| around the locus that counts as a crossing (phase CROSSING); the estimator ``dgm``
             does not call the direct model below hold_zone.
@@ -73,6 +74,7 @@ class Settings:
     integral_frequency: float
     zone: float
     zone_width: float
+    band: float
     filter_bandwidth: float
     hold_zone: float
     hold_width: float

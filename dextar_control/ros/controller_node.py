@@ -56,6 +56,7 @@ PARAMETERS = (
     Parameter("integral_frequency", "of the integral term, 1/s; 0 is off", 0.0, 50.0, live=True),
     Parameter("zone", "|s| in the middle of the law's transition", 0.0, 0.9, live=True),
     Parameter("zone_width", "of the law's transition in |s|", 0.0, 0.9, live=True),
+    Parameter("band", "|s| of the band of the laws projected and multi_model", 0.0, 0.9, live=True),
     Parameter("hold_zone", "|s| below which dgm does not call the direct model", 0.0, 0.9, live=True),
     Parameter("hold_width", "of the zone around it that still counts as a crossing, in |s|", 0.0, 0.9, live=True),
     Parameter("filter_bandwidth", "of the joint filter of dgm and plain, rad/s", 10.0, 2000.0, live=True),
