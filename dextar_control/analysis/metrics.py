@@ -17,7 +17,7 @@ from dextar_control.analysis.verdict import Verdict, judge
 from dextar_control.contract.errors import DextarError
 from dextar_control.core.certificate import NEAR_LOCUS
 
-SATURATED = 1.0 - 1e-9  # of max_torque
+SATURATED = 1.0 - 1e-9  # of the torque limit
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ class Metrics:
         peak_torque, planned_peak_torque, torque_ratio: commanded and planned over the trajectory.
         peak_torque_near, planned_peak_torque_near, torque_ratio_near: the same within |s| < 0.1;
             the ratio is to the planned peak of the whole trajectory.
-        saturated: commands at the torque limit while tracking; ``drive_saturated``: steps that the plant's
-            drives clipped, over its whole run.
+        saturated: commands at the controller's torque limit while tracking (``watch_ratio`` x planned, or the
+            motors'); ``drive_saturated``: steps that the plant's drives clipped, over its whole run.
         truth_share: of the tracked ticks, those with a recorded truth.
         loop_rate: of the states while tracking on the system clock (not by their stamps), from their
             median period; ``mean_rate`` from the mean.
@@ -98,7 +98,7 @@ def compute_metrics(run: Run) -> Metrics:
     error = track.true_error[np.isfinite(track.true_error)] if track else np.zeros(0)
     planned_peak = plan.peak_torque if plan else math.nan
     planned_near = plan.peak_torque_near if plan else math.nan
-    limit = run.robot.max_torque if run.robot else math.inf
+    limit = _torque_limit(run, planned_peak)
     asked = run.states.stamps if track is None else _between(run.states.stamps, track)
     periods = np.diff(run.states.published[np.isin(run.states.stamps, asked)]) * 1e-9
     answered = int(np.isin(asked, run.commands.stamps).sum())
@@ -178,3 +178,14 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _torque_limit(run: Run, planned_peak: float) -> float:
+    """At which the controller held its commands while tracking, N m: the motors' limit, or nearer what was planned."""
+    limit = run.robot.max_torque if run.robot else math.inf
+    controller = run.parameters.get("controller", {})
+    try:
+        watched = max(float(controller["watch_ratio"]) * planned_peak, float(controller["watch_torque"]))
+    except (KeyError, TypeError, ValueError):
+        return limit
+    return min(limit, watched) if math.isfinite(watched) else limit
