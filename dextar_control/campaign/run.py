@@ -22,7 +22,7 @@ from dextar_control.campaign.loading import resolve
 from dextar_control.campaign.outcome import judge
 from dextar_control.campaign.pool import Pool
 from dextar_control.campaign.selection import check_names
-from dextar_control.campaign.store import Store
+from dextar_control.campaign.store import Store, read_rows
 from dextar_control.campaign.worker import Job, plan_trials, run_trials
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import flatten, load_robot
@@ -111,7 +111,7 @@ def run_campaign(
                     _run(campaign, missing, store, pool, console)
             return judge(campaign.config, list(campaign.trials), store, console, time.perf_counter() - begin)
         except KeyboardInterrupt:
-            there = len(campaign.trials.keys() & store.rows.keys())
+            there = len(campaign.trials.keys() & read_rows(folder).keys())  # also what was written as the signal came
             console.print(
                 f"interrupted; {there} of {len(campaign.trials)} rows are kept in {folder}. To go on:\n"
                 f"  {shlex.join(['dextar', *sys.argv[1:]])}",
