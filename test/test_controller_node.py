@@ -181,7 +181,7 @@ def test_gains_may_change_live_and_only_within_their_range(rig: Rig) -> None:
         (MODULE, "controller:zone:=3.0", "'zone' = 3.0; it must be <= 0.9"),
         (MODULE, "controller:law:=magic", "'law' = 'magic'; it must be one of classic, projected, consistent, multi_model"),
         (MODULE, "controller:estimator:=magic", "'estimator' = 'magic'; it must be one of plain, dgm, observer, external"),
-        (MODULE, "controller:passage_armed:=0.2", "passage_armed = 0.2 with passage_begin = 0.1; it must be smaller"),
+        (MODULE, "controller:passage_armed:=0.3", "passage_armed = 0.3 with passage_begin = 0.2; it must be smaller"),
         (MODULE, "controller:zoen:=0.1", "unknown parameter 'zoen'"),
         (MODULE, "controller:robot.left.distal_length:=-0.09", "robot.left.distal_length = -0.09; it must be > 0"),
         (MODULE, "controller:robot.left.distal_lenght:=0.09", "unknown parameter 'robot.left.distal_lenght'"),
