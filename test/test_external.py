@@ -117,7 +117,7 @@ def test_a_wrong_geometry_is_made_up_for(robot: RobotParameters, trip: Plan, see
 
 
 @pytest.mark.parametrize("plant", ["pybullet", "cartesian"])
-@pytest.mark.parametrize(("moment", "restitution"), [(-0.006, 0.9), (0.0, 0.7), (0.006, 1.0)])
+@pytest.mark.parametrize(("moment", "restitution"), [(-0.01, 0.7), (-0.006, 0.9), (0.0, 0.7), (0.006, 1.0)])
 def test_a_bounce_is_seen_and_ends_safely(
     robot: RobotParameters, trip: Plan, plant: str, moment: float, restitution: float
 ) -> None:
@@ -132,6 +132,20 @@ def test_a_bounce_is_seen_and_ends_safely(
     sure_and_wrong = (run.mode != run.side) & (run.confidence >= run.loop.settings.verdict_confidence)
     assert np.count_nonzero(sure_and_wrong & (run.time > when + SIGHTS)) == 0
     assert run.estimate_error[-1] < NOMINAL_ERROR
+
+
+@pytest.mark.parametrize(("moment", "restitution"), [(-0.008, 0.5), (0.0, 0.0), (0.004, 0.5)])
+def test_a_blow_that_neither_the_believed_motion_nor_its_image_explains_is_found(
+    robot: RobotParameters, trip: Plan, moment: float, restitution: float
+) -> None:
+    """Near the locus the joints show little of it."""
+    when = round(1000.0 * (trip.certificate.crossing_times[0] + moment)) / 1000.0
+    blow = turn_round(robot, trip, when, restitution)
+    seen = drive(robot, trip, plant="cartesian", blow=blow, until=0.45, settings={"estimator": "external"}, **CAMERA)
+    blind = drive(robot, trip, plant="cartesian", blow=blow, until=0.45)
+    later = seen.time > when + RECOGNITION
+    assert seen.loop.estimator.fates[Fate.STRUCK] >= 1
+    assert seen.estimate_error[later].max() < BETTER * blind.estimate_error[later].max()
 
 
 def test_when_the_positions_stop_the_joints_serve_and_it_says_so(robot: RobotParameters, trip: Plan) -> None:

@@ -144,15 +144,16 @@ def _distance(state: Gauss, x_meas: Array, deviation: float) -> tuple[float, flo
 
 @njit
 def _allow_for_unseen_blow(model: Model, noise: Noise, state: Gauss) -> None:
-    """A blow along t_s somewhere in the last BLIND; see ``observer.allow_for_shock``."""
+    """A blow along t_s at any time in the last BLIND, which b may have been taken for; see ``observer.allow_for_shock``."""
     t_s = singular_values(state_of_platform(model, state.mean[0:2].copy(), np.zeros(2)).A_r).v2
     for i in range(2):
         for j in range(2):
             variance = noise.shock_speed**2 * t_s[i] * t_s[j]
-            state.covariance[i, j] += variance * BLIND**2
-            state.covariance[i, 2 + j] += variance * BLIND
-            state.covariance[2 + i, j] += variance * BLIND
+            state.covariance[i, j] += variance * BLIND**2 / 3.0
+            state.covariance[i, 2 + j] += variance * BLIND / 2.0
+            state.covariance[2 + i, j] += variance * BLIND / 2.0
             state.covariance[2 + i, 2 + j] += variance
+        state.covariance[4 + i, 4 + i] += noise.bias**2
 
 
 @njit
