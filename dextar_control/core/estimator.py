@@ -37,7 +37,7 @@ class Estimator(Protocol):
     Attributes:
         row: the estimate: x, x_dot, q_a, q_a_dot, assembly mode, confidence in it (0.5 to 1).
         s: singularity measure of the estimate.
-        note: the last complaint about an external measurement; empty when there is none.
+        note: what there is to say of the external measurements; empty when they are taken as they come.
     """
 
     row: Array
@@ -187,11 +187,12 @@ def _observe(
     noise, passage = observer.unpack_tuning(tuning)
     bank = observer.unpack_bank(filters)
     observer.observe(model, noise, passage, bank, belief, tau, dt, q_meas)
-    return _row_of(model, bank.main, belief, row)
+    return row_of(model, bank.main, belief, row)
 
 
 @njit
-def _row_of(model: Model, main: Gauss, belief: Array, row: Array) -> float:
+def row_of(model: Model, main: Gauss, belief: Array, row: Array) -> float:
+    """Write the estimate's row of a filter and a belief; s of it."""
     kin = state_of_platform(model, main.mean[0:2], main.mean[2:4])
     row[X_HAT : X_HAT + 4] = main.mean[0:4]
     for i in range(2):
@@ -283,13 +284,16 @@ class ObserverEstimator:
         self._joints.q[:] = self.row[Q_HAT : Q_HAT + 2]
         self._joints.q_dot[:] = self.row[Q_HAT + 2 : Q_HAT + 4]
 
+    def _advance(self, dt: float, q_a: Array, tau: Array) -> None:
+        self.s = _observe(self._packed, self._tuning, self._filters, self._belief, tau, dt, q_a, self.row)
+
     def track(self, dt: float, q_a: Array, tau: Array, reference: Array, zone: float, width: float) -> None:
         """See ``Estimator``."""
-        self.s = _observe(self._packed, self._tuning, self._filters, self._belief, tau, dt, q_a, self.row)
+        self._advance(dt, q_a, tau)
 
     def coast(self, dt: float, q_a: Array, tau: Array) -> None:
         """See ``Estimator``: what brakes are the joints themselves, wherever the platform is thought to be."""
-        self.s = _observe(self._packed, self._tuning, self._filters, self._belief, tau, dt, q_a, self.row)
+        self._advance(dt, q_a, tau)
         _filter(self._joints, q_a, dt, self._bandwidth, self.row)
 
     def take_pose(self, pose: Pose, time: float) -> None:
@@ -298,6 +302,10 @@ class ObserverEstimator:
 
 def make_estimator(robot: RobotParameters, settings: Settings) -> Estimator:
     """The estimator that the settings name."""
+    from dextar_control.core.external import ExternalEstimator
+
     if settings.estimator in (Estimation.PLAIN, Estimation.DGM):
         return DirectEstimator(robot, settings, held=settings.estimator is Estimation.DGM)
+    if settings.estimator is Estimation.EXTERNAL:
+        return ExternalEstimator(robot, settings)
     return ObserverEstimator(robot, settings)

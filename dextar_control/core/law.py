@@ -6,8 +6,8 @@ The Cartesian laws ask for the platform acceleration u = x_ddot_ref + K_d e_dot 
 
 - ``classic``: lambda = A_r^-T w_d everywhere (Eq. 4). Grows as 1/s under any tracking error.
 - ``projected``: the paper. Within |s| < band w_u is projected on the image of A_r^T and the torque of
-  least norm is taken (Eq. 9): bounded, but it jumps at the band's edges, where the internal force along
-  the distal links is dropped.
+  least norm is taken (Eq. 9, with J_inv of rank one in the whole band as it is on the locus): bounded, but it
+  jumps at the band's edges, where the internal force along the distal links is dropped.
 - ``consistent``: ours. lambda = u1 (v1.w_d)/sigma1 + u2 [(1 - phi) u2.lambda_ref + phi (v2.w_d)/sigma2], phi
   rising from 0 to 1 over |s| = zone -+ width/2. The strong direction follows the feedback everywhere; along
   the weak one the multiplier that the trajectory itself needs (finite on the locus when the criterion
@@ -20,8 +20,9 @@ The Cartesian laws ask for the platform acceleration u = x_ddot_ref + K_d e_dot 
   the joint acceleration a = K_d e_q_dot + K_p e_q is split by J_inv = U S V^T: its part along u1 is realised
   everywhere, its part along u2 fades with phi, because no finite platform acceleration gives it on the
   locus; u = x_ddot_ref + v1 (u1.a)/sigma1 + phi v2 (u2.a)/sigma2, then ``consistent``'s multipliers. What can be shown:
-  with an exact model the error along u1 obeys e_ddot + K_d e_dot + K_p e = 0 to first order everywhere, and
-  both do outside the zone; inside, the platform's error along t_s only coasts, and the law never knows it.
+  with an exact model the error along u1 obeys e_ddot + K_d e_dot + K_p e = 0 everywhere but for a hundredth or so
+  of the feedback (how the matrices change with the error), about a point at rest outside the zone both do to
+  first order; inside, the platform's error along t_s only coasts, and the law never knows it.
 """
 
 from __future__ import annotations

@@ -110,8 +110,9 @@ def pack_tuning(noise: Noise, passage: Passage) -> Array:
     return np.array([*noise, *passage.noise, passage.armed, passage.begin, passage.log_odds])
 
 
-MODE, LOG_ODDS, ARMED, TESTING, RATIO, MISFIT_SAME, MISFIT_IMAGE, SAMPLES, SWAPS, MISFIT_KNOWN, MISFIT_NOW, DOUBTFUL = range(12)
-BELIEF = 12  # numbers of a belief
+MODE, LOG_ODDS, ARMED, TESTING, RATIO, MISFIT_SAME, MISFIT_IMAGE, SAMPLES, SWAPS = range(9)
+MISFIT_KNOWN, MISFIT_NOW, DOUBTFUL, SEEN = range(9, 13)
+BELIEF = 13  # numbers of a belief
 
 
 @njit
@@ -143,6 +144,7 @@ def begin_again(model: Model, noise: Noise, bank: Bank, belief: Array, q_meas: A
     begin(model, noise, x, noise.shock_speed, bank.main)
     copy(bank.main, bank.same)
     belief[LOG_ODDS:SWAPS] = 0.0
+    belief[SEEN] = 0.0
 
 
 @njit
@@ -286,11 +288,24 @@ def mirror(model: Model, state: Gauss, image: Gauss) -> bool:
 
 
 @njit
-def _measure(model: Model, state: Gauss) -> tuple[float, bool]:
+def side(model: Model, state: Gauss) -> tuple[float, bool]:
     """s, and whether the distal links are nearer to stretched than to folded."""
     kin = state_of_platform(model, state.mean[0:2].copy(), np.zeros(2))
     s = singularity(model, kin.A_r)
     return s, kin.A_r[0, 0] * kin.A_r[1, 0] + kin.A_r[0, 1] * kin.A_r[1, 1] < 0.0
+
+
+@njit
+def predict_all(
+    model: Model, noise: Noise, passage: Passage, bank: Bank, testing: bool, tau: Array, dt: float
+) -> None:
+    """All filters that run, over dt in steps of at most MAX_STEP."""
+    steps = int(np.ceil(dt / MAX_STEP - 1e-6))
+    for _ in range(steps):
+        predict(model, noise, bank.main, tau, dt / steps)
+        predict(model, passage.noise, bank.same, tau, dt / steps)
+        if testing:
+            predict(model, passage.noise, bank.image, tau, dt / steps)
 
 
 @njit
@@ -302,7 +317,8 @@ def observe(
     Args:
         belief: (BELIEF,) assembly mode; log-odds of it; armed; testing; log-likelihood ratio of the two filters of the
             test; sum of each one's squared normalised innovations; samples; how often the image was the robot; mean
-            of the former while the assembly mode is known; over the last samples; whether that makes it doubtful.
+            of the former while the assembly mode is known; over the last samples; whether that makes it doubtful;
+            log-odds of it by what else was seen (``core.hindsight``).
         tau: (2,) commanded since the last sample, N m.
         dt: since the last sample, s.
         q_meas: (2,) rad.
@@ -311,12 +327,7 @@ def observe(
         begin_again(model, noise, bank, belief, q_meas)
         return
     testing = belief[TESTING] > 0.0
-    steps = int(np.ceil(dt / MAX_STEP - 1e-6))
-    for _ in range(steps):
-        predict(model, noise, bank.main, tau, dt / steps)
-        predict(model, passage.noise, bank.same, tau, dt / steps)
-        if testing:
-            predict(model, passage.noise, bank.image, tau, dt / steps)
+    predict_all(model, noise, passage, bank, testing, tau, dt)
     shocked = correct(model, noise, bank.main, q_meas, dt)
     if shocked and testing:  # the two filters of the test know nothing of the blow
         belief[TESTING], belief[LOG_ODDS], belief[ARMED] = 0.0, 0.0, 1.0
@@ -361,7 +372,7 @@ def weigh(belief: Array, same: float, spread_same: float, image: float, spread_i
     better, worse = min(belief[MISFIT_SAME], belief[MISFIT_IMAGE]), max(belief[MISFIT_SAME], belief[MISFIT_IMAGE])
     contrast = smooth_step(worse / better, CONTRAST[0], CONTRAST[1])
     misfit = max(1.0, belief[MISFIT_KNOWN], better / (2.0 * belief[SAMPLES]))
-    belief[LOG_ODDS] = contrast * belief[RATIO] / (CORRELATED * misfit)
+    belief[LOG_ODDS] = belief[SEEN] + contrast * belief[RATIO] / (CORRELATED * misfit)
 
 
 @njit
@@ -386,7 +397,7 @@ def judge_passage(model: Model, passage: Passage, bank: Bank, belief: Array) -> 
     joints tell the side as well as they tell s.
     """
     main = bank.main
-    s, stretched = _measure(model, main)
+    s, stretched = side(model, main)
     mode = 1.0 if s > 0.0 else -1.0
     if abs(s) < passage.armed:
         belief[TESTING:SWAPS] = 0.0

@@ -10,6 +10,7 @@ import numpy as np
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.core.dynamics import criterion_acceleration
+from dextar_control.core.estimator import Pose
 from dextar_control.core.kinematics import inverse_model, state_of_platform
 from dextar_control.core.locus import sample_locus
 from dextar_control.core.loop import ControlLoop
@@ -41,6 +42,9 @@ def warm_up() -> None:
     loop.step(0.05, q_a)
     loop.stop()
     loop.step(0.06, q_a)
+    seeing = ControlLoop(robot, default_settings(estimator="external"), int(task["assembly_mode"]))
+    for tick in range(3):
+        seeing.step(1e-3 * tick, q_a, Pose(1e-3 * tick, start))
 
 
 def main() -> int:
