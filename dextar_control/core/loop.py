@@ -18,7 +18,7 @@ from dextar_control.core.certificate import Certificate, certify, check_rest
 from dextar_control.core.compiled import njit
 from dextar_control.core.dgm import wrap
 from dextar_control.core.estimator import Pose, make_estimator
-from dextar_control.core.kinematics import direct_model, singularity, state_of_platform
+from dextar_control.core.kinematics import direct_model, singularity, state_of_platform, type1_distance
 from dextar_control.core.law import (
     CONFIDENCE,
     ERROR,
@@ -63,6 +63,7 @@ MIN_HOLD_S = REST_ZONE + REST_WIDTH  # |s| nearer than which no point is held
 FIRST_PERIOD = 1e-3  # s taken for the first sample
 START_MARGIN = 2e-3  # s by which a trajectory's start may have passed when it begins
 OPEN_BEFORE = 0.02  # s before a planned crossing from which on it counts as begun
+TYPE1_END = 0.2  # distance to Type 1 at which a robot without control is followed no further
 WATCH_DECAY = 0.25  # a torque that swings between its limits is watched too
 MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
@@ -508,8 +509,16 @@ class ControlLoop:
             self._judge(current, Verdict.CROSSED)
 
     def _compare_afterwards(self) -> None:
-        """The side on which a robot ends that was let go during a crossing: it may change as it coasts."""
+        """The side on which a robot ends that was let go during a crossing: it may change as it coasts.
+
+        Until it comes near Type 1: behind that lies another working mode, which the model does not follow.
+        """
         if self._open < 0 or not self._sure_of_side():
+            return
+        row = self.estimator.row
+        kin = state_of_platform(self.model, row[X_HAT : X_HAT + 2], row[X_HAT + 2 : X_HAT + 4])
+        if not type1_distance(self.model, kin) >= TYPE1_END:
+            self._open = -1
             return
         same = self.estimator.row[MODE_HAT] * self._crossing_signs[self._open] > 0.0
         verdict = Verdict.CROSSED if same else Verdict.BOUNCED
