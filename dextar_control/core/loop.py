@@ -63,7 +63,7 @@ MIN_HOLD_S = REST_ZONE + REST_WIDTH  # |s| nearer than which no point is held
 FIRST_PERIOD = 1e-3  # s taken for the first sample
 START_MARGIN = 2e-3  # s by which a trajectory's start may have passed when it begins
 OPEN_BEFORE = 0.02  # s before a planned crossing from which on it counts as begun
-TYPE1_END = 0.2  # distance to Type 1 at which a robot without control is followed no further
+TYPE1_END = 0.1  # distance to Type 1 at which a robot without control is followed no further
 WATCH_DECAY = 0.25  # a torque that swings between its limits is watched too
 MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
