@@ -58,6 +58,7 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: Any) -> dict[str, Any]:
         "reason": "" if error < 5e-3 else "did not cross", "max_error": error, "end_error": 0.1 * error,
         "planned_peak_torque": 0.09, "peak_torque": 0.1, "peak_ratio": 1.1, "peak_ratio_near": 0.5 + 100.0 * error,
         "saturated": 0, "phase": "HOLD", "false_alarms": 0, "simulated_time": 1.0, "wall_time": 0.05,
+        "cpu_time": time.process_time(), "planning_time": time.perf_counter(),
         "recognised": True if trial.perturbation.get("bounce") else None,
     }  # fmt: skip
 

@@ -27,6 +27,7 @@ MAX_END_ERROR = 0.1e-3  # m, true, at the end
 TORQUE_RATIO = 1.3  # of the planned peak
 TORQUE_RATIO_NEAR = 1.0  # of the planned peak, within |s| < 0.1
 NEAR = 0.1
+REST_SPEED = 0.1  # rad/s: the joints of a robot that was braked
 AFTER = 0.2  # s of holding after the trip
 
 
@@ -250,8 +251,10 @@ def test_a_stop_brakes_away_from_the_locus_and_finishes_a_crossing(robot: RobotP
         plant.close()
 
 
-def _drive_until(robot: RobotParameters, trip: Plan, time: float) -> tuple[Plant, ControlLoop]:
-    plant, loop = Plant(robot), ControlLoop(robot, default_settings(), 1)
+def _drive_until(
+    robot: RobotParameters, trip: Plan, time: float, estimator: Estimation = Estimation.OBSERVER
+) -> tuple[Plant, ControlLoop]:
+    plant, loop = Plant(robot), ControlLoop(robot, default_settings(estimator=estimator), 1)
     plant.reset(trip.trajectory.at(0.0).x)
     loop.accept(trip.trajectory)
     while plant.state().time < time:
@@ -346,10 +349,11 @@ def test_a_stop_asked_for_while_crossing_does_not_outlive_its_trip(robot: RobotP
     fresh = plant.state()
     for tick in range(100):
         loop.step(1.0 + 1e-3 * tick, fresh.q_a)
+    loop.set_assembly_mode(1)  # nobody saw how the robot came here
     loop.enable()
-    loop.step(1.2, fresh.q_a)
+    loop.step(1.1, fresh.q_a)
     loop.accept(trip.trajectory)
-    loop.step(1.201, fresh.q_a)
+    loop.step(1.101, fresh.q_a)
     assert loop.phase == Phase.TRACK
     plant.close()
 
@@ -408,3 +412,44 @@ def test_another_working_mode_is_refused(robot: RobotParameters, trip: Plan) -> 
         loop.step(0.0, q_a)
     with pytest.raises(ParameterError, match="assembly_mode = 0"):
         ControlLoop(robot, default_settings(), 0)
+
+
+@pytest.mark.parametrize("estimator", [Estimation.OBSERVER, Estimation.DGM])
+def test_a_robot_let_go_on_the_locus_is_held_only_on_a_side_that_was_told(
+    robot: RobotParameters, trip: Plan, estimator: Estimation
+) -> None:
+    plant, loop = _drive_until(robot, trip, float(trip.certificate.crossing_times[0]), estimator)
+    loop.disable()
+    for _ in range(30):
+        state = plant.state()
+        plant.step(loop.step(state.time, state.q_a))
+    assert not loop.mode_known
+    with pytest.raises(StateError, match="set assembly_mode"):
+        loop.enable()
+    loop.set_assembly_mode(-1)
+    assert loop.passed[0].verdict is Verdict.UNDECIDED, "what somebody tells is no verdict of the estimator"
+    state = plant.state()
+    loop.step(state.time, state.q_a)
+    assert loop.passed[0].verdict is Verdict.UNDECIDED
+    loop.enable()
+    assert loop.phase is Phase.HOLD
+    plant.close()
+
+
+def test_a_robot_whose_estimate_leaves_the_workspace_is_braked_and_of_no_known_side(robot: RobotParameters, trip: Plan) -> None:
+    plant = Plant(robot)
+    plant.reset(trip.trajectory.at(0.0).x)
+    loop = ControlLoop(robot, default_settings(), 1)
+    state = plant.state()
+    loop.step(state.time, state.q_a)
+    plant.apply_impulse([0.05, 0.08])
+    plant.step([0.0, 0.0])
+    loop.estimator._bank.main.mean[0:2] = [0.0, 0.175]  # out of the legs' reach
+    for _ in range(500):
+        state = plant.state()
+        tau = loop.step(state.time, state.q_a)
+        assert np.isfinite(tau).all()
+        assert loop.phase is Phase.SAFE_STOP and not loop.mode_known
+        plant.step(tau)
+    assert np.abs(plant.state().q_a_dot).max() < REST_SPEED
+    plant.close()

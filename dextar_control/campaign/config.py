@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +13,7 @@ from pydantic_core import PydanticCustomError
 
 from dextar_control.campaign.ranges import BARS, PERTURBATIONS, Range
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.resources import NODES_FILE, config_file, node_defaults
+from dextar_control.core.settings import Settings
 
 Numbers = dict[str, Annotated[float, Field(allow_inf_nan=False)]]
 
@@ -50,7 +51,7 @@ class Combination(_Section):
     law: str
     estimator: str
     perturbation: Numbers = {}
-    settings: dict[str, float | str] = {}
+    settings: Numbers = {}
 
     @property
     def name(self) -> str:
@@ -71,7 +72,7 @@ class Case(_Section):
 
     title: str = ""
     perturbation: Numbers = {}
-    settings: dict[str, float | str] = {}
+    settings: Numbers = {}
     duration: float | None = Field(default=None, gt=0.0, le=60.0, allow_inf_nan=False)
     dwell: float | None = Field(default=None, ge=0.0, le=60.0, allow_inf_nan=False)
     repeat: int | None = Field(default=None, ge=1, le=1000)
@@ -103,7 +104,7 @@ class CampaignConfig(_Section):
     dwell: float = Field(ge=0.0, le=60.0, allow_inf_nan=False)
     repeat: int = Field(default=1, ge=1, le=1000)
     perturbation: Numbers = {}
-    settings: dict[str, float | str] = {}
+    settings: Numbers = {}
     cases: dict[str, Case] = Field(min_length=1)
 
     @field_validator("directions")
@@ -125,7 +126,7 @@ class CampaignConfig(_Section):
         sections: list[tuple[str, CampaignConfig | Combination | Case]] = [("", self)]
         sections += [(f"combination {combination.name}: ", combination) for combination in self.combinations]
         sections += [(f"case {name}: ", case) for name, case in self.cases.items()]
-        settings = list(node_defaults("controller", config_file(NODES_FILE)))
+        settings = [field.name for field in fields(Settings) if field.name not in ("law", "estimator")]
         for where, section in sections:
             _within(section.perturbation, PERTURBATIONS, "perturbation", where)
             for key in section.settings:

@@ -62,7 +62,7 @@ class Trial:
     duration: float
     dwell: float
     repeat: int
-    settings: Mapping[str, float | str]
+    settings: Mapping[str, float]
 
     @property
     def place(self) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from dextar_control.campaign.store import as_plain, read_rows
 from dextar_control.campaign.worker import run_trials
 from dextar_control.contract.errors import ParameterError
 
-TIMES = {"wall_time", "planning_time"}  # results that differ from run to run
+TIMES = {"wall_time", "cpu_time", "planning_time"}  # results that differ from run to run
 
 
 def rerun(campaign: Campaign, folder: Path, key: str, console: Console) -> int:

@@ -43,7 +43,9 @@ BODIES = (
     "end_effector_mass",
 )  # fmt: skip
 LENGTHS = ("left.proximal_length", "left.distal_length", "right.proximal_length", "right.distal_length")
-RIG_OPTIONS = ("command_delay", "sample_loss", "jitter", "position_noise", "pose_rate", "pose_delay", "pose_noise")
+RIG_OPTIONS = (
+    "command_delay", "sample_loss", "jitter", "position_noise", "pose_rate", "pose_delay", "pose_noise", "pose_dropout",
+)  # fmt: skip
 
 
 class Built(NamedTuple):
@@ -128,7 +130,6 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: Callable[..., Any]) -> 
     except DextarError as error:
         return {"planned": False, "plan_problem": str(error), "success": False, "reason": f"not planned: {error}"}
     planning = time.perf_counter() - begin
-    gc.disable()  # a row makes no cycles, and its log is long
     begin, begin_cpu = time.perf_counter(), time.process_time()
     perturbation = dict(trial.perturbation)
     generator = np.random.default_rng(trial.seed)
@@ -143,6 +144,7 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: Callable[..., Any]) -> 
     if "encoder_resolution" in perturbation:
         options["encoder_resolution"] = int(perturbation["encoder_resolution"])
     plant = rig(built.robot, plant=trial.plant, seed=trial.seed, **options)
+    gc.disable()  # a row makes no cycles, and its log is long
     try:
         # What the planner certified is certified anew only for another model of the robot.
         certificate = plan.certificate if loop.robot == robot else loop.check(plan.trajectory)
@@ -176,7 +178,7 @@ class Log(NamedTuple):
 
     time: Array  # (m,) s
     x: Array  # (m, 2) true, m
-    x_ref: Array  # (m, 2) m
+    x_ref: Array  # (m, 2) of the plan at that time, whether or not a sample came, m
     tau: Array  # (m, 2) commanded, N m
     power: Array  # (m,) of the commanded torques, W
     s: Array  # (m,) true
@@ -214,7 +216,7 @@ def _drive(
     count = round((plan.trajectory.duration + SETTLE) / period)
     joints, x, x_ref_log, tau_log, q_a_dot = (np.empty((count, size)) for size in (4, 2, 2, 2, 2))
     limp = np.zeros(count, dtype=bool)
-    x_ref, tau = start, np.zeros(2)
+    x_ref, tau, began = start, np.zeros(2), math.nan
     blow, impulse = (-1, np.zeros(2)) if strike is None else (round(strike.time / period), turn.T @ strike.impulse)
     for index in range(count):
         sample, truth = rig.read(), rig.truth()
@@ -224,9 +226,10 @@ def _drive(
                 pose = Pose(sample.pose.time, turn @ sample.pose.x + built.middle)
             tau = loop.step(sample.time, sample.q_a + built.angle, pose)
             x_ref = loop.tick.x_ref if loop.tick is not None else start
-        if loop.phase in LIMP:  # the trip goes on without the robot: its error is against the plan
-            limp[index] = True
-            x_ref = plan.trajectory.at(index * period).x
+            began = sample.time if math.isnan(began) else began
+        limp[index] = loop.phase in LIMP
+        if began <= index * period and (sample is None or limp[index]):  # the trip goes on without sample or robot
+            x_ref = plan.trajectory.at(index * period - began).x
         if index == blow:
             rig.strike(impulse)
         joints[index], x[index], q_a_dot[index] = truth.joints, truth.x, truth.q_a_dot

@@ -210,7 +210,10 @@ def row_of(model: Model, main: Gauss, belief: Array, row: Array) -> float:
 
 @njit
 def _filter(memory: JointMemory, q_meas: Array, dt: float, bandwidth: float, row: Array) -> None:
-    """The joints' own motion, in place of the one that the platform's estimate implies."""
+    """The joints' own motion, in place of the one that the platform's estimate implies; begun anew where that was none."""
+    if not np.isfinite(memory.q + memory.q_dot).all():
+        memory.q[:] = q_meas
+        memory.q_dot[:] = 0.0
     dgm.filter_joints(memory, q_meas, memory.q_ref, np.zeros(2), dt, bandwidth)
     row[Q_HAT : Q_HAT + 2] = memory.q
     row[Q_HAT + 2 : Q_HAT + 4] = memory.q_dot

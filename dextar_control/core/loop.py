@@ -65,6 +65,7 @@ START_MARGIN = 2e-3  # s by which a trajectory's start may have passed when it b
 OPEN_BEFORE = 0.02  # s before a planned crossing from which on it counts as begun
 TYPE1_END = 0.1  # distance to Type 1 at which a robot without control is followed no further
 WATCH_DECAY = 0.25  # a torque that swings between its limits is watched too
+UNKNOWN_SIDE = "the estimator cannot tell on which side of the locus the robot stands:"
 MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
 
@@ -278,11 +279,13 @@ class ControlLoop:
         """Leave IDLE and hold the present point.
 
         Raises:
-            StateError: the robot stands too near to the locus to be held.
+            StateError: the robot stands too near to the locus to be held, or on a side that is not known.
         """
         if self.phase != Phase.IDLE:
             return
         if self.tick is not None:
+            if not self.mode_known:
+                raise StateError(f"{UNKNOWN_SIDE} set assembly_mode to the side where it stands, then enable")
             if not abs(self.tick.s) >= MIN_HOLD_S:
                 raise StateError(f"the robot stands at |s| = {abs(self.tick.s):.3f} of the locus; holding needs {MIN_HOLD_S}")
             self._hold_at(self.tick.x_hat)
@@ -317,6 +320,7 @@ class ControlLoop:
         if self.phase not in LIMP:
             raise StateError(f"the assembly mode can be told in IDLE, SAFE_STOP or FAULT; the phase is {self.phase.name}")
         self._assembly_mode = assembly_mode
+        self._open = -1
         if not math.isnan(self._time):
             self.estimator.tell_mode(assembly_mode, self._q_a)
 
@@ -329,11 +333,8 @@ class ControlLoop:
         """
         if self.phase in (Phase.SAFE_STOP, Phase.FAULT):
             if not self.mode_known:
-                raise StateError(
-                    "the robot was near the locus without control, and the estimator cannot tell its side:"
-                    " set assembly_mode to the side where it stands, then reset"
-                )
-            self.phase, self.reason = Phase.IDLE, ""
+                raise StateError(f"{UNKNOWN_SIDE} set assembly_mode to the side where it stands, then reset")
+            self.phase, self.reason, self._open = Phase.IDLE, "", -1
 
     def _go_limp(self, phase: Phase, reason: str) -> None:
         """Leave the reference: from now on the robot is only watched, and damped in SAFE_STOP."""

@@ -394,10 +394,13 @@ def judge_passage(model: Model, passage: Passage, bank: Bank, belief: Array) -> 
     """Begin, go on with or end the test of crossed against bounced; see ``observe``.
 
     Where the distal links are folded there is nothing to test: the image is a whole turn of them away, and the
-    joints tell the side as well as they tell s.
+    joints tell the side as well as they tell s. A state out of the legs' reach tells nothing: the belief is unsure.
     """
     main = bank.main
     s, stretched = side(model, main)
+    if not np.isfinite(s):
+        belief[LOG_ODDS] = 0.0
+        return
     mode = 1.0 if s > 0.0 else -1.0
     if abs(s) < passage.armed:
         belief[TESTING:SWAPS] = 0.0

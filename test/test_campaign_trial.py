@@ -1,0 +1,59 @@
+"""One row of a campaign: what is perturbed reaches the robot, and what is counted is the true robot against its plan."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import pytest
+
+from dextar_control.campaign.design import CrossingPoint, Trial
+from dextar_control.campaign.ranges import PERTURBATIONS
+from dextar_control.campaign.trial import RIG_OPTIONS, run_trial, sample_points
+from dextar_control.contract.robot import RobotParameters
+from dextar_sim.rig import Rig
+
+LOST_ERROR = 0.1e-3  # m; the plan moves on by five times as much in a lost millisecond, the robot strays by less than half of it
+TORQUE_BOUND = 3.0  # of the planned peak, after a bounce
+
+
+@pytest.fixture(scope="module")
+def place(robot: RobotParameters) -> CrossingPoint:
+    return sample_points(robot, 4, 0, 0)[0]
+
+
+def run(robot: RobotParameters, place: CrossingPoint, **perturbation: float) -> dict[str, Any]:
+    trial = Trial(
+        index=0, point=place.point, working_mode=place.working_mode, family=place.family, direction=1, case="tried",
+        perturbation=perturbation, law="consistent", estimator="observer", plant="cartesian", seed=1, duration=0.33,
+        dwell=0.2, repeat=1, settings={},
+    )  # fmt: skip
+    return run_trial(robot, trial, Rig)
+
+
+def test_each_perturbation_of_the_rig_reaches_it() -> None:
+    options = set(inspect.signature(Rig).parameters) & set(PERTURBATIONS)
+    assert options == {*RIG_OPTIONS, "encoder_resolution"}
+
+
+def test_a_sample_that_is_lost_is_no_error_of_the_robot(robot: RobotParameters, place: CrossingPoint) -> None:
+    row = run(robot, place, sample_loss=0.2)
+    assert row["success"], row["reason"]
+    assert row["max_error"] < LOST_ERROR
+
+
+def test_a_run_that_bounces_is_no_crossing_and_is_called_so(robot: RobotParameters, place: CrossingPoint) -> None:
+    row = run(robot, place, bounce=1.0)
+    assert row["crossed"] == 0
+    assert row["recognised"] and row["called_bounced"] == 1 and row["called_crossed"] == 0
+    assert row["torque_after_bounce"] <= TORQUE_BOUND
+    assert row["safe_after"]
+
+
+def test_a_row_repeats_bit_for_bit(robot: RobotParameters, place: CrossingPoint) -> None:
+    perturbation = {"masses": 0.1, "geometry": 1e-4, "jitter": 0.9, "sample_loss": 0.05, "command_delay": 2e-3}
+    first, again = (run(robot, place, **perturbation) for _ in range(2))
+    times = ("wall_time", "cpu_time", "planning_time")
+    assert {name: value for name, value in first.items() if name not in times} == {
+        name: value for name, value in again.items() if name not in times
+    }
