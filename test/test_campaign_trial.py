@@ -22,10 +22,10 @@ def place(robot: RobotParameters) -> CrossingPoint:
     return sample_points(robot, 4, 0, 0)[0]
 
 
-def run(robot: RobotParameters, place: CrossingPoint, **perturbation: float) -> dict[str, Any]:
+def run(robot: RobotParameters, place: CrossingPoint, direction: int = 1, seed: int = 1, **perturbation: float) -> dict[str, Any]:
     trial = Trial(
-        index=0, point=place.point, working_mode=place.working_mode, family=place.family, direction=1, case="tried",
-        perturbation=perturbation, law="consistent", estimator="observer", plant="cartesian", seed=1, duration=0.33,
+        index=0, point=place.point, working_mode=place.working_mode, family=place.family, direction=direction, case="tried",
+        perturbation=perturbation, law="consistent", estimator="observer", plant="cartesian", seed=seed, duration=0.33,
         dwell=0.2, repeat=1, settings={},
     )  # fmt: skip
     return run_trial(robot, trial, Rig)
@@ -48,6 +48,16 @@ def test_a_run_that_bounces_is_no_crossing_and_is_called_so(robot: RobotParamete
     assert row["recognised"] and row["called_bounced"] == 1 and row["called_crossed"] == 0
     assert row["torque_after_bounce"] <= TORQUE_BOUND
     assert row["safe_after"]
+
+
+@pytest.mark.parametrize(("index", "direction"), [(6, -1), (7, 1)])
+def test_a_bounced_robot_that_coasts_through_type_1_is_not_called_crossed(
+    robot: RobotParameters, index: int, direction: int
+) -> None:
+    """Beyond Type 1 lies another working mode: what the model says of the side there is worth nothing."""
+    row = run(robot, sample_points(robot, 10, 3, 3)[index], direction, 7 + index, bounce=1.0, encoder_resolution=131072.0)
+    assert row["recognised"]
+    assert row["missed_bounces"] == 0 and row["called_crossed"] == 0
 
 
 def test_a_row_repeats_bit_for_bit(robot: RobotParameters, place: CrossingPoint) -> None:

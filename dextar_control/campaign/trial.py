@@ -297,7 +297,7 @@ def _judge(loop: ControlLoop, log: Log, bounced: bool) -> dict[str, float | int 
         "missed_bounces": sum(v is Verdict.CROSSED and not was for v, was in zip(verdicts, truths, strict=True)),
         "recognised": None,
     }
-    return row | _bounce(loop, log, crossed[0] and truths[0], planned) if bounced else row
+    return row | _bounce(loop, log, crossed[0], truths[0], planned) if bounced else row
 
 
 def _on_side(log: Log, time_of_verdict: float, sign: float) -> bool:
@@ -321,11 +321,20 @@ def _reason(loop: ControlLoop, crossed: list[bool], error: Array) -> str:
     return ""
 
 
-def _bounce(loop: ControlLoop, log: Log, crossed: bool, planned: float) -> dict[str, float | int | str | bool | None]:
-    """What became of a run that was struck; ``recognised`` is None when the blow did not turn the robot round."""
-    if crossed:
+def _bounce(
+    loop: ControlLoop, log: Log, crossed: bool, on_side: bool, planned: float
+) -> dict[str, float | int | str | bool | None]:
+    """What became of a run that was struck; ``recognised`` is None when the blow did not turn the robot round.
+
+    Args:
+        crossed: whether the true robot changed sides.
+        on_side: whether it was on the planned side when the last verdict fell.
+    """
+    if crossed and on_side:
         return {"reason": "the blow did not turn the robot round", "success": True}
-    named = loop.passed[0].verdict is Verdict.BOUNCED or "bounced" in loop.reason  # it may have coasted across since
+    called = loop.passed[0].verdict
+    missed = called is Verdict.CROSSED and not on_side
+    named = called is Verdict.BOUNCED or ("bounced" in loop.reason and not missed)  # it may have coasted across since
     stopped = np.flatnonzero(log.limp)
     struck = int(np.searchsorted(log.time, log.strike))
     after = np.abs(log.tau[struck:]).max(axis=1)

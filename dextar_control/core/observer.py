@@ -28,6 +28,7 @@ from dextar_control.core.kinematics import (
     kinematics,
     singularity,
     state_of_platform,
+    type1_distance,
 )
 from dextar_control.core.law import smooth_step
 from dextar_control.core.model import Array, Model
@@ -42,6 +43,7 @@ CORRELATED = 10.0  # samples over which the innovations of a wrong model hang to
 DOUBT, DOUBT_TIME = 20.0, 5e-3  # misfit over the known one, averaged over so many s, that begins a test ...
 DOUBT_S = 0.4  # ... where |s| is below this: farther from the locus it is somebody's push, not the other side
 RISE, FORGET = 0.05, 5.0  # s over which the misfit in a known assembly mode is averaged, up and down: a model stays wrong
+LOST = 0.5  # of the least distance to Type 1, below which the working mode is no longer sure
 CONTRAST = 3.0, 6.0  # how many times worse the less likely filter has to fit before the test begins to count, and fully does
 
 
@@ -111,8 +113,8 @@ def pack_tuning(noise: Noise, passage: Passage) -> Array:
 
 
 MODE, LOG_ODDS, ARMED, TESTING, RATIO, MISFIT_SAME, MISFIT_IMAGE, SAMPLES, SWAPS = range(9)
-MISFIT_KNOWN, MISFIT_NOW, DOUBTFUL, SEEN = range(9, 13)
-BELIEF = 13  # numbers of a belief
+MISFIT_KNOWN, MISFIT_NOW, DOUBTFUL, SEEN, STRAYED = range(9, 14)
+BELIEF = 14  # numbers of a belief
 
 
 @njit
@@ -318,7 +320,7 @@ def observe(
         belief: (BELIEF,) assembly mode; log-odds of it; armed; testing; log-likelihood ratio of the two filters of the
             test; sum of each one's squared normalised innovations; samples; how often the image was the robot; mean
             of the former while the assembly mode is known; over the last samples; whether that makes it doubtful;
-            log-odds of it by what else was seen (``core.hindsight``).
+            log-odds of it by what else was seen (``core.hindsight``); whether the state was where the working mode ends.
         tau: (2,) commanded since the last sample, N m.
         dt: since the last sample, s.
         q_meas: (2,) rad.
@@ -394,14 +396,23 @@ def judge_passage(model: Model, passage: Passage, bank: Bank, belief: Array) -> 
     """Begin, go on with or end the test of crossed against bounced; see ``observe``.
 
     Where the distal links are folded there is nothing to test: the image is a whole turn of them away, and the
-    joints tell the side as well as they tell s. A state out of the legs' reach tells nothing: the belief is unsure.
+    joints tell the side as well as they tell s. Where a leg stretches or folds the robot may be on its way into another
+    working mode, of which nothing is known here: the belief is unsure until it is told. So it is, until the next passage,
+    where the state is suddenly on the other side.
     """
     main = bank.main
     s, stretched = side(model, main)
-    if not np.isfinite(s):
-        belief[LOG_ODDS] = 0.0
+    type1 = type1_distance(model, state_of_platform(model, main.mean[0:2], main.mean[2:4]))
+    if not (np.isfinite(s) and type1 >= LOST * model.min_type1):
+        belief[STRAYED] = 1.0
+    if belief[STRAYED] > 0.0:
+        belief[LOG_ODDS:SWAPS], belief[SEEN] = 0.0, 0.0
         return
     mode = 1.0 if s > 0.0 else -1.0
+    if mode * belief[MODE] < 0.0 and belief[ARMED] == 0.0 and abs(s) >= passage.armed:
+        belief[LOG_ODDS:SWAPS] = 0.0
+        belief[MODE] = mode
+        return
     if abs(s) < passage.armed:
         belief[TESTING:SWAPS] = 0.0
         belief[ARMED] = 1.0
