@@ -48,6 +48,7 @@ def test_a_run_that_bounces_is_no_crossing_and_is_called_so(robot: RobotParamete
     assert row["recognised"] and row["called_bounced"] == 1 and row["called_crossed"] == 0
     assert row["torque_after_bounce"] <= TORQUE_BOUND
     assert row["safe_after"]
+    assert 0.0 < row["release_delay"] <= row["recognition_delay"]
 
 
 @pytest.mark.parametrize(("index", "direction"), [(6, -1), (7, 1)])

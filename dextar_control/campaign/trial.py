@@ -348,6 +348,8 @@ def _bounce(
         moment = int(stopped[0])
         late = moment + round(BRAKING / (log.time[1] - log.time[0]))
         gone = (np.abs(log.tau[late:]).max(axis=1) < GONE) | (log.power[late:] <= 0.0)
-        row["recognition_delay"] = float(log.time[moment] - log.strike)
+        row["release_delay"] = float(log.time[moment] - log.strike)
+        if called is Verdict.BOUNCED:  # the torque's watch often lets go before the side is sure
+            row["recognition_delay"] = loop.passed[0].time - log.strike
         row["safe_after"] = bool(gone.all())
     return row
