@@ -181,7 +181,7 @@ class ControlLoop:
         self._start = 0.0
         self._pending: tuple[Trajectory, Certificate, float | None] | None = None
         self._watch = 0.0
-        self._near_limit = robot.max_torque
+        self._crossing_limit = robot.max_torque
         self._open = -1
         self._crossing_times: list[float] = []
         self._crossing_signs: list[float] = []
@@ -422,7 +422,7 @@ class ControlLoop:
             return
         self.certificate = certificate
         self.passed = [Passed(float(time), Verdict.UNDECIDED, 0.5, math.nan) for time in certificate.crossing_times]
-        self._near_limit = self._limit_near(certificate)
+        self._crossing_limit = self._limit_crossing(certificate)
         self._crossing_times = certificate.crossing_times.tolist()
         self._crossing_signs = certificate.crossing_signs.tolist()
         self._start = time if start is None else start
@@ -433,8 +433,8 @@ class ControlLoop:
         self.saturated_ticks = 0
         self.phase = Phase.TRACK if len(certificate.crossing_times) else Phase.APPROACH
 
-    def _limit_near(self, certificate: Certificate) -> float:
-        """Torque limit near the locus, N m: what bounds a robot that bounced and is not yet known to have."""
+    def _limit_crossing(self, certificate: Certificate) -> float:
+        """Torque limit of a crossing trajectory, N m: what bounds a robot that bounced and is not yet known to have."""
         watched = max(self.settings.watch_ratio * certificate.peak_torque, self.settings.watch_torque)
         return min(self.robot.max_torque, watched)
 
@@ -459,7 +459,7 @@ class ControlLoop:
         if crossing:
             near = abs(s_ref) < settings.hold_zone + settings.hold_width
             self.phase = Phase.CROSSING if near else Phase.TRACK
-            limit = self._near_limit
+            limit = self._crossing_limit
         control(self._packed, self._gains, self._law, ref, self.estimator.row, self._integral, limit, dt, out)
         self._supervise(dt, s_ref, crossing, limit)
         if self.phase in LIMP:
@@ -512,8 +512,10 @@ class ControlLoop:
     def _compare_afterwards(self) -> None:
         """The side on which a robot ends that was let go during a crossing: it may change as it coasts.
 
-        Until it comes near Type 1: behind that lies another working mode, which the model does not follow.
+        While it brakes, and until it comes near Type 1: behind that lies another working mode, which the model does not follow.
         """
+        if self._time - self._stop_time > self.settings.brake_time:
+            self._open = -1
         if self._open < 0 or not self._sure_of_side():
             return
         row = self.estimator.row
@@ -526,7 +528,7 @@ class ControlLoop:
         if self.passed[self._open].verdict is verdict:
             return
         self._judge(self._open, verdict)
-        if not same:
+        if not same and "bounced" not in self.reason:
             self.reason = f"bounced (s = {self.estimator.s:+.2f}, confidence {self.estimator.row[CONFIDENCE]:.3f}); {self.reason}"
 
     def _sure_of_side(self) -> bool:
@@ -546,7 +548,7 @@ class ControlLoop:
         """One tick without the law: damped in SAFE_STOP until its time is over, else without torque."""
         settings, row, out = self.settings, self.estimator.row, self._out
         braking = self.phase is Phase.SAFE_STOP and self._time - self._stop_time <= settings.brake_time
-        brake(self._packed, row, settings.brake_gain if braking else 0.0, self._near_limit, out)
+        brake(self._packed, row, settings.brake_gain if braking else 0.0, self._crossing_limit, out)
         if out[FINITE] == 0.0:
             out[:FINITE] = 0.0
         self._ref[:] = 0.0

@@ -365,7 +365,8 @@ def weigh(belief: Array, same: float, spread_same: float, image: float, spread_i
 
     Where even the better filter fits worse than the noise that it was told, now or while the assembly mode was known,
     the log-odds shrink by that factor, and where both fit alike badly they vanish: a wrong model makes the test
-    unsure, not wrong.
+    unsure, not wrong. CORRELATED and CONTRAST were chosen on simulated campaigns: what comes out ranks, it is not a
+    calibrated probability.
     """
     belief[RATIO] += 0.5 * (image + spread_image - same - spread_same)
     belief[MISFIT_SAME] += same
