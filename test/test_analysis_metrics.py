@@ -134,6 +134,17 @@ def test_a_bounce_called_one_is_a_right_verdict_of_a_failed_run(tmp_path: Path) 
     draw_run(run, metrics).canvas.draw()
 
 
+def test_the_last_verdict_on_a_crossing_counts(good: Run) -> None:
+    verdict, confidence = good.criterion.verdict.copy(), good.criterion.mode_confidence.copy()
+    second = round(1e3 * (CROSSINGS[1] + DECIDED)) + 30
+    verdict[second:], confidence[second:] = 2.0, 0.9995
+    criterion = dataclasses.replace(good.criterion, verdict=verdict, mode_confidence=confidence)
+    metrics = compute_metrics(dataclasses.replace(good, criterion=criterion))
+    assert [c.verdict for c in metrics.crossings] == ["crossed", "bounced"]
+    assert metrics.crossings[1].verdict_time == pytest.approx(1e-3 * second, abs=ROUNDING)
+    assert metrics.crossings[1].verdict_confidence == 0.9995
+
+
 def test_undecided_is_neither_right_nor_wrong(tmp_path: Path) -> None:
     run = _run(tmp_path, says=(0, 0))
     metrics = compute_metrics(run)

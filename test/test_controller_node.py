@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
 import signal
 import time
@@ -9,28 +11,44 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from closed_loop import turn_round
+from geometry_msgs.msg import PoseStamped
 from rig import Rig, start, stop
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+from dextar_control.contract.cdr import to_time
 from dextar_control.contract.node import qos
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.contract.topics import JOINT_COMMANDS
+from dextar_control.contract.topics import CRITERION, EXTERNAL_POSE, JOINT_COMMANDS
 from dextar_control.core.kinematics import inverse_model
+from dextar_control.core.loop import Verdict
 from dextar_control.core.model import make_model
 from dextar_control.core.planner import Plan
 from dextar_control.core.trajectory import Trajectory
+from dextar_control.core.warmup import default_settings
 from dextar_control.ros import messages
 from dextar_control.ros.controller_node import SERVED_BEFORE
+from dextar_control.ros.trajectory_server import served_times
+from dextar_sim.plant import Plant
 
 MODULE = "dextar_control.ros.controller_node"
 MS = 1_000_000  # ns
+RESTITUTION = 0.8  # speed along t_s after the blow over that before
+STOPPED = 0.15  # s after the blow
 
 
 @pytest.fixture
 def rig() -> Iterator[Rig]:
+    with _controller() as rig:
+        yield rig
+
+
+@contextlib.contextmanager
+def _controller(*arguments: str) -> Iterator[Rig]:
+    """A controller in lockstep, and this process as its rig."""
     rig = Rig()
-    process = start(MODULE, "-p", "controller:lockstep:=true")
+    process = start(MODULE, "-p", "controller:lockstep:=true", *arguments)
     try:
         rig.until(lambda: rig.controller("phase") == "HOLD", "the controller did not start")
         rig.until(lambda: rig.node.count_subscribers("joint_states") and rig.node.count_publishers("joint_commands"), "no match")
@@ -159,6 +177,78 @@ def test_a_latched_trajectory_from_before_moves_nothing(trip: Plan, q_a: np.ndar
     assert code == 0
 
 
+def _pose(stamp: int, x: float, y: float, frame: str = "base") -> PoseStamped:
+    message = PoseStamped()
+    message.header.stamp, message.header.frame_id = to_time(stamp), frame
+    message.pose.position.x, message.pose.position.y, message.pose.orientation.w = x, y, 1.0
+    return message
+
+
+def test_an_external_pose_is_used_or_refused_with_the_numbers(q_a: np.ndarray, trip: Plan) -> None:
+    """Frame, numbers, order, jump and silence: each one message, and no tick is lost."""
+    x, y = trip.trajectory.at(0.0).x.tolist()
+    with _controller("-p", "controller:estimator:=external") as rig:
+        publisher = rig.node.create_publisher(PoseStamped, EXTERNAL_POSE.name, qos(EXTERNAL_POSE))
+        rig.until(lambda: publisher.get_subscription_count() == 1, "nobody reads the pose")
+        tick = itertools.count(1)
+
+        def answer_until(words: str) -> None:
+            """Some states, less than pose_timeout, then what the controller makes of them."""
+            for _ in range(20):
+                for _ in range(20):
+                    rig.answer(next(tick) * MS, q_a)
+                rig.status.clear()
+                rig.until(lambda: rig.controller("states") == str(len(rig.commands)), "no diagnostics of all states")
+                if words in rig.controller("pose_note"):
+                    return
+            raise AssertionError(f"not told: {words}; {rig.controller('pose_note')}")
+
+        answer_until("no external position for")
+        publisher.publish(_pose(next(tick) * MS, x, y, "camera"))
+        answer_until("in frame 'camera'; it must be in frame 'base'")
+        publisher.publish(_pose(next(tick) * MS, math.nan, y))
+        answer_until(f"(nan, {y}) m is not finite")
+        stamp = next(tick) * MS
+        publisher.publish(_pose(stamp, x, y))
+        answer_until("external positions are back")
+        publisher.publish(_pose(stamp, x, y))
+        answer_until("is not after the last one")
+        publisher.publish(_pose(next(tick) * MS, x + 0.02, y))
+        answer_until("from the estimate")
+        assert rig.controller("phase") == "HOLD"
+        assert rig.controller("refused_poses") == "2"
+
+
+def test_a_bounce_is_called_one_on_the_topic_and_ends_in_a_safe_stop(robot: RobotParameters, trip: Plan) -> None:
+    """The controller over DDS against a plant that is struck at the locus: verdict, confidence, diagnostics."""
+    plant = Plant(robot)
+    seen: list[dict[str, float]] = []
+    with _controller() as rig:
+        rig.node.create_subscription(
+            JointState, CRITERION.name, lambda m: seen.append(dict(zip(m.name, m.position, strict=True))), qos(CRITERION)
+        )
+        try:
+            plant.reset(trip.trajectory.at(0.0).x)
+            times = served_times(trip.trajectory, trip.certificate, 1e-3)
+            rig.trajectories.publish(messages.from_trajectory(trip.trajectory, times))
+            rig.until(lambda: rig.controller("trajectory") == "accepted", "not accepted")
+            blow = turn_round(robot, trip, float(trip.certificate.crossing_times[0]), RESTITUTION)
+            for tick in range(1, round(1e3 * (blow.time + STOPPED))):
+                plant.step(rig.answer(tick * MS, plant.state().q_a).effort)
+                if abs(1e-3 * tick - blow.time) < 0.5e-3:
+                    plant.apply_impulse(blow.impulse)
+            rig.until(lambda: rig.controller("phase") == "SAFE_STOP", "did not stop")
+            rig.until(lambda: seen and seen[-1]["verdict"] == float(Verdict.BOUNCED), "not on the topic")
+        finally:
+            plant.close()
+    assert "bounced" in rig.controller("reason")
+    assert rig.controller("verdicts") == "bounced undecided"
+    assert (rig.controller("begun"), rig.controller("bounced"), rig.controller("estimator")) == ("1", "1", "observer")
+    assert seen[-1]["mode_confidence"] >= default_settings().verdict_confidence
+    assert min(row["mode_confidence"] for row in seen) == pytest.approx(0.5, abs=0.1)
+    assert {row["verdict"] for row in seen} == {float(Verdict.UNDECIDED), float(Verdict.BOUNCED)}
+
+
 def test_gains_may_change_live_and_only_within_their_range(rig: Rig) -> None:
     from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
     from rcl_interfaces.srv import SetParameters
@@ -188,6 +278,9 @@ def test_gains_may_change_live_and_only_within_their_range(rig: Rig) -> None:
         ("dextar_control.ros.trajectory_server", "trajectory_server:task.goal:=[0.0, 0.12]", "same side"),
         ("dextar_control.ros.trajectory_server", "trajectory_server:task.start:=[0.0, 0.3]", "the leg reaches"),
         ("dextar_control.ros.trajectory_server", "trajectory_server:duration:=0.1", "the limit is 0.3 N m"),
+        ("dextar_control.ros.trajectory_server", "trajectory_server:point:=[0.0, 0.05]", "off the Type 2 locus"),
+        ("dextar_control.ros.trajectory_server", "trajectory_server:direction:=1", "direction = 1 is given without a point"),
+        ("dextar_control.ros.trajectory_server", "trajectory_server:criterion:=none", "one of reciprocal, zero_wrench"),
         ("dextar_sim.node", "plant:substeps:=0", "'substeps' = 0"),
         ("dextar_control.ros.recorder_node", "recorder:output:=/proc/none/run.mcap", "/proc/none"),
     ],

@@ -29,7 +29,7 @@ class CrossingMetrics:
         crossed: the true s has the other sign before and the planned sign after, where the plan is clear of the
             locus; None without truth.
         estimated_mode: assembly mode that the controller took there afterwards; None when not recorded.
-        verdict: the estimator's: crossed, bounced or undecided; None when not recorded.
+        verdict: the estimator's last one: crossed, bounced or undecided; None when not recorded.
         verdict_time, verdict_confidence: when it fell, and in the assembly mode that it rests on; nan while undecided.
         verdict_correct: against the true side at that time; None without truth or verdict.
         speed: true speed at the crossing (estimated without truth), m/s.
@@ -121,7 +121,7 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
 def _verdict(
     run: Run, plan: Certificate, track: Tracked, time: np.ndarray, index: int
 ) -> tuple[Verdict | None, float, float]:
-    """(verdict, when, confidence) on one crossing; where the controller let go after it, to the end of the run."""
+    """(last verdict, when it fell, confidence) on one crossing; where the controller let go, until the run ends."""
     verdicts = run.criterion.verdict
     if not np.isfinite(verdicts).any():
         return None, math.nan, math.nan
@@ -133,7 +133,9 @@ def _verdict(
     said = np.flatnonzero(verdicts[first:last] > 0.0)
     if len(said) == 0:
         return Verdict.UNDECIDED, math.nan, math.nan
-    row = first + int(said[0])
+    final = verdicts[first + said[-1]]
+    before = np.flatnonzero(verdicts[first : first + said[-1]] != final)
+    row = first + (int(before[-1]) + 1 if len(before) else 0)
     return Verdict(int(verdicts[row])), float(time[row]), float(run.criterion.mode_confidence[row])
 
 

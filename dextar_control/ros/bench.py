@@ -24,7 +24,7 @@ from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defa
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
 from dextar_control.core.kinematics import inverse_model
-from dextar_control.core.loop import ControlLoop
+from dextar_control.core.loop import ControlLoop, Phase
 from dextar_control.core.planner import plan_return_trip
 from dextar_control.core.warmup import default_settings
 from dextar_control.ros.echo import STAMP
@@ -53,6 +53,8 @@ def bench_tick() -> dict[str, tuple[float, float]]:
             np.linalg.pinv(matrix)
             tick.append(middle - begin)
             bare.append(time.perf_counter() - middle)
+        if loop.phase is not Phase.TRACK:
+            raise DextarError(f"the trip was not tracked to its end: {loop.phase.name} {loop.reason}")
     return {"tick": _percentiles(tick), "pinv": _percentiles(bare)}
 
 
@@ -162,7 +164,7 @@ def run_bench(seconds: float) -> int:
 
     with console.status("one control tick"):
         tick = bench_tick()
-        row("control tick", tick["tick"], "numpy pinv 2 x 2", tick["pinv"])
+        row(f"control tick, {node_defaults('controller')['estimator']}", tick["tick"], "numpy pinv 2 x 2", tick["pinv"])
     with console.status("round trip over DDS"):
         trips = bench_round_trip(seconds)
         row("state -> command", trips["controller"], "bare echo", trips["echo"])

@@ -286,7 +286,7 @@ class ControllerNode(DextarNode):
         """A complaint about the external pose when it changes, the last one and not more than one each TELL_PERIOD."""
         if self._poses is None:
             return
-        note, now = self._poses.note or self._loop.estimator.note, time.monotonic()
+        note, now = self._pose_complaint(), time.monotonic()
         if note == self._pose_note or now - self._pose_told < TELL_PERIOD:
             return
         self._pose_note, self._pose_told = note, now
@@ -295,6 +295,9 @@ class ControllerNode(DextarNode):
         else:
             self.get_logger().info("external pose: accepted")
         self._diagnose()
+
+    def _pose_complaint(self) -> str:
+        return "" if self._poses is None else self._poses.note or self._loop.estimator.note
 
     def _take_trajectory(self) -> None:
         """The newest trajectory, unless it was served before this node began: a restart moves nothing.
@@ -396,16 +399,16 @@ class ControllerNode(DextarNode):
             "callback_p99_us": round(1e6 * float(np.percentile(times, 99)), 1),
         }  # fmt: skip
         if self._poses is not None:
-            values |= {"poses": self._poses.received, "refused_poses": self._poses.refused, "pose_note": self._pose_note}
-        level = DiagnosticStatus.ERROR if bad else DiagnosticStatus.WARN if self._pose_note else DiagnosticStatus.OK
+            values |= {"poses": self._poses.received, "refused_poses": self._poses.refused, "pose_note": self._pose_complaint()}
+        level = DiagnosticStatus.ERROR if bad else DiagnosticStatus.WARN if self._pose_complaint() else DiagnosticStatus.OK
         self.publish_diagnostics(level, loop.reason if bad else loop.phase.name, values)
 
     def _verdicts(self) -> dict[str, object]:
-        """How many planned crossings the estimator takes for crossed and bounced, and each one's verdict."""
+        """How many crossings are planned, have begun, and were called crossed or bounced; each one's verdict."""
         words = [WORDS[passed.verdict] for passed in self._loop.passed]
         return {
-            "crossings": len(words), "crossed": words.count("crossed"), "bounced": words.count("bounced"),
-            "verdicts": " ".join(words),
+            "crossings": len(words), "begun": self._begun + 1, "crossed": words.count("crossed"),
+            "bounced": words.count("bounced"), "verdicts": " ".join(words),
         }  # fmt: skip
 
     def close(self) -> None:

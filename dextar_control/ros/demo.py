@@ -314,9 +314,9 @@ def _wait_until_ready(console: Console, monitor: _Monitor, processes: _Processes
 
 
 def _crossings(monitor: _Monitor) -> str:
-    """How many planned crossings the controller takes for done."""
+    """How many of the planned crossings have begun."""
     total = monitor.get("controller", "crossings") or "0"
-    return f"crossed {monitor.get('controller', 'crossed') or '0'} of {total}" if total != "0" else ""
+    return f"crossing {monitor.get('controller', 'begun') or '0'} of {total}" if total != "0" else ""
 
 
 def _follow(console: Console, monitor: _Monitor, processes: _Processes) -> None:
