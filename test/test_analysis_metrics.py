@@ -26,7 +26,6 @@ from synthetic_run import (
     write_run,
 )  # fmt: skip
 
-from dextar_control.analysis.crossings import SIDE, clear_times
 from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.geometry import active_joints, singularity_measure
 from dextar_control.analysis.load import load_run
@@ -34,6 +33,7 @@ from dextar_control.analysis.metrics import compute_metrics
 from dextar_control.analysis.report import analyze, summary_table
 from dextar_control.analysis.run import Run
 from dextar_control.analysis.tracking import plan_of
+from dextar_control.core.certificate import SIDE, clear_times
 
 INSTANT = 2.0e-6  # s: interpolation of a smooth s between ticks of 1 ms
 ROUNDING = 1.0e-12

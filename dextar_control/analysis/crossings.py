@@ -9,10 +9,9 @@ import numpy as np
 
 from dextar_control.analysis.run import Floats, Run
 from dextar_control.analysis.tracking import Tracked
-from dextar_control.core.certificate import NEAR_LOCUS, Certificate
+from dextar_control.core.certificate import NEAR_LOCUS, Certificate, clear_times
 from dextar_control.core.loop import OPEN_BEFORE, Verdict
 
-SIDE = 0.3  # |s| of the plan before and after a crossing where the sides are read
 STEP_ZONE = 0.15  # |s| within which torque steps are looked for
 FRESH = 2e-3  # s after a crossing has begun from which on a verdict is its own
 
@@ -60,23 +59,6 @@ class CrossingMetrics:
 def judge_crossings(run: Run, plan: Certificate, track: Tracked) -> list[CrossingMetrics]:
     """Every planned crossing in order."""
     return [_crossing(run, plan, track, index) for index in range(len(plan.crossing_times))]
-
-
-def clear_times(plan: Certificate, index: int) -> tuple[float, float]:
-    """Times before and after a planned crossing at which the plan is clear of the locus.
-
-    Its |s| is SIDE there, or where it does not come so far before the neighbouring crossings the largest.
-    """
-    time, clearance = plan.profile.time, np.abs(plan.profile.s)
-    neighbours = [time[0], *plan.crossing_times.tolist(), time[-1]]
-    first, row, last = np.searchsorted(time, neighbours[index : index + 3]).tolist()
-    before, after = clearance[first:row][::-1], clearance[row : last + 1]
-    return float(time[row - 1 - _clear_row(before)]), float(time[row + _clear_row(after)])
-
-
-def _clear_row(clearance: np.ndarray) -> int:
-    clear = np.flatnonzero(clearance >= SIDE)
-    return int(clear[0]) if len(clear) else int(np.argmax(clearance)) if len(clearance) else 0
 
 
 def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> CrossingMetrics:

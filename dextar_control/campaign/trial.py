@@ -12,7 +12,7 @@ import numpy as np
 
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import RobotParameters, flatten
-from dextar_control.core.certificate import Certificate
+from dextar_control.core.certificate import Certificate, clear_times
 from dextar_control.core.dynamics import platform_dynamics
 from dextar_control.core.estimator import Pose
 from dextar_control.core.kinematics import inverse_model, singular_values, singularity_of_platform, state_of_platform
@@ -31,7 +31,6 @@ LAWS = tuple(law.name.lower() for law in Law)
 ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
 MAX_ERROR, END_ERROR = 5e-3, 1e-3  # m, true
 NEAR = 0.1  # |s| that counts as near the locus
-SIDE = 0.3  # |s| of the plan before and after a crossing where the true sides are read
 SETTLE = 0.2  # s of holding after the trip
 STRIKE_SPREAD = 0.01  # s before and after the planned crossing between which a bounce is struck
 RESTITUTION = (0.6, 1.0)  # speed after over before, of a bounce
@@ -248,13 +247,8 @@ def _drive(
 
 
 def sides(certificate: Certificate, log: Log, index: int) -> tuple[float, float]:
-    """True s before and after a planned crossing, where the plan leaves |s| < SIDE."""
-    planned, time_grid = certificate.profile.s, certificate.profile.time
-    row = int(np.searchsorted(time_grid, certificate.crossing_times[index]))
-    clear = np.abs(planned) >= SIDE
-    before = time_grid[np.flatnonzero(clear[:row])[-1]]
-    after = time_grid[row + int(np.argmax(clear[row:]))]
-    first, last = np.searchsorted(log.time, (before, after))
+    """True s before and after a planned crossing, where the plan is clear of the locus."""
+    first, last = np.searchsorted(log.time, clear_times(certificate, index))
     return float(log.s[max(first - 1, 0)]), float(log.s[min(last, len(log.s) - 1)])
 
 

@@ -18,6 +18,7 @@ from dextar_control.core.trajectory import Trajectory, evaluate
 
 PLAN_RESIDUAL = 1e-9  # N, at the crossing of a plan
 NEAR_LOCUS = 0.1  # |s| below which a torque counts as near the locus
+SIDE = 0.3  # |s| of a plan before and after a crossing that is clear of the locus
 LIMIT_ZONE = 0.01  # |s| below which the multipliers are taken from their neighbourhood: 0/0 on the locus
 LIMIT_NODES = np.array([1.0, 2.0 / 3.0, 1.0 / 3.0])  # of that zone, where they are taken on either side of a crossing
 ON_CROSSING = 1e-9  # s, closer to a crossing than this counts as on it
@@ -336,3 +337,20 @@ def check_rest(trajectory: Trajectory) -> None:
             raise TrajectoryError(
                 f"the {name} accelerates at {acceleration:.4g} m/s^2; it must rest (limit {REST_ACCELERATION:.0e} m/s^2)"
             )
+
+
+def clear_times(certificate: Certificate, index: int) -> tuple[float, float]:
+    """Times before and after a planned crossing at which the plan is clear of the locus.
+
+    Its |s| is SIDE there, or where it does not come so far before the neighbouring crossings the largest.
+    """
+    time, clearance = certificate.profile.time, np.abs(certificate.profile.s)
+    neighbours = [time[0], *certificate.crossing_times.tolist(), time[-1]]
+    first, row, last = np.searchsorted(time, neighbours[index : index + 3]).tolist()
+    before, after = clearance[first:row][::-1], clearance[row : last + 1]
+    return float(time[row - 1 - _clear_row(before)]), float(time[row + _clear_row(after)])
+
+
+def _clear_row(clearance: np.ndarray) -> int:
+    clear = np.flatnonzero(clearance >= SIDE)
+    return int(clear[0]) if len(clear) else int(np.argmax(clearance)) if len(clearance) else 0
