@@ -34,7 +34,7 @@ class Settings:
         integral_frequency: K_i = integral_frequency natural_frequency^2, 1/s; 0 is off.
         zone, zone_width: |s| in the middle of the transition of ``consistent`` and ``joint_space``, and its width.
         band: |s| within which ``projected`` and ``multi_model`` take their other model.
-        filter_bandwidth: of the direct estimators' joint filter, rad/s.
+        filter_bandwidth: of the joint filter of the direct estimators, and of the safe stop with any, rad/s.
         hold_zone, hold_width: |s| around the locus that counts as a crossing (phase CROSSING); the estimator ``dgm``
             does not call the direct model below hold_zone.
         return_time: over which ``dgm`` takes the direct model again after a crossing, s.
