@@ -12,7 +12,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from dextar_control import cli
+from dextar_control.commands import demo
 from dextar_control.contract.cdr import from_time, to_time
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
 from dextar_control.contract.node import Parameter, check_value
@@ -114,8 +114,8 @@ def test_an_array_that_may_be_empty_is_one_of_floats(value: object, taken: list[
 
 
 def test_the_command_line_offers_every_law_and_estimator() -> None:
-    assert sorted(cli.LAWS) == sorted(controller_node.LAWS)
-    assert sorted(cli.ESTIMATORS) == sorted(controller_node.ESTIMATORS)
+    assert sorted(demo.LAWS) == sorted(controller_node.LAWS)
+    assert sorted(demo.ESTIMATORS) == sorted(controller_node.ESTIMATORS)
 
 
 def test_topic_types_exist() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from dextar_control.cli import COMMANDS
 from dextar_control.contract.topics import TOPICS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -44,7 +45,7 @@ def test_ci_calls_the_readmes_own_commands() -> None:
     assert "pip install" not in script
 
 
-@pytest.mark.parametrize("command", ["demo", "analyze", "campaign", "bench"])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_helps(command: str) -> None:
     answer = subprocess.run(
         [sys.executable, "-m", "dextar_control.cli", command, "--help"], cwd=ROOT, capture_output=True, text=True

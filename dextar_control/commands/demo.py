@@ -1,0 +1,46 @@
+"""``dextar demo``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+SUMMARY = "run A -> B -> A through the singularity in simulation, record and draw it"
+DESCRIPTION = (
+    "Starts plant, controller, trajectory server and recorder as separate ROS 2 processes, runs the return trip and leaves"
+    " runs/<UTC stamp>/ with plan.png, run.mcap, metrics.json, figure.png and the nodes' logs. Exit code 0 when the run was"
+    " a success, 1 when it was not, 2 for a wrong argument."
+)
+LAWS = ("consistent", "projected", "classic", "multi_model", "joint_space")
+ESTIMATORS = ("observer", "dgm", "plain", "external")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument(
+        "--law", default="consistent", choices=LAWS,
+        help="control law near the locus; classic is the plain inverse model, which fails with the estimator plain"
+        " (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--estimator", choices=ESTIMATORS, help="of the platform state (default: config/crossing.yaml)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--tour", type=int, metavar="N", help="cross at N points spread over the locus, one after the other")
+    where.add_argument("--point", type=float, nargs=2, metavar=("X", "Y"), help="return trip through this point of the locus, m")
+    parser.add_argument("--lockstep", action="store_true", help="each simulated step waits for its command: deterministic")
+    parser.add_argument("--duration", type=float, metavar="S", help="of one way, s (default: config/crossing.yaml)")
+    parser.add_argument("--repeat", type=int, metavar="N", help="return trips, or laps of a tour (default: config/crossing.yaml)")
+    parser.add_argument("--robot", type=Path, metavar="FILE", help="robot description (default: config/dextar.yaml)")
+    parser.add_argument("--params", type=Path, metavar="FILE", help="node parameters (default: config/crossing.yaml)")
+    parser.add_argument(
+        "-p", "--set", action="append", default=[], metavar="NODE.NAME:=VALUE", dest="overrides",
+        help="set one node parameter, e.g. -p plant.command_delay:=0.003 (repeatable)",
+    )  # fmt: skip
+    parser.add_argument("--output", type=Path, default=Path("runs"), metavar="DIR", help="where runs go (default: runs)")
+    parser.add_argument("--window", action="store_true", help="show the simulator's window (needs a display)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """The exit code."""
+    from dextar_control.ros.demo import run_demo
+
+    return run_demo(arguments)
