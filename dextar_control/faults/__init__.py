@@ -1,0 +1,1 @@
+"""Faults put on purpose between the nodes, to count what becomes of them."""
