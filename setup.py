@@ -27,7 +27,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
         (f"share/{name}", ["package.xml"]),
-        (f"share/{name}/config", sorted(glob("config/*.yaml"))),
+        (f"share/{name}/config", sorted(glob("config/*.*"))),
+        (f"share/{name}/config/sros2", sorted(glob("config/sros2/*"))),
         (f"share/{name}/launch", sorted(glob("launch/*.launch.py"))),
     ],
     zip_safe=False,
@@ -62,6 +63,7 @@ setup(
             "controller = dextar_control.ros.controller_node:main",
             "trajectory_server = dextar_control.ros.trajectory_server:main",
             "recorder = dextar_control.ros.recorder_node:main",
+            "markers = dextar_control.ros.marker_node:main",
             "warmup = dextar_control.core.warmup:main",
         ],
     },
