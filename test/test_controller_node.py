@@ -6,7 +6,6 @@ import contextlib
 import itertools
 import math
 import signal
-import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -28,7 +27,6 @@ from dextar_control.core.planner import Plan
 from dextar_control.core.trajectory import Trajectory
 from dextar_control.core.warmup import default_settings
 from dextar_control.ros import messages
-from dextar_control.ros.controller_node import SERVED_BEFORE
 from dextar_control.ros.trajectory_server import served_times
 from dextar_sim.plant import Plant
 
@@ -48,7 +46,7 @@ def rig() -> Iterator[Rig]:
 def _controller(*arguments: str) -> Iterator[Rig]:
     """A controller in lockstep, and this process as its rig."""
     rig = Rig()
-    process = start(MODULE, "-p", "controller:lockstep:=true", *arguments)
+    process = start(MODULE, "-p", "controller:lockstep:=true", "-p", "controller:healthy_time:=0.0", *arguments)
     try:
         rig.until(lambda: rig.controller("phase") == "HOLD", "the controller did not start")
         rig.until(lambda: rig.node.count_subscribers("joint_states") and rig.node.count_publishers("joint_commands"), "no match")
@@ -166,7 +164,6 @@ def test_a_latched_trajectory_from_before_moves_nothing(trip: Plan, q_a: np.ndar
     rig = Rig()
     times = np.union1d(trip.certificate.profile.time, trip.certificate.crossing_times)
     rig.trajectories.publish(messages.from_trajectory(trip.trajectory, times[np.r_[True, np.diff(times) > 2e-9]]))
-    time.sleep(SERVED_BEFORE)
     process = start(MODULE, "-p", "controller:lockstep:=true")
     try:
         rig.until(lambda: rig.controller("trajectory").startswith("refused"), "the old trajectory was not refused")

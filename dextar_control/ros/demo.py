@@ -306,7 +306,8 @@ def _wait_until_ready(console: Console, monitor: _Monitor, processes: _Processes
             if note.startswith("refused"):
                 raise DemoError(f"the controller {note}")
             recording = monitor.get("recorder", "parameters_missing") == "none"
-            if recording and note == "accepted" and "plant" in monitor.status:
+            active = monitor.get("controller", "lifecycle") == "active"
+            if recording and active and note == "accepted" and "plant" in monitor.status:
                 return
             if time.monotonic() > deadline:
                 known = ", ".join(sorted(monitor.status)) or "none"
@@ -334,6 +335,9 @@ def _follow(console: Console, monitor: _Monitor, processes: _Processes) -> None:
                 known_duration = duration
                 deadline = time.monotonic() + RUN_TIMEOUT + 20.0 * duration
             phase = monitor.get("controller", "phase")
+            note = monitor.get("controller", "trajectory")
+            if note.startswith("refused"):
+                raise DemoError(f"the controller {note}")
             if duration > 0.0:
                 elapsed = float(monitor.get("controller", "reference_time") or 0.0)
                 progress.update(task, description=f"{phase:<9} {_crossings(monitor)}", completed=min(elapsed / duration, 1.0))
