@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import select
 import socket
 import sys
 import time
@@ -10,7 +11,7 @@ import time
 PORT = 47011
 HEADER = 16  # bytes: number and time of sending
 GAP = 2e-4  # s between two datagrams
-SILENCE = 3.0  # s without a datagram, after which the receiver has them all
+DRAIN = 0.5  # s for what the relay has sent already
 
 
 def send(address: str, count: int) -> None:
@@ -22,20 +23,20 @@ def send(address: str, count: int) -> None:
 
 
 def receive() -> None:
-    """Print (number, delay in ns) of each datagram in the order of arrival."""
+    """Print (number, delay in ns) of each datagram in the order of arrival, once the standard input has ended."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as inlet:
         inlet.setsockopt(socket.SOL_SOCKET, 33, 8 << 20)  # SO_RCVBUFFORCE: nothing may be lost but on the link
         inlet.bind(("", PORT))
         print("ready", flush=True)
         arrived = []
-        try:
-            while True:
-                data = inlet.recv(HEADER)
-                now = time.monotonic_ns()
+        waiting: list[object] = [inlet, sys.stdin]
+        while ready := select.select(waiting, [], [], None if sys.stdin in waiting else DRAIN)[0]:  # type: ignore[arg-type]
+            if inlet in ready:
+                data, now = inlet.recv(HEADER), time.monotonic_ns()
                 arrived.append((int.from_bytes(data[:8], "big"), now - int.from_bytes(data[8:], "big")))
-                inlet.settimeout(SILENCE)
-        except TimeoutError:
-            print(json.dumps(arrived))
+            elif sys.stdin in ready:
+                waiting.remove(sys.stdin)
+        print(json.dumps(arrived))
 
 
 def publish(count: int) -> None:

@@ -129,10 +129,14 @@ def test_a_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 
 def _datagrams(link: FaultyLink, count: int) -> list[tuple[int, int]]:
     """(number, delay in ns) of the datagrams that came through from a to b, in order of arrival."""
-    receiver = link.popen("b", [*PEER, "receive"], stdout=subprocess.PIPE, text=True)
+    receiver = link.popen("b", [*PEER, "receive"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert receiver.stdout is not None
     assert receiver.stdout.readline() == "ready\n"
+    before = link.statistics()["a_to_b"].received
     link.run("a", [*PEER, "send", ADDRESSES["b"], str(count)], check=True)
+    deadline = time.monotonic() + PATIENCE
+    while (now := link.statistics()["a_to_b"]).received < before + count or now.waiting:
+        assert time.monotonic() < deadline, now
     return [tuple(pair) for pair in json.loads(receiver.communicate(timeout=PATIENCE)[0])]
 
 

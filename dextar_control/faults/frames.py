@@ -60,6 +60,7 @@ class LinkStatistics:
         reordered: of these, overtaken by a later one.
         refused: that the interface at the far end did not take.
         overrun: that this machine lost before the relay saw them; 0 unless it was too slow.
+        waiting: still under way, second copies included.
     """
 
     received: int = 0
@@ -69,6 +70,7 @@ class LinkStatistics:
     reordered: int = 0
     refused: int = 0
     overrun: int = 0
+    waiting: int = 0
 
     def to_dict(self) -> dict[str, int]:
         """The counts by name."""
@@ -112,6 +114,7 @@ class FrameSchedule:
         for _ in range(copies):
             heapq.heappush(self._queue, (departure, self._entries, number, frame))
             self._entries += 1
+            self.statistics.waiting += 1
 
     def next_departure(self) -> float:
         """When the next frame leaves, s; infinite while none waits."""
@@ -124,6 +127,7 @@ class FrameSchedule:
             _, _, number, frame = heapq.heappop(self._queue)
             frames.append(frame)
             self.statistics.forwarded += 1
+            self.statistics.waiting -= 1
             self.statistics.reordered += number < self._newest
             self._newest = max(self._newest, number)
         return frames
