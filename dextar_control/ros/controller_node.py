@@ -6,8 +6,8 @@ import gc
 import math
 import sys
 import time
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -18,25 +18,23 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS, from_time
-from dextar_control.contract.errors import DextarError, ParameterError, StateError, TrajectoryError
+from dextar_control.contract.errors import DextarError, ParameterError, StateError
 from dextar_control.contract.node import Parameter, qos, run_node
 from dextar_control.contract.topics import JOINT_STATES
 from dextar_control.core.law import Law
-from dextar_control.core.locus import singularity_gradient
-from dextar_control.core.loop import LIMP, OPEN_BEFORE, ControlLoop, Passed, Phase, Tick, Verdict
+from dextar_control.core.loop import LIMP, OPEN_BEFORE, ControlLoop, Passed, Phase, Tick
 from dextar_control.core.settings import Estimation, Settings
 from dextar_control.core.stream import StateStream
-from dextar_control.core.warmup import warm_up
+from dextar_control.core.warmup import rehearse, warm_up
 from dextar_control.ros import messages
+from dextar_control.ros.controller_report import loop_values, waiting_for
 from dextar_control.ros.external_pose import ExternalPoseReader
 from dextar_control.ros.lifecycle import ManagedNode
 from dextar_control.ros.outputs import Outputs
-from dextar_control.ros.reference import Reference, ReferenceReader
+from dextar_control.ros.reference import ReferenceReader
 from dextar_control.ros.statistics import Statistics
-from dextar_control.ros.task import in_words
 
 LAWS = tuple(law.name.lower() for law in Law)
-WORDS = {verdict: verdict.name.lower() for verdict in Verdict}
 ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
 
 PARAMETERS = (
@@ -106,14 +104,6 @@ TELL_PERIOD = 1.0  # s between two lines about the external pose
 LATCHED = (Phase.SAFE_STOP, Phase.FAULT)  # left by ~/reset only
 
 
-class Waiting(NamedTuple):
-    """An accepted trajectory that has not begun."""
-
-    reference: Reference
-    since: float  # s of the watch's clock; nan until there is one
-    scheduled: bool  # for its start; otherwise it waits for the automatic enabling
-
-
 class ControllerNode(ManagedNode):
     """Answers each joint state with a torque (``core.loop``) and tells what it did.
 
@@ -129,6 +119,7 @@ class ControllerNode(ManagedNode):
         warm_up()
         self._loop: ControlLoop | None = None
         self._active = False
+        self._closers: list[Callable[[], object]] = []
         self._statistics = Statistics()
         self._stream = StateStream()
         self._automatic = False
@@ -138,8 +129,6 @@ class ControllerNode(ManagedNode):
         self._others = ""
         self._stamp = -1
         self._stalled = False
-        self._waiting: Waiting | None = None
-        self._trajectory_note = "none"
         self._refusal = ""
         self._said: tuple[Phase, str] = (Phase.IDLE, "")
         self._passed: list[Passed] = []
@@ -163,16 +152,21 @@ class ControllerNode(ManagedNode):
         """The loop, which checks the parameters, then publishers and subscriptions."""
         values = self.values
         loop = self._make_loop()
-        singularity_gradient(loop.model, np.zeros(2))  # compiled before the first report needs it
+        rehearse(loop.settings)
         self._period = values["task.sample_period"]
         self._lockstep = values["lockstep"]
         self._states_in = messages.joint_states_template()
         self._outputs = Outputs(self, array=values["publish_effort_array"])
-        self._reference = ReferenceReader(self, loop.check)
+        self._closers.append(self._outputs.close)
+        self._reference = ReferenceReader(self)
+        self._closers.append(self._reference.close)
         self._poses = ExternalPoseReader(self) if loop.settings.estimator is Estimation.EXTERNAL else None
-        self._states = self.create_subscription(
+        if self._poses is not None:
+            self._closers.append(self._poses.close)
+        states = self.create_subscription(
             JointState, JOINT_STATES.name, self._on_state, qos(JOINT_STATES, reliable=self._lockstep), raw=True
         )
+        self._closers.append(lambda: self.destroy_subscription(states))
         self._automatic = values["enabled"]
         self._enabling = "waiting" if self._automatic else "off"
         self._loop = loop
@@ -187,11 +181,11 @@ class ControllerNode(ManagedNode):
         if self._side_unknown:
             raise StateError("the robot was let go near the locus: set assembly_mode to the side where it stands, then activate")
         self._loop = self._make_loop()
-        self._reference.restart(self._loop.check)
+        self._reference.restart()
         self._stream = StateStream()
         self._statistics.restart()
         self._outputs.forget()
-        self._stamp, self._stalled, self._waiting, self._refusal = -1, False, None, ""
+        self._stamp, self._stalled, self._refusal = -1, False, ""
         self._passed, self._begun = self._loop.passed, -1
         if self._latched[0]:
             self._loop.fault(self._latched[0])
@@ -199,7 +193,7 @@ class ControllerNode(ManagedNode):
             self._enable_itself()
         self._said = (self._loop.phase, self._loop.reason)
         self._active = True
-        self.get_logger().info(f"waiting for {self._states.topic_name}")
+        self.get_logger().info(f"waiting for {self.resolve_topic_name(JOINT_STATES.name)}")
 
     def deactivate(self) -> None:
         """No torque, at once; the side of the locus as it was believed stays, in the parameter ``assembly_mode``."""
@@ -207,7 +201,7 @@ class ControllerNode(ManagedNode):
         if self._loop is None:
             return
         self._outputs.release()
-        self._waiting = None
+        self._reference.drop()
         self._enabling = "off"
         self._automatic = False
         loop, tick = self._loop, self._loop.tick
@@ -218,17 +212,9 @@ class ControllerNode(ManagedNode):
 
     def cleanup(self) -> None:
         """Drop the loop and everything on the network but services and diagnostics; a latched fault is forgotten."""
-        loop, self._loop = self._loop, None
-        if loop is None:
-            return
-        self._outputs.close()
-        self._reference.close()
-        if self._poses is not None:
-            self._poses.close()
-        self.destroy_subscription(self._states)
-        self._latched = ("", 0)
-        self._others = ""
-        self._trajectory_note = "none"
+        self._loop, self._latched, self._others = None, ("", 0), ""
+        while self._closers:
+            self._closers.pop()()
 
     def on_transition(self) -> None:
         """Tell it."""
@@ -284,7 +270,8 @@ class ControllerNode(ManagedNode):
         if loop.refusal != self._refusal:
             self._refusal = loop.refusal
             if self._refusal:
-                self._refuse_trajectory(self._refusal)
+                self._reference.refuse(self._refusal)
+                self._diagnose()
 
     def _read_state(self, raw: bytes) -> tuple[int, np.ndarray]:
         """Stamp, ns, and active joints (2,), rad, of a joint state."""
@@ -342,7 +329,7 @@ class ControllerNode(ManagedNode):
             self._outputs.release()
         if loop.phase in LATCHED:
             self._latched = (loop.reason, self._latched[1] if before[0] is loop.phase else time.time_ns())
-            self._waiting = None
+            self._reference.drop()
             self.get_logger().error(f"{loop.phase.name}: {loop.reason}")
         else:
             self._latched = ("", 0)
@@ -358,8 +345,10 @@ class ControllerNode(ManagedNode):
         self._others = self._outputs.others()
         if not self._active:
             return
-        self._take_reference(loop)
-        self._drop_old_reference(loop)
+        now = self._stamp / NANOSECONDS if self._stamp >= 0 else math.nan
+        keep = self._automatic and loop.phase is Phase.IDLE
+        if self._reference.poll(loop, self.values, now if self._lockstep else time.perf_counter(), now, keep):
+            self._diagnose()
         self._tell_pose()
         if loop.phase in (Phase.IDLE, Phase.FAULT):
             return
@@ -402,64 +391,6 @@ class ControllerNode(ManagedNode):
             return ""
         return self._poses.note or self._loop.estimator.note
 
-    def _take_reference(self, loop: ControlLoop) -> None:
-        """The newest trajectory: scheduled, or kept while the controller waits to enable itself."""
-        try:
-            taken = self._reference.poll(self.values["max_reference_age"])
-            if taken is None:
-                if self._reference.checking:
-                    self._trajectory_note = "checking"
-                return
-            if taken[0] is None:
-                self._trajectory_note, self._waiting = "stop", None
-                loop.stop("stopped by the trajectory server")
-            else:
-                self._admit(loop, taken[0])
-        except DextarError as error:
-            self._refuse_trajectory(str(error))
-        self._diagnose()
-
-    def _admit(self, loop: ControlLoop, reference: Reference) -> None:
-        limit = self.values["reference_timeout"]
-        if reference.start is not None and self._stamp >= 0:
-            ahead = reference.start - self._stamp / NANOSECONDS
-            if ahead > limit:
-                raise TrajectoryError(f"the trajectory starts {ahead:.1f} s from now; the limit is {limit:g} s")
-        keep = self._automatic and loop.phase is Phase.IDLE
-        if not keep:
-            loop.schedule(*reference)
-        self._waiting = Waiting(reference, self._waiting_clock(), not keep)
-        self._trajectory_note = "accepted"
-        self.get_logger().info(f"trajectory accepted: {in_words(reference.certificate)}")
-
-    def _waiting_clock(self) -> float:
-        """What a trajectory's waiting is measured by, s: the states' stamps in lockstep; nan before the first."""
-        if not self._lockstep:
-            return time.perf_counter()
-        return self._stamp / NANOSECONDS if self._stamp >= 0 else math.nan
-
-    def _drop_old_reference(self, loop: ControlLoop) -> None:
-        """A trajectory that has waited too long moves nothing any more."""
-        waiting = self._waiting
-        if waiting is None:
-            return
-        if loop.certificate is waiting.reference.certificate:
-            self._waiting = None
-            return
-        now, limit = self._waiting_clock(), self.values["reference_timeout"]
-        if math.isnan(waiting.since):
-            self._waiting = waiting._replace(since=now)
-        elif now - waiting.since > limit:
-            self._waiting = None
-            if waiting.scheduled:
-                loop.stop("")
-            self._refuse_trajectory(f"it has waited {now - waiting.since:.1f} s to begin; the limit is {limit:g} s")
-
-    def _refuse_trajectory(self, reason: str) -> None:
-        self._trajectory_note = f"refused: {reason}"
-        self.get_logger().error(f"trajectory refused: {reason}")
-        self._diagnose()
-
     def _check_ready(self) -> None:
         """Raise StateError where torque may not be asked for: somebody else commands, or the states are not healthy."""
         if not self._active:
@@ -479,9 +410,9 @@ class ControllerNode(ManagedNode):
         except StateError as error:
             self._enabling = f"refused: {error}"
             self.get_logger().error(f"not enabled: {error}; ~/enable asks again")
-            if self._waiting is not None:
-                self._waiting = None
-                self._refuse_trajectory(f"the controller was not enabled: {error}")
+            if self._reference.waiting is not None:
+                self._reference.refuse(f"the controller was not enabled: {error}")
+            self._diagnose()
         else:
             self._enabling = "done"
 
@@ -489,15 +420,7 @@ class ControllerNode(ManagedNode):
         """Hold, or begin the trajectory that was kept for this."""
         loop.enable()
         self._automatic = False
-        waiting = self._waiting
-        if waiting is None or waiting.scheduled:
-            return
-        try:
-            loop.schedule(*waiting.reference)
-            self._waiting = waiting._replace(scheduled=True)
-        except TrajectoryError as error:
-            self._waiting = None
-            self._refuse_trajectory(str(error))
+        self._reference.begin(loop)
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         loop = self._loop
@@ -508,8 +431,9 @@ class ControllerNode(ManagedNode):
                 self._enable(loop)
                 self._enabling = "done"
             else:
-                self._automatic, self._enabling, self._waiting = False, "off", None
+                self._automatic, self._enabling = False, "off"
                 if loop is not None:
+                    self._reference.drop()
                     loop.disable()
         except StateError as error:
             return self._answer(response, False, str(error))
@@ -517,8 +441,8 @@ class ControllerNode(ManagedNode):
         return self._answer(response, wanted)
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._waiting = None
         if self._loop is not None:
+            self._reference.drop()
             self._loop.stop()
         return self._answer(response, True)
 
@@ -551,22 +475,12 @@ class ControllerNode(ManagedNode):
         if loop is None:
             self.publish_diagnostics(DiagnosticStatus.OK, self.lifecycle, {**values, "phase": "", "reason": ""})
             return
-        tick = loop.tick
-        x, y = tick.x_hat.tolist() if tick is not None else (math.nan, math.nan)
-        waiting = self._waiting
         limit = self.values["state_timeout"]
         values |= {
             "phase": loop.phase.name if self._active else "", "reason": loop.reason, "enabling": self._enabling,
-            "healthy": round(self._stream.healthy_for(limit, self._now()), 3),
-            "trajectory": self._trajectory_note,
-            "waiting_for": "" if waiting is None else "its start" if waiting.scheduled else "the enabling",
-            "x": x, "y": y, "s": tick.s if tick else math.nan, "distance_to_locus": _distance_to_locus(loop),
-            "assembly_mode": tick.assembly_mode if tick else self.values["assembly_mode"],
-            "mode_confidence": tick.confidence if tick else math.nan, "mode_known": loop.mode_known,
-            **self._verdicts(loop), "completed": loop.completed, "reference_time": tick.reference_time if tick else 0.0,
-            "duration": loop.certificate.duration if loop.certificate else 0.0,
+            "healthy": round(self._stream.healthy_for(limit, self._now()), 3), "trajectory": self._reference.note,
+            "waiting_for": waiting_for(self._reference), **loop_values(loop, self._begun + 1),
             "other_commanders": self._others, "requests": self.desk.served,
-            **{f"watch_{name}": f"{value:.4g} of {bound:.4g}" for name, (value, bound) in getattr(loop, "watches", {}).items()},
         }  # fmt: skip
         if self._poses is not None:
             values |= {"poses": self._poses.received, "refused_poses": self._poses.refused, "pose_note": self._pose_complaint()}
@@ -591,14 +505,6 @@ class ControllerNode(ManagedNode):
             told.append(f"enabling was {self._enabling}")
         return [text for text in told if text]
 
-    def _verdicts(self, loop: ControlLoop) -> dict[str, object]:
-        """How many crossings are planned, have begun, and were called crossed or bounced; each one's verdict."""
-        words = [WORDS[passed.verdict] for passed in loop.passed]
-        return {
-            "crossings": len(words), "begun": self._begun + 1, "crossed": words.count("crossed"),
-            "bounced": words.count("bounced"), "verdicts": " ".join(words),
-        }  # fmt: skip
-
     def close(self) -> None:
         """A last word, and zero torque in answer to the last state."""
         if self._loop is not None:
@@ -611,15 +517,6 @@ class ControllerNode(ManagedNode):
 def _check_mode(values: Mapping[str, Any]) -> None:
     if values["assembly_mode"] == 0:
         raise ParameterError("parameter 'assembly_mode' = 0; it must be +1 or -1")
-
-
-def _distance_to_locus(loop: ControlLoop) -> float:
-    """To the Type 2 locus to first order, |s| over the length of its gradient, m."""
-    if loop.tick is None:
-        return math.nan
-    gradient = singularity_gradient(loop.model, np.ascontiguousarray(loop.tick.x_hat))
-    slope = math.hypot(gradient[0], gradient[1])
-    return round(abs(loop.tick.s) / slope, 5) if slope > 0.0 else math.nan
 
 
 def main(args: list[str] | None = None) -> int:
