@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import os
-import re
 import signal
 import subprocess
 from pathlib import Path
@@ -12,26 +11,28 @@ from typing import Any
 
 import pytest
 
-from dextar_control.cli import main
+from dextar_control.cli import COMMANDS, main
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-# A node that somebody else starts keeps what that one has set.
-STARTED_BY_OTHERS = {"dextar_control/contract/node.py", "dextar_control/ros/echo.py"}
-
-
 def _calls(path: Path) -> list[str]:
     return [ast.unparse(node) for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
 
 
-def test_every_command_that_makes_ros_entities_keeps_them_on_this_machine_by_default() -> None:
-    found = set()
-    for path in sorted((ROOT / "dextar_control").rglob("*.py")):
-        name, calls = path.relative_to(ROOT).as_posix(), _calls(path)
-        if any(call.startswith("rclpy.init(") for call in calls) and name not in STARTED_BY_OTHERS:
-            found.add(name)
-            assert any(re.fullmatch(rf"os\.environ\.setdefault\('{VARIABLE}', 'LOCALHOST'\)", call) for call in calls), name
-    assert {"dextar_control/ros/demo.py", "dextar_control/ros/bench.py"} <= found
+@pytest.mark.parametrize(("given", "range_"), [(None, "LOCALHOST"), ("SUBNET", "SUBNET")])
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_stays_on_this_machine_unless_the_variable_opens_it(
+    monkeypatch: pytest.MonkeyPatch, name: str, given: str | None, range_: str
+) -> None:
+    """By what the command finds in its environment, from which its processes inherit."""
+    found = []
+    monkeypatch.setenv(VARIABLE, given or "")
+    if given is None:
+        monkeypatch.delenv(VARIABLE)
+    monkeypatch.setattr(COMMANDS[name], "add_arguments", lambda parser: None)
+    monkeypatch.setattr(COMMANDS[name], "run", lambda arguments: found.append(os.environ[VARIABLE]) or 0)
+    assert main([name]) == 0
+    assert found == [range_]
 
 
 def test_the_launch_file_keeps_its_nodes_on_this_machine_by_default_and_one_argument_opens_them() -> None:

@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -33,6 +33,7 @@ from dextar_control.contract.topics import (
     TOPICS,
     TRAJECTORY,
 )
+from dextar_control.ros.check_rig import RigWatch
 from dextar_control.ros.demo import _Monitor
 from dextar_control.security.policy import build_policy, policy_text
 
@@ -215,18 +216,23 @@ def test_commands_and_states_have_one_publisher_each(system: System) -> None:
         assert system.node.count_publishers(topic.name) == 1, topic.name
 
 
-def test_the_demos_monitor_does_only_what_the_operator_may(system: System, grants: list[Grant]) -> None:
-    monitor = _Monitor()
+@pytest.mark.parametrize(
+    ("name", "make"), [("demo", _Monitor), ("check_rig", lambda: RigWatch("", "", "", arrays=False))], ids=["demo", "check_rig"]
+)
+def test_a_commands_own_node_creates_nothing_that_is_not_permitted(
+    system: System, grants: list[Grant], name: str, make: Callable[[], Node]
+) -> None:
+    node = make()
     try:
         for _, right in RIGHTS:
-            permitted = {grant.name for grant in grants if grant.node == "demo" and grant.right == right}
+            permitted = {grant.name for grant in grants if grant.node == name and grant.right == right}
             deadline = time.monotonic() + PATIENCE
-            while right != "request" and not system.created("demo", right):  # it has a client or not, as it needs
+            while right != "request" and not system.created(name, right):  # it has a client or not, as it needs
                 rclpy.spin_once(system.node, timeout_sec=0.05)
                 assert time.monotonic() < deadline
-            assert system.created("demo", right) <= permitted
+            assert system.created(name, right) <= permitted
     finally:
-        monitor.destroy_node()
+        node.destroy_node()
 
 
 def test_what_the_layouts_show_of_the_diagnostics_is_there(system: System) -> None:
