@@ -37,7 +37,7 @@ from dextar_control.rig_check.samples import Endpoint, Graph, Sample
 from dextar_control.rig_check.torque import TorqueTests
 from dextar_control.rig_check.trial import NO_TORQUE, Torque
 
-DISCOVERY = 3.0  # s until a driver that is there has been found
+DISCOVERY = 3.0  # s until whoever is there has been found
 SETTLE = 0.5  # s after the first state: readers and writers find each other, and queues run empty
 POLL = 0.0005  # s between two looks for a state
 GRAPH_PERIOD = 0.1  # s between two looks for another commander
@@ -216,7 +216,7 @@ def _look(console: Console, node: RigWatch, stop: StopSignal, duration: float) -
     samples: list[Sample] = []
     with Progress(*columns, console=console, transient=True) as progress:
         bar = progress.add_task(f"looking for {node.graph().states}", total=DISCOVERY + SETTLE + duration)
-        begin = time.monotonic()
+        begun = begin = time.monotonic()
         while time.monotonic() - begin < DISCOVERY and not any(True for _ in node.take()):
             _check(stop)
             time.sleep(20 * POLL)
@@ -231,7 +231,18 @@ def _look(console: Console, node: RigWatch, stop: StopSignal, duration: float) -
                     samples += taken
                 progress.update(bar, completed=done + elapsed)
                 time.sleep(20 * POLL)
-        return node.graph(), samples
+        return _settled(node, begun + DISCOVERY), samples
+
+
+def _settled(node: RigWatch, earliest: float) -> Graph:
+    """The graph once everybody has a name: a node's endpoints are often found before it."""
+    latest = max(earliest, time.monotonic()) + DISCOVERY
+    while True:
+        now, graph = time.monotonic(), node.graph()
+        unknown = any("UNKNOWN" in end.node for end in (*graph.drivers, *graph.readers, *graph.commanders))
+        if now >= latest or (now >= earliest and not unknown):
+            return graph
+        time.sleep(20 * POLL)
 
 
 def _permission(console: Console, stop: StopSignal, limits: Limits, arguments: argparse.Namespace) -> str:
@@ -311,7 +322,7 @@ def _answer(node: RigWatch, tests: TorqueTests) -> None:
 
 
 def _second(node: RigWatch) -> Line:
-    names = ", ".join(end.node for end in node.graph().commanders) or "unknown"
+    names = ", ".join(end.node for end in _settled(node, 0.0).commanders) or "unknown"
     return failed("only commander", f"{node.others} other while torque was to be sent ({names})", "0")
 
 
