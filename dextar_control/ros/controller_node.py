@@ -94,6 +94,19 @@ PARAMETERS = (
     Parameter("watch_time", "at a torque limit that ends a motion in a safe stop, s", 0.0, 10.0, live=True),
     Parameter("brake_gain", "of the safe stop, N m s/rad", 0.0, 10.0, live=True),
     Parameter("brake_time", "after which the safe stop's torque is gone, s", 0.0, 10.0, live=True),
+    Parameter("brake_constant", "of the safe stop on a known side: the velocity's time constant, s", 0.005, 1.0, live=True),
+    Parameter("stop_s", "|s| within which the safe stop coasts, and clear of which it comes to rest", 0.05, 0.9, live=True),
+    Parameter("coast_time", "of the safe stop's coasting, after which it gives no torque any more, s", 0.0, 10.0, live=True),
+    Parameter("rest_time", "for which the joints rest until the safe stop is over, s", 0.01, 10.0, live=True),
+    Parameter("speed_margin", "times the robot's speed limits beyond which a motion is stopped", 1.0, 10.0, live=True),
+    Parameter("speed_time", "beyond them, which ends a motion in a safe stop, s", 0.0, 10.0, live=True),
+    Parameter("joint_margin", "by which a joint may leave its range, rad", 0.0, 1.0, live=True),
+    Parameter("max_joint_jump", "of a joint beside where the last estimate expected it, rad", 1e-4, 3.2, live=True),
+    Parameter("max_joint_misfit", "of a joint beside that of the estimated platform, rad", 1e-4, 3.2, live=True),
+    Parameter("misfit_time", "of that misfit, which ends a motion in a safe stop, s", 0.0, 10.0, live=True),
+    Parameter("locus_s", "|s| nearer than which the robot may come in phase CROSSING only", 0.0, 0.9, live=True),
+    Parameter("max_torque_rate", "of a torque, in the robot's max_torque per second", 1.0, 1e6, live=True),
+    Parameter("torque_rate_time", "of that rate, which ends a motion in a safe stop, s", 0.0, 10.0, live=True),
 )  # fmt: skip
 
 SWITCH_INTERVAL = 2e-4  # s until the thread that checks a trajectory lets the control thread go on
