@@ -38,7 +38,7 @@ class Rig:
         self.node = Node("rig")
         self.commands: list[JointState] = []
         self._clients: dict[str, Any] = {}
-        self.status: dict[str, dict[str, str]] = {}
+        self.status: dict[str, dict[str, str]] = {}  # by node name, and by its full name
         self.states = self.node.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
         self.trajectories = self.node.create_publisher(MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY))
         self.node.create_subscription(JointState, JOINT_COMMANDS.name, self.commands.append, qos(JOINT_COMMANDS))
@@ -48,7 +48,7 @@ class Rig:
         for status in message.status:
             values = {item.key: item.value for item in status.values}
             told = {"message": status.message, "level": str(status.level[0])}
-            self.status[status.name.rpartition("/")[2]] = values | told
+            self.status[status.name] = self.status[status.name.rpartition("/")[2]] = values | told
 
     def until(self, condition: Callable[[], Any], what: str) -> None:
         """Spin until something holds."""

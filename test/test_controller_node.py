@@ -5,14 +5,16 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+import re
 import signal
+import time
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from closed_loop import turn_round
 from geometry_msgs.msg import PoseStamped
-from rig import Rig, start, stop
+from rig import Rig, controlled, matched, start, stop
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
@@ -117,6 +119,22 @@ def test_a_gap_between_stamps_is_a_fault_until_reset_and_enable(rig: Rig, q_a: n
     for tick in range(24, 80):
         still = rig.answer(tick * MS, q_a)
     assert rig.answer(80 * MS, q_a + [1e-3, 0.0]).effort[0] < still.effort[0]
+
+
+def test_states_that_stop_coming_take_the_torque_away_and_then_are_a_fault_that_lasts(q_a: np.ndarray) -> None:
+    """On the steady clock, without a further state; nothing is asked of when."""
+    with controlled("lockstep:=false", "healthy_time:=0.0", "stall_timeout:=0.1") as rig:
+        rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+        matched(rig)
+        rig.answer(time.time_ns(), q_a)
+        rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+        assert re.fullmatch(r"no state for \d+ ms; the limit is 100 ms", rig.controller("reason"))
+        assert list(rig.commands[-1].effort) == [0.0, 0.0]
+        assert rig.controller("stalls") == "1"
+        refused = _call(rig, Trigger, "controller/reset", Trigger.Request())
+        assert not refused.success
+        assert re.fullmatch(r"no state for \d+ ms; the limit is 20.0 ms", refused.message)
+        assert "latency_p50_us" in rig.status["controller"]
 
 
 def test_a_second_commander_is_a_fault(rig: Rig, q_a: np.ndarray) -> None:

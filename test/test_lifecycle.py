@@ -157,7 +157,8 @@ def test_a_trajectory_from_while_it_was_not_active_moves_nothing(asleep: Rig, q_
         asleep.answer(tick * MS, q_a)
         assert asleep.lifecycle == "active"  # a watch period each at least
     asleep.until(lambda: asleep.controller("phase") == "HOLD", "does not hold")
-    assert asleep.controller("trajectory") in ("none", "") or "before this controller began" in asleep.controller("trajectory")
+    asleep.until(lambda: "before this controller began" in asleep.controller("trajectory"), "it is not refused")
+    assert asleep.controller("phase") == "HOLD"
     _serve(asleep, trip)
     asleep.until(lambda: asleep.controller("trajectory") == "accepted", "a new one is not taken")
     assert asleep.change("deactivate")

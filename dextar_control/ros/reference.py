@@ -65,8 +65,6 @@ class ReferenceReader:
         """From now on: what was served until now counts no more."""
         self._since = time.time_ns()
         self.drop()
-        while self._subscription.handle.take_message(MultiDOFJointTrajectory, True) is not None:
-            pass
 
     def drop(self) -> None:
         """Forget what waits and what is being checked."""
