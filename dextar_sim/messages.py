@@ -11,12 +11,12 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
+from std_msgs.msg import Float64MultiArray, Header
 
 from dextar_control.contract.cdr import CdrTemplate, from_time
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import JOINT_NAMES, SIM_JOINT_NAMES
-from dextar_control.contract.topics import BASE_FRAME, END_EFFECTOR_NAME, JOINT_COMMANDS
+from dextar_control.contract.topics import BASE_FRAME, EFFORT_COMMANDS, END_EFFECTOR_NAME, JOINT_COMMANDS
 from dextar_sim.sensors import Command
 from dextar_sim.state import PlantState
 
@@ -78,6 +78,20 @@ class StateWriter:
     def external_pose(self, stamp: int, x: Sequence[float]) -> bytes:
         """``external_pose``: measured end effector position (m), shape (2,), at the stamp (ns) when it was true."""
         return self._pose.pack(stamp, x)
+
+
+def read_efforts(raw: bytes) -> tuple[float, float]:
+    """Torques (N m) of q11 and q21 from the raw bytes of ``effort_commands``; its layout field is not looked at.
+
+    Raises:
+        StateError: not two numbers, or one that is not finite.
+    """
+    efforts = list(deserialize_message(raw, Float64MultiArray).data)
+    if len(efforts) != len(JOINT_NAMES):
+        raise StateError(f"{EFFORT_COMMANDS.name}: {len(efforts)} efforts; expected {len(JOINT_NAMES)}: {list(JOINT_NAMES)}")
+    if not all(math.isfinite(value) for value in efforts):
+        raise StateError(f"{EFFORT_COMMANDS.name}: effort {efforts} N m is not finite")
+    return efforts[0], efforts[1]
 
 
 class CommandReader:

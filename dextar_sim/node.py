@@ -15,19 +15,21 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS
-from dextar_control.contract.errors import StateError
+from dextar_control.contract.errors import ParameterError, StateError
 from dextar_control.contract.node import DextarNode, qos, run_node
 from dextar_control.contract.topics import (
+    EFFORT_COMMANDS,
     EXTERNAL_POSE,
     JOINT_COMMANDS,
     JOINT_STATES,
     SIM_END_EFFECTOR,
     SIM_JOINT_STATES,
 )
-from dextar_sim.messages import CommandReader, StateWriter
+from dextar_sim.messages import CommandReader, StateWriter, read_efforts
 from dextar_sim.pace import Schedule, spin
 from dextar_sim.parameters import PARAMETERS
 from dextar_sim.plant import Plant
@@ -55,6 +57,10 @@ class PlantNode(DextarNode):
         period = values["task.sample_period"]
         self.period_ns = round(period * NANOSECONDS)
         self.lockstep = values["mode"] == "lockstep"
+        self._arrays = values["command_interface"] == "effort_array"
+        if self._arrays and self.lockstep:
+            raise ParameterError("parameter 'command_interface' = 'effort_array'; in mode lockstep it must be joint_state: "
+                                 "an array does not say which state it answers")  # fmt: skip
         max_torque = values["max_torque"] or self.robot.max_torque
         self.plant = Plant(self.robot, period=period, substeps=values["substeps"], window=values["window"],
                            max_torque=max_torque)  # fmt: skip
@@ -90,8 +96,10 @@ class PlantNode(DextarNode):
         self._true_platform = self.create_publisher(Odometry, SIM_END_EFFECTOR.name, qos(SIM_END_EFFECTOR))
         self._true_joints = self.create_publisher(JointState, SIM_JOINT_STATES.name, qos(SIM_JOINT_STATES))
         self._poses = self.create_publisher(PoseStamped, EXTERNAL_POSE.name, qos(EXTERNAL_POSE)) if values["pose_rate"] else None
-        self._commands = self.create_subscription(JointState, JOINT_COMMANDS.name, self._on_command,
-                                                  qos(JOINT_COMMANDS, reliable=self.lockstep), raw=True)  # fmt: skip
+        topic, kind = (EFFORT_COMMANDS, Float64MultiArray) if self._arrays else (JOINT_COMMANDS, JointState)
+        self._command_name = topic.name
+        profile = qos(topic, reliable=self.lockstep)
+        self._commands = self.create_subscription(kind, topic.name, self._on_command, profile, raw=True)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -169,13 +177,8 @@ class PlantNode(DextarNode):
     def _on_command(self, raw: bytes) -> None:
         try:
             if self._commanders > 1:
-                raise StateError(f"{self._commanders} publishers on {JOINT_COMMANDS.name}; the limit is 1: no torque")
-            command = self._reader.read(raw)
-            if command.stamp > self._published:
-                raise StateError(
-                    f"{JOINT_COMMANDS.name}: stamp {command.stamp} ns answers no state yet published; "
-                    f"the last one is {self._published} ns"
-                )
+                raise StateError(f"{self._commanders} publishers on {self._command_name}; the limit is 1: no torque")
+            command = self._read_command(raw)
         except StateError as error:
             self.counts["commands_refused"] += 1
             if time.monotonic() - self._warned_at >= 1.0:
@@ -191,6 +194,25 @@ class PlantNode(DextarNode):
         if self._newest is None or command.stamp >= self._newest.stamp:
             self._newest = command
         self.answered = self.answered or answers
+
+    def _read_command(self, raw: bytes) -> Command:
+        """A command whose stamp is that of a published state.
+
+        In real time a stamp of the sender's own clock counts as an answer to the state last published, as does an
+        array, which has none: neither can be told from a late one.
+        """
+        if self._arrays:
+            command = Command(max(self._published, 0), read_efforts(raw))
+        else:
+            command = self._reader.read(raw)
+        if command.stamp <= self._published:
+            return command
+        now = self._published if self.lockstep or self._published < 0 else time.time_ns()
+        if command.stamp > now:
+            clock = "" if self.lockstep else f" and the system clock at {now} ns"
+            raise StateError(f"{self._command_name}: stamp {command.stamp} ns answers no state yet published; "
+                             f"the last one is {self._published} ns{clock}")  # fmt: skip
+        return command._replace(stamp=self._published)
 
     def _count_commanders(self) -> None:
         self._commanders = self.count_publishers(self._commands.topic_name)
@@ -237,9 +259,9 @@ class PlantNode(DextarNode):
         commanders = self._commanders
         level, message = DiagnosticStatus.OK, "paused" if self.paused else "running"
         if commanders > 1:
-            level, message = DiagnosticStatus.WARN, f"{commanders} publishers on {JOINT_COMMANDS.name}; no torque"
+            level, message = DiagnosticStatus.WARN, f"{commanders} publishers on {self._command_name}; no torque"
         elif self.counts["commands_refused"] > refused_before:
-            level, message = DiagnosticStatus.WARN, f"commands on {JOINT_COMMANDS.name} were refused"
+            level, message = DiagnosticStatus.WARN, f"commands on {self._command_name} were refused"
         self.publish_diagnostics(level, message, {
             "mode": self.values["mode"],
             "steps": steps,

@@ -7,6 +7,8 @@ from dextar_control.contract.node import Parameter
 PARAMETERS = (
     Parameter("mode", "realtime follows the steady clock, lockstep waits for each command",
               choices=("realtime", "lockstep")),
+    Parameter("command_interface", "joint_state reads joint_commands, effort_array (real time only) reads effort_commands",
+              choices=("joint_state", "effort_array")),
     Parameter("substeps", "physics steps in one sample period", minimum=1, maximum=1000),
     Parameter("start_paused", "publish nothing until resumed"),
     Parameter("step_count", "samples that one call of ~/step advances", minimum=1, maximum=1_000_000, live=True),

@@ -15,10 +15,21 @@ from trajectory_msgs.msg import JointTrajectory
 from dextar_control.commands import demo
 from dextar_control.contract.cdr import from_time, to_time
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
-from dextar_control.contract.node import Parameter, check_value
+from dextar_control.contract.node import Parameter, check_value, qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, flatten, from_flat, load_robot
-from dextar_control.contract.topics import TOPICS
+from dextar_control.contract.topics import (
+    CONTROLLER_STATE,
+    CRITERION,
+    JOINT_COMMANDS,
+    JOINT_STATES,
+    PHASES,
+    SERVICES,
+    TOPICS,
+    Service,
+    Topic,
+)
+from dextar_control.core.loop import Phase
 from dextar_control.core.planner import Plan
 from dextar_control.ros import controller_node, messages, recorder_node, trajectory_server
 from dextar_sim import parameters as plant_parameters
@@ -118,10 +129,42 @@ def test_the_command_line_offers_every_law_and_estimator() -> None:
     assert sorted(demo.ESTIMATORS) == sorted(controller_node.ESTIMATORS)
 
 
-def test_topic_types_exist() -> None:
+@pytest.mark.parametrize("entry", [*TOPICS, *SERVICES], ids=lambda entry: entry.name)
+def test_types_of_topics_and_services_exist(entry: Topic | Service) -> None:
+    package, kind, name = entry.type.split("/")
+    assert hasattr(importlib.import_module(f"{package}.{kind}"), name)
+
+
+def test_the_phases_are_the_loops_own() -> None:
+    assert [(number, name) for number, name in enumerate(PHASES)] == [(phase.value, phase.name.lower()) for phase in Phase]
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_the_table_says_what_the_nodes_offer_and_enforce(topic: Topic) -> None:
+    profile = qos(topic)
+    assert (profile.reliability.name == "RELIABLE") == topic.reliable
+    assert (profile.durability.name == "TRANSIENT_LOCAL") == topic.latched
+    assert profile.depth == topic.depth
+    parameters = {node: {spec.name for spec in specs} for node, specs in SPECS.items()}
+    for limit in topic.timeouts:
+        assert limit.parameter in parameters[limit.node]
+        assert node_defaults(limit.node)[limit.parameter] > 0.0
+    assert topic.unit and topic.stamp
+
+
+def test_streams_come_at_the_rate_of_the_samples() -> None:
     for topic in TOPICS:
-        package, _, name = topic.type.split("/")
-        assert hasattr(importlib.import_module(f"{package}.msg"), name)
+        assert topic.rate in (0.0, 5.0, 1.0 / node_defaults("plant")["task.sample_period"]), topic.name
+
+
+def test_joints_are_written_in_the_order_of_the_table() -> None:
+    state = deserialize_message(messages.joint_states_template().pack(0, [0.0] * 6), JointState)
+    command = deserialize_message(messages.joint_commands_template().pack(0, [0.0] * 2), JointState)
+    platform = deserialize_message(messages.controller_state_template().pack(0, [0.0] * 18), JointTrajectory)
+    assert tuple(state.name) == JOINT_STATES.joints
+    assert tuple(command.name) == JOINT_COMMANDS.joints
+    assert tuple(platform.joint_names) == CONTROLLER_STATE.joints
+    assert CRITERION.joints == ()
 
 
 def test_templates_are_the_middlewares_own_bytes() -> None:

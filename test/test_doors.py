@@ -26,7 +26,7 @@ DOORS = {
     "dextar_control.campaign": {"dextar_control.campaign", "dextar_control.core", "dextar_control.contract"},
     "dextar_sim": {"dextar_sim", "dextar_control.contract"},
 }
-NO_ROS_MODULES = {"dextar_control/contract": {"robot.py", "topics.py", "errors.py", "resources.py"},
+NO_ROS_MODULES = {"dextar_control/contract": {"robot.py", "topics.py", "tables.py", "errors.py", "resources.py"},
                   "dextar_sim": {"plant.py", "cartesian.py", "platform_motion.py", "rig.py", "state.py", "sensors.py",
                                  "geometry.py", "urdf.py", "world.py"}}  # fmt: skip
 

@@ -5,20 +5,27 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from dextar_control.cli import COMMANDS
-from dextar_control.contract.topics import TOPICS
+from dextar_control.contract import tables
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_topic_table_is_the_contract() -> None:
-    rows = re.findall(r"^\| `([^`]+)` \| (\w+/msg/\w+) \| (.+?) → ", README, re.MULTILINE)
-    assert rows == [(topic.name, topic.type, topic.publisher) for topic in TOPICS]
+@pytest.mark.parametrize("table", [tables.topic_table, tables.service_table])
+def test_the_tables_are_the_contract(table: Callable[[], list[str]]) -> None:
+    lines = table()
+    begin = README.splitlines().index(lines[0])
+    assert README.splitlines()[begin : begin + len(lines) + 1] == [*lines, ""]
+
+
+def test_the_phases_are_numbered_as_in_the_contract() -> None:
+    assert f"{tables.phase_line()}." in README
 
 
 def test_the_python_example_runs_and_crosses() -> None:

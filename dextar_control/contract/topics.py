@@ -1,13 +1,30 @@
-"""The topic contract: one table, from which the nodes create their entities.
+"""The contract: one table of topics and one of services, from which the nodes create their entities.
 
 Names are relative (they follow a namespace and can be remapped); ``/diagnostics`` is absolute
-by ROS convention. States and commands are published reliable so that readers of either kind
-match, and read best effort on the control path.
+by ROS convention. Everything is published reliable, so that readers of either kind match, and states
+and commands are read best effort on the control path. Joints are always taken by name.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from dextar_control.contract.robot import JOINT_NAMES, SIM_JOINT_NAMES
+
+
+@dataclass(frozen=True)
+class TimeOut:
+    """How long a reader does without a topic.
+
+    Attributes:
+        node: who enforces it.
+        parameter: of that node, in seconds; its default stands in ``config/crossing.yaml``.
+        outcome: what happens then.
+    """
+
+    node: str
+    parameter: str
+    outcome: str
 
 
 @dataclass(frozen=True)
@@ -17,11 +34,20 @@ class Topic:
     Attributes:
         name: relative name, as published.
         type: ROS type, ``package/msg/Type``.
-        publisher: the node that publishes it.
+        publisher: who publishes it.
         depth: history depth of the publisher (KEEP_LAST).
-        latched: transient-local durability.
-        rate: nominal rate in Hz; 0 for on change.
+        latched: transient-local durability, offered and asked for.
+        rate: nominal rate in Hz, the highest where publishers differ; 0 for on change.
         meaning: fields, units, stamp.
+        subscriber: who reads it.
+        reliable: whether the publisher offers reliability.
+        read_reliable: whether the control path asks for it (in lockstep it always does).
+        unit: of the numbers, one for each field that carries some.
+        joints: names in the order in which this package writes them; readers go by name where the type has names.
+        stamp: what the header's stamp means; "none" where the type has none.
+        timeouts: without it, enforced by its readers.
+        rate_text: the rate in words where a number does not say it.
+        switch: ``node.parameter`` that brings the topic into being where it does not exist by default; empty otherwise.
     """
 
     name: str
@@ -31,60 +57,143 @@ class Topic:
     latched: bool
     rate: float
     meaning: str
+    subscriber: str = "anyone"
+    reliable: bool = True
+    read_reliable: bool = True
+    unit: str = ""
+    joints: tuple[str, ...] = ()
+    stamp: str = ""
+    timeouts: tuple[TimeOut, ...] = ()
+    rate_text: str = ""
+    switch: str = ""
+
+    @property
+    def optional(self) -> bool:
+        """Nobody publishes it unless its switch is set."""
+        return bool(self.switch)
+
+
+@dataclass(frozen=True)
+class Service:
+    """One service.
+
+    Attributes:
+        name: relative name: node, slash, service.
+        type: ROS type, ``package/srv/Type``.
+        meaning: what it does.
+    """
+
+    name: str
+    type: str
+    meaning: str
+
+    @property
+    def node(self) -> str:
+        """Who offers it."""
+        return self.name.partition("/")[0]
 
 
 # A reliable writer can repair a reader that was away for as long as its history reaches.
 STREAM_DEPTH = 1000
+PLATFORM_NAMES = ("x", "y")
+CRITERION_NAMES = (
+    "residual", "s", "sigma_min", "projection_weight", "assembly_mode", "phase", "mode_confidence", "verdict",
+)  # fmt: skip
+MAX_TRAJECTORY_POINTS = 50_000
+END_EFFECTOR_NAME = "end_effector"
+BASE_FRAME = "base"
+
+PHASES = {
+    "idle": "no torque, by request",
+    "approach": "tracks a trajectory without a crossing",
+    "hold": "holds a point",
+    "track": "tracks a crossing trajectory, away from the locus",
+    "crossing": "tracks it near the locus",
+    "safe_stop": "brakes, then no torque",
+    "fault": "no torque until it is reset",
+}
+"""The controller's phases in the order of their numbers, which ``criterion`` carries; the first is 0."""
 
 JOINT_STATES = Topic(
     "joint_states", "sensor_msgs/msg/JointState", "rig or plant", STREAM_DEPTH, False, 1000.0,
     "q11, q21 by name: position (rad), velocity (rad/s), effort applied since the last state (N m); stamp of the sample",
+    subscriber="controller", read_reliable=False, unit="rad, rad/s, N m", joints=JOINT_NAMES, stamp="of the sample",
+    timeouts=(TimeOut("controller", "state_timeout", "fault, no torque"),),
 )  # fmt: skip
 JOINT_COMMANDS = Topic(
     "joint_commands", "sensor_msgs/msg/JointState", "controller", STREAM_DEPTH, False, 1000.0,
-    "q11, q21 by name: effort (N m); stamp of the state it answers",
+    "q11, q21 by name: effort (N m), nothing else; stamp of the state it answers. Only one publisher: with a second one"
+    " nobody's commands are taken",
+    subscriber="rig or plant", read_reliable=False, unit="N m", joints=JOINT_NAMES, stamp="of the state it answers",
+    timeouts=(TimeOut("plant", "command_timeout", "no torque"),),
+)  # fmt: skip
+EFFORT_COMMANDS = Topic(
+    "effort_commands", "std_msgs/msg/Float64MultiArray", "controller", STREAM_DEPTH, False, 1000.0,
+    "data [q11, q21]: effort (N m) in this order, the layout of the `~/commands` of forward_command_controller and"
+    " JointGroupEffortController. The type has no stamp, so no reader can tell how old a command is: it counts from its"
+    " arrival. The same torques as joint_commands, in the same tick; a robot reads one of the two",
+    subscriber="rig or plant", read_reliable=False, unit="N m", joints=JOINT_NAMES, stamp="none",
+    timeouts=(TimeOut("plant", "command_timeout", "no torque"),), switch="controller.publish_effort_array",
 )  # fmt: skip
 EXTERNAL_POSE = Topic(
     "external_pose", "geometry_msgs/msg/PoseStamped", "camera or plant", STREAM_DEPTH, False, 0.0,
     "measured end effector position (m) in frame base, at the sensor's own rate; stamp of the instant when it was true",
+    subscriber="controller", read_reliable=False, unit="m", stamp="when it was true", rate_text="the sensor's",
+    timeouts=(TimeOut("controller", "pose_timeout", "a warning"),), switch="plant.pose_rate",
 )  # fmt: skip
 TRAJECTORY = Topic(
     "trajectory", "trajectory_msgs/msg/MultiDOFJointTrajectory", "trajectory server", 1, True, 0.0,
     "end effector (m, m/s, m/s^2) over time_from_start; stamp 0 starts at once; no points means stop",
+    subscriber="controller", unit="m, m/s, m/s²", joints=(END_EFFECTOR_NAME,), stamp="of the start, 0 is now",
 )  # fmt: skip
 CONTROLLER_STATE = Topic(
     "controller_state", "trajectory_msgs/msg/JointTrajectory", "controller", STREAM_DEPTH, False, 1000.0,
     "x, y: points[0] reference (m, m/s, m/s^2), [1] estimate (m, m/s), [2] error (m, m/s), "
     "[3] output (auxiliary acceleration m/s^2, effort = J_inv^T tau in N); stamp of the state",
+    unit="m, m/s, m/s², N", joints=PLATFORM_NAMES, stamp="of the state",
 )  # fmt: skip
 CRITERION = Topic(
     "criterion", "sensor_msgs/msg/JointState", "controller", STREAM_DEPTH, False, 1000.0,
     "position by name: residual (N), s (1), sigma_min (1), projection_weight (1), assembly_mode (+1/-1), phase (enum), "
     "mode_confidence (in the assembly mode, 0.5 to 1), verdict (on the planned crossing that began last: 0 undecided, "
     "1 crossed, 2 bounced); stamp of the state",
+    unit="N and 1, by name", stamp="of the state",
 )  # fmt: skip
 SIM_END_EFFECTOR = Topic(
     "sim/end_effector", "nav_msgs/msg/Odometry", "plant", STREAM_DEPTH, False, 1000.0,
     "true position (m) and velocity (m/s), both in frame base; stamp of the state",
+    subscriber="analysis only", unit="m, m/s", stamp="of the state",
 )  # fmt: skip
 SIM_JOINT_STATES = Topic(
     "sim/joint_states", "sensor_msgs/msg/JointState", "plant", STREAM_DEPTH, False, 1000.0,
     "q11, q12, q21, q22: true position (rad; passive joints relative to their proximal link), velocity (rad/s), "
     "applied effort (N m, 0 on passive joints); stamp of the state",
+    subscriber="analysis only", unit="rad, rad/s, N m", joints=SIM_JOINT_NAMES, stamp="of the state",
 )  # fmt: skip
 DIAGNOSTICS = Topic(
-    "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "all nodes", 10, False, 1.0, "health of each node",
+    "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "all nodes", 10, False, 5.0, "health of each node",
+    unit="by key", stamp="when published", rate_text="5 Hz controller, 1 Hz others",
 )  # fmt: skip
 
 TOPICS = (
-    JOINT_STATES, JOINT_COMMANDS, EXTERNAL_POSE, TRAJECTORY, CONTROLLER_STATE, CRITERION, SIM_END_EFFECTOR,
-    SIM_JOINT_STATES, DIAGNOSTICS,
+    JOINT_STATES, JOINT_COMMANDS, EFFORT_COMMANDS, EXTERNAL_POSE, TRAJECTORY, CONTROLLER_STATE, CRITERION,
+    SIM_END_EFFECTOR, SIM_JOINT_STATES, DIAGNOSTICS,
 )  # fmt: skip
 
-CRITERION_NAMES = (
-    "residual", "s", "sigma_min", "projection_weight", "assembly_mode", "phase", "mode_confidence", "verdict",
+SERVICES = (
+    Service("plant/pause", "std_srvs/srv/SetBool", "true pauses the simulated time, false lets it run"),
+    Service("plant/step", "std_srvs/srv/Trigger", "advances `step_count` samples while paused"),
+    Service("plant/reset", "std_srvs/srv/Trigger", "back to the start, at rest"),
+    Service("controller/enable", "std_srvs/srv/SetBool", "torque on and off"),
+    Service("controller/stop", "std_srvs/srv/Trigger", "safe stop; a crossing that has begun is finished first"),
+    Service("controller/reset", "std_srvs/srv/Trigger", "leaves a fault or a safe stop, without torque"),
+    Service("controller/change_state", "lifecycle_msgs/srv/ChangeState", "configure, activate, deactivate, cleanup, shutdown"),
+    Service("controller/get_state", "lifecycle_msgs/srv/GetState", "unconfigured, inactive, active or finalized"),
+    Service("controller/get_available_states", "lifecycle_msgs/srv/GetAvailableStates", "all states there are"),
+    Service("controller/get_available_transitions", "lifecycle_msgs/srv/GetAvailableTransitions", "those from this state"),
+    Service("controller/get_transition_graph", "lifecycle_msgs/srv/GetAvailableTransitions", "all transitions there are"),
+    Service("trajectory_server/plan", "std_srvs/srv/Trigger", "plans again"),
+    Service("trajectory_server/start", "std_srvs/srv/Trigger", "serves the trip or tour from where the robot stands"),
+    Service("trajectory_server/stop", "std_srvs/srv/Trigger", "safe stop"),
+    Service("trajectory_server/get_plan", "nav_msgs/srv/GetPlan", "one way between two poses, as a path"),
 )  # fmt: skip
-MAX_TRAJECTORY_POINTS = 50_000
-PLATFORM_NAMES = ("x", "y")
-END_EFFECTOR_NAME = "end_effector"
-BASE_FRAME = "base"
