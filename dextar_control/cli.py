@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from dextar_control.commands import EXIT_USAGE, analyze, bench, campaign, demo
+from dextar_control.commands import EXIT_USAGE, analyze, bench, campaign, demo, recover
 from dextar_control.contract.errors import DextarError
 
 COMMANDS = {
@@ -13,6 +13,7 @@ COMMANDS = {
     "analyze": analyze,
     "campaign": campaign,
     "bench": bench,
+    "recover": recover,
 }
 
 

@@ -27,11 +27,15 @@ _POINT_FIELDS = (
 )
 
 
-def load_run(path: str | Path) -> Run:
-    """A recorded run.
+def load_run(path: str | Path, namespace: str | None = None) -> Run:
+    """A recorded run; also one that ``ros2 bag record`` made, whose parameters are then unknown.
+
+    Args:
+        path: of the bag: a file, or a folder in rosbag2's layout.
+        namespace: of the robot, where a bag of another recorder holds several.
 
     Raises:
-        BagError: the file is missing, empty, foreign or holds no joint states.
+        BagError: the file is missing, empty, foreign or holds no joint states of one robot.
     """
     bag = read_bag(path)
     record = bag.metadata.get("dextar", {})
@@ -47,7 +51,7 @@ def load_run(path: str | Path) -> Run:
         raise BagError(f"{bag.path}: its metadata record 'dextar' cannot be read: {error}") from error
 
     def of(topic: topics.Topic) -> Series:
-        return bag.of(topic.name, resolved)
+        return bag.of(topic.name, resolved, namespace)
 
     try:
         return _run(bag, of, record, resolved, parameters, losses)
@@ -62,6 +66,8 @@ def _run(
     states = _joints(of(topics.JOINT_STATES))
     if len(states.stamps) == 0:
         raise BagError(f"{bag.path} holds no message of {topics.JOINT_STATES.name}: not a run of this robot")
+    if np.isnan(states.position).all():
+        raise BagError(f"{bag.path}: {topics.JOINT_STATES.name} never holds the joints {', '.join(JOINT_NAMES)} of this robot")
     return Run(
         path=bag.path,
         states=states,
@@ -75,9 +81,10 @@ def _run(
         robot=_robot(parameters),
         losses=losses,
         version=record.get("version", ""),
-        record={key: text for key, text in record.items() if key not in ("contract", "topics") and not key.startswith(PARAMETER_PREFIX)},
+        record={key: text for key, text in record.items()
+                if key not in ("contract", "topics") and not key.startswith(PARAMETER_PREFIX)},
         topics={name: _topic(series) for name, series in bag.messages.items()},
-        truncated=bag.truncated,
+        truncated=bag.truncated is not None,
     )
 
 

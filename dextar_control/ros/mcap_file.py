@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, NamedTuple, cast
 
+from mcap.records import Attachment
 from mcap.writer import CompressionType, Writer
 
 from dextar_control.ros.bag_metadata import RECORD_NAME, FileSummary, TopicDescription, bag_metadata, qos_text
@@ -86,6 +87,12 @@ class McapFile:
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
         """Write a metadata record; readers take the last of a name."""
         self._writer.add_metadata(name, dict(data))
+
+    def attach(self, attachment: Attachment) -> None:
+        """Copy another file's attachment."""
+        self._writer.add_attachment(
+            attachment.create_time, attachment.log_time, attachment.name, attachment.media_type, attachment.data
+        )
 
     def sync(self) -> None:
         """Close the chunk under way and wait until the disk has it; keep room for what the end will need."""
