@@ -94,8 +94,8 @@ class BagWriter:
 
     @property
     def synced(self) -> int:
-        """Bytes of the file under way that the disk has for certain."""
-        return self._file.stream.synced
+        """Bytes of all files that the disk has for certain."""
+        return self._earlier + self._file.stream.synced
 
     def has_topic(self, topic: str) -> bool:
         """Whether the topic was added."""

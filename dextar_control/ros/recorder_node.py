@@ -292,21 +292,21 @@ class RecorderNode(DextarNode):
         elif lasts < LOW_SPACE:
             level, message = DiagnosticStatus.WARN, f"the disk is full in {lasts:.0f} s"
         values = {
-            "recording": writer.error is None, "bag": writer.path, "bytes": writer.size, "files": len(writer.paths),
-            "pending": len(writer), "disk_free_bytes": free, "parameters_missing": missing,
+            "recording": writer.error is None, "bag": writer.path, "bytes": writer.size, "bytes_on_disk": writer.synced,
+            "files": len(writer.paths), "pending": len(writer), "disk_free_bytes": free, "parameters_missing": missing,
         }  # fmt: skip
         for name, counts in self._counts(writer).items():
             values[f"{name} received"] = counts["received"]
             values[f"{name} lost"] = "unknown" if counts["lost"] is None else counts["lost"] + (counts["dropped"] or 0)
         self.publish_diagnostics(level, message, values)
 
-    def _counts(self, writer: BagWriter | None) -> dict[str, dict[str, int | None]]:
+    def _counts(self, writer: BagWriter) -> dict[str, dict[str, int | None]]:
         """Per topic: samples received, lost on the way (None: not numbered), dropped before the disk."""
         return {
             tap.name: {
                 "received": tap.losses.received,
                 "lost": tap.losses.lost if tap.losses.supported else None,
-                "dropped": writer.dropped.get(tap.name, 0) if writer else 0,
+                "dropped": writer.dropped.get(tap.name, 0),
             }
             for tap in self._taps
         }
