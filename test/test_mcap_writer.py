@@ -7,6 +7,7 @@ import random
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -31,6 +32,7 @@ from dextar_control.ros.mcap_writer import BagWriter, Sample
 from dextar_control.ros.message_definitions import SEPARATOR, definition, type_hash
 from dextar_control.ros.qos_profiles import describe
 
+PATIENCE = 30.0  # s, on a busy machine; not a measurement
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
@@ -250,14 +252,18 @@ def test_what_was_handed_over_a_sync_period_ago_survives_a_power_cut(tmp_path: P
     monkeypatch.setattr(os, "fsync", remember)
     writer = BagWriter(file, sync_period=0.1)
     write_numbers(writer, 500, size=100)
-    while confirmed == 0 or len(writer):  # until all was taken, then two periods more: one sync has begun and ended by then
-        time.sleep(0.01)
-    reached, syncs = confirmed, 0
-    while syncs < 2:
-        writer.add_metadata("beat", {})
-        while confirmed == reached:
+
+    def until(condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline, "the disk was never waited for"
             time.sleep(0.01)
-        reached, syncs = confirmed, syncs + 1
+
+    until(lambda: confirmed > 0 and not len(writer))
+    for _ in range(2):  # the second confirmation from here on was asked for after all was taken
+        reached = confirmed
+        writer.add_metadata("beat", {})
+        until(lambda reached=reached: confirmed > reached)
     left = tmp_path / "left.mcap"
     left.write_bytes(file.read_bytes()[:confirmed])
     writer.close()
