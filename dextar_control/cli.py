@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 
-from dextar_control.commands import EXIT_USAGE, analyze, bench, campaign, demo, recover
+from dextar_control.commands import EXIT_USAGE, analyze, bench, campaign, check_rig, demo, recover
 from dextar_control.contract.errors import DextarError
 
 COMMANDS = {
     "demo": demo,
     "analyze": analyze,
     "campaign": campaign,
+    "check-rig": check_rig,
     "bench": bench,
     "recover": recover,
 }

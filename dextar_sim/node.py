@@ -105,6 +105,8 @@ class PlantNode(DextarNode):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_timer(1.0, self.report, clock=self.steady_clock)
         self.create_timer(COMMANDER_PERIOD, self._count_commanders, clock=self.steady_clock)
+        # A process's first log line costs tens of ms: not in the middle of a run.
+        self.get_logger().info(f"{self.robot.name}, {values['mode']}, {1.0 / period:g} Hz")
 
     @property
     def paused(self) -> bool:

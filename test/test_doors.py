@@ -15,6 +15,7 @@ ALLOWED_OUTSIDE = {
     "dextar_control.core": {"numpy", "scipy", "numba"},
     "dextar_control.campaign": {"numpy", "matplotlib", "rich", "yaml", "pydantic", "pydantic_core", "dask", "distributed",
                                 "pyarrow"},
+    "dextar_control.rig_check": {"numpy"},
     "dextar_control.analysis": {"numpy", "scipy", "matplotlib", "mcap", "rosbags", "rich", "yaml", "zstandard"},
 }
 ROS = {"rclpy", "builtin_interfaces", "rcl_interfaces", "sensor_msgs", "trajectory_msgs", "nav_msgs", "geometry_msgs",
@@ -22,6 +23,7 @@ ROS = {"rclpy", "builtin_interfaces", "rcl_interfaces", "sensor_msgs", "trajecto
 DOORS = {
     "dextar_control.contract": {"dextar_control.contract"},
     "dextar_control.core": {"dextar_control.core", "dextar_control.contract"},
+    "dextar_control.rig_check": {"dextar_control.rig_check", "dextar_control.contract"},
     "dextar_control.analysis": {"dextar_control.analysis", "dextar_control.core", "dextar_control.contract"},
     "dextar_control.campaign": {"dextar_control.campaign", "dextar_control.core", "dextar_control.contract"},
     "dextar_sim": {"dextar_sim", "dextar_control.contract"},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from dextar_control.cli import COMMANDS
+from dextar_control.commands import check_rig
 from dextar_control.contract import tables
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -29,9 +31,8 @@ def test_the_phases_are_numbered_as_in_the_contract() -> None:
 
 
 def test_the_python_example_runs_and_crosses() -> None:
-    code = re.search(r"```python\n(.*?)```", README, re.DOTALL)
-    assert code is not None
-    answer = subprocess.run([sys.executable, "-c", code[1]], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    code = next(block for block in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "ControlLoop(" in block)
+    answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert answer.returncode == 0, answer.stderr
     assert float(re.search(r"HOLD, largest true error ([0-9.]+) mm", answer.stdout)[1]) < 0.3
 
@@ -50,6 +51,15 @@ def test_ci_calls_the_readmes_own_commands() -> None:
     assert "make test" in script
     assert "make demo" in script
     assert "pip install" not in script
+
+
+def test_every_option_of_check_rig_in_the_readme_exists() -> None:
+    used = [line.partition("#")[0].split() for line in README.splitlines() if line.startswith(".venv/bin/dextar check-rig")]
+    assert len(used) >= 3
+    parser = argparse.ArgumentParser()
+    check_rig.add_arguments(parser)
+    for words in used:
+        parser.parse_args(words[2:])
 
 
 @pytest.mark.parametrize("command", COMMANDS)

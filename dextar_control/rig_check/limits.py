@@ -1,0 +1,84 @@
+"""What a driver is allowed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from dextar_control.contract.errors import ParameterError
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the check, and the size of its torques.
+
+    Attributes:
+        rate: expected of the states, Hz.
+        rate_tolerance: of mean rate and stamp period, relative.
+        jitter: 99th percentile of an arrival interval's distance from the period, s.
+        max_gap: longest time between two arrivals, s.
+        max_age: median age of a state at arrival, s.
+        ahead: by which a stamp may lie ahead of this machine's clock, s.
+        closing: by which the distal links may miss each other, m.
+        watchdog: the drive's declared time-out, s.
+        watchdog_margin: for the way of a command and of a state, beyond one period, s.
+        torque: of the tests, N m.
+        pulse: shortest time at one torque, s.
+        max_move: of a joint from where a test began, rad; more ends the tests.
+        max_speed: of a joint, rad/s; more ends the tests.
+        max_torque: of the robot's motors, N m: ``torque`` must not exceed it.
+
+    Raises:
+        ParameterError: a value is out of its range.
+    """
+
+    rate: float
+    watchdog: float
+    max_torque: float
+    max_gap: float
+    jitter: float
+    rate_tolerance: float = 0.05
+    max_age: float = 0.05
+    ahead: float = 0.005
+    closing: float = 1.0e-3
+    watchdog_margin: float = 0.005
+    torque: float = 0.005
+    pulse: float = 0.1
+    max_move: float = 0.1
+    max_speed: float = 1.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ParameterError(f"{item.name} = {value}; it must be > 0")
+        if self.torque > self.max_torque:
+            raise ParameterError(f"test torque = {self.torque} N m; it must be <= {self.max_torque} N m, the robot's max_torque")
+        if self.pulse * self.rate < MIN_SAMPLES:
+            raise ParameterError(f"pulse = {self.pulse} s at {self.rate} Hz; it must be >= {MIN_SAMPLES / self.rate:g} s,"
+                                 f" {MIN_SAMPLES} states")  # fmt: skip
+
+    @property
+    def period(self) -> float:
+        """Of the states, s."""
+        return 1.0 / self.rate
+
+    @property
+    def watchdog_limit(self) -> float:
+        """From the last command to a state without torque, s."""
+        return self.watchdog + self.watchdog_margin + self.period
+
+
+MIN_SAMPLES = 10
+"""States in one pulse from which a response can be judged."""
+EFFORT_SHARE = 0.2
+"""Of the test torque: by which an effort may miss its command, and below which it counts as none."""
+MIN_MOVE = 2.0e-4
+"""rad that the first pulse must move a joint: four counts of an encoder of 2^17."""
+VELOCITY_SHARE, VELOCITY_FLOOR = 0.2, 2.0e-3
+"""Of the change of position over VELOCITY_WINDOW, and rad, by which the integral of the velocity may miss it: a drive's
+velocity is filtered, so it lags."""
+VELOCITY_WINDOW = 0.05
+"""s."""
+MIN_STATES = 20
+"""New states from which a stream can be judged."""
