@@ -8,6 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from synthetic_run import (
     MISSED,
@@ -27,6 +30,7 @@ from dextar_control.analysis.load import load_run
 from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import BagError
 from dextar_control.ros.mcap_writer import BagWriter, Sample
+from dextar_control.ros.recovery import recover
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +130,23 @@ def test_a_bag_of_ros2_bag_record_loads_as_well(bag: Path, tmp_path: Path, kind:
     assert theirs.diagnostics["plant"]["late_commands"] == "7"
     if kind == "sqlite3":
         assert_same_run(load_run(next((tmp_path / "theirs").glob("*.db3"))), ours)
+
+
+@pytest.mark.parametrize("options", [{"use_chunking": False}, {"compression": CompressionType.LZ4}], ids=str)
+def test_files_of_rosbag2s_other_presets_load_and_are_recovered(bag: Path, tmp_path: Path, options: dict) -> None:
+    with bag.open("rb") as source, (tmp_path / "run.mcap").open("wb") as target:
+        writer = McapWriter(target, **options)
+        writer.start("ros2", "libmcap")
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            if channel.id not in channels:
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, "cdr", schema_id)
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    assert_same_run(load_run(tmp_path / "run.mcap"), load_run(bag))
+    (tmp_path / "run.mcap").write_bytes((tmp_path / "run.mcap").read_bytes()[:-8])
+    assert_same_run(load_run(recover(tmp_path / "run.mcap").folder), load_run(bag))
 
 
 def assert_same_run(mine: Run, other: Run) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -206,6 +207,8 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
 ) -> None:
     file = tmp_path / "run" / "run.mcap"
     latched = plant.create_publisher(MultiDOFJointTrajectory, topics.TRAJECTORY.name, qos(topics.TRAJECTORY))
+    description = plant.create_publisher(String, "robot_description", qos(topics.TRAJECTORY))
+    description.publish(String(data="<robot/>"))
     remarks = plant.create_publisher(String, "remarks", 10)
     process = start(file, "record_from_start:=false", "extra_topics:=remarks", "name:=tuning", "parameters_of:=plant")
     executor = SingleThreadedExecutor(context=plant.context)
@@ -264,6 +267,7 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
     for bag in (file, second):  # the trajectory was published once, before either
         with Reader(bag.parent) as reader:
             assert [c.msgcount for c in reader.connections if c.topic == "/trajectory"] == [1]
+        assert texts(bag, "/robot_description") == ["<robot/>"]
     record = metadata(file)
     assert (record["name"], record["notes"], record["tags"]) == ("tuning", "brake later", "a b")
     assert metadata(second)["notes"] == "brake later"
@@ -333,6 +337,19 @@ def test_the_bags_folder_follows_the_stamp(plant: Node, start: Callable[..., Any
     assert abs((datetime.fromisoformat(metadata(folder / "run.mcap")["started"]) - begun).total_seconds()) < PATIENCE
     with Reader(folder) as reader:
         assert reader.message_count >= COUNT
+
+
+def test_a_bag_that_is_deleted_under_the_recorder_ends_the_recording_aloud(
+    plant: Node, start: Callable[..., Any], tmp_path: Path
+) -> None:
+    file = tmp_path / "run" / "run.mcap"
+    process = start(file, "sync_period:=0.1")
+    states(plant, process)
+    shutil.rmtree(file.parent)
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert "run.mcap stopped: the file was deleted" in errors
+    assert "Traceback" not in errors
 
 
 def test_a_disk_that_fills_ends_the_recording_aloud(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:

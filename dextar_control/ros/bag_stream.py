@@ -87,7 +87,13 @@ class BagStream:
         self._file.truncate(self.complete)
 
     def sync(self) -> None:
-        """Wait until the disk has what was written."""
+        """Wait until the disk has what was written.
+
+        Raises:
+            OSError: it has not, or somebody deleted the file.
+        """
+        if os.fstat(self._file.fileno()).st_nlink == 0:
+            raise FileNotFoundError(errno.ENOENT, "the file was deleted")
         end = self.complete
         os.fsync(self._file.fileno())
         self.synced = end

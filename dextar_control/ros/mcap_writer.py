@@ -252,9 +252,12 @@ class BagWriter:
 
     def _fail(self, error: OSError) -> None:
         stream = self._file.stream
-        why = error.strerror or error
+        why = error.strerror or str(error)
         if stream.closed:  # it ended well, and the next one could not be made
             self._end(f"{why}; the bag is whole up to there")
+            return
+        if isinstance(error, FileNotFoundError):
+            self._end(why)
             return
         self._end(f"{why}; it can be read up to its last complete chunk ({stream.complete} bytes)")
         with contextlib.suppress(OSError):

@@ -281,8 +281,7 @@ class RecorderNode(DextarNode):
             return
         lost = self._lost(writer)
         level, message = DiagnosticStatus.OK, f"recording to {writer.path}"
-        space = os.statvfs(writer.path.parent)
-        free = space.f_bavail * space.f_frsize
+        free = _free_space(writer.path.parent)
         elapsed = (datetime.now(timezone.utc) - self._record.started).total_seconds()
         lasts = free * elapsed / writer.size if writer.size and elapsed > 0 else float("inf")
         if writer.error is not None:
@@ -328,6 +327,15 @@ class RecorderNode(DextarNode):
 def lost_on_disk(writer: BagWriter) -> int:
     """Samples that arrived and could not be written."""
     return sum(writer.dropped.values())
+
+
+def _free_space(folder: Path) -> float:
+    """Bytes that the disk still has; nan when it cannot be asked."""
+    try:
+        space = os.statvfs(folder)
+    except OSError:
+        return float("nan")
+    return space.f_bavail * space.f_frsize
 
 
 def _spin(node: RecorderNode, executor: Any, stop: StopSignal) -> None:
