@@ -139,7 +139,7 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     extra.publish(String(data="here"))
 
     def parameters_are_there() -> bool:
-        return b"parameters.plant" in file.read_bytes()
+        return file.exists() and b"parameters.plant" in file.read_bytes()
 
     until(parameters_are_there, lambda: executor.spin_once(timeout_sec=0.02))
     code, errors = stop(process, number)
@@ -183,7 +183,7 @@ def test_a_killed_recorder_leaves_a_readable_bag(plant: Node, start: Callable[..
     file = tmp_path / "run.mcap"
     process = start(file, "compression:=none")
     states(plant, process)
-    until(lambda: b"q21" in file.read_bytes())
+    until(lambda: file.exists() and b"q21" in file.read_bytes())
     process.kill()
     process.wait()
     with pytest.warns(UserWarning, match="last complete chunk"):
@@ -345,6 +345,7 @@ def test_a_bag_that_is_deleted_under_the_recorder_ends_the_recording_aloud(
     file = tmp_path / "run" / "run.mcap"
     process = start(file, "sync_period:=0.1")
     states(plant, process)
+    until(file.exists)
     shutil.rmtree(file.parent)
     _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1

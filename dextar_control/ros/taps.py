@@ -36,7 +36,7 @@ class Tap:
         node: that subscribes, by polling.
         topic: name, type and whether it is latched.
         profile: of the subscription.
-        listen: is handed each sample's bytes and receive time (ns).
+        listen: is handed each recorded sample's bytes and receive time (ns).
 
     Attributes:
         name: in full.
@@ -53,6 +53,7 @@ class Tap:
         package, _, short = topic.type.split("/")
         message_type = getattr(importlib.import_module(f"{package}.msg"), short)
         subscription = node.create_polled_subscription(message_type, topic.name, profile, raw=True)
+        self.topic = topic
         self.name: str = subscription.topic_name
         self.type = topic.type
         self.message_type = message_type
