@@ -159,3 +159,10 @@ def test_the_command_says_how_much_of_what_and_until_when(bag: Path, tmp_path: P
     assert again.returncode == 2
     assert again.stderr.startswith("dextar recover: ")
     assert len(again.stderr.splitlines()) == 1
+
+
+def test_recovering_needs_no_ros() -> None:
+    code = "import sys, dextar_control.ros.recovery; print([n for n in ('rclpy', 'rosidl_runtime_py') if n in sys.modules])"
+    command = [sys.executable, "-c", code]
+    answer = subprocess.run(command, capture_output=True, text=True, check=True, cwd=Path(__file__).parents[1])
+    assert answer.stdout.strip() == "[]"
