@@ -69,7 +69,7 @@ demo: .venv/warm ## plan, simulate, control, record and judge one crossing; resu
 campaign: .venv/warm ## a small campaign on all cores, in about two minutes; result in runs/
 	@$(BIN)/dextar campaign $(CONFIG) $(ARGS)
 
-test: .venv/installed-test .venv/warm ## run the tests
+test: .venv/installed-test .venv/installed-js .venv/warm ## run the tests
 	@$(BIN)/python -m pytest -q --durations=10 $(ARGS)
 
 bench: .venv/warm ## measure the loop on this machine
@@ -116,6 +116,18 @@ clean: ## remove .venv, builds and caches; recordings in runs/ stay
 	@echo "installing what the tests need"
 	$(PIP) --editable '.$(TEST_EXTRAS)' | $(TRIM)
 	touch $@
+
+# The test with Foxglove's own readers is skipped where these cannot be installed.
+.venv/installed-js: .venv/made-for test/js/package.json
+	@command -v node >/dev/null && command -v npm >/dev/null || \
+		{ echo "no Node.js with npm here: the test with Foxglove's readers is skipped"; exit 0; }
+	echo "installing Foxglove's readers for a test (npm)"
+	mkdir -p .venv/js
+	cp test/js/package.json .venv/js/
+	cd .venv/js
+	npm install --no-audit --no-fund --no-update-notifier --loglevel=error >/dev/null || \
+		{ echo "npm could not install them: that test is skipped"; exit 0; }
+	touch ../installed-js
 
 .venv/installed-lint: .venv/installed
 	@echo "installing the linters"

@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 
-from dextar_control.commands import EXIT_USAGE, analyze, bench, campaign, check_rig, demo
+from dextar_control.commands import EXIT_USAGE, analyze, bench, campaign, check_rig, demo, recover
 from dextar_control.contract.errors import DextarError
 
 COMMANDS = {
@@ -15,6 +15,7 @@ COMMANDS = {
     "campaign": campaign,
     "check-rig": check_rig,
     "bench": bench,
+    "recover": recover,
 }
 
 

@@ -8,10 +8,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_run import MISSED, START, TICKS, TRUE_OFFSET, effort_at, joints_of, path, robot, write_run
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from synthetic_run import (
+    MISSED,
+    START,
+    TICKS,
+    TRUE_OFFSET,
+    TYPES,
+    effort_at,
+    joint_state,
+    joints_of,
+    path,
+    robot,
+    write_run,
+)
 
 from dextar_control.analysis.load import load_run
+from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import BagError
+from dextar_control.ros.mcap_writer import BagWriter, Sample
+from dextar_control.ros.recovery import recover
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +97,160 @@ def test_an_unusable_file_is_named_in_one_sentence(tmp_path: Path, content: byte
     with pytest.raises(BagError, match=sentence) as caught:
         load_run(file)
     assert str(file) in str(caught.value)
+
+
+def as_ros2_bag_record(source: Path, target: Path, storage: StoragePlugin, prefixes: tuple[str, ...] = ("",),
+                       mode: CompressionMode = CompressionMode.NONE) -> None:  # fmt: skip
+    """The run as another recorder has it: rosbags' writer, no metadata of ours, in each namespace once."""
+    writer = Writer(target, version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with Reader(source) as reader, writer:
+        for prefix in prefixes:
+            taken = {connection.topic: writer.add_connection(f"{prefix}{connection.topic}", connection.msgtype, typestore=TYPES)
+                     for connection in reader.connections}  # fmt: skip
+            for connection, time, raw in reader.messages():
+                writer.write(taken[connection.topic], time, raw)
+
+
+RECORDED = {
+    "mcap": (StoragePlugin.MCAP, CompressionMode.NONE),
+    "sqlite3": (StoragePlugin.SQLITE3, CompressionMode.NONE),
+    "sqlite3, each message compressed": (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+    "sqlite3, file compressed": (StoragePlugin.SQLITE3, CompressionMode.FILE),
+}
+
+
+@pytest.mark.parametrize("kind", RECORDED)
+def test_a_bag_of_ros2_bag_record_loads_as_well(bag: Path, tmp_path: Path, kind: str) -> None:
+    storage, mode = RECORDED[kind]
+    as_ros2_bag_record(bag, tmp_path / "theirs", storage, mode=mode)
+    ours, theirs = load_run(bag), load_run(tmp_path / "theirs")
+    assert_same_run(theirs, ours)
+    assert (theirs.parameters, theirs.robot, theirs.losses, theirs.version) == ({}, None, {}, "")
+    assert theirs.diagnostics["plant"]["late_commands"] == "7"
+    if kind == "sqlite3":
+        assert_same_run(load_run(next((tmp_path / "theirs").glob("*.db3"))), ours)
+
+
+@pytest.mark.parametrize("options", [{"use_chunking": False}, {"compression": CompressionType.LZ4}], ids=str)
+def test_files_of_rosbag2s_other_presets_load_and_are_recovered(bag: Path, tmp_path: Path, options: dict) -> None:
+    with bag.open("rb") as source, (tmp_path / "run.mcap").open("wb") as target:
+        writer = McapWriter(target, **options)
+        writer.start("ros2", "libmcap")
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            if channel.id not in channels:
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, "cdr", schema_id)
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    assert_same_run(load_run(tmp_path / "run.mcap"), load_run(bag))
+    (tmp_path / "run.mcap").write_bytes((tmp_path / "run.mcap").read_bytes()[:-8])
+    assert_same_run(load_run(recover(tmp_path / "run.mcap").folder), load_run(bag))
+
+
+def assert_same_run(mine: Run, other: Run) -> None:
+    for part, names in (
+        ("states", ("stamps", "position", "velocity", "effort")), ("commands", ("stamps", "effort")),
+        ("control", ("stamps", "time", "reference", "estimate", "error", "output", "wrench")),
+        ("criterion", ("stamps", "residual", "s", "phase", "verdict")), ("truth", ("stamps", "x", "x_dot", "q_a")),
+        ("trajectory", ("time", "x", "x_dot", "x_ddot")),
+    ):  # fmt: skip
+        for name in names:
+            np.testing.assert_array_equal(getattr(getattr(mine, part), name), getattr(getattr(other, part), name))
+
+
+def test_analysis_of_another_recorders_bag_says_what_it_does_not_know(bag: Path, tmp_path: Path) -> None:
+    as_ros2_bag_record(bag, tmp_path / "theirs", StoragePlugin.SQLITE3)
+    command = [sys.executable, "-m", "dextar_control.cli", "analyze", str(tmp_path / "theirs")]
+    answer = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[1], timeout=120)
+    assert answer.returncode in (0, 1), answer.stderr
+    assert "Traceback" not in answer.stderr
+    assert "law unknown, estimator unknown" in answer.stdout
+    assert "not counted" in answer.stdout
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_split_bag_loads_as_one(bag: Path, tmp_path: Path, named: bool) -> None:
+    writer = BagWriter(tmp_path / "run.mcap", max_duration=0.5, folder=named)
+    writer.add_metadata("dextar", {"version": "9.9"})
+    with Reader(bag) as reader:
+        first = reader.start_time
+        for connection, time, raw in reader.messages():
+            if not writer.has_topic(connection.topic):
+                writer.add_topic(connection.topic, connection.msgtype, [])
+            later = first + 1000 * (time - first)  # 1 us between two samples becomes 1 ms
+            writer.add(Sample(later, connection.topic, time, 1, bytes(raw)))
+    writer.close()
+    assert len(writer.paths) > 10  # two digits: sorted by number, not by letter
+    run = load_run(tmp_path)
+    assert_same_run(run, load_run(bag))
+    assert run.version == "9.9"
+
+
+def test_of_two_robots_in_one_bag_one_has_to_be_named(bag: Path, tmp_path: Path) -> None:
+    as_ros2_bag_record(bag, tmp_path / "both", StoragePlugin.MCAP, prefixes=("/left", "/right"))
+    with pytest.raises(BagError, match=r"holds joint_states of 2 robots \(/left/joint_states, /right/joint_states\)"):
+        load_run(tmp_path / "both")
+    assert_same_run(load_run(tmp_path / "both", namespace="/right"), load_run(bag))
+    with pytest.raises(BagError, match="holds no message of joint_states"):
+        load_run(tmp_path / "both", namespace="middle")
+
+
+def one_message(file: Path, topic: str, message: object) -> Path:
+    kind = message.__msgtype__  # type: ignore[attr-defined]
+    writer = BagWriter(file)
+    writer.add_topic(topic, kind, [])
+    writer.add(Sample(1, topic, 1, 1, bytes(TYPES.serialize_cdr(message, kind))))
+    writer.close()
+    return file
+
+
+def test_a_bag_of_something_else_is_told_by_what_it_holds(tmp_path: Path) -> None:
+    other = joint_state(1, ["shoulder", "elbow"], (1.0, 2.0))
+    with pytest.raises(BagError, match=r"arm.mcap: joint_states never holds the joints q11, q21"):
+        load_run(one_message(tmp_path / "arm.mcap", "/joint_states", other))
+    text = TYPES.types["std_msgs/msg/String"](data="hello")
+    with pytest.raises(BagError, match=r"/joint_states is a std_msgs/msg/String; .* has a sensor_msgs/msg/JointState there"):
+        load_run(one_message(tmp_path / "text.mcap", "/joint_states", text))
+    with pytest.raises(BagError, match="holds no message of joint_states: not a run of this robot"):
+        load_run(one_message(tmp_path / "chatter.mcap", "/chatter", text))
+
+
+def test_an_unusable_folder_is_named_in_one_sentence(bag: Path, tmp_path: Path) -> None:
+    def folder(name: str, *files: str, listing: str = "") -> Path:
+        made = tmp_path / name
+        made.mkdir()
+        for file in files:
+            (made / file).write_bytes(bag.read_bytes())
+        if listing:
+            (made / "metadata.yaml").write_text(listing)
+        return made
+
+    lists = "rosbag2_bagfile_information: {{relative_file_paths: [{}]}}"
+    for place, words in (
+        (folder("void"), "has no metadata.yaml and holds 0 .mcap files; one is needed"),
+        (folder("several", "monday.mcap", "tuesday.mcap"), "has no metadata.yaml and holds 2 .mcap files; one is needed"),
+        (folder("odd", "run.mcap", listing="[1, 2]"), "metadata.yaml is no metadata.yaml of rosbag2"),
+        (folder("torn", "run.mcap", listing="a: [b"), "metadata.yaml is no metadata.yaml of rosbag2"),
+        (folder("short", "run.mcap", listing=lists.format("run_0.mcap")), "lists run_0.mcap, which is not there"),
+    ):
+        with pytest.raises(BagError, match=words):
+            load_run(place)
+    (tmp_path / "broken.db3").write_bytes(b"SQLite format 3\0" + bytes(500))
+    with pytest.raises(BagError, match="broken.db3 cannot be read"):
+        load_run(tmp_path / "broken.db3")
+    assert_same_run(load_run(folder("named", "run.mcap", "noise.mcap", listing=lists.format("run.mcap"))), load_run(bag))
+
+
+def test_a_damaged_chunk_ends_the_reading_and_is_told(bag: Path, tmp_path: Path) -> None:
+    content = bytearray(bag.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    (tmp_path / "damaged.mcap").write_bytes(content)
+    with pytest.warns(UserWarning, match="last complete chunk"):
+        run = load_run(tmp_path / "damaged.mcap")
+    assert run.truncated
+    assert len(run.states.stamps) < TICKS
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

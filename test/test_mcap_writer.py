@@ -2,25 +2,37 @@
 
 from __future__ import annotations
 
+import os
+import random
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import Reader, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from synthetic_run import TYPES, joint_state, write_run
 
 from dextar_control.analysis.bag import read_bag
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.topics import TOPICS
+from dextar_control.ros import mcap_writer
 from dextar_control.ros.loss_count import UNSUPPORTED, LossCount
 from dextar_control.ros.mcap_writer import BagWriter, Sample
 from dextar_control.ros.message_definitions import SEPARATOR, definition, type_hash
+from dextar_control.ros.qos_profiles import describe
 
+PATIENCE = 30.0  # s, on a busy machine; not a measurement
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
@@ -108,7 +120,7 @@ sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
 from synthetic_run import write_run
 from dextar_control.contract.errors import BagError
-import dextar_control.ros.mcap_writer as w
+import dextar_control.ros.mcap_file as w
 w.CHUNK_SIZE = 20_000
 w.COMPRESSIONS = dict.fromkeys(w.COMPRESSIONS, w.CompressionType.NONE)
 resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, 600_000))
@@ -128,6 +140,164 @@ except BagError as error:
     assert bag.truncated
     assert 0 < len(bag.messages["/joint_states"]) < 1001
     assert "parameters.controller" in bag.metadata["dextar"]
+
+
+def write_numbers(writer: BagWriter, count: int, step: int = 1_000_000, size: int = 0) -> list[int]:
+    """Record strings "0", "1", ... one step (ns) apart, padded with bytes that do not compress; their log times."""
+    rng = random.Random(1)
+    writer.add_metadata("note", {"key": "value"})
+    writer.add_topic("/numbers", "std_msgs/msg/String", [])
+    times = [10**18 + step * number for number in range(count)]
+    for number, moment in enumerate(times):
+        text = f"{number} {rng.randbytes(size).hex()}"
+        message = TYPES.types["std_msgs/msg/String"](data=text)
+        writer.add(Sample(moment, "/numbers", moment - 5, number, bytes(TYPES.serialize_cdr(message, "std_msgs/msg/String"))))
+    return times
+
+
+def numbers_in(path: Path) -> list[int]:
+    """What rosbags reads back."""
+    with Reader(path) as reader:
+        taken = [TYPES.deserialize_cdr(raw, connection.msgtype).data for connection, _, raw in reader.messages()]
+    return [int(text.split()[0]) for text in taken]
+
+
+def test_the_folder_is_a_bag_with_the_metadata_that_rosbags_would_write(tmp_path: Path) -> None:
+    qos = Qos(QosHistory.KEEP_LAST, 7, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, QosTime(1, 2), QosTime(3, 4),
+              QosLiveliness.AUTOMATIC, QosTime(5, 6), False)  # fmt: skip
+    described = dump_qos_v9([qos])
+    writer = BagWriter(tmp_path / "run" / "run.mcap", folder=True)
+    writer.add_topic("/joints", JOINT_STATE, described)
+    message = bytes(TYPES.serialize_cdr(joint_state(1, ["q11"], (1.0,)), JOINT_STATE))
+    writer.add(Sample(100, "/joints", 90, 1, message))
+    writer.add(Sample(175, "/joints", 95, 2, message))
+    writer.close(custom={"name": "Lauf ü: 1"})
+    with RosbagsWriter(tmp_path / "theirs", version=9, storage_plugin=StoragePlugin.MCAP) as theirs:
+        theirs.set_custom_data("name", "Lauf ü: 1")
+        connection = theirs.add_connection("/joints", JOINT_STATE, typestore=TYPES, offered_qos_profiles=[qos])
+        theirs.write(connection, 100, message)
+        theirs.write(connection, 175, message)
+    mine, other = (yaml.safe_load((tmp_path / name / "metadata.yaml").read_text()) for name in ("run", "theirs"))
+    info, expected = mine["rosbag2_bagfile_information"], other["rosbag2_bagfile_information"]
+    for document in (info, expected):
+        del document["relative_file_paths"], document["ros_distro"], document["files"][0]["path"]
+    assert info == expected
+    with Reader(tmp_path / "run") as reader:
+        assert (reader.start_time, reader.duration, reader.message_count) == (100, 76, 2)
+        assert reader.connections[0].ext.offered_qos_profiles == [qos]
+        assert reader.storage.metadata.custom == {"name": "Lauf ü: 1"}
+        assert len(list(reader.messages())) == 2
+
+
+@pytest.mark.parametrize("kind", [HistoryPolicy, ReliabilityPolicy, DurabilityPolicy, LivelinessPolicy])
+def test_every_policy_has_the_word_that_rosbag2_reads(kind: type) -> None:
+    for policy in kind:
+        if policy.name in ("UNKNOWN", "BEST_AVAILABLE", "SYSTEM_DEFAULT"):
+            continue
+        profile = QoSProfile(depth=1)
+        setattr(profile, kind.__name__.removesuffix("Policy").removeprefix("QoS").lower(), policy)
+        read = parse_qos([describe(profile)])[0]
+        names = [entry.name for entry in read if hasattr(entry, "name")]
+        assert policy.name in names
+        assert "UNKNOWN" not in names
+
+
+def test_a_bag_without_messages_begins_never_as_rosbag2_has_it(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "run.mcap", folder=True)
+    writer.close()
+    info = yaml.safe_load((tmp_path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert info["starting_time"]["nanoseconds_since_epoch"] == 2**63 - 1
+    assert (info["duration"]["nanoseconds"], info["message_count"]) == (0, 0)
+
+
+@pytest.mark.parametrize(("limits", "most"), [({"max_size": 100_000}, 100_000), ({"max_duration": 0.25}, 0)])
+def test_a_split_bag_is_one_bag_and_each_file_stands_alone(tmp_path: Path, limits: dict, most: int) -> None:
+    writer = BagWriter(tmp_path / "run.mcap", "none", folder=True, **limits)
+    times = write_numbers(writer, 1000, size=300)
+    writer.close({"note": {"key": "last"}})
+    assert len(writer.paths) >= 4
+    assert [path.name for path in writer.paths] == [f"run_{k}.mcap" for k in range(len(writer.paths))]
+    info = yaml.safe_load((tmp_path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert info["relative_file_paths"] == [path.name for path in writer.paths]
+    assert numbers_in(tmp_path) == list(range(1000))
+    next_number = 0
+    for path, listed in zip(writer.paths, info["files"], strict=True):
+        inside = numbers_in(path)
+        assert inside == list(range(next_number, next_number + len(inside)))
+        next_number += len(inside)
+        first, last = times[inside[0]], times[inside[-1]]
+        assert listed == {"path": path.name, "starting_time": {"nanoseconds_since_epoch": first},
+                          "duration": {"nanoseconds": last - first}, "message_count": len(inside)}  # fmt: skip
+        assert not most or path.stat().st_size < 2.0 * most  # a chunk more, and the index
+        assert most or last - first < 250_000_000
+        with path.open("rb") as stream:
+            notes = [record.metadata["key"] for record in make_reader(stream).iter_metadata() if record.name == "note"]
+        assert notes[-1] == ("last" if path == writer.paths[-1] else "value")
+    assert next_number == 1000
+
+
+def test_what_was_handed_over_a_sync_period_ago_survives_a_power_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cut is simulated: of the file, only what the disk had confirmed is left."""
+    confirmed = 0
+    sync = os.fsync
+
+    def remember(handle: int) -> None:
+        nonlocal confirmed
+        size = os.fstat(handle).st_size
+        sync(handle)
+        if os.readlink(f"/proc/self/fd/{handle}") == str(file):
+            confirmed = size
+
+    file = tmp_path / "run.mcap"
+    monkeypatch.setattr(os, "fsync", remember)
+    writer = BagWriter(file, sync_period=0.1)
+    write_numbers(writer, 500, size=100)
+
+    def until(condition: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline, "the disk was never waited for"
+            time.sleep(0.01)
+
+    until(lambda: confirmed > 0 and not len(writer))
+    for _ in range(2):  # the second confirmation from here on was asked for after all was taken
+        reached = confirmed
+        writer.add_metadata("beat", {})
+        until(lambda reached=reached: confirmed > reached)
+    left = tmp_path / "left.mcap"
+    left.write_bytes(file.read_bytes()[:confirmed])
+    writer.close()
+    with pytest.warns(UserWarning, match="last complete chunk"):
+        assert len(read_bag(left).messages["/numbers"]) == 500
+
+
+def test_a_folder_that_is_another_bag_is_refused(tmp_path: Path) -> None:
+    BagWriter(tmp_path / "first.mcap", folder=True).close()
+    before = (tmp_path / "metadata.yaml").read_text()
+    with pytest.raises(BagError, match=r"second.mcap: .* holds another bag's metadata.yaml; name another folder"):
+        BagWriter(tmp_path / "second.mcap", folder=True)
+    assert (tmp_path / "metadata.yaml").read_text() == before
+    assert not (tmp_path / "second.mcap").exists()
+
+
+def test_a_metadata_file_that_appeared_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "run.mcap", folder=True)
+    write_numbers(writer, 10)
+    (tmp_path / "metadata.yaml").write_text("precious")
+    with pytest.raises(BagError, match="run.mcap is whole, but metadata.yaml beside it: File exists"):
+        writer.close()
+    assert (tmp_path / "metadata.yaml").read_text() == "precious"
+    assert numbers_in(tmp_path / "run.mcap") == list(range(10))
+
+
+def test_a_full_queue_drops_and_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mcap_writer, "MAX_PENDING_BYTES", 20_000)
+    monkeypatch.setattr(mcap_writer, "DRAIN_PERIOD", 3600.0)  # the first drain is that of close
+    writer = BagWriter(tmp_path / "run.mcap")
+    write_numbers(writer, 100, size=500)
+    writer.close()
+    assert 0 < writer.dropped["/numbers"] < 100
+    assert len(numbers_in(tmp_path / "run.mcap")) == 100 - writer.dropped["/numbers"]
 
 
 def test_a_gap_in_the_numbers_is_a_loss() -> None:

@@ -4,23 +4,31 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 import pytest
 import rclpy
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from synthetic_run import TYPES
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from dextar_control.contract import topics
@@ -87,6 +95,28 @@ def states(node: Node, process: subprocess.Popen[str]) -> list[JointState]:
     return sent
 
 
+def call(node: Node, executor: SingleThreadedExecutor, kind: Any, name: str, request: Any) -> Any:
+    """A service's answer."""
+    client = node.create_client(kind, name)
+    until(client.service_is_ready)
+    future = client.call_async(request)
+    until(future.done, lambda: executor.spin_once(timeout_sec=0.02))
+    node.destroy_client(client)
+    return future.result()
+
+
+def metadata(file: Path) -> dict[str, str]:
+    """The last record of the run."""
+    with file.open("rb") as stream:
+        return [entry.metadata for entry in make_reader(stream).iter_metadata() if entry.name == "dextar"][-1]
+
+
+def texts(file: Path, topic: str) -> list[str]:
+    """Data of the strings on a topic, in order."""
+    with AnyReader([file]) as reader:
+        return [reader.deserialize(raw, c.msgtype).data for c, _, raw in reader.messages() if c.topic == topic]
+
+
 def stop(process: subprocess.Popen[str], number: int = signal.SIGTERM) -> tuple[int, str]:
     process.send_signal(number)
     _, errors = process.communicate(timeout=PATIENCE)
@@ -109,7 +139,7 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     extra.publish(String(data="here"))
 
     def parameters_are_there() -> bool:
-        return b"parameters.plant" in file.read_bytes()
+        return file.exists() and b"parameters.plant" in file.read_bytes()
 
     until(parameters_are_there, lambda: executor.spin_once(timeout_sec=0.02))
     code, errors = stop(process, number)
@@ -153,7 +183,7 @@ def test_a_killed_recorder_leaves_a_readable_bag(plant: Node, start: Callable[..
     file = tmp_path / "run.mcap"
     process = start(file, "compression:=none")
     states(plant, process)
-    until(lambda: b"q21" in file.read_bytes())
+    until(lambda: file.exists() and b"q21" in file.read_bytes())
     process.kill()
     process.wait()
     with pytest.warns(UserWarning, match="last complete chunk"):
@@ -170,6 +200,157 @@ def test_an_unusable_output_is_one_line_and_an_exit_code(start: Callable[..., An
         assert process.returncode == 2
         assert "Traceback" not in errors
         assert [line for line in errors.splitlines() if str(output) in line and words in line]
+
+
+def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
+    plant: Node, start: Callable[..., Any], tmp_path: Path
+) -> None:
+    file = tmp_path / "run" / "run.mcap"
+    latched = plant.create_publisher(MultiDOFJointTrajectory, topics.TRAJECTORY.name, qos(topics.TRAJECTORY))
+    description = plant.create_publisher(String, "robot_description", qos(topics.TRAJECTORY))
+    description.publish(String(data="<robot/>"))
+    remarks = plant.create_publisher(String, "remarks", 10)
+    process = start(file, "record_from_start:=false", "extra_topics:=remarks", "name:=tuning", "parameters_of:=plant")
+    executor = SingleThreadedExecutor(context=plant.context)
+    executor.add_node(plant)
+    seen: dict[str, str] = {}
+
+    def on_diagnostics(message: DiagnosticArray) -> None:
+        for status in message.status:
+            seen.update({entry.key: entry.value for entry in status.values}, message=status.message)
+
+    plant.create_subscription(DiagnosticArray, topics.DIAGNOSTICS.name, on_diagnostics, qos(topics.DIAGNOSTICS))
+
+    def service(verb: str) -> Any:
+        return call(plant, executor, Trigger, f"recorder/{verb}", Trigger.Request())
+
+    def say(text: str) -> None:
+        remarks.publish(String(data=text))
+        time.sleep(0.1)
+
+    until(lambda: remarks.get_subscription_count() > 0 and latched.get_subscription_count() > 0,
+          lambda: executor.spin_once(timeout_sec=0.02))  # fmt: skip
+    latched.publish(MultiDOFJointTrajectory(joint_names=["end_effector"]))
+    say("before")
+    until(lambda: seen.get("recording") == "False", lambda: executor.spin_once(timeout_sec=0.02))
+    assert not file.exists()
+    refused = service("stop")
+    assert (refused.success, refused.message) == (False, "not recording")
+    begun = service("start")
+    assert (begun.success, begun.message) == (True, f"recording to {file}")
+    again = service("start")
+    assert (again.success, again.message) == (False, f"already recording to {file}")
+    say("first")
+    until(lambda: seen.get("recording") == "True" and seen["parameters_missing"] == "none",
+          lambda: executor.spin_once(timeout_sec=0.02))  # fmt: skip
+    changes = [Parameter("notes", value="brake later").to_parameter_msg(), Parameter("tags", value="a b").to_parameter_msg()]
+    set_parameters = SetParameters.Request(parameters=changes)
+    answer = call(plant, executor, SetParameters, "recorder/set_parameters", set_parameters)
+    assert [result.successful for result in answer.results] == [True, True]
+    fixed = SetParameters.Request(parameters=[Parameter("output", value="elsewhere.mcap").to_parameter_msg()])
+    [answer] = call(plant, executor, SetParameters, "recorder/set_parameters", fixed).results
+    assert (answer.successful, answer.reason) == (False, "'output' is fixed while the node runs")
+    plant.set_parameters([Parameter("mode", value="realtime")])
+    say("last of the first")
+    ended = service("stop")
+    assert ended.success, ended.message
+    assert ended.message.endswith(f"messages in {file}, 0 lost")
+    say("between")
+    assert service("start").message == f"recording to {tmp_path / 'run' / 'run-2' / 'run.mcap'}"
+    say("second")
+    code, errors = stop(process)
+    executor.remove_node(plant)
+    assert code == 0, errors
+    assert texts(file, "/remarks") == ["first", "last of the first"]
+    second = file.parent / "run-2" / "run.mcap"
+    assert texts(second, "/remarks") == ["second"]
+    for bag in (file, second):  # the trajectory was published once, before either
+        with Reader(bag.parent) as reader:
+            assert [c.msgcount for c in reader.connections if c.topic == "/trajectory"] == [1]
+        assert texts(bag, "/robot_description") == ["<robot/>"]
+    record = metadata(file)
+    assert (record["name"], record["notes"], record["tags"]) == ("tuning", "brake later", "a b")
+    assert metadata(second)["notes"] == "brake later"
+    changed = {(entry["node"], entry["name"]): entry["value"] for entry in json.loads(record["parameter_changes"])}
+    assert changed == {("/recorder", "notes"): "brake later", ("/recorder", "tags"): "a b", ("/plant", "mode"): "realtime"}
+    assert yaml.safe_load(record["parameters.plant"])["mode"] == "lockstep"
+    assert json.loads(metadata(second)["parameter_changes"]) == []
+    assert json.loads(record["topics"])["/remarks"] == {"received": 2, "lost": 0, "dropped": 0}
+    with AnyReader([file]) as reader:
+        events = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages() if c.topic == "/parameter_events"]
+    assert ("/plant", ["mode"]) in [(event.node, [entry.name for entry in event.changed_parameters]) for event in events]
+
+
+def test_a_recording_is_split_while_it_runs(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    process = start(folder / "run.mcap", "max_bag_size:=70000", "compression:=none", "sync_period:=0.1")
+    publisher = plant.create_publisher(JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES))
+    until(lambda: publisher.get_subscription_count() > 0 or process.poll() is not None)
+    sent = 0
+
+    def publish() -> None:
+        nonlocal sent
+        for _ in range(50):
+            message = JointState(name=["q11", "q21"], position=[0.0, -1.0])
+            message.header.stamp.sec = sent
+            publisher.publish(message)
+            sent += 1
+        time.sleep(0.02)
+
+    until(lambda: len(list(folder.glob("run_*.mcap"))) >= 3, publish)
+    code, errors = stop(process)
+    assert code == 0, errors
+    with Reader(folder) as reader:
+        stamps = [TYPES.deserialize_cdr(raw, c.msgtype).header.stamp.sec for c, _, raw in reader.messages()
+                  if c.topic == "/joint_states"]  # fmt: skip
+    assert stamps == list(range(sent))
+    assert all(metadata(file)["version"] for file in folder.glob("run_*.mcap"))
+
+
+@pytest.mark.parametrize(
+    ("output", "parameter", "words"),
+    [
+        ("run.bag", "name:=x", "run.bag: the name must end in .mcap"),
+        ("run.mcap", "max_bag_size:=10", "'max_bag_size' = 10; it must be 0 or >= 65536 bytes"),
+        ("run.mcap", "max_bag_duration:=-1.0", "'max_bag_duration' = -1.0; it must be >= 0"),
+        ("run.mcap", "sync_period:=0.0", "'sync_period' = 0.0; it must be >= 0.1"),
+        ("run.mcap", "compression:=lz5", "'compression' = 'lz5'; it must be one of zstd, none"),
+    ],
+)
+def test_a_bad_parameter_is_one_line_and_an_exit_code(
+    start: Callable[..., Any], tmp_path: Path, output: str, parameter: str, words: str
+) -> None:
+    process = start(tmp_path / output, parameter)
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 2
+    assert [line for line in errors.splitlines() if words in line]
+    assert "Traceback" not in errors
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_bags_folder_follows_the_stamp(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:
+    process = start(tmp_path / "{stamp}" / "run.mcap")
+    states(plant, process)
+    assert stop(process)[0] == 0
+    [folder] = tmp_path.iterdir()
+    begun = datetime.strptime(folder.name, "%Y%m%dT%H%M%SZ").replace(tzinfo=timezone.utc)
+    assert abs((datetime.fromisoformat(metadata(folder / "run.mcap")["started"]) - begun).total_seconds()) < PATIENCE
+    with Reader(folder) as reader:
+        assert reader.message_count >= COUNT
+
+
+def test_a_bag_that_is_deleted_under_the_recorder_ends_the_recording_aloud(
+    plant: Node, start: Callable[..., Any], tmp_path: Path
+) -> None:
+    file = tmp_path / "run" / "run.mcap"
+    process = start(file, "sync_period:=0.1")
+    states(plant, process)
+    until(file.exists)
+    shutil.rmtree(file.parent)
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert "run.mcap stopped: the file was deleted" in errors
+    assert "Traceback" not in errors
 
 
 def test_a_disk_that_fills_ends_the_recording_aloud(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dextar_control.analysis.bag import read_bag
-from dextar_control.analysis.run import Control, Criterion, Floats, Joints, Run, Served, Stamps, Truth
+from dextar_control.analysis.bag import Bag, read_bag
+from dextar_control.analysis.run import Control, Criterion, Floats, Joints, RecordedTopic, Run, Served, Truth
+from dextar_control.analysis.series import Series
 from dextar_control.contract import topics
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.robot import JOINT_NAMES, ROBOT_KEYS, RobotParameters, from_flat
@@ -26,11 +27,15 @@ _POINT_FIELDS = (
 )
 
 
-def load_run(path: str | Path) -> Run:
-    """A recorded run.
+def load_run(path: str | Path, namespace: str | None = None) -> Run:
+    """A recorded run; also one that ``ros2 bag record`` made, whose parameters are then unknown.
+
+    Args:
+        path: of the bag: a file, or a folder in rosbag2's layout.
+        namespace: of the robot, where a bag of another recorder holds several.
 
     Raises:
-        BagError: the file is missing, empty, foreign or holds no joint states.
+        BagError: the file is missing, empty, foreign or holds no joint states of one robot.
     """
     bag = read_bag(path)
     record = bag.metadata.get("dextar", {})
@@ -45,26 +50,41 @@ def load_run(path: str | Path) -> Run:
     except (ValueError, yaml.YAMLError) as error:
         raise BagError(f"{bag.path}: its metadata record 'dextar' cannot be read: {error}") from error
 
-    def of(topic: topics.Topic) -> list[Any]:
-        return bag.of(topic.name, resolved)
+    def of(topic: topics.Topic) -> Series:
+        return bag.of(topic.name, resolved, namespace)
 
-    states = _joints(bag.timed(topics.JOINT_STATES.name, resolved), JOINT_NAMES)
+    try:
+        return _run(bag, of, record, resolved, parameters, losses)
+    except BagError as error:
+        raise BagError(str(error) if str(bag.path) in str(error) else f"{bag.path}: {error}") from error
+
+
+def _run(
+    bag: Bag, of: Callable[[topics.Topic], Series], record: dict[str, str], resolved: dict[str, str],
+    parameters: dict[str, dict[str, Any]], losses: dict[str, dict[str, int | None]],
+) -> Run:  # fmt: skip
+    states = _joints(of(topics.JOINT_STATES))
     if len(states.stamps) == 0:
         raise BagError(f"{bag.path} holds no message of {topics.JOINT_STATES.name}: not a run of this robot")
+    if np.isnan(states.position).all():
+        raise BagError(f"{bag.path}: {topics.JOINT_STATES.name} never holds the joints {', '.join(JOINT_NAMES)} of this robot")
     return Run(
         path=bag.path,
         states=states,
-        commands=_joints(bag.timed(topics.JOINT_COMMANDS.name, resolved), JOINT_NAMES),
+        commands=_joints(of(topics.JOINT_COMMANDS)),
         control=_control(of(topics.CONTROLLER_STATE)),
         criterion=_criterion(of(topics.CRITERION)),
-        truth=_truth(of(topics.SIM_END_EFFECTOR), bag.timed(topics.SIM_JOINT_STATES.name, resolved)),
+        truth=_truth(of(topics.SIM_END_EFFECTOR), of(topics.SIM_JOINT_STATES)),
         trajectory=_trajectory(of(topics.TRAJECTORY)),
         diagnostics=_diagnostics(of(topics.DIAGNOSTICS), _namespace(resolved)),
         parameters=parameters,
         robot=_robot(parameters),
         losses=losses,
         version=record.get("version", ""),
-        truncated=bag.truncated,
+        record={key: text for key, text in record.items()
+                if key not in ("contract", "topics") and not key.startswith(PARAMETER_PREFIX)},
+        topics={name: _topic(series) for name, series in bag.messages.items()},
+        truncated=bag.truncated is not None,
     )
 
 
@@ -72,86 +92,64 @@ def _nanoseconds(time: Any) -> int:
     return int(time.sec) * NANOSECONDS + int(time.nanosec)
 
 
-def _in_order(messages: Sequence[Any]) -> tuple[list[Any], Stamps]:
-    """Messages by rising stamp, the first of each stamp."""
-    stamps = np.array([_nanoseconds(message.header.stamp) for message in messages], dtype=np.int64)
-    unique, rows = np.unique(stamps, return_index=True)
-    return [messages[row] for row in rows], unique
+def _topic(series: Series) -> RecordedTopic:
+    logged = series.logged
+    return RecordedTopic(series.type, len(logged), int(logged.min(initial=0)), int(logged.max(initial=0)))
 
 
-def _columns(messages: Sequence[Any], names: Sequence[str], pick: Callable[[Any], Any]) -> Floats:
-    """One field of JointStates (n, k) by name; nan where a message does not have it."""
-    table = np.full((len(messages), len(names)), np.nan)
-    orders: dict[tuple[str, ...], list[int]] = {}
-    for row, message in enumerate(messages):
-        present = tuple(message.name)
-        if present not in orders:
-            orders[present] = [present.index(name) if name in present else -1 for name in names]
-        values = pick(message)
-        for column, index in enumerate(orders[present]):
-            if 0 <= index < len(values):
-                table[row, column] = values[index]
-    return table
+def _by_name(kind: str, names: Sequence[str]) -> Callable[[Any], list[str]]:
+    """Paths of one array of a JointState by joint names; "" where it does not have one."""
+
+    def paths(message: Any) -> list[str]:
+        return [f"{kind}.{message.name.index(name)}" if name in message.name else "" for name in names]
+
+    return paths
 
 
-def _joints(timed: Sequence[tuple[int, Any]], names: Sequence[str]) -> Joints:
-    ordered, stamps = _in_order([message for _, message in timed])
-    first: dict[int, int] = {}
-    for time, message in timed:
-        first.setdefault(_nanoseconds(message.header.stamp), time)
-    published = np.array([first[stamp] for stamp in stamps.tolist()], dtype=np.int64)
-    return Joints(
-        stamps=stamps,
-        position=_columns(ordered, names, lambda message: message.position),
-        velocity=_columns(ordered, names, lambda message: message.velocity),
-        effort=_columns(ordered, names, lambda message: message.effort),
-        published=published,
-    )
+def _joints(series: Series) -> Joints:
+    kinds = ("position", "velocity", "effort")
+    table = series.table(6, lambda message: [path for kind in kinds for path in _by_name(kind, JOINT_NAMES)(message)])
+    position, velocity, effort = (table.values[:, 2 * k : 2 * k + 2] for k in range(3))
+    return Joints(table.stamps, position, velocity, effort, table.published, table.logged)
 
 
-def _control(messages: Sequence[Any]) -> Control:
-    ordered, stamps = _in_order(messages)
-    count = len(ordered)
-    time = np.full(count, np.nan)
-    table = np.full((9, count, 2), np.nan)
-    for row, message in enumerate(ordered):
-        index = 0
-        for point, names in zip(message.points, _POINT_FIELDS, strict=False):
-            for name in names:
-                values = getattr(point, name)
-                if len(values) == 2:
-                    table[index, row] = values
-                index += 1
-        if len(message.points):
-            time[row] = _nanoseconds(message.points[0].time_from_start) / NANOSECONDS
-    return Control(stamps, time, *table)
+def _control(series: Series) -> Control:
+    def paths(message: Any) -> list[str]:
+        names = ["points.0.time_from_start.sec", "points.0.time_from_start.nanosec"] if message.points else ["", ""]
+        for number, kinds in enumerate(_POINT_FIELDS):
+            for kind in kinds:
+                known = number < len(message.points) and len(getattr(message.points[number], kind)) == 2
+                names += [f"points.{number}.{kind}.{axis}" if known else "" for axis in range(2)]
+        return names
+
+    table = series.table(20, paths)
+    time = (table.values[:, 0] * NANOSECONDS + table.values[:, 1]) / NANOSECONDS
+    return Control(table.stamps, time, *(table.values[:, 2 * k : 2 * k + 2] for k in range(1, 10)))
 
 
-def _criterion(messages: Sequence[Any]) -> Criterion:
-    ordered, stamps = _in_order(messages)
-    table = _columns(ordered, topics.CRITERION_NAMES, lambda message: message.position)
-    phase = np.nan_to_num(table[:, 5], nan=-1.0).astype(np.int64)
-    residual, s, sigma_min, weight, mode, _, confidence, verdict = table.T
-    return Criterion(stamps, residual, s, sigma_min, weight, mode, phase, confidence, verdict)
+def _criterion(series: Series) -> Criterion:
+    table = series.table(len(topics.CRITERION_NAMES), _by_name("position", topics.CRITERION_NAMES))
+    columns = dict(zip(topics.CRITERION_NAMES, table.values.T, strict=True))
+    phase = np.nan_to_num(columns.pop("phase"), nan=-1.0).astype(np.int64)
+    return Criterion(
+        stamps=table.stamps, phase=phase,
+        **{name: columns[name] for name in ("residual", "s", "sigma_min", "projection_weight", "assembly_mode",
+                                            "mode_confidence", "verdict")},
+    )  # fmt: skip
 
 
-def _truth(platform: Sequence[Any], joints: Sequence[tuple[int, Any]]) -> Truth | None:
-    ordered, stamps = _in_order(platform)
-    active = _joints(joints, JOINT_NAMES)
-    common, rows, joint_rows = np.intersect1d(stamps, active.stamps, assume_unique=True, return_indices=True)
+def _truth(platform: Series, joints: Series) -> Truth | None:
+    places = ["pose.pose.position.x", "pose.pose.position.y", "twist.twist.linear.x", "twist.twist.linear.y"]
+    motion, active = platform.table(4, lambda _: places), _joints(joints)
+    common, rows, joint_rows = np.intersect1d(motion.stamps, active.stamps, assume_unique=True, return_indices=True)
     if len(common) == 0:
         return None
-    table = np.array(
-        [
-            (m.pose.pose.position.x, m.pose.pose.position.y, m.twist.twist.linear.x, m.twist.twist.linear.y)
-            for m in ordered
-        ]
-    )[rows]
-    return Truth(common, table[:, 0:2], table[:, 2:4], active.position[joint_rows])
+    x, x_dot = motion.values[rows, 0:2], motion.values[rows, 2:4]
+    return Truth(common, x, x_dot, active.position[joint_rows])
 
 
-def _trajectory(messages: Sequence[Any]) -> Served | None:
-    for message in reversed(messages):
+def _trajectory(series: Series) -> Served | None:
+    for message in reversed(list(series.messages())):
         if len(message.points) < 2:
             continue
         time = np.array([_nanoseconds(point.time_from_start) / NANOSECONDS for point in message.points])
@@ -177,10 +175,10 @@ def _namespace(resolved: dict[str, str]) -> str | None:
     return None
 
 
-def _diagnostics(messages: Sequence[Any], namespace: str | None) -> dict[str, dict[str, Any]]:
+def _diagnostics(series: Series, namespace: str | None) -> dict[str, dict[str, Any]]:
     """Last status per node name, of that namespace's nodes alone when it is known."""
     last: dict[str, dict[str, Any]] = {}
-    for message in messages:
+    for message in series.messages():
         for status in message.status:
             where, _, node = status.name.rpartition("/")
             if namespace is not None and where != namespace:

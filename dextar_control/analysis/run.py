@@ -24,7 +24,7 @@ class Joints:
         stamps: (n,) ns, rising.
         position, velocity: (n, k) rad, rad/s; nan where not sent.
         effort: (n, k) N m; nan where not sent.
-        published: (n,) when the message was published, ns of the system clock.
+        published, logged: (n,) when the message was published and when the recorder had it, ns of the system clock.
     """
 
     stamps: Stamps
@@ -32,6 +32,7 @@ class Joints:
     velocity: Floats
     effort: Floats
     published: Stamps
+    logged: Stamps
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,22 @@ class Served:
 
 
 @dataclass(frozen=True)
+class RecordedTopic:
+    """What a bag holds of one topic.
+
+    Attributes:
+        type: ``package/msg/Type``.
+        count: of its messages.
+        first, last: log times, ns of the recorder's system clock.
+    """
+
+    type: str
+    count: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
 class Run:
     """Everything the analysis knows, from the bag alone.
 
@@ -129,6 +146,8 @@ class Run:
         parameters: per node name, its parameters.
         robot: as the controller had it, or None.
         losses: per topic name, {received, lost, dropped}; lost is None when not known.
+        record: what else the recorder wrote about the run: when it started and ended, its name, notes, versions ...
+        topics: per topic name, how much of it there is.
         truncated: the bag breaks off.
     """
 
@@ -144,4 +163,6 @@ class Run:
     robot: RobotParameters | None = None
     losses: dict[str, dict[str, int | None]] = field(default_factory=dict)
     version: str = ""
+    record: dict[str, str] = field(default_factory=dict)
+    topics: dict[str, RecordedTopic] = field(default_factory=dict)
     truncated: bool = False

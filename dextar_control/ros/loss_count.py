@@ -32,6 +32,10 @@ class LossCount:
         self._count_publishers = count_publishers
         self._expected: list[int] = []  # next number of each publisher, the one heard last first
 
+    def restart(self) -> None:
+        """Count anew from the next sample on."""
+        self.received = self.lost = 0
+
     def see(self, number: int | None) -> int:
         """Count one sample; how many are missing before it."""
         self.received += 1

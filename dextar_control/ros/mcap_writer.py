@@ -1,121 +1,79 @@
-"""A bag in rosbag2's MCAP layout, written by its own thread.
-
-Readers of either world take it: profile ``ros2``, ``ros2msg`` schemas, the QoS and type hash of
-each channel, and rosbag2's own metadata record (BagMetadata version 9) at the end.
-"""
+"""A bag written by its own thread: queue, synchronisation with the disk, splitting, ``metadata.yaml``."""
 
 from __future__ import annotations
 
-import os
+import bisect
+import contextlib
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, NamedTuple, cast
-
-import yaml
-from mcap.writer import CompressionType, Writer
 
 from dextar_control.contract.errors import BagError
+from dextar_control.ros import mcap_file
+from dextar_control.ros.bag_metadata import METADATA_FILE, FileSummary, Qos, TopicDescription, write_metadata_file
+from dextar_control.ros.mcap_file import COMPRESSIONS as COMPRESSIONS
+from dextar_control.ros.mcap_file import McapFile, Sample
 from dextar_control.ros.message_definitions import definition, type_hash
 
-CHUNK_SIZE = 512 * 1024
-DRAIN_PERIOD = 0.1
-FLUSH_PERIODS = 10  # a killed recorder loses at most this many drain periods
-MAX_PENDING = 300_000
-COMPRESSIONS = {"zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
-
-Qos = dict[str, object]
-
-
-class Sample(NamedTuple):
-    """One message on its way to the bag; times in ns since the epoch."""
-
-    log_time: int
-    topic: str
-    publish_time: int
-    sequence: int
-    data: bytes
-
-
-@dataclass
-class _Channel:
-    topic: str
-    type: str
-    qos: list[Qos]
-    id: int
-    count: int = 0
-
-
-class _File:
-    """An unbuffered stream that knows where its last whole write ended; mcap's Writer writes whole records."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = open(path, "xb", buffering=0)  # noqa: SIM115
-        self.tell, self.flush = self._file.tell, self._file.flush
-        self.complete = 0
-
-    @property
-    def closed(self) -> bool:
-        return self._file.closed
-
-    def write(self, data: bytes) -> int:
-        view = memoryview(data)
-        done = 0
-        while done < len(view):
-            done += self._file.write(view[done:]) or 0
-        self.complete += done
-        return done
-
-    def cut(self) -> None:
-        """Drop what came after the last whole write."""
-        self._file.truncate(self.complete)
-
-    def sync(self) -> None:
-        os.fsync(self._file.fileno())
-
-    def close(self) -> None:
-        self._file.close()
+DRAIN_PERIOD = 0.1  # s
+SYNC_PERIOD = 1.0  # s
+MAX_PENDING = 300_000  # samples that may wait for the disk ...
+MAX_PENDING_BYTES = 256 * 1024 * 1024  # ... and their bytes
+SLICE = 200  # samples between two looks at a file's size
 
 
 class BagWriter:
-    """Takes samples from any thread, writes them from one.
+    """Takes samples from one thread, writes them from another.
 
     Args:
-        path: of the new ``.mcap`` file; its folder is made.
+        path: of the new ``.mcap`` file; its folder is made. A bag that is split has ``_0``, ``_1``, ... before the suffix.
         compression: ``zstd`` or ``none``, per chunk.
+        max_size: bytes of a file from which on the next begins; 0 does not split.
+        max_duration: s of a file after which the next begins; 0 does not split.
+        sync_period: s between two times that the disk is waited for: what a power cut can cost.
+        folder: the file's folder is the bag: ``metadata.yaml`` goes beside it at the end.
 
     Attributes:
+        path: of the file under way.
+        paths: of all files of the bag.
         error: why the writing ended early, or None.
-        dropped: samples per topic that found the queue full.
+        dropped: samples per topic that found the queue full or the writing ended.
 
     Raises:
-        BagError: the file exists or cannot be made.
+        BagError: the file or the folder's ``metadata.yaml`` exists, or it cannot be made.
     """
 
-    def __init__(self, path: Path, compression: str = "zstd") -> None:
-        self.path = path
+    def __init__(
+        self, path: Path, compression: str = "zstd", *, max_size: int = 0, max_duration: float = 0.0,
+        sync_period: float = SYNC_PERIOD, folder: bool = False,
+    ) -> None:  # fmt: skip
         self.error: BagError | None = None
         self.dropped: dict[str, int] = {}
+        self.paths: list[Path] = []
+        self._target = path
+        self._compression = compression
+        self._max_size, self._max_duration = max_size, round(max_duration * 1e9)
+        self._sync_period = sync_period
+        self._folder = folder
         self._pending: deque[Sample | Callable[[], None]] = deque()
+        self._bytes_in = self._bytes_out = 0
         self._stop = threading.Event()
-        self._channels: dict[str, _Channel] = {}
-        self._schemas: dict[str, int] = {}
-        self._first = 0
-        self._last = 0
+        self._topics: dict[str, TopicDescription] = {}
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._custom: dict[str, str] = {}
+        self._done: list[FileSummary] = []
+        self._earlier = 0  # bytes of the files before the one under way
+        self._closed = False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = _File(path)
+            if folder and (path.parent / METADATA_FILE).exists():
+                raise BagError(f"cannot record to {path}: {path.parent} holds another bag's {METADATA_FILE}; name another folder")
+            self._file = self._open()
         except FileExistsError as error:
             raise BagError(f"cannot record to {path}: it exists already; name another output or remove it") from error
         except OSError as error:
-            raise BagError(f"cannot record to {path}: {error.strerror or error}") from error
-        self._writer = Writer(cast(IO[bytes], self._file), chunk_size=CHUNK_SIZE, compression=COMPRESSIONS[compression])
-        try:
-            self._writer.start(profile="ros2", library="dextar recorder")
-        except OSError as error:
-            self._file.close()
             raise BagError(f"cannot record to {path}: {error.strerror or error}") from error
         self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
         self._thread.start()
@@ -124,9 +82,24 @@ class BagWriter:
         """Samples waiting to be written."""
         return len(self._pending)
 
+    @property
+    def path(self) -> Path:
+        """The file under way."""
+        return self.paths[-1]
+
+    @property
+    def size(self) -> int:
+        """Bytes written, of all files."""
+        return self._earlier + self._file.stream.complete
+
+    @property
+    def synced(self) -> int:
+        """Bytes of all files that the disk has for certain."""
+        return self._earlier + self._file.stream.synced
+
     def has_topic(self, topic: str) -> bool:
         """Whether the topic was added."""
-        return topic in self._channels
+        return topic in self._topics
 
     def add_topic(self, topic: str, type_name: str, qos: Sequence[Qos]) -> None:
         """Describe a topic; before its first sample.
@@ -134,57 +107,84 @@ class BagWriter:
         Raises:
             BagError: no definition of the type is installed.
         """
-        text, digest = definition(type_name), type_hash(type_name)
-        self._channels[topic] = _Channel(topic, type_name, list(qos), 0)
-        self._pending.append(lambda: self._register(topic, text, digest))
+        description = TopicDescription(topic, type_name, list(qos), definition(type_name), type_hash(type_name))
+        self._topics[topic] = description
+        self._pending.append(lambda: self._file.register(description))
 
     def add(self, sample: Sample) -> None:
         """Queue one sample; a full queue drops and counts it."""
-        if len(self._pending) >= MAX_PENDING or self.error is not None:
-            self.dropped[sample.topic] = self.dropped.get(sample.topic, 0) + 1
+        waiting = self._bytes_in - self._bytes_out
+        if len(self._pending) >= MAX_PENDING or waiting > MAX_PENDING_BYTES or self.error is not None:
+            self._drop(sample)
             return
+        self._bytes_in += len(sample.data)
         self._pending.append(sample)
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Queue a metadata record; a later one of the same name replaces it for the reader."""
+        """Queue a metadata record; a later one of the same name replaces it for the reader. Each file has the last."""
         copy = dict(data)
-        self._pending.append(lambda: self._writer.add_metadata(name, copy))
 
-    def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
+        def write() -> None:
+            self._metadata[name] = copy
+            self._file.add_metadata(name, copy)
+
+        self._pending.append(write)
+
+    def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None, custom: Mapping[str, str] | None = None) -> None:
         """Write what waits, the metadata records, index and end; then wait for the disk.
 
+        Args:
+            metadata: last records, per name.
+            custom: goes to ``custom_data`` of rosbag2's metadata.
+
         Raises:
-            BagError: the bag is not whole; it can be read up to its last complete chunk.
+            BagError: the recording ended early, or the bag is not whole; what was written can be read.
         """
-        if not self._file.closed:
+        if not self._closed:
+            self._closed = True
             self._stop.set()
             self._thread.join()
+            self._custom = dict(custom or {})
             try:
-                if self.error is None:
-                    self._finish(metadata or {})
+                if not self._file.stream.closed and (self.error is None or self._file.stream.full is not None):
+                    for name, data in (metadata or {}).items():
+                        self._file.add_metadata(name, data)
+                    self._finish()
             except OSError as error:
                 self._fail(error)
             finally:
-                self._file.close()
+                self._file.stream.close()
+            self._write_metadata_file()
         if self.error is not None:
             raise self.error
 
+    def _open(self) -> McapFile:
+        splits = self._max_size or self._max_duration
+        target = self._target
+        path = target.with_name(f"{target.stem}_{len(self.paths)}{target.suffix}") if splits else target
+        chunk = min(mcap_file.CHUNK_SIZE, self._max_size // 4 or mcap_file.CHUNK_SIZE)
+        file = McapFile(path, self._compression, chunk)
+        self.paths.append(path)
+        return file
+
     def _run(self) -> None:
-        periods = 0
+        synced = time.monotonic()
         try:
-            while True:
+            while self.error is None:
                 stopping = self._stop.wait(DRAIN_PERIOD)
                 self._drain()
-                periods += 1
-                if periods >= FLUSH_PERIODS or stopping:
-                    self._writer.flush()
-                    periods = 0
+                if stopping or time.monotonic() - synced >= self._sync_period:
+                    self._file.sync()
+                    synced = time.monotonic()
+                full = self._file.stream.full
+                if full is not None:
+                    self._end(f"{full.strerror}; the bag is whole up to there")
                 if stopping:
                     return
         except OSError as error:
             self._fail(error)
         except Exception as error:  # a bug here must end the recording aloud, not silently
-            self.error = BagError(f"recording to {self.path} stopped: {error!r}")
+            self._end(repr(error))
 
     def _drain(self) -> None:
         """Write all that waits, samples by log time between two other records."""
@@ -200,83 +200,78 @@ class BagWriter:
         self._write(batch)
 
     def _write(self, batch: list[Sample]) -> None:
-        if not batch:
-            return
         batch.sort(key=_log_time)
-        self._first = min(self._first or batch[0].log_time, batch[0].log_time)
-        self._last = max(self._last, batch[-1].log_time)
-        add, channels = self._writer.add_message, self._channels
-        for log_time, topic, publish_time, sequence, data in batch:
-            channel = channels[topic]
-            channel.count += 1
-            add(channel.id, log_time, data, publish_time, sequence & 0xFFFFFFFF)
+        start = 0
+        while start < len(batch):
+            if self._is_due(batch[start].log_time):
+                self._split()
+            end = self._slice_end(batch, start)
+            part = batch[start:end]
+            self._file.write(part)
+            self._bytes_out += sum(len(sample.data) for sample in part)
+            start = end
 
-    def _register(self, topic: str, text: str, digest: str) -> None:
-        channel = self._channels[topic]
-        if channel.type not in self._schemas:
-            self._schemas[channel.type] = self._writer.register_schema(channel.type, "ros2msg", text.encode())
-        profiles = yaml.safe_dump(channel.qos, sort_keys=False).strip()
-        details = {"offered_qos_profiles": profiles, "topic_type_hash": digest}
-        channel.id = self._writer.register_channel(topic, "cdr", self._schemas[channel.type], details)
+    def _is_due(self, log_time: int) -> bool:
+        """Whether the next sample begins a new file."""
+        file = self._file
+        if not file.first:
+            return False
+        if self._max_size and file.stream.complete >= self._max_size:
+            return True
+        return bool(self._max_duration) and log_time - file.first >= self._max_duration
 
-    def _finish(self, metadata: Mapping[str, Mapping[str, str]]) -> None:
-        for name, data in metadata.items():
-            self._writer.add_metadata(name, dict(data))
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": self._bag_metadata()})
-        self._writer.finish()
-        self._file.sync()
+    def _slice_end(self, batch: list[Sample], start: int) -> int:
+        end = min(start + SLICE, len(batch)) if self._max_size else len(batch)
+        if self._max_duration:
+            limit = (self._file.first or batch[start].log_time) + self._max_duration
+            end = min(end, max(start + 1, bisect.bisect_left(batch, limit, key=_log_time)))
+        return end
+
+    def _split(self) -> None:
+        self._finish()
+        earlier = self._earlier + self._file.stream.complete
+        self._file = self._open()
+        self._earlier = earlier
+        for description in list(self._topics.values()):
+            self._file.register(description)
+        for name, data in self._metadata.items():
+            self._file.add_metadata(name, data)
+
+    def _finish(self) -> None:
+        self._file.finish(self._custom)
+        self._done.append(self._file.summary())
+
+    def _write_metadata_file(self) -> None:
+        if not self._folder or len(self._done) < len(self.paths):
+            return
+        try:
+            write_metadata_file(self.path.parent, self._done, self._topics.values(), self._custom)
+        except OSError as error:
+            if self.error is None:
+                self.error = BagError(f"{self.path} is whole, but {METADATA_FILE} beside it: {error.strerror or error}")
 
     def _fail(self, error: OSError) -> None:
-        self.error = BagError(
-            f"recording to {self.path} stopped: {error.strerror or error}; "
-            f"it can be read up to its last complete chunk ({self._file.complete} bytes)"
-        )
-        try:
-            self._file.cut()
-        except OSError:
-            pass
+        stream = self._file.stream
+        why = error.strerror or str(error)
+        if stream.closed:  # it ended well, and the next one could not be made
+            self._end(f"{why}; the bag is whole up to there")
+            return
+        if isinstance(error, FileNotFoundError):
+            self._end(why)
+            return
+        self._end(f"{why}; it can be read up to its last complete chunk ({stream.complete} bytes)")
+        with contextlib.suppress(OSError):
+            stream.cut()
 
-    def _bag_metadata(self) -> str:
-        """rosbag2's BagMetadata, version 9, as YAML."""
-        count = sum(channel.count for channel in self._channels.values())
-        span = {
-            "starting_time": {"nanoseconds_since_epoch": self._first},
-            "duration": {"nanoseconds": self._last - self._first},
-            "message_count": count,
-        }
-        topics = [
-            {
-                "topic_metadata": {
-                    "name": channel.topic,
-                    "type": channel.type,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": channel.qos,
-                    "type_description_hash": type_hash(channel.type),
-                },
-                "message_count": channel.count,
-            }
-            for channel in self._channels.values()
-        ]
-        document = {
-            "version": 9,
-            "storage_identifier": "mcap",
-            "relative_file_paths": [self.path.name],
-            **span,
-            "topics_with_message_count": topics,
-            "compression_format": "",
-            "compression_mode": "",
-            "files": [{"path": self.path.name, **span}],
-            "custom_data": {},
-            "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
-        }
-        return yaml.dump(document, Dumper=_PlainDumper, sort_keys=False)
+    def _end(self, why: str) -> None:
+        self.error = BagError(f"recording to {self.path} stopped: {why}")
+        for item in list(self._pending):
+            if isinstance(item, Sample):
+                self._drop(item)
+        self._pending.clear()
 
-
-class _PlainDumper(yaml.SafeDumper):
-    """YAML without anchors, which rosbag2 does not read."""
-
-    def ignore_aliases(self, data: object) -> bool:
-        return True
+    def _drop(self, sample: Sample) -> None:
+        self.dropped[sample.topic] = self.dropped.get(sample.topic, 0) + 1
 
 
 def _log_time(sample: Sample) -> int:

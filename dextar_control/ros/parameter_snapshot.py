@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import yaml
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
@@ -39,9 +38,10 @@ class ParameterSnapshot:
             self._age = 1
             self._list.call_async(ListParameters.Request()).add_done_callback(self._on_names)
 
-    def text(self) -> str:
-        """The parameters as a ROS 2 parameter file's section."""
-        return parameter_text(self.values or {})
+    def renew(self) -> None:
+        """Forget the values, to ask again."""
+        self.values = None
+        self._age = 0
 
     def _on_names(self, future: Any) -> None:
         names = sorted(future.result().result.names)
@@ -52,10 +52,3 @@ class ParameterSnapshot:
         values = future.result().values
         if len(values) == len(names):
             self.values = dict(zip(names, map(parameter_value_to_python, values), strict=True))
-
-
-def parameter_text(values: dict[str, Any]) -> str:
-    """Dotted parameters as YAML, arrays as lists."""
-    plain = {name: value if isinstance(value, (str, bool, int, float, type(None))) else list(value)
-             for name, value in values.items()}  # fmt: skip
-    return yaml.safe_dump(plain, sort_keys=True, default_flow_style=None, width=1000)

@@ -1,57 +1,44 @@
-"""Records every contract topic to MCAP, with the parameters of the run; says which samples it lost."""
+"""Records every contract topic to MCAP, with all that is known of the run; says which samples it lost."""
 
 from __future__ import annotations
 
-import importlib
-import json
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Mapping
 from datetime import datetime, timezone
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
 
-from dextar_control.contract.errors import BagError, DextarError
-from dextar_control.contract.node import DextarNode, Parameter, StopSignal, qos, run_node
-from dextar_control.contract.topics import TOPICS, Topic
-from dextar_control.ros.loss_count import LossCount
-from dextar_control.ros.mcap_writer import COMPRESSIONS, BagWriter, Sample
-from dextar_control.ros.message_definitions import definition, type_hash
-from dextar_control.ros.parameter_snapshot import ParameterSnapshot, parameter_text
-from dextar_control.ros.qos_profiles import describe
+from dextar_control.contract.errors import BagError, DextarError, ParameterError
+from dextar_control.contract.node import DextarNode, Parameter, StopSignal, run_node
+from dextar_control.contract.topics import DIAGNOSTICS, TOPICS
+from dextar_control.ros.mcap_writer import COMPRESSIONS, Sample
+from dextar_control.ros.parameter_snapshot import ParameterSnapshot
+from dextar_control.ros.recording import LABELS, Recording
+from dextar_control.ros.taps import ALONGSIDE, PARAMETER_EVENTS, Tap, found_topic, profile_of
 
 EXIT_RECORDING = 1
-METADATA_NAME = "dextar"
 POLL_PERIOD = 0.02  # s
-HISTORY = 4000  # samples each reader holds between two polls: 4 s at 1 kHz
 LAST_WORDS = 0.3  # s given to samples under way when the recording ends
+LEAST_SPLIT = 65536  # bytes
 
 SPECS = (
-    Parameter("output", "path of the new .mcap file"),
+    Parameter("output", "path of the new .mcap file; its folder becomes the bag; {stamp} is the UTC time of the start"),
+    Parameter("record_from_start", "false waits for ~/start"),
+    Parameter("name", "of the run, into the bag", live=True),
+    Parameter("notes", "on the run, into the bag", live=True),
+    Parameter("tags", "of the run, separated by spaces, into the bag", live=True),
+    Parameter("max_bag_size", "bytes of a file from which on the next one begins; 0 does not split", 0),
+    Parameter("max_bag_duration", "of a file, after which the next one begins; 0 does not split, s", 0.0),
+    Parameter("sync_period", "between two times that the disk is waited for: what a power cut can cost, s", 0.1, 3600.0),
     Parameter("reliable", "ask the publishers to repeat lost samples; false never slows them"),
     Parameter("compression", "of each chunk", choices=tuple(COMPRESSIONS)),
     Parameter("parameters_of", "nodes whose parameters go into the bag, separated by spaces"),
     Parameter("extra_topics", "further topics to record, separated by spaces; their types are found"),
 )
-
-
-@dataclass
-class _Tap:
-    """One recorded topic."""
-
-    name: str
-    subscription: Subscription
-    type: str
-    losses: LossCount
-    take: Callable[[Any, bool], Any] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.take = self.subscription.handle.take_message
 
 
 class RecorderNode(DextarNode):
@@ -65,41 +52,69 @@ class RecorderNode(DextarNode):
     of a core and every one of 60 000 samples arrived, reliable or best effort; the reliable reader
     costs the publishing process more.
 
+    The subscriptions stay between two recordings, so that the next one misses nothing at its start.
+
     Raises:
-        BagError: the file cannot be made.
+        ParameterError: a parameter is unknown or out of its bounds.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__("recorder", SPECS, robot=False, **options)
-        self._started = datetime.now(timezone.utc)
-        self._taps: list[_Tap] = []
+        if 0 < self.values["max_bag_size"] < LEAST_SPLIT:
+            size = self.values["max_bag_size"]
+            raise ParameterError(f"parameter 'max_bag_size' = {size}; it must be 0 or >= {LEAST_SPLIT} bytes")
+        self._recording: Recording | None = None
+        self._made: Counter[Path] = Counter()
         self._unnumbered: set[str] = set()
-        self._unanswered = -1
-        for topic in TOPICS:
-            self._tap(topic.name, topic.type, self._profile(topic))
-        self._writer = BagWriter(Path(self.values["output"]).expanduser(), self.values["compression"])
+        listeners = {DIAGNOSTICS.name: self._on_diagnostics, PARAMETER_EVENTS.name: self._on_parameter_event}
+        self._taps = [Tap(self, topic, profile_of(topic, self.values["reliable"]), listeners.get(topic.name))
+                      for topic in (*TOPICS, *ALONGSIDE)]  # fmt: skip
         self._wanted = self.values["extra_topics"].split()
         self._snapshots = [ParameterSnapshot(self, name) for name in self.values["parameters_of"].split()]
-        self._writer.add_metadata(METADATA_NAME, self._run_metadata())
+        self.create_service(Trigger, "~/start", self._on_start)
+        self.create_service(Trigger, "~/stop", self._on_stop)
         self._timer = self.create_timer(1.0, self._on_second, clock=self.steady_clock)
-        self.get_logger().info(f"recording to {self._writer.path}")
+
+    def on_parameters(self, changes: Mapping[str, Any]) -> None:
+        """Name, notes and tags as they are set last."""
+        if self._recording is not None:
+            self._recording.record.labels.update({key: value for key, value in changes.items() if key in LABELS})
+
+    def begin(self) -> None:
+        """Begin the first recording, unless ``~/start`` shall.
+
+        Not while the node is made: a signal that comes then ends the process at once, and a bag would stay cut off.
+
+        Raises:
+            BagError: the file cannot be made.
+        """
+        if self.values["record_from_start"]:
+            self._begin()
 
     def poll(self) -> int:
-        """Take what the readers hold; how many samples."""
+        """Take what the readers hold, and record it if a recording is on; how many samples."""
         count = 0
+        recording = self._recording
         for tap in self._taps:
-            message_type, take, name, see = tap.subscription.msg_type, tap.take, tap.name, tap.losses.see
+            message_type, take, name, losses = tap.message_type, tap.take, tap.name, tap.losses
             while (taken := take(message_type, True)) is not None:
-                data, info = taken
-                if not self._writer.has_topic(name):
-                    self._describe(tap)
-                number = info["publication_sequence_number"]
-                see(number)
-                received = info["received_timestamp"] or time.time_ns()
-                self._writer.add(Sample(received, name, info["source_timestamp"], number or tap.losses.received, data))
                 count += 1
-        if self._writer.error is not None and not self.finished:
-            self.get_logger().error(str(self._writer.error))
+                data, info = taken
+                number = info["publication_sequence_number"]
+                losses.see(number)
+                received = info["received_timestamp"] or time.time_ns()
+                sample = Sample(received, name, info["source_timestamp"], number or losses.received, data)
+                if tap.kept is not None:
+                    tap.kept.append(sample)
+                if recording is None:
+                    continue
+                if not recording.writer.has_topic(name):
+                    recording.describe(tap)
+                recording.writer.add(sample)
+                if tap.listen is not None:
+                    tap.listen(data, received)
+        if recording is not None and recording.writer.error is not None and not self.finished:
+            self.get_logger().error(str(recording.writer.error))
             self.finish(EXIT_RECORDING)
         return count
 
@@ -111,44 +126,70 @@ class RecorderNode(DextarNode):
         self._publish_diagnostics()
         time.sleep(2 * POLL_PERIOD)
         self.poll()
+        if self._recording is not None:
+            self._end(self._recording)
+
+    def _begin(self) -> Recording:
+        """Begin a recording; raises BagError."""
+        stamp = datetime.now(timezone.utc).strftime("%Y%m%dT%H%M%SZ")
+        path = target = Path(self.values["output"].replace("{stamp}", stamp)).expanduser()
+        if target.suffix != ".mcap":
+            raise BagError(f"cannot record to {target}: the name must end in .mcap")
+        if self._made[target]:
+            path = target.parent / f"{target.stem}-{self._made[target] + 1}" / target.name
+        self._recording = Recording(self, path, self._taps, self._snapshots)
+        self._made[target] += 1
+        self.get_logger().info(f"recording to {self._recording.writer.path}")
+        return self._recording
+
+    def _end(self, recording: Recording) -> str:
+        """Finish the recording; why the bag is not whole, or ""."""
+        self._recording = None
         for tap in self._taps:
             if tap.losses.lost:
                 self.get_logger().warning(f"{tap.name}: {tap.losses.lost} samples lost, {tap.losses.received} recorded")
-        missing = [snapshot.target for snapshot in self._snapshots if snapshot.values is None]
-        if missing:
+        if missing := recording.missing():
             self.get_logger().warning(f"no parameters of {', '.join(missing)}: they never answered")
+        known = recording.writer.error
         try:
-            self._writer.close({METADATA_NAME: self._run_metadata(ended=datetime.now(timezone.utc))})
+            recording.end()
         except BagError as error:
-            if not self.finished:
+            if error is not known:
                 self.get_logger().error(str(error))
             self.finish(EXIT_RECORDING)
+            return str(error)
+        return ""
 
-    def _profile(self, topic: Topic) -> QoSProfile:
-        reliable = self.values["reliable"] or topic.latched or topic.rate < 100.0
-        return qos(topic, reliable=reliable, depth=topic.depth if topic.latched else HISTORY)
+    def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._recording is not None:
+            response.message = f"already recording to {self._recording.writer.path}"
+            return response
+        self.poll()
+        try:
+            response.message = f"recording to {self._begin().writer.path}"
+            response.success = True
+        except BagError as error:
+            self.get_logger().error(str(error))
+            response.message = str(error)
+        return response
 
-    def _tap(self, name: str, type_name: str, profile: QoSProfile) -> None:
-        definition(type_name), type_hash(type_name)
-        package, _, short = type_name.split("/")
-        message_type = getattr(importlib.import_module(f"{package}.msg"), short)
-        subscription = self.create_polled_subscription(message_type, name, profile, raw=True)
-        resolved = subscription.topic_name
-        losses = LossCount(lambda: self.count_publishers(resolved))
-        self._taps.append(_Tap(resolved, subscription, type_name, losses))
-
-    def _describe(self, tap: _Tap) -> None:
-        """Add the topic to the bag as its publishers offer it, at its first sample."""
-        offered = [info.qos_profile for info in self.get_publishers_info_by_topic(tap.name)]
-        self._writer.add_topic(tap.name, tap.type, [describe(profile) for profile in offered])
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        recording = self._recording
+        if recording is None:
+            response.message = "not recording"
+            return response
+        self.poll()
+        error = self._end(recording)
+        response.success = not error
+        response.message = error or f"{recording.written} messages in {recording.writer.path}, {recording.lost} lost"
+        self._publish_diagnostics()
+        return response
 
     def _on_second(self) -> None:
-        unanswered = [snapshot for snapshot in self._snapshots if snapshot.values is None]
-        for snapshot in unanswered:
+        for snapshot in self._snapshots:
             snapshot.ask()
-        if len(unanswered) != self._unanswered:
-            self._unanswered = len(unanswered)
-            self._writer.add_metadata(METADATA_NAME, self._run_metadata())
+        if self._recording is not None:
+            self._recording.on_second()
         for tap in self._taps:
             if not tap.losses.supported and tap.name not in self._unnumbered:
                 self._unnumbered.add(tap.name)
@@ -165,68 +206,32 @@ class RecorderNode(DextarNode):
             if resolved not in types:
                 continue
             self._wanted.remove(name)
+            if any(tap.name == resolved for tap in self._taps):
+                continue
             offered = [info.qos_profile for info in self.get_publishers_info_by_topic(resolved)]
-            reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered)
-            latched = all(profile.durability.name == "TRANSIENT_LOCAL" for profile in offered)
-            found = Topic(name, types[resolved][0], "", 1, latched and bool(offered), 0.0, "")
             try:
-                self._tap(name, found.type, qos(found, reliable=reliable, depth=HISTORY))
+                self._taps.append(Tap(self, *found_topic(name, types[resolved][0], offered)))
             except (DextarError, ModuleNotFoundError, AttributeError, ValueError) as error:
-                self.get_logger().error(f"cannot record {resolved} of type {found.type}: {error}")
+                self.get_logger().error(f"cannot record {resolved} of type {types[resolved][0]}: {error}")
+
+    def _on_diagnostics(self, data: bytes, _: int) -> None:
+        if self._recording is not None:
+            self._recording.hear_diagnostics(data)
+
+    def _on_parameter_event(self, data: bytes, received: int) -> None:
+        if self._recording is not None:
+            self._recording.hear_parameter_event(data, received)
 
     def _publish_diagnostics(self) -> None:
-        lost = sum(tap.losses.lost for tap in self._taps) + sum(self._writer.dropped.values())
-        level, message = DiagnosticStatus.OK, f"recording to {self._writer.path}"
-        if self._writer.error is not None:
-            level, message = DiagnosticStatus.ERROR, str(self._writer.error)
-        elif lost:
-            level, message = DiagnosticStatus.WARN, f"{lost} samples lost"
+        level, message, values = DiagnosticStatus.OK, "not recording", {"recording": False}
+        if self._recording is not None:
+            level, message, values = self._recording.status()
         missing = [snapshot.target for snapshot in self._snapshots if snapshot.values is None]
-        values: dict[str, Any] = {"pending": len(self._writer), "parameters_missing": " ".join(missing) or "none"}
-        for name, counts in self._counts().items():
-            values[f"{name} received"] = counts["received"]
-            values[f"{name} lost"] = "unknown" if counts["lost"] is None else counts["lost"] + (counts["dropped"] or 0)
-        self.publish_diagnostics(level, message, values)
-
-    def _counts(self) -> dict[str, dict[str, int | None]]:
-        """Per topic: samples received, lost on the way (None: not numbered), dropped before the disk."""
-        return {
-            tap.name: {
-                "received": tap.losses.received,
-                "lost": tap.losses.lost if tap.losses.supported else None,
-                "dropped": self._writer.dropped.get(tap.name, 0),
-            }
-            for tap in self._taps
-        }
-
-    def _run_metadata(self, ended: datetime | None = None) -> dict[str, str]:
-        missing = [snapshot.target for snapshot in self._snapshots if snapshot.values is None]
-        own = {spec.name: self.values[spec.name] for spec in SPECS}
-        record = {
-            "version": _version(),
-            "started": self._started.isoformat(),
-            "ended": ended.isoformat() if ended else "",
-            "contract": json.dumps({topic.name: tap.name for topic, tap in zip(TOPICS, self._taps, strict=False)}),
-            "topics": json.dumps(self._counts()),
-            "parameters_missing": json.dumps(missing),
-            f"parameters.{self.get_name()}": parameter_text(own),
-        }
-        for snapshot in self._snapshots:
-            if snapshot.values is not None:
-                record[f"parameters.{snapshot.target}"] = snapshot.text()
-        return record
-
-
-def _version() -> str:
-    try:
-        return metadata.version("dextar")
-    except metadata.PackageNotFoundError:
-        manifest = Path(__file__).resolve().parents[2] / "package.xml"
-        text = manifest.read_text(encoding="utf-8") if manifest.is_file() else ""
-        return text.partition("<version>")[2].partition("</version>")[0] or "unknown"
+        self.publish_diagnostics(level, message, values | {"parameters_missing": " ".join(missing) or "none"})
 
 
 def _spin(node: RecorderNode, executor: Any, stop: StopSignal) -> None:
+    node.begin()
     while not stop and not node.finished:
         executor.spin_once(timeout_sec=POLL_PERIOD)
         node.poll()

@@ -1,0 +1,169 @@
+"""Does the recorder keep up beside the running stack? ``python -m dextar_control.ros.recorder_bench 600``.
+
+Runs plant (with a camera at the loop's rate), controller, trajectory server and recorder in real time as processes of their
+own, serves a trip now and then, and counts afterwards from the bag alone, by the numbers that the publishers gave their
+samples, what is missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from mcap.reader import make_reader
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from dextar_control.commands import EXIT_FAILED
+from dextar_control.contract.errors import BagError
+from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
+
+MODULES = {
+    "recorder": "dextar_control.ros.recorder_node",
+    "plant": "dextar_sim.node",
+    "controller": "dextar_control.ros.controller_node",
+    "trajectory_server": "dextar_control.ros.trajectory_server",
+}
+CAMERA_RATE = 1000.0  # Hz
+STARTING = 240.0  # s until the nodes have to be there; the first start compiles
+STOPPING = 30.0  # s
+
+
+class Stream(NamedTuple):
+    """One topic of a bag."""
+
+    topic: str
+    messages: int
+    missing: int  # numbers that its publisher gave and that are not in the bag
+    dropped: int  # as the recorder counted itself: lost on the way or before the disk
+
+
+def streams(bag: Path) -> list[Stream]:
+    """Per topic with one publisher, the numbers missing between the first and the last one in the bag."""
+    numbers: dict[str, list[int]] = {}
+    counts: dict[str, dict[str, int]] = {}
+    with bag.open("rb") as stream:
+        reader = make_reader(stream)
+        for record in reader.iter_metadata():
+            if record.name == "dextar":
+                counts = json.loads(record.metadata["topics"])
+        for _, channel, message in reader.iter_messages(log_time_order=False):
+            numbers.setdefault(channel.topic, []).append(message.sequence)
+    shared = ("/diagnostics", "/rosout", "/parameter_events")  # by several publishers, each with its own numbers
+    return [
+        Stream(
+            topic, len(seen), 0 if topic in shared else max(seen) - min(seen) + 1 - len(set(seen)),
+            (counts[topic]["lost"] or 0) + counts[topic]["dropped"],
+        )
+        for topic, seen in sorted(numbers.items())
+    ]  # fmt: skip
+
+
+def run(seconds: float, output: Path, reliable: bool) -> int:
+    """Measure and print; 0 when nothing is missing."""
+    console = Console()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(1, 100)))
+    settings = {
+        "recorder": [f"output:={output / 'run.mcap'}", f"reliable:={str(reliable).lower()}", "compression:=zstd"],
+        "plant": [f"pose_rate:={CAMERA_RATE}"],
+        "controller": [],
+        "trajectory_server": ["autostart:=true", "repeat:=20"],
+    }
+    processes = {name: _start(name, output, values) for name, values in settings.items()}
+    try:
+        with console.status("starting the nodes"):
+            _wait_for_all(output, processes)
+        before = {name: _cpu(process.pid) for name, process in processes.items()}
+        begin = time.monotonic()
+        for _ in track(range(round(seconds)), description="recording", console=console):
+            time.sleep(1.0)
+            ended = [name for name, process in processes.items() if process.poll() is not None]
+            if ended:
+                raise BagError(f"{ended[0]} ended: see {output / ended[0]}.log")
+        elapsed = time.monotonic() - begin
+        load = {name: (_cpu(process.pid) - before[name]) / elapsed for name, process in processes.items()}
+        memory = {name: _memory(process.pid) for name, process in processes.items()}
+    finally:
+        _stop(processes[name] for name in ("trajectory_server", "controller", "plant", "recorder"))
+    found = streams(output / "run.mcap")
+    table = Table("topic", "messages", "missing", "told by the recorder", title=f"{elapsed:.0f} s in real time")
+    for row in found:
+        table.add_row(row.topic, str(row.messages), str(row.missing), str(row.dropped))
+    console.print(table)
+    console.print("; ".join(f"{name} {load[name]:.2f} cores, {memory[name]:.0f} MB" for name in load), highlight=False)
+    console.print(f"load average {os.getloadavg()[1]:.1f} on {os.cpu_count()} cores; bag {output}", highlight=False)
+    return EXIT_FAILED if any(row.missing or row.dropped for row in found) else 0
+
+
+def _start(name: str, output: Path, values: list[str]) -> subprocess.Popen[bytes]:
+    files = ["--params-file", str(config_file(ROBOT_FILE)), "--params-file", str(config_file(NODES_FILE))]
+    given = [part for value in values for part in ("-p", f"{name}:{value}")]
+    with (output / f"{name}.log").open("wb") as log:
+        return subprocess.Popen([sys.executable, "-m", MODULES[name], "--ros-args", *files, *given],
+                                stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)  # fmt: skip
+
+
+def _wait_for_all(output: Path, processes: dict[str, subprocess.Popen[bytes]]) -> None:
+    deadline = time.monotonic() + STARTING
+    while "accepted" not in (output / "controller.log").read_text(errors="replace"):
+        for name, process in processes.items():
+            if process.poll() is not None:
+                raise BagError(f"{name} ended: see {output / name}.log")
+        if time.monotonic() > deadline:
+            raise BagError(f"no trajectory was accepted within {STARTING:.0f} s: see the logs in {output}")
+        time.sleep(0.2)
+
+
+def _stop(processes: Iterable[subprocess.Popen[bytes]]) -> None:
+    for process in processes:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(timeout=STOPPING)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _cpu(pid: int) -> float:
+    """Processor time of a process, s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _memory(pid: int) -> float:
+    """Largest resident size, MB."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0]) / 1024.0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Console entry."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seconds", type=float, nargs="?", default=600.0)
+    parser.add_argument("--output", type=Path, help="new folder of bag and logs (default: a temporary one)")
+    parser.add_argument("--reliable", action="store_true", help="ask the publishers to repeat what was lost")
+    arguments = parser.parse_args(argv)
+    if arguments.output is None:
+        arguments.output = Path(tempfile.mkdtemp(prefix="recorder-"))
+    try:
+        arguments.output.mkdir(parents=True, exist_ok=True)
+        return run(arguments.seconds, arguments.output, arguments.reliable)
+    except (BagError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return EXIT_FAILED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,175 @@
+"""What a bag says of its run: names, parameters and their changes, versions, plan certificate, losses."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Mapping
+from datetime import datetime, timezone
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rclpy.utilities import get_rmw_implementation_identifier
+
+METADATA_NAME = "dextar"
+MAX_CHANGES = 1000  # live parameter changes that are listed
+_PACKAGES = ("numpy", "scipy", "numba", "mcap", "rclpy", "pybullet", "pybullet-arm64")
+_DESCRIBED = ("name", "notes", "tags")
+
+
+class RunRecord:
+    """Gathers what is known of one recording; ``texts`` is its metadata record.
+
+    Args:
+        labels: the run's name, notes and tags.
+    """
+
+    def __init__(self, labels: Mapping[str, str]) -> None:
+        self.started = datetime.now(timezone.utc)
+        self.labels = dict(labels)
+        self.certificate = ""
+        self.changes: list[dict[str, Any]] = []
+        self.more_changes = 0
+
+    def note_change(self, time: int, node: str, name: str, value: Any) -> None:
+        """A parameter that was changed while the recording ran; time in ns since the epoch."""
+        if len(self.changes) >= MAX_CHANGES:
+            self.more_changes += 1
+            return
+        self.changes.append({"time": time, "node": node, "name": name, "value": plain(value)})
+
+    def note_certificate(self, text: str) -> None:
+        """A plan's certificate as JSON; one that lists all its crossings is kept against a shortened one of the same plan."""
+        if text == self.certificate:
+            return
+        try:
+            new, old = json.loads(text), json.loads(self.certificate or "{}")
+        except ValueError:
+            return
+        if isinstance(new, dict) and not _shortens(new, old):
+            self.certificate = text
+
+    def texts(
+        self, parameters: Mapping[str, Mapping[str, Any]], topics: Mapping[str, str], counts: Mapping[str, Any],
+        missing: list[str], ended: datetime | None = None,
+    ) -> dict[str, str]:  # fmt: skip
+        """The record.
+
+        Args:
+            parameters: per node, as at the start of the recording.
+            topics: contract name to name in this bag.
+            counts: per topic {received, lost, dropped}.
+            missing: nodes whose parameters are not known.
+            ended: when the recording ended.
+        """
+        return {
+            **{key: self.labels.get(key, "") for key in _DESCRIBED},
+            "started": self.started.isoformat(),
+            "ended": ended.isoformat() if ended else "",
+            **_laws(parameters),
+            "certificate": self.certificate,
+            "robot_description": robot_file(parameters),
+            "version": version(),
+            "versions": json.dumps(versions()),
+            "contract": json.dumps(dict(topics)),
+            "topics": json.dumps(dict(counts)),
+            "parameters_missing": json.dumps(missing),
+            "parameter_changes": json.dumps(self.changes),
+            "parameter_changes_not_listed": str(self.more_changes),
+            **{f"parameters.{node}": parameter_text(values) for node, values in parameters.items()},
+        }
+
+    def custom_data(self, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+        """What ``metadata.yaml`` shows of the run in ``custom_data``; nothing empty."""
+        data = {**self.labels, **_laws(parameters), "dextar": version()}
+        return {key: str(value) for key, value in data.items() if value}
+
+
+def robot_file(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """The robot as a ROS 2 parameter file (``--params-file``, ``load_robot``), the controller's before others'; "" if none."""
+    for node in ("controller", *parameters):
+        flat = {name.removeprefix("robot."): value for name, value in parameters.get(node, {}).items()
+                if name.startswith("robot.")}  # fmt: skip
+        if flat:
+            nested: dict[str, Any] = {}
+            for name, value in flat.items():
+                *groups, last = name.split(".")
+                place = nested
+                for group in groups:
+                    place = place.setdefault(group, {})
+                place[last] = plain(value)
+            return yaml.safe_dump({"/**": {"ros__parameters": {"robot": nested}}}, sort_keys=False, default_flow_style=None)
+    return ""
+
+
+def parameter_text(values: Mapping[str, Any]) -> str:
+    """Dotted parameters as YAML, arrays as lists."""
+    return yaml.safe_dump({name: plain(value) for name, value in values.items()}, sort_keys=True, default_flow_style=None,
+                          width=1000)  # fmt: skip
+
+
+def plain(value: Any) -> Any:
+    """A parameter's value in Python's own types."""
+    return value if isinstance(value, (str, bool, int, float, type(None))) else list(value)
+
+
+@cache
+def version() -> str:
+    """Of this package."""
+    try:
+        return metadata.version("dextar")
+    except metadata.PackageNotFoundError:
+        manifest = _source() / "package.xml"
+        text = manifest.read_text(encoding="utf-8") if manifest.is_file() else ""
+        return text.partition("<version>")[2].partition("</version>")[0] or "unknown"
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Of what the run was made with: this package and its source's revision, ROS, Python, libraries, machine."""
+    found = {
+        "dextar": version(),
+        "revision": _revision(),
+        "ros_distro": os.environ.get("ROS_DISTRO", "jazzy (wheels)"),
+        "rmw": get_rmw_implementation_identifier(),
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.release()} {platform.machine()}",
+    }
+    for name in _PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return {name: text for name, text in found.items() if text}
+
+
+def _laws(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    controller = parameters.get("controller", {})
+    return {key: str(controller.get(key, "")) for key in ("law", "estimator")}
+
+
+def _shortens(new: dict[str, Any], old: dict[str, Any]) -> bool:
+    """Whether it is the same certificate with fewer crossings listed."""
+    if len(new.get("crossings", ())) >= len(old.get("crossings", ())):
+        return False
+    return all(new[key] == old.get(key) for key in new if key != "crossings")
+
+
+def _source() -> Path:
+    return Path(__file__).resolve().parents[2]
+
+
+def _revision() -> str:
+    """Of the source tree, where that is a checkout; "" otherwise."""
+    if not (_source() / ".git").exists():
+        return ""
+    try:
+        command = ["git", "-C", str(_source()), "describe", "--always", "--dirty"]
+        return subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return ""

@@ -1,0 +1,168 @@
+"""Recovering cut-off bags: everything intact is there, in a bag that others open; nothing is overwritten."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
+from rosbags.rosbag2 import Reader
+from synthetic_run import write_run
+from test_mcap_writer import numbers_in, write_numbers
+
+from dextar_control.analysis.load import load_run
+from dextar_control.contract.errors import BagError
+from dextar_control.ros.mcap_writer import BagWriter
+from dextar_control.ros.recovery import recover
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("run") / "run.mcap"
+    write_run(file)
+    return file
+
+
+def messages_of(path: Path) -> list[tuple[str, int, int, int, bytes]]:
+    """By mcap's own indexed reader."""
+    with path.open("rb") as stream:
+        return sorted(
+            (channel.topic, message.log_time, message.publish_time, message.sequence, message.data)
+            for _, channel, message in make_reader(stream).iter_messages()
+        )
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9, 0.9999])
+def test_a_recovered_bag_is_indexed_and_holds_every_intact_message_unchanged(bag: Path, tmp_path: Path, share: float) -> None:
+    cut = tmp_path / "run.mcap"
+    content = bag.read_bytes()[: int(share * bag.stat().st_size)]
+    cut.write_bytes(content)
+    with pytest.warns(UserWarning, match="last complete chunk"):
+        expected = load_run(cut)
+    result = recover(cut)
+    assert cut.read_bytes() == content
+    assert result.folder == tmp_path / "run-recovered"
+    recovered = messages_of(result.folder / "run.mcap")
+    assert set(recovered) <= set(messages_of(bag))
+    run = load_run(result.folder)
+    assert not run.truncated
+    assert len(run.states.stamps) == len(expected.states.stamps) == result.counts["/joint_states"]
+    assert run.robot == expected.robot
+    with Reader(result.folder) as reader:
+        assert {c.topic: c.msgcount for c in reader.connections} == result.counts
+        assert reader.message_count == len(recovered) == len(list(reader.messages()))
+        assert reader.end_time - 1 == result.last
+
+
+def test_a_damaged_chunk_in_the_middle_costs_its_own_messages_only(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    writer = BagWriter(file, "none", max_size=0)
+    write_numbers(writer, 3000, size=300)
+    writer.close()
+    content = bytearray(file.read_bytes())
+    with file.open("rb") as stream:
+        chunks = [record for record in StreamReader(stream, emit_chunks=True).records if isinstance(record, Chunk)]
+    assert len(chunks) >= 3
+    place = content.index(chunks[1].data) + len(chunks[1].data) // 2
+    content[place] ^= 0xFF
+    file.write_bytes(content)
+    result = recover(file)
+    assert result.damaged == 1
+    lost = sum(1 for number in range(3000) if chunks[1].message_start_time <= 10**18 + number * 10**6
+               <= chunks[1].message_end_time)  # fmt: skip
+    kept = numbers_in(result.folder)
+    assert len(kept) == 3000 - lost
+    assert sorted(set(kept)) == kept
+
+
+def test_a_file_that_ends_in_zeros_is_recovered_up_to_them(bag: Path, tmp_path: Path) -> None:
+    """What a power cut leaves on some file systems: the length is there, the content is not."""
+    cut = tmp_path / "run.mcap"
+    size = int(0.8 * bag.stat().st_size)
+    cut.write_bytes(bag.read_bytes()[:size] + bytes(100_000))
+    result = recover(cut)
+    other = tmp_path / "other" / "run.mcap"
+    other.parent.mkdir()
+    other.write_bytes(bag.read_bytes()[:size])
+    assert result.counts == recover(other).counts
+
+
+def test_a_split_bag_is_recovered_as_one_bag(tmp_path: Path) -> None:
+    folder = tmp_path / "monday"
+    writer = BagWriter(folder / "run.mcap", "none", max_size=100_000, folder=True)
+    write_numbers(writer, 1000, size=300)
+    writer.close()
+    (folder / "metadata.yaml").unlink()  # a killed recorder writes none
+    last = writer.paths[-1]
+    last.write_bytes(last.read_bytes()[:-40])
+    result = recover(folder)
+    assert result.folder == tmp_path / "monday-recovered"
+    assert numbers_in(result.folder) == list(range(1000))
+    info = yaml.safe_load((result.folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert info["relative_file_paths"] == [path.name for path in writer.paths]
+
+
+def test_a_folder_that_only_misses_its_metadata_gets_a_copy_with_it(tmp_path: Path) -> None:
+    folder = tmp_path / "monday"
+    writer = BagWriter(folder / "run.mcap")
+    write_numbers(writer, 10)
+    writer.close()
+    assert numbers_in(recover(folder).folder) == list(range(10))
+
+
+def test_what_need_not_or_cannot_be_recovered_is_refused_in_one_sentence(bag: Path, tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=r"run.mcap is whole: there is nothing to recover"):
+        recover(bag)
+    assert not (bag.parent / "run-recovered").exists()
+    cut = tmp_path / "run.mcap"
+    cut.write_bytes(bag.read_bytes()[:-40])
+    recover(cut)
+    with pytest.raises(BagError, match=r"was recovered before: .*run-recovered is there"):
+        recover(cut)
+    for name, content, words in (
+        ("empty", b"", "is empty"),
+        ("foreign", b"PK\x03\x04 something else", "is not an MCAP file"),
+        ("headless", b"\x89MCAP0\r\n", "no complete message: nothing can be recovered"),
+        ("early", bag.read_bytes()[:2000], "no complete message: nothing can be recovered"),
+    ):
+        file = tmp_path / f"{name}.mcap"
+        file.write_bytes(content)
+        with pytest.raises(BagError, match=words):
+            recover(file)
+        assert not (tmp_path / f"{name}-recovered").exists()
+    (tmp_path / "void").mkdir()
+    for path, words in ((tmp_path / "none.mcap", "No such file"), (tmp_path / "void", "holds no .mcap file")):
+        with pytest.raises(BagError, match=words):
+            recover(path)
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_the_command_says_how_much_of_what_and_until_when(bag: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "run.mcap"
+    cut.write_bytes(bag.read_bytes()[:-40])
+
+    def command() -> subprocess.CompletedProcess[str]:
+        arguments = [sys.executable, "-m", "dextar_control.cli", "recover", str(cut)]
+        return subprocess.run(arguments, capture_output=True, text=True, cwd=Path(__file__).parents[1], timeout=120)
+
+    answer = command()
+    assert answer.returncode == 0, answer.stderr
+    assert "/joint_states" in answer.stdout
+    assert "1001" in answer.stdout
+    assert "until 2023-11-14T22:13:20.006+00:00" in answer.stdout  # START and 6006 us
+    again = command()
+    assert again.returncode == 2
+    assert again.stderr.startswith("dextar recover: ")
+    assert len(again.stderr.splitlines()) == 1
+
+
+def test_recovering_needs_no_ros() -> None:
+    code = "import sys, dextar_control.ros.recovery; print([n for n in ('rclpy', 'rosidl_runtime_py') if n in sys.modules])"
+    command = [sys.executable, "-c", code]
+    answer = subprocess.run(command, capture_output=True, text=True, check=True, cwd=Path(__file__).parents[1])
+    assert answer.stdout.strip() == "[]"
