@@ -12,11 +12,10 @@ from xml.etree import ElementTree
 import pytest
 
 from dextar_control.contract.resources import config_file
-from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, CRITERION_NAMES, TOPICS, Topic
-from dextar_control.ros.marker_node import MARKERS
+from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, CRITERION_NAMES, MARKERS, TOPICS, Topic
 from dextar_control.security.policy import ENCLAVES
 
-TABLE = {topic.name if topic.name.startswith("/") else f"/{topic.name}": topic for topic in (*TOPICS, MARKERS)}
+TABLE = {topic.name if topic.name.startswith("/") else f"/{topic.name}": topic for topic in TOPICS}
 PANELS = {"3D", "Plot", "StateTransitions", "DiagnosticSummary", "DiagnosticStatusPanel"}
 NODES = {profile.node for enclave in ENCLAVES for profile in enclave.profiles}
 # A message path as Foxglove documents it: topic, then fields, each perhaps with an index and filters.

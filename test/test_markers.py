@@ -25,12 +25,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 from dextar_control.contract.node import check_value, qos
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.contract.topics import BASE_FRAME, CONTROLLER_STATE, CRITERION, CRITERION_NAMES, JOINT_STATES, PHASES
+from dextar_control.contract.topics import BASE_FRAME, CONTROLLER_STATE, CRITERION, CRITERION_NAMES, JOINT_STATES, MARKERS, PHASES
 from dextar_control.core.planner import Plan
 from dextar_control.ros import messages
-from dextar_control.ros.marker_node import MARKERS, PARAMETERS
+from dextar_control.ros.marker_node import PARAMETERS
 from dextar_control.ros.scene import Scene, View, to_array
-from dextar_control.security.policy import MARKERS_NAME
 
 ROUNDING = 1e-9  # m; all is computed in double precision from lengths of 0.1 m
 CHORD = 2e-5  # m, of the drawn path from the true one between its points, 1 ms apart at most at 0.5 m/s
@@ -164,7 +163,6 @@ def test_the_markers_parameters_have_defaults_within_their_limits() -> None:
     for spec in PARAMETERS:
         assert check_value(spec, defaults[spec.name], defaults[spec.name]) == defaults[spec.name]
         assert spec.description
-    assert MARKERS.name == MARKERS_NAME
 
 
 class Display(Rig):

@@ -47,7 +47,8 @@ class Topic:
         stamp: what the header's stamp means; "none" where the type has none.
         timeouts: without it, enforced by its readers.
         rate_text: the rate in words where a number does not say it.
-        switch: ``node.parameter`` that brings the topic into being where it does not exist by default; empty otherwise.
+        switch: ``node.parameter`` that brings the topic into being where plant, controller and trajectory server alone do not
+            publish it; empty otherwise.
     """
 
     name: str
@@ -170,6 +171,12 @@ SIM_JOINT_STATES = Topic(
     "applied effort (N m, 0 on passive joints); stamp of the state",
     subscriber="analysis only", unit="rad, rad/s, N m", joints=SIM_JOINT_NAMES, stamp="of the state",
 )  # fmt: skip
+MARKERS = Topic(
+    "markers", "visualization_msgs/msg/MarkerArray", "markers", 10, False, 25.0,
+    "linkage, end effector, reference, trail, t_s and text at the rate of the display; base, locus, path and crossings once a"
+    " second; frame base, m; stamp of the drawing",
+    unit="m", stamp="of the drawing", switch="markers.enabled",
+)  # fmt: skip
 DIAGNOSTICS = Topic(
     "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "all nodes", 10, False, 5.0, "health of each node",
     unit="by key", stamp="when published", rate_text="5 Hz controller, 1 Hz others",
@@ -177,7 +184,7 @@ DIAGNOSTICS = Topic(
 
 TOPICS = (
     JOINT_STATES, JOINT_COMMANDS, EFFORT_COMMANDS, EXTERNAL_POSE, TRAJECTORY, CONTROLLER_STATE, CRITERION,
-    SIM_END_EFFECTOR, SIM_JOINT_STATES, DIAGNOSTICS,
+    SIM_END_EFFECTOR, SIM_JOINT_STATES, MARKERS, DIAGNOSTICS,
 )  # fmt: skip
 
 SERVICES = (
@@ -192,6 +199,8 @@ SERVICES = (
     Service("controller/get_available_states", "lifecycle_msgs/srv/GetAvailableStates", "all states there are"),
     Service("controller/get_available_transitions", "lifecycle_msgs/srv/GetAvailableTransitions", "those from this state"),
     Service("controller/get_transition_graph", "lifecycle_msgs/srv/GetAvailableTransitions", "all transitions there are"),
+    Service("recorder/start", "std_srvs/srv/Trigger", "begins a new bag"),
+    Service("recorder/stop", "std_srvs/srv/Trigger", "finishes the bag"),
     Service("trajectory_server/plan", "std_srvs/srv/Trigger", "plans again"),
     Service("trajectory_server/start", "std_srvs/srv/Trigger", "serves the trip or tour from where the robot stands"),
     Service("trajectory_server/stop", "std_srvs/srv/Trigger", "safe stop"),

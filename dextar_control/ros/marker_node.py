@@ -18,16 +18,10 @@ from visualization_msgs.msg import MarkerArray
 from dextar_control.contract.cdr import read_message
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.node import DextarNode, Parameter, qos, run_node
-from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_STATES, TRAJECTORY, Topic
+from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_STATES, MARKERS, TRAJECTORY
 from dextar_control.core.model import Array
 from dextar_control.ros import messages
 from dextar_control.ros.scene import Scene, View, to_array, wipe
-
-MARKERS = Topic(
-    "markers", "visualization_msgs/msg/MarkerArray", "markers", 10, False, 25.0,
-    "linkage, end effector, reference, trail, t_s and text at the rate of the display; base, locus, path and crossings once a"
-    " second; frame base, m; stamp of the drawing",
-)  # fmt: skip
 
 PARAMETERS = (
     Parameter("enabled", "draw; false reads nothing and clears the display", live=True),

@@ -22,6 +22,7 @@ from dextar_control.contract.topics import (
     EXTERNAL_POSE,
     JOINT_COMMANDS,
     JOINT_STATES,
+    MARKERS,
     SERVICES,
     SIM_END_EFFECTOR,
     SIM_JOINT_STATES,
@@ -31,7 +32,6 @@ from dextar_control.contract.topics import (
 )
 
 POLICY_VERSION = "0.2.0"  # of the schema that sros2 checks policies against
-MARKERS_NAME = "markers"
 # What rclpy gives each node; a node that may not have these does not come up.
 EVERY_NODE_PUBLISHES = ("/parameter_events", "/rosout")
 PARAMETER_SERVICES = (
@@ -95,7 +95,7 @@ EVERY_SERVICE = (
     *(service.name for service in SERVICES),
     *(f"{node}/{name}" for node in (*PARAMETERS_OF, "recorder", "markers") for name in PARAMETER_SERVICES),
 )
-OBSERVES = (*_names(*TOPICS), MARKERS_NAME)
+OBSERVES = _names(*TOPICS)
 
 ENCLAVES = (
     Enclave("plant", "the simulated rig, the only one that knows the truth", (
@@ -120,7 +120,7 @@ ENCLAVES = (
                 tuple(f"{node}/{name}" for node in PARAMETERS_OF for name in ("get_parameters", "list_parameters"))),
     )),
     Enclave("markers", "draws what happens", (
-        Profile("markers", (MARKERS_NAME, *_names(DIAGNOSTICS)),
+        Profile("markers", _names(MARKERS, DIAGNOSTICS),
                 _names(*STATES, CRITERION, CONTROLLER_STATE, TRAJECTORY)),
     )),
     Enclave("operator", "whoever starts, stops and tunes the nodes: the demo and `ros2 ...`; it may command no torque", (
