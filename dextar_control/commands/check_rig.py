@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     how.add_argument("--wait", type=float, default=5.0, metavar="S", help="for the first state (default: %(default)s)")
     how.add_argument("--torque", type=float, default=0.005, metavar="NM",
                      help="of the tests; above friction and the effort's noise (default: %(default)s)")  # fmt: skip
-    how.add_argument("--pulse", type=float, default=0.1, metavar="S", help="time at one torque (default: %(default)s)")
+    how.add_argument("--pulse", type=float, metavar="S", help="time at one torque (default: 0.1, or 20 states)")
     how.add_argument("--max-move", type=float, default=0.1, metavar="RAD",
                      help="of a joint, that ends the tests (default: %(default)s)")  # fmt: skip
     how.add_argument("--max-speed", type=float, default=1.0, metavar="RAD/S",

@@ -31,7 +31,7 @@ from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defa
 from dextar_control.contract.robot import JOINT_NAMES, RobotParameters, load_robot
 from dextar_control.contract.topics import EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES
 from dextar_control.rig_check.check import report, torque_obstacle, torque_tests, watch_lines
-from dextar_control.rig_check.limits import Limits
+from dextar_control.rig_check.limits import MIN_SAMPLES, Limits
 from dextar_control.rig_check.report import LINES, Line, Result, failed, has_failed
 from dextar_control.rig_check.samples import Endpoint, Graph, Sample
 from dextar_control.rig_check.torque import TorqueTests
@@ -185,7 +185,9 @@ def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
         max_gap=given(arguments.max_gap, controller["state_timeout"]),
         jitter=given(arguments.jitter, 1.0 / rate if rate else 0.0),
         rate_tolerance=arguments.rate_tolerance, max_age=arguments.max_age, watchdog_margin=arguments.watchdog_margin,
-        torque=arguments.torque, pulse=arguments.pulse, max_move=arguments.max_move, max_speed=arguments.max_speed,
+        torque=arguments.torque,
+        pulse=given(arguments.pulse, max(Limits.pulse, MIN_SAMPLES / rate if rate else 0.0)),
+        max_move=arguments.max_move, max_speed=arguments.max_speed,
     )  # fmt: skip
 
 
