@@ -18,11 +18,12 @@ from dextar_control.contract.errors import ParameterError, StateError, Trajector
 from dextar_control.contract.node import Parameter, check_value, qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, flatten, from_flat, load_robot
-from dextar_control.contract.topics import MARKERS, (
+from dextar_control.contract.topics import (
     CONTROLLER_STATE,
     CRITERION,
     JOINT_COMMANDS,
     JOINT_STATES,
+    MARKERS,
     PHASES,
     SERVICES,
     TOPICS,
