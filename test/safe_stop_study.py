@@ -52,6 +52,8 @@ class Row(NamedTuple):
     finished: bool  # the crossing went on first
     peak_torque: float  # N m, after the instant
     limit: float  # of it, N m
+    pushed: float  # energy that the safe stop's torque gave the robot instead of taking it, J
+    taken: float  # and that it took, J
     distance: float  # run by the end effector, m
     rest_time: float  # to a true speed below REST for good; nan for never
     torque_time: float  # to the last torque
@@ -102,13 +104,14 @@ def stopped(rig: Rig, loop: ControlLoop, trigger: str, crossing: float, names: t
         loop.configure(replace(loop.settings, max_tracking_error=1e-12))
         finished = False
     rows: list[list[float]] = []
-    over = np.nan
-    limit = loop._crossing_limit
+    over, limit, power = np.nan, loop.torque_limit, []
     while np.isnan(over) or rig.time < over + AFTER:
         sample, truth = rig.read(), rig.truth()
         assert sample is not None
         tau = loop.step(sample.time, sample.q_a)
         rows.append([rig.time - begin, *truth.x, float(np.hypot(*truth.x_dot)), float(np.abs(tau).max())])
+        if loop.phase is Phase.SAFE_STOP:
+            power.append(float(tau @ truth.q_a_dot))
         if np.isnan(over) and loop.stopped is not None:
             over = rig.time
         rig.write(tau)
@@ -117,16 +120,19 @@ def stopped(rig: Rig, loop: ControlLoop, trigger: str, crossing: float, names: t
     moving, pushing = np.flatnonzero(table[:, 3] >= REST), np.flatnonzero(table[:, 4] > 0.0)
     end_s = singularity_of_platform(model, table[-1, 1:3])
     last = int(moving[-1]) + 1 if len(moving) else 0
+    pushed, taken = (rig.period * float(np.maximum(sign * np.array(power), 0.0).sum()) for sign in (1.0, -1.0))
     return Row(
-        *names, trigger, begin - crossing, s, float(table[0, 3]), finished, float(table[:, 4].max()), limit,
+        *names, trigger, begin - crossing, s, float(table[0, 3]), finished, float(table[:, 4].max()), limit, pushed, taken,
         float(np.hypot(*np.diff(table[:, 1:3], axis=0).T).sum()), float(table[last, 0]) if last < len(table) else np.nan,
         float(table[pushing[-1], 0]) if len(pushing) else 0.0, float(over - begin), end_s, float(table[-1, 3]),
         loop.reason.rpartition("; ")[2], loop.mode_known, tick.assembly_mode * end_s > 0.0,
     )  # fmt: skip
 
 
-def study(robot: RobotParameters, count: int = PER_WAY, plant: str = "pybullet", **changes: Any) -> list[Row]:
-    """All stops: both trips, both ways, both triggers."""
+def study(
+    robot: RobotParameters, count: int = PER_WAY, plant: str = "pybullet", *, alternate: bool = False, **changes: Any
+) -> list[Row]:
+    """All stops: both trips, both ways, at each instant both triggers, or one in turn."""
     task, rows = node_defaults("trajectory_server"), []
     for trip, duration in TRIPS.items():
         plan = plan_return_trip(robot, np.array(task["task.start"]), np.array(task["task.goal"]), duration, DWELL)
@@ -139,7 +145,8 @@ def study(robot: RobotParameters, count: int = PER_WAY, plant: str = "pybullet",
             time, way = waiting[0]
             if rig.time >= time - 1e-9:
                 crossing = float(plan.certificate.crossing_times[int(way == "back")])
-                rows += [branch(partial(stopped, rig, loop, trigger, crossing, (trip, way))) for trigger in TRIGGERS]
+                chosen = TRIGGERS if not alternate else TRIGGERS[len(rows) % 2 :][:1]
+                rows += [branch(partial(stopped, rig, loop, trigger, crossing, (trip, way))) for trigger in chosen]
                 waiting.pop(0)
                 continue
             sample = rig.read()
@@ -212,11 +219,12 @@ def main() -> int:
     parser.add_argument("--output", type=Path, help="folder for stops.csv and figure.png")
     parser.add_argument("--json", action="store_true", help="the rows as JSON alone")
     parser.add_argument("--count", type=int, default=PER_WAY, help="instants over a way, and again over its crossing")
-    parser.add_argument("--plant", default="pybullet")
+    parser.add_argument("--alternate", action="store_true", help="one trigger at each instant, in turn")
+    parser.add_argument("--plant", default="pybullet", help="pybullet or cartesian")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the controller")
     chosen = parser.parse_args()
     changes = {name: float(value) for name, _, value in (item.partition("=") for item in chosen.set)}
-    rows = study(load_robot(config_file(ROBOT_FILE)), chosen.count, chosen.plant, **changes)
+    rows = study(load_robot(config_file(ROBOT_FILE)), chosen.count, chosen.plant, alternate=chosen.alternate, **changes)
     if chosen.json:
         json.dump([row._asdict() for row in rows], sys.stdout, default=float)
         return 0

@@ -147,6 +147,7 @@ class ControlLoop:
         self.model = make_model(robot)
         self.phase = Phase.HOLD if enabled else Phase.IDLE
         self.reason = ""
+        self.tripped = ""
         self.refusal = ""
         self.certificate: Certificate | None = None
         self.saturated_ticks = 0
@@ -213,6 +214,11 @@ class ControlLoop:
     def stopped(self) -> Stopped | None:
         """How the last safe stop ended; None before the first and while one lasts."""
         return self._stop.ended
+
+    @property
+    def torque_limit(self) -> float:
+        """Of the trajectory that was tracked last, N m: what a safe stop keeps."""
+        return self._crossing_limit
 
     @property
     def hold_s(self) -> float:
@@ -301,7 +307,7 @@ class ControlLoop:
                     f"a joint moves at {speed:.2f} rad/s; the limit is {ENABLE_SPEED} rad/s: bring it to rest, then enable"
                 )
             self._hold_at(self.tick.x_hat)
-        self.phase, self.reason = Phase.HOLD, ""
+        self.phase, self.reason, self.tripped = Phase.HOLD, "", ""
 
     def disable(self) -> None:
         """No torque from the next sample on, whatever goes on."""
@@ -515,6 +521,7 @@ class ControlLoop:
             return
         bounced = self._judge.compare(self._time, s_ref, self.estimator, self.phase in MOVING)
         if bounced or problem:
+            self.tripped = "side" if bounced else self.supervisor.tripped
             self._go_limp(Phase.SAFE_STOP, bounced or problem, trusted=not self.supervisor.estimate_lost)
 
     def _comes_to_rest(self) -> bool:

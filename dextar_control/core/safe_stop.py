@@ -32,11 +32,12 @@ import numpy as np
 from dextar_control.core.compiled import njit
 from dextar_control.core.dynamics import apply, inverse, platform_dynamics
 from dextar_control.core.kinematics import direct_geometric_model, elbows, kinematics, singular_values
-from dextar_control.core.law import FINITE, FORCE, MODE_HAT, Q_HAT, SCALARS, TAU
+from dextar_control.core.law import FINITE, FORCE, MODE_HAT, Q_HAT, SCALARS, TAU, smooth_step
 from dextar_control.core.model import Array, Model, pack, unpack
 from dextar_control.core.settings import Settings
 
 REST_SPEED = 0.1  # rad/s of each joint, below which the robot counts as at rest: 9 mm/s at an elbow
+FADE = 0.006, 0.02  # rad/s of the faster joint, between which braking fades: an encoder of 2^17 at rest shows the lower one
 
 
 class Stage(IntEnum):
@@ -105,6 +106,7 @@ def braking(model: Model, brake: Brake, q_a: Array, q_a_dot: Array, mode: float,
         kin = kinematics(model, q_a, x, apply(J, q_a_dot))
         mass, _ = platform_dynamics(model, kin)
         tau = apply(J.T, apply(mass, kin.x_dot)) * (-1.0 / brake.constant)
+    tau = tau * smooth_step(max(abs(q_a_dot[0]), abs(q_a_dot[1])), FADE[0], FADE[1])
     peak = max(abs(tau[0]), abs(tau[1]))
     share = limit / peak if peak > limit else 1.0
     return share * tau, 0.5 * brake.constant * (share + 1.0 / share) if share > 0.0 else np.inf

@@ -39,6 +39,8 @@ class Watch(NamedTuple):
 
 
 WATCHES = (
+    Watch("joint_jump", "a joint beside where the last sample expected it", "rad", "max_joint_jump", "",
+          "0.0012 in good runs, 0.015 when struck at the locus; an encoder that slips by more is seen at once"),
     Watch("finite", "numbers of estimate and law that are not finite", "", "none", "",
           "such a number is never commanded"),
     Watch("tracking_error", "distance between reference and estimate", "m", "max_tracking_error", "",
@@ -50,8 +52,6 @@ WATCHES = (
           "as the joints'; the time is for the direct model, whose speed is without bound for a sample on the locus"),
     Watch("joint_range", "a joint's way out of its range", "rad", "joint_margin", "",
           "a plan may go to the end of the range; an error of 5 mm is 0.05 rad"),
-    Watch("joint_jump", "a joint beside where the last sample expected it", "rad", "max_joint_jump", "",
-          "0.0012 in good runs, 0.015 when struck at the locus; an encoder that slips by more is seen at once"),
     Watch("estimator", "a joint beside that of the estimated platform", "rad", "max_joint_misfit", "misfit_time",
           "0.0052 in good runs, with a geometry 0.2 mm off; an estimate that has lost the robot passes 0.02 at the locus"),
     Watch("locus", "|s| of the estimate outside of phase CROSSING", "", "locus_s (at least)", "",
@@ -63,7 +63,7 @@ WATCHES = (
           "65 N m/s for 3 ms in good runs; a loop that swings between its limits does so at each sample"),
 )  # fmt: skip
 (
-    NOT_FINITE, TRACKING_ERROR, JOINT_SPEED, PLATFORM_SPEED, JOINT_RANGE, JOINT_JUMP, ESTIMATOR, LOCUS, SATURATION, TORQUE_RATE,
+    JOINT_JUMP, NOT_FINITE, TRACKING_ERROR, JOINT_SPEED, PLATFORM_SPEED, JOINT_RANGE, ESTIMATOR, LOCUS, SATURATION, TORQUE_RATE,
 ) = range(len(WATCHES))  # fmt: skip
 COUNT = len(WATCHES)
 Q_LAST, Q_HAT_LAST, TAU_LAST, MEMORY = 0, 2, 6, 8  # rows of the last sample: joints; q_a, q_a_dot estimated; torque; size
@@ -86,23 +86,25 @@ def evaluate(
     model = unpack(packed)
     limits, times, values, timers = table[LIMITS], table[TIMES], table[VALUES], table[TIMERS]
     values[:] = 0.0
-    if not (np.isfinite(estimate).all() and output[FINITE] == 1.0):
-        values[NOT_FINITE] = 1.0
-        return NOT_FINITE
-    values[TRACKING_ERROR] = np.hypot(output[ERROR], output[ERROR + 1])
-    values[PLATFORM_SPEED] = np.hypot(estimate[X_HAT + 2], estimate[X_HAT + 3])
+    finite = np.isfinite(estimate).all() and output[FINITE] == 1.0
+    values[NOT_FINITE] = 0.0 if finite else 1.0
     values[JOINT_RANGE] = beyond_range(bounds, q_meas).max()
-    values[LOCUS] = abs(output[SCALARS + 1])
     implied = inverse_geometric_model(model, estimate[X_HAT : X_HAT + 2])
     for i in range(2):
-        values[ESTIMATOR] = max(values[ESTIMATOR], abs(wrap(q_meas[i] - implied[i])))
-        values[SATURATION] = max(values[SATURATION], abs(output[TAU + i]))
         if np.isfinite(memory[Q_LAST]):
             values[JOINT_SPEED] = max(values[JOINT_SPEED], abs(wrap(q_meas[i] - memory[Q_LAST + i])) / dt)
-            values[TORQUE_RATE] = max(values[TORQUE_RATE], abs(output[TAU + i] - memory[TAU_LAST + i]) / dt)
             if dt <= LONG_STEP:
                 expected = memory[Q_HAT_LAST + i] + dt * memory[Q_HAT_LAST + 2 + i]
                 values[JOINT_JUMP] = max(values[JOINT_JUMP], abs(wrap(q_meas[i] - expected)))
+        if finite:
+            values[ESTIMATOR] = max(values[ESTIMATOR], abs(wrap(q_meas[i] - implied[i])))
+            values[SATURATION] = max(values[SATURATION], abs(output[TAU + i]))
+            if np.isfinite(memory[Q_LAST]):
+                values[TORQUE_RATE] = max(values[TORQUE_RATE], abs(output[TAU + i] - memory[TAU_LAST + i]) / dt)
+    if finite:
+        values[TRACKING_ERROR] = np.hypot(output[ERROR], output[ERROR + 1])
+        values[PLATFORM_SPEED] = np.hypot(estimate[X_HAT + 2], estimate[X_HAT + 3])
+        values[LOCUS] = abs(output[SCALARS + 1])
     memory[Q_LAST : Q_LAST + 2] = q_meas
     memory[Q_HAT_LAST : Q_HAT_LAST + 4] = estimate[Q_HAT : Q_HAT + 4]
     memory[TAU_LAST : TAU_LAST + 2] = output[TAU : TAU + 2]
@@ -182,8 +184,13 @@ class Supervisor:
         return "" if self._tripped < 0 else self._sentence(self._tripped, q_a)
 
     @property
+    def tripped(self) -> str:
+        """Name of the watch that tripped at the last sample; empty for none."""
+        return "" if self._tripped < 0 else WATCHES[self._tripped].name
+
+    @property
     def estimate_lost(self) -> bool:
-        """Whether the watch that tripped last says that the estimate is not the robot's."""
+        """Whether what tripped at the last sample says that the estimate is not the robot's."""
         return self._tripped in (NOT_FINITE, JOINT_JUMP, ESTIMATOR)
 
     @property
