@@ -491,7 +491,8 @@ class ControllerNode(ManagedNode):
         limit = self.values["state_timeout"]
         values |= {
             "phase": loop.phase.name if self._active else "", "reason": loop.reason, "enabling": self._enabling,
-            "healthy": round(self._stream.healthy_for(limit, self._now()), 3), "trajectory": self._reference.note,
+            "healthy": round(self._stream.healthy_for(limit, self._now()), 3), "last_trouble": self._stream.trouble,
+            "trajectory": self._reference.note,
             "waiting_for": waiting_for(self._reference), **loop_values(loop, self._begun + 1),
             "other_commanders": self._others, "requests": self.desk.served,
         }  # fmt: skip
