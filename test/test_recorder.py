@@ -131,7 +131,7 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     latched = plant.create_publisher(MultiDOFJointTrajectory, topics.TRAJECTORY.name, qos(topics.TRAJECTORY))
     latched.publish(MultiDOFJointTrajectory(joint_names=["end_effector"]))
     extra = plant.create_publisher(String, "remarks", 10)
-    process = start(file, "extra_topics:=remarks", "parameters_of:=plant nobody")
+    process = start(file, "extra_topics:=remarks ghosts", "parameters_of:=plant nobody")
     executor = SingleThreadedExecutor(context=plant.context)
     executor.add_node(plant)
     sent = states(plant, process)
@@ -147,6 +147,7 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     assert code == 0, errors
     assert f"recording to {file}" in errors
     assert "no parameters of nobody" in errors
+    assert "not recorded: ghosts: nobody published there" in errors
 
     with AnyReader([file]) as reader:
         taken = [

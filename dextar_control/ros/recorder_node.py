@@ -152,6 +152,8 @@ class RecorderNode(DextarNode):
                 self.get_logger().warning(f"{tap.name}: {tap.losses.lost} samples lost, {tap.losses.received} recorded")
         if missing := recording.missing():
             self.get_logger().warning(f"no parameters of {', '.join(missing)}: they never answered")
+        if self._wanted:
+            self.get_logger().warning(f"not recorded: {', '.join(self._wanted)}: nobody published there")
         known = recording.writer.error
         try:
             recording.end()
