@@ -131,7 +131,7 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     latched = plant.create_publisher(MultiDOFJointTrajectory, topics.TRAJECTORY.name, qos(topics.TRAJECTORY))
     latched.publish(MultiDOFJointTrajectory(joint_names=["end_effector"]))
     extra = plant.create_publisher(String, "remarks", 10)
-    process = start(file, "extra_topics:=remarks", "parameters_of:=plant nobody")
+    process = start(file, "extra_topics:=remarks ghosts", "parameters_of:=plant nobody")
     executor = SingleThreadedExecutor(context=plant.context)
     executor.add_node(plant)
     sent = states(plant, process)
@@ -147,6 +147,7 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     assert code == 0, errors
     assert f"recording to {file}" in errors
     assert "no parameters of nobody" in errors
+    assert "not recorded: ghosts: nobody published there" in errors
 
     with AnyReader([file]) as reader:
         taken = [
@@ -279,6 +280,65 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
     with AnyReader([file]) as reader:
         events = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages() if c.topic == "/parameter_events"]
     assert ("/plant", ["mode"]) in [(event.node, [entry.name for entry in event.changed_parameters]) for event in events]
+
+
+def away(publisher: Any, process: subprocess.Popen[str], file: Path, count: int) -> int:
+    """Publish some, then ``count`` more while the recorder gets no processor time, then some until one is there; how many."""
+    sent = 0
+
+    def publish(numbers: int, frame: str = "") -> None:
+        nonlocal sent
+        for _ in range(numbers):
+            message = JointState(name=["q11", "q21"], position=[0.0, -1.0])
+            message.header.stamp.sec, message.header.frame_id = sent, frame
+            publisher.publish(message)
+            sent += 1
+
+    until(lambda: publisher.get_subscription_count() > 0 or process.poll() is not None)
+    publish(10, "#begin")
+    until(lambda: file.exists() and b"#begin" in file.read_bytes())
+    process.send_signal(signal.SIGSTOP)
+    publish(count)
+    process.send_signal(signal.SIGCONT)
+
+    def more() -> None:
+        publish(1, "#end")
+        time.sleep(0.1)
+
+    until(lambda: b"#end" in file.read_bytes(), more)
+    return sent
+
+
+def test_a_recorder_that_was_away_is_given_all_it_missed(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    process = start(file, "compression:=none", "sync_period:=0.1")
+    sent = away(plant.create_publisher(JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)), process, file, 900)
+    code, errors = stop(process)
+    assert code == 0, errors
+    with AnyReader([file]) as reader:
+        stamps = [reader.deserialize(raw, c.msgtype).header.stamp.sec for c, _, raw in reader.messages()
+                  if c.topic == "/joint_states"]  # fmt: skip
+    assert stamps == list(range(sent))
+    assert json.loads(metadata(file)["topics"])["/joint_states"] == {"received": sent, "lost": 0, "dropped": 0}
+
+
+def test_what_is_lost_on_the_way_is_counted_and_told(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    process = start(file, "reliable:=false", "compression:=none", "sync_period:=0.1")
+    away(plant.create_publisher(JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)), process, file, 5000)
+    code, errors = stop(process)
+    assert code == 0, errors
+    with file.open("rb") as stream:
+        numbers = [m.sequence for _, _, m in make_reader(stream).iter_messages(topics=["/joint_states"])]
+    missing = max(numbers) - min(numbers) + 1 - len(numbers)
+    assert missing > 0  # the middleware holds some hundreds
+    counts = json.loads(metadata(file)["topics"])["/joint_states"]
+    assert counts == {"received": len(numbers), "lost": missing, "dropped": 0}
+    assert f"/joint_states: {missing} samples lost, {len(numbers)} recorded" in errors
+    with AnyReader([file]) as reader:
+        told = [status.message for c, _, raw in reader.messages() if c.topic == "/diagnostics"
+                for status in reader.deserialize(raw, c.msgtype).status]  # fmt: skip
+    assert f"{missing} samples lost" in told
 
 
 def test_a_recording_is_split_while_it_runs(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:

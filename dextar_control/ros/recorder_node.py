@@ -34,7 +34,7 @@ SPECS = (
     Parameter("max_bag_size", "bytes of a file from which on the next one begins; 0 does not split", 0),
     Parameter("max_bag_duration", "of a file, after which the next one begins; 0 does not split, s", 0.0),
     Parameter("sync_period", "between two times that the disk is waited for: what a power cut can cost, s", 0.1, 3600.0),
-    Parameter("reliable", "ask the publishers to repeat lost samples; false never slows them"),
+    Parameter("reliable", "ask the publishers to repeat lost samples; false costs them less"),
     Parameter("compression", "of each chunk", choices=tuple(COMPRESSIONS)),
     Parameter("parameters_of", "nodes whose parameters go into the bag, separated by spaces"),
     Parameter("extra_topics", "further topics to record, separated by spaces; their types are found"),
@@ -47,10 +47,12 @@ class RecorderNode(DextarNode):
     Six topics at 1 kHz are 6000 callbacks a second: with the single-threaded executor they took
     76-86 % of a core, and the events executor of rclpy 7.1.6 fails on callbacks that also want the
     message info. Taking what each reader holds every 20 ms takes 12 % (5 ms: 14 %, 50 ms: 11 %),
-    lost nothing, and the receive times are the middleware's, so that polling does not blur them.
-    With the writing (8 us per sample, in the bag writer's thread) the whole recorder took 20-24 %
-    of a core and every one of 60 000 samples arrived, reliable or best effort; the reliable reader
-    costs the publishing process more.
+    and the receive times are the middleware's, so that polling does not blur them. With the writing
+    (8 us per sample, in the bag writer's thread) the whole recorder takes 15-18 % of a core at seven topics.
+
+    A best-effort reader that gets no processor time for about 0.1 s loses samples, because the middleware's queue
+    holds 512 of them; a reliable one is given all again, as far as the publishers' history reaches (1 s), and when it
+    is stopped altogether they do not wait for it.
 
     The subscriptions stay between two recordings, so that the next one misses nothing at its start.
 
@@ -150,6 +152,8 @@ class RecorderNode(DextarNode):
                 self.get_logger().warning(f"{tap.name}: {tap.losses.lost} samples lost, {tap.losses.received} recorded")
         if missing := recording.missing():
             self.get_logger().warning(f"no parameters of {', '.join(missing)}: they never answered")
+        if self._wanted:
+            self.get_logger().warning(f"not recorded: {', '.join(self._wanted)}: nobody published there")
         known = recording.writer.error
         try:
             recording.end()
