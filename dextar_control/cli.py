@@ -6,13 +6,14 @@ import argparse
 import os
 import sys
 
-from dextar_control.commands import EXIT_USAGE, analyze, bench, campaign, check_rig, demo, recover
+from dextar_control.commands import EXIT_USAGE, analyze, bench, campaign, check_rig, demo, faults, recover
 from dextar_control.contract.errors import DextarError
 
 COMMANDS = {
     "demo": demo,
     "analyze": analyze,
     "campaign": campaign,
+    "faults": faults,
     "check-rig": check_rig,
     "bench": bench,
     "recover": recover,

@@ -16,6 +16,7 @@ ALLOWED_OUTSIDE = {
     "dextar_control.campaign": {"numpy", "matplotlib", "rich", "yaml", "pydantic", "pydantic_core", "dask", "distributed",
                                 "pyarrow"},
     "dextar_control.rig_check": {"numpy"},
+    "dextar_control.faults": {"numpy", "matplotlib", "rich", "yaml", "pydantic", "pydantic_core", "mcap"},
     "dextar_control.analysis": {"numpy", "scipy", "matplotlib", "mcap", "rosbags", "rich", "yaml", "zstandard"},
 }
 ROS = {"rclpy", "builtin_interfaces", "rcl_interfaces", "sensor_msgs", "trajectory_msgs", "nav_msgs", "geometry_msgs",
@@ -26,6 +27,7 @@ DOORS = {
     "dextar_control.rig_check": {"dextar_control.rig_check", "dextar_control.contract"},
     "dextar_control.analysis": {"dextar_control.analysis", "dextar_control.core", "dextar_control.contract"},
     "dextar_control.campaign": {"dextar_control.campaign", "dextar_control.core", "dextar_control.contract"},
+    "dextar_control.faults": {"dextar_control.faults", "dextar_control.core", "dextar_control.contract"},
     "dextar_sim": {"dextar_sim", "dextar_control.contract"},
 }
 NO_ROS_MODULES = {"dextar_control/contract": {"robot.py", "topics.py", "tables.py", "errors.py", "resources.py"},

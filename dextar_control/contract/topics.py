@@ -124,7 +124,7 @@ JOINT_STATES = Topic(
 JOINT_COMMANDS = Topic(
     "joint_commands", "sensor_msgs/msg/JointState", "controller", STREAM_DEPTH, False, 1000.0,
     "q11, q21 by name: effort (N m), nothing else; stamp of the state it answers. Only one publisher: with a second one"
-    " nobody's commands are taken",
+    " nobody's commands are taken. Without joints it is, in lockstep only, a bare acknowledgement: no command for this state",
     subscriber="rig or plant", read_reliable=False, unit="N m", joints=JOINT_NAMES, stamp="of the state it answers",
     timeouts=(TimeOut("plant", "command_timeout", "no torque"),),
 )  # fmt: skip

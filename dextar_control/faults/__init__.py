@@ -1,1 +1,1 @@
-"""Faults put on purpose between the nodes, to count what becomes of them."""
+"""Faults, tried and counted: what is put between rig and controller or done to their processes, and the judgement of it."""

@@ -112,6 +112,10 @@ class FaultyLink:
         if done.returncode:
             raise LinkError(f"the network namespace cannot be set up: ip says {done.stderr.strip().splitlines()[0]}")
 
+    def inside(self, side: Side) -> list[str]:
+        """Command words that put what follows them on one side."""
+        return self._inside(side)
+
     def _inside(self, name: str) -> list[str]:
         holder = self._holders.get(name)
         if holder is None:
