@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import sys
 
-from dextar_control.commands import EXIT_USAGE, analyze, bench, campaign, check_rig, demo, recover
+from dextar_control.commands import EXIT_USAGE, analyze, bench, campaign, check_rig, compare, demo, export, recover, replay
 from dextar_control.contract.errors import DextarError
 
 COMMANDS = {
     "demo": demo,
     "analyze": analyze,
+    "compare": compare,
+    "replay": replay,
+    "export": export,
     "campaign": campaign,
     "check-rig": check_rig,
     "bench": bench,
