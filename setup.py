@@ -24,6 +24,7 @@ setup(
     maintainer=maintainer.text,
     maintainer_email=maintainer.get("email"),
     packages=find_packages(include=["dextar_control", "dextar_control.*", "dextar_sim", "dextar_sim.*"]),
+    package_data={"dextar_control.analysis": ["templates/*.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
         (f"share/{name}", ["package.xml"]),
@@ -38,6 +39,8 @@ setup(
         "scipy",
         "numba",
         "matplotlib",
+        "bokeh>=3",
+        "jinja2",
         "pyyaml",
         "rich",
         "mcap>=1.6",
@@ -51,6 +54,7 @@ setup(
         'pybullet-arm64; python_version >= "3.12"',
     ],
     extras_require={
+        "video": ["imageio-ffmpeg"],  # MP4 where no ffmpeg is installed
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "test": ["pytest", "hypothesis", "mcap-ros2-support", "colcon-common-extensions", "colcon-ros"],
         "oracle": ["pin"],  # needs numpy 2, so it does not go with a Jazzy installation

@@ -6,17 +6,32 @@ import argparse
 import os
 import sys
 
-from dextar_control.commands import EXIT_USAGE, analyze, bench, campaign, check_rig, demo, faults, recover
+from dextar_control.commands import (
+    EXIT_USAGE,
+    analyze,
+    bench,
+    campaign,
+    check_rig,
+    compare,
+    demo,
+    export,
+    faults,
+    recover,
+    replay,
+)
 from dextar_control.contract.errors import DextarError
 
 COMMANDS = {
     "demo": demo,
     "analyze": analyze,
+    "compare": compare,
+    "replay": replay,
+    "export": export,
+    "recover": recover,
     "campaign": campaign,
     "faults": faults,
     "check-rig": check_rig,
     "bench": bench,
-    "recover": recover,
 }
 
 
