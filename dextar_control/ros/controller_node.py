@@ -111,7 +111,7 @@ PARAMETERS = (
 
 SWITCH_INTERVAL = 2e-4  # s until the thread that checks a trajectory lets the control thread go on
 WATCH_PERIOD = 0.01  # s
-SERVED_PER_WATCH = 2  # requests: 200 a second are plenty for an operator, and two of the longest cost about 2 ms
+SERVED_PER_WATCH = 2  # requests: 200 a second are plenty for an operator; the longest, all parameters at once, costs about 1 ms
 DIAGNOSTICS_PERIOD = 0.2  # s
 TELL_PERIOD = 1.0  # s between two lines about the external pose
 LATCHED = (Phase.SAFE_STOP, Phase.FAULT)  # left by ~/reset only

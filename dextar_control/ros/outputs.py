@@ -96,7 +96,7 @@ class Outputs:
             self._efforts.publish(array)
 
     def others(self) -> str:
-        """Who else publishes commands, in words; empty when nobody does. About 10 us."""
+        """Who else publishes commands, in words; empty when nobody does. About 5 us for each topic."""
         for name in self._command_topics:
             count = self._node.count_publishers(name)
             if count > 1:
