@@ -28,6 +28,7 @@ from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.core.kinematics import inverse_model, singularity_of_platform
 from dextar_control.core.loop import ControlLoop, Phase
 from dextar_control.core.planner import Plan, plan_return_trip
+from dextar_control.core.settings import Settings
 from dextar_control.core.warmup import default_settings
 from dextar_sim.rig import Rig
 
@@ -130,13 +131,20 @@ def stopped(rig: Rig, loop: ControlLoop, trigger: str, crossing: float, names: t
 
 
 def study(
-    robot: RobotParameters, count: int = PER_WAY, plant: str = "pybullet", *, alternate: bool = False, **changes: Any
-) -> list[Row]:
-    """All stops: both trips, both ways, at each instant both triggers, or one in turn."""
+    robot: RobotParameters, count: int = PER_WAY, plant: str = "pybullet", *, alternate: bool = False,
+    built: dict[str, float] | None = None, delay: float = 0.0, **changes: Any,
+) -> list[Row]:  # fmt: skip
+    """All stops: both trips, both ways, at each instant both triggers, or one in turn.
+
+    Args:
+        built: what the true robot has otherwise.
+        delay: of the commands, s.
+        changes: of the controller's settings.
+    """
     task, rows = node_defaults("trajectory_server"), []
     for trip, duration in TRIPS.items():
         plan = plan_return_trip(robot, np.array(task["task.start"]), np.array(task["task.goal"]), duration, DWELL)
-        rig = Rig(robot, plant=plant)
+        rig = Rig(robot.replace(**(built or {})), plant=plant, command_delay=delay)
         loop = ControlLoop(robot, default_settings(**changes), 1)
         rig.reset_joints(inverse_model(loop.model, plan.trajectory.at(0.0).x), 1)
         loop.accept(plan.trajectory)
@@ -198,6 +206,7 @@ def draw(rows: list[Row], path: Path) -> None:
     for column, (trip, way) in enumerate(columns):
         axes[0, column].set_title(f"{trip}, {way}")
         axes[-1, column].set_xlabel("stopped at (s from the crossing)")
+        axes[-1, column].xaxis.set_major_locator(plt.MaxNLocator(4))
         for line, (label, value) in enumerate(quantities):
             axis = axes[line, column]
             for trigger, marker, colour in (("stop", "o", "black"), ("watch", "x", "0.5")):
@@ -221,10 +230,21 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=PER_WAY, help="instants over a way, and again over its crossing")
     parser.add_argument("--alternate", action="store_true", help="one trigger at each instant, in turn")
     parser.add_argument("--plant", default="pybullet", help="pybullet or cartesian")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the controller")
+    parser.add_argument("--delay", type=float, default=0.0, help="of the commands, s")
+    names = (("set", "a setting of the controller"), ("built", "a number of the true robot: left.coulomb_friction=0.05"))
+    for name, what in names:
+        parser.add_argument(f"--{name}", action="append", default=[], metavar="NAME=VALUE", help=what)
     chosen = parser.parse_args()
-    changes = {name: float(value) for name, _, value in (item.partition("=") for item in chosen.set)}
-    rows = study(load_robot(config_file(ROBOT_FILE)), chosen.count, chosen.plant, alternate=chosen.alternate, **changes)
+    changes, built = (
+        {name: float(value) for name, _, value in (item.partition("=") for item in items)} for items in (chosen.set, chosen.built)
+    )
+    unknown = sorted(set(changes) - set(Settings.__dataclass_fields__))
+    if unknown:
+        parser.error(f"unknown setting '{unknown[0]}'")
+    rows = study(
+        load_robot(config_file(ROBOT_FILE)), chosen.count, chosen.plant, alternate=chosen.alternate, built=built,
+        delay=chosen.delay, **changes,
+    )  # fmt: skip
     if chosen.json:
         json.dump([row._asdict() for row in rows], sys.stdout, default=float)
         return 0

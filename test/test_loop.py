@@ -11,7 +11,7 @@ from dextar_control.contract.errors import ParameterError, StateError, Trajector
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.core.kinematics import inverse_model, singularity_of_platform
-from dextar_control.core.law import Law
+from dextar_control.core.law import CONFIDENCE, Law
 from dextar_control.core.loop import ControlLoop, Phase, Verdict
 from dextar_control.core.model import make_model
 from dextar_control.core.planner import MIN_END_S, Plan, plan_approach, plan_return_trip
@@ -468,4 +468,38 @@ def test_a_robot_whose_estimate_leaves_the_workspace_is_braked_and_of_no_known_s
         assert loop.phase is Phase.SAFE_STOP and not loop.mode_known
         plant.step(tau)
     assert np.abs(plant.state().q_a_dot).max() < REST_SPEED
+    plant.close()
+
+
+def test_no_motion_begins_while_the_side_is_not_known(robot: RobotParameters, trip: Plan) -> None:
+    """Asked for then, and lost between asking and the start."""
+    loop, q_a = _holding(robot, trip)
+    certificate = loop.check(trip.trajectory)
+    loop.schedule(trip.trajectory, certificate, start=0.05)
+    loop.step(0.001, q_a)
+    loop.estimator.row[CONFIDENCE] = 0.5
+    with pytest.raises(TrajectoryError, match="cannot tell on which side .* disable, set assembly_mode .*, enable"):
+        loop.accept(trip.trajectory)
+    loop.step(0.051, q_a)
+    assert loop.phase is Phase.HOLD and "cannot tell on which side" in loop.refusal
+    loop.disable()
+    loop.step(0.052, q_a)
+    loop.set_assembly_mode(1)
+    loop.enable()
+    loop.step(0.053, q_a)
+    loop.accept(trip.trajectory)
+    loop.step(0.054, q_a)
+    assert loop.phase is Phase.TRACK
+
+
+def test_a_moving_robot_is_not_enabled(robot: RobotParameters, trip: Plan) -> None:
+    plant = Plant(robot)
+    plant.reset(trip.trajectory.at(0.0).x)
+    loop = ControlLoop(robot, default_settings(), 1, enabled=False)
+    plant.apply_impulse([0.02, 0.04])
+    for _ in range(30):
+        state = plant.state()
+        plant.step(loop.step(state.time, state.q_a))
+    with pytest.raises(StateError, match=r"a joint moves at .* rad/s; the limit is 0.5 rad/s: bring it to rest, then enable"):
+        loop.enable()
     plant.close()

@@ -42,6 +42,9 @@ def warm_up() -> None:
     loop.step(0.05, q_a)
     loop.stop()
     loop.step(0.06, q_a)
+    idle = ControlLoop(robot, default_settings(), int(task["assembly_mode"]), enabled=False)
+    idle.step(0.0, q_a)
+    idle.enable()
     seeing = ControlLoop(robot, default_settings(estimator="external"), int(task["assembly_mode"]))
     for tick in range(3):
         seeing.step(1e-3 * tick, q_a, Pose(1e-3 * tick, start))
