@@ -24,8 +24,9 @@ from dextar_sim.world import connect, load, release
 KEYS = ("time", "q", "x", "torque", "s", "t_s", "planned", "locus", "phase", "speed", "robot")
 T_S_LENGTH = 0.015  # m, half of what is drawn of t_s
 HEIGHT = 0.03  # m, of what is drawn over the linkage
+CAMERA = 0.24  # m over the plane
 BLACK, GREY, RED = (0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (0.65, 0.15, 0.05)
-MOST_SEGMENTS = 300  # of a drawn line: the window takes its time for each
+MOST_SEGMENTS = 120  # of a drawn line: the window takes its time for each
 
 
 class Player:
@@ -52,7 +53,9 @@ class Player:
         self.client = connect(window)
         self.loop = load(self.client, from_flat(json.loads(str(motion["robot"]))), 1e-3, window)
         self._mark, self._words = -1, -1
+        self.show(0)
         if window:
+            p.resetDebugVisualizerCamera(CAMERA, 0.0, -89.9, [0.0, 0.04, 0.0], physicsClientId=self.client)
             self._line(motion["locus"], GREY, 2.0)
             self._line(motion["planned"], RED, 3.0)
 
