@@ -44,10 +44,10 @@ ifeq ($(KIND),jazzy)
 VENV_OPTIONS := --system-site-packages
 CONSTRAINT := --constraint .venv/constraints.txt
 EXTRAS :=
-TEST_EXTRAS := [test]
+TEST_EXTRAS := [test,video]
 else
 EXTRAS := [ros]
-TEST_EXTRAS := [ros,test,oracle]
+TEST_EXTRAS := [ros,test,oracle,video]
 endif
 
 # An environment of the other kind, or of another folder (a copied checkout), is made anew.

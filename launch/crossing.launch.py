@@ -35,6 +35,7 @@ ARGUMENTS = [
     DeclareLaunchArgument("duration", default_value="", description="of one way, s; empty: params_file's"),
     DeclareLaunchArgument("window", default_value="false", choices=SWITCH, description="PyBullet's own window"),
     DeclareLaunchArgument("record", default_value="true", choices=SWITCH, description="start the recorder"),
+    DeclareLaunchArgument("markers", default_value="false", choices=SWITCH, description="draw for RViz and Foxglove"),
     DeclareLaunchArgument("output", default_value="", description="the recording, .mcap; empty: params_file's"),
     DeclareLaunchArgument("autostart", default_value="true", choices=SWITCH,
                           description="serve the trip as soon as it is planned"),
@@ -47,6 +48,8 @@ ARGUMENTS = [
                           description="parameter file of the robot"),
     DeclareLaunchArgument("params_file", default_value=str(CONFIG / "crossing.yaml"),
                           description="parameter file of the nodes"),
+    DeclareLaunchArgument("enclaves", default_value="false", choices=SWITCH,
+                          description="each node in its enclave of config/sros2/policy.xml; with ROS_SECURITY_ENABLE=true"),
     DeclareLaunchArgument("discovery_range", default_value=EnvironmentVariable(DISCOVERY, default_value="LOCALHOST"),
                           choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
                           description="who may see and command the nodes; LOCALHOST: this machine only"),
@@ -67,6 +70,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         "controller": {"lockstep": on("lockstep"), "autostart": on("activate")},
         "trajectory_server": {"autostart": on("autostart")},
         "recorder": {},
+        "markers": {},
     }
     if value("law"):
         overrides["controller"]["law"] = value("law")
@@ -80,7 +84,8 @@ def nodes(context: LaunchContext) -> list[Node]:
         overrides["trajectory_server"]["duration"] = float(value("duration"))
     if value("output"):
         overrides["recorder"]["output"] = value("output")
-    unwanted = {"plant": not on("plant"), "recorder": not on("record")}
+    unwanted = {"plant": not on("plant"), "recorder": not on("record"), "markers": not on("markers")}
+    namespace = value("namespace").rstrip("/")
     return [
         Node(
             package="dextar",
@@ -88,8 +93,9 @@ def nodes(context: LaunchContext) -> list[Node]:
             name=name,
             namespace=value("namespace"),  # a full name lets an override win over the node's own section of params_file
             parameters=[value("robot_file"), value("params_file"), overrides[name]],
+            ros_arguments=["--enclave", f"{namespace}/dextar/{name}"] if on("enclaves") else None,
             output="screen",
-            on_exit=Shutdown(reason=f"{name} has ended"),
+            on_exit=None if name == "markers" else Shutdown(reason=f"{name} has ended"),  # a display is nobody's need
         )
         for name in overrides
         if not unwanted.get(name)

@@ -8,8 +8,8 @@ from pathlib import Path
 SUMMARY = "run A -> B -> A through the singularity in simulation, record and draw it"
 DESCRIPTION = (
     "Starts plant, controller, trajectory server and recorder as separate ROS 2 processes, runs the return trip and leaves"
-    " runs/<UTC stamp>/ with plan.png, run.mcap, metrics.json, figure.png and the nodes' logs. Exit code 0 when the run was"
-    " a success, 1 when it was not, 2 for a wrong argument."
+    " runs/<UTC stamp>/ with plan.png, run.mcap, metrics.json, figure.png, report.html and the nodes' logs. Exit code 0 when"
+    " the run was a success, 1 when it was not, 2 for a wrong argument."
 )
 LAWS = ("consistent", "projected", "classic", "multi_model", "joint_space")
 ESTIMATORS = ("observer", "dgm", "plain", "external")

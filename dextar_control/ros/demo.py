@@ -183,7 +183,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
     console.print(summary_table(metrics))
     for line in dict.fromkeys(troubles):
         console.print(line, style="bold", highlight=False)
-    console.print(f"{folder}: plan.png run.mcap metrics.json figure.png", highlight=False)
+    console.print(f"{folder}: plan.png run.mcap metrics.json figure.png report.html", highlight=False)
     return 0 if metrics.success and not troubles else 1
 
 
