@@ -24,10 +24,12 @@ setup(
     maintainer=maintainer.text,
     maintainer_email=maintainer.get("email"),
     packages=find_packages(include=["dextar_control", "dextar_control.*", "dextar_sim", "dextar_sim.*"]),
+    package_data={"dextar_control.analysis": ["templates/*.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
         (f"share/{name}", ["package.xml"]),
-        (f"share/{name}/config", sorted(glob("config/*.yaml"))),
+        (f"share/{name}/config", sorted(glob("config/*.*"))),
+        (f"share/{name}/config/sros2", sorted(glob("config/sros2/*"))),
         (f"share/{name}/launch", sorted(glob("launch/*.launch.py"))),
     ],
     zip_safe=False,
@@ -37,6 +39,8 @@ setup(
         "scipy",
         "numba",
         "matplotlib",
+        "bokeh>=3",
+        "jinja2",
         "pyyaml",
         "rich",
         "mcap>=1.6",
@@ -50,6 +54,7 @@ setup(
         'pybullet-arm64; python_version >= "3.12"',
     ],
     extras_require={
+        "video": ["imageio-ffmpeg"],  # MP4 where no ffmpeg is installed
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "test": ["pytest", "hypothesis", "mcap-ros2-support", "colcon-common-extensions", "colcon-ros"],
         "oracle": ["pin"],  # needs numpy 2, so it does not go with a Jazzy installation
@@ -62,6 +67,7 @@ setup(
             "controller = dextar_control.ros.controller_node:main",
             "trajectory_server = dextar_control.ros.trajectory_server:main",
             "recorder = dextar_control.ros.recorder_node:main",
+            "markers = dextar_control.ros.marker_node:main",
             "warmup = dextar_control.core.warmup:main",
         ],
     },

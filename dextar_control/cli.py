@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 
-from dextar_control.commands import EXIT_USAGE, analyze, bench, campaign, check_rig, demo, recover
+from dextar_control.commands import (
+    EXIT_USAGE,
+    analyze,
+    bench,
+    campaign,
+    check_rig,
+    compare,
+    demo,
+    export,
+    faults,
+    recover,
+    replay,
+)
 from dextar_control.contract.errors import DextarError
 
 COMMANDS = {
     "demo": demo,
     "analyze": analyze,
+    "compare": compare,
+    "replay": replay,
+    "export": export,
+    "recover": recover,
     "campaign": campaign,
+    "faults": faults,
     "check-rig": check_rig,
     "bench": bench,
-    "recover": recover,
 }
 
 
@@ -31,8 +48,9 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Console entry; the exit code."""
+    """Console entry; the exit code. What a command starts stays on this machine unless the environment opens it."""
     arguments = _parser().parse_args(argv)
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     try:
         return COMMANDS[arguments.command].run(arguments)
     except DextarError as error:

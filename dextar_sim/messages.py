@@ -17,7 +17,7 @@ from dextar_control.contract.cdr import CdrTemplate, from_time
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import JOINT_NAMES, SIM_JOINT_NAMES
 from dextar_control.contract.topics import BASE_FRAME, EFFORT_COMMANDS, END_EFFECTOR_NAME, JOINT_COMMANDS
-from dextar_sim.sensors import Command
+from dextar_sim.sensors import Acknowledgement, Command
 from dextar_sim.state import PlantState
 
 
@@ -100,23 +100,29 @@ class CommandReader:
     def __init__(self) -> None:
         self._template = CdrTemplate(joint_command, 2)
 
-    def read(self, raw: bytes) -> Command:
+    def read(self, raw: bytes, *, lockstep: bool = False) -> Command | Acknowledgement:
         """The command, its torques in the contract's order of joints.
+
+        Args:
+            raw: CDR bytes of the message.
+            lockstep: a message without joints and numbers is an acknowledgement; otherwise it is refused.
 
         Raises:
             StateError: the joints are not the motors, sizes differ or a torque is not finite.
         """
         fast = self._template.unpack(raw)
-        if fast is None:
-            stamp, torque = self._read_message(raw)
-        else:
+        if fast is not None:
             stamp, torque = fast
+        else:
+            message = deserialize_message(raw, JointState)
+            if lockstep and not any((message.name, message.position, message.velocity, message.effort)):
+                return Acknowledgement(from_time(message.header.stamp))
+            stamp, torque = self._read_message(raw, message)
         if not all(math.isfinite(value) for value in torque):
             raise StateError(f"{JOINT_COMMANDS.name}: effort {list(torque)} N m is not finite")
         return Command(stamp, (torque[0], torque[1]))
 
-    def _read_message(self, raw: bytes) -> tuple[int, list[float]]:
-        message = deserialize_message(raw, JointState)
+    def _read_message(self, raw: bytes, message: JointState) -> tuple[int, list[float]]:
         names = list(message.name)
         if sorted(names) != sorted(JOINT_NAMES):
             raise StateError(f"{JOINT_COMMANDS.name}: joints {names}; expected {list(JOINT_NAMES)} in any order")

@@ -3,6 +3,11 @@
 One sample is a state k at stamp k, published; the command that answers it; and the physics from
 k to k+1 under it. In lockstep the command is waited for. In real time the state goes out at its
 deadline on the steady clock, and a command that is not there in time is replaced by the held one.
+
+Whoever stands between rig and commander in lockstep can say that a state gets no command: a JointState
+with its stamp and without joints is a bare acknowledgement. The drives then go on under the command they
+hold, whose age counts, so that their time-out acts in simulated time. A command that answers an earlier
+state is taken as in real time (the newest stamp wins) and does not let time go on.
 """
 
 from __future__ import annotations
@@ -33,7 +38,7 @@ from dextar_sim.messages import CommandReader, StateWriter, read_efforts
 from dextar_sim.pace import Schedule, spin
 from dextar_sim.parameters import PARAMETERS
 from dextar_sim.plant import Plant
-from dextar_sim.sensors import Command, CommandDelay, CommandHold, Encoder, PoseSensor
+from dextar_sim.sensors import Acknowledgement, Command, CommandDelay, CommandHold, Encoder, PoseSensor
 
 REPEAT_AFTER = 0.5
 """s without an answer after which lockstep publishes a state again."""
@@ -84,9 +89,10 @@ class PlantNode(DextarNode):
         self._pose: bytes | None = None
         self._sent_at = 0.0
         self.answered = False
+        self._commanded = False
         self._budget: int | None = 0 if values["start_paused"] else None
         self.counts = dict.fromkeys(
-            ("commands_received", "commands_refused", "late_ticks", "late_commands", "repeated_states"), 0
+            ("commands_received", "commands_refused", "late_ticks", "late_commands", "repeated_states", "acknowledgements"), 0
         )
         self._commanders = 0
         self._max_loop_gap = 0.0
@@ -127,7 +133,7 @@ class PlantNode(DextarNode):
 
     def advance(self) -> None:
         """The physics of one period under the command the drives hold, and the state after it."""
-        if not self.answered and self._newest is not None:
+        if not self._commanded and self._newest is not None:
             self.counts["late_ticks"] += 1
         delayed = self._delay.shift(self._newest)
         if delayed is not None:
@@ -157,7 +163,7 @@ class PlantNode(DextarNode):
             return
         self._sent, self._sample = self._sample, None
         self._published = self._stamp()
-        self.answered = False
+        self.answered = self._commanded = False
         self._sent_at = time.monotonic()
         if self._poses is not None and self._pose is not None:
             self._poses.publish(self._pose)
@@ -187,26 +193,32 @@ class PlantNode(DextarNode):
                 self._warned_at = time.monotonic()
                 self.get_logger().warning(str(error))
             return
-        self.counts["commands_received"] += 1
         answers = command.stamp == self._published
+        if isinstance(command, Acknowledgement):
+            self.counts["acknowledgements"] += 1
+            self.answered = self.answered or answers
+            return
+        self.counts["commands_received"] += 1
         if not answers or self.sample_ready:
             self.counts["late_commands"] += 1
-        if command.stamp < self._oldest or (self.lockstep and (self.answered or not answers)):
+        if command.stamp < self._oldest or (self.lockstep and answers and self.answered):
             return
         if self._newest is None or command.stamp >= self._newest.stamp:
             self._newest = command
         self.answered = self.answered or answers
+        self._commanded = self._commanded or answers
 
-    def _read_command(self, raw: bytes) -> Command:
-        """A command whose stamp is that of a published state.
+    def _read_command(self, raw: bytes) -> Command | Acknowledgement:
+        """A command, or in lockstep an acknowledgement, whose stamp is that of a published state.
 
         In real time a stamp of the sender's own clock counts as an answer to the state last published, as does an
         array, which has none: neither can be told from a late one.
         """
+        command: Command | Acknowledgement
         if self._arrays:
             command = Command(max(self._published, 0), read_efforts(raw))
         else:
-            command = self._reader.read(raw)
+            command = self._reader.read(raw, lockstep=self.lockstep)
         if command.stamp <= self._published:
             return command
         now = self._published if self.lockstep or self._published < 0 else time.time_ns()

@@ -234,6 +234,16 @@ class Command(NamedTuple):
     torque: tuple[float, float]
 
 
+class Acknowledgement(NamedTuple):
+    """In lockstep, in the place of a command: none comes for this state.
+
+    Attributes:
+        stamp: of the state, ns.
+    """
+
+    stamp: int
+
+
 class CommandHold:
     """The drive: holds the last command, saturates it, and lets go when it has grown old.
 

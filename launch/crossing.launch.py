@@ -38,6 +38,8 @@ ARGUMENTS = [
     DeclareLaunchArgument("output", default_value="", description="the recording, .mcap; empty: params_file's"),
     DeclareLaunchArgument("autostart", default_value="true", choices=SWITCH,
                           description="serve the trip as soon as it is planned"),
+    DeclareLaunchArgument("activate", default_value="true", choices=SWITCH,
+                          description="configure and activate the controller at its start; false: ros2 lifecycle set does"),
     DeclareLaunchArgument("plant", default_value="true", choices=SWITCH,
                           description="start the simulated rig; false where a real one publishes the joint states"),
     DeclareLaunchArgument("namespace", default_value="/", description="of all nodes, e.g. /left: two robots in one domain"),
@@ -62,7 +64,7 @@ def nodes(context: LaunchContext) -> list[Node]:
 
     overrides: dict[str, dict[str, Any]] = {
         "plant": {"mode": "lockstep" if on("lockstep") else "realtime", "window": on("window")},
-        "controller": {"lockstep": on("lockstep")},
+        "controller": {"lockstep": on("lockstep"), "autostart": on("activate")},
         "trajectory_server": {"autostart": on("autostart")},
         "recorder": {},
     }

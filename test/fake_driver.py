@@ -32,6 +32,7 @@ class FakeDriver:
         self.fault = fault
         self.period = 1.0 / rate
         self.index = -1
+        self.last = math.nan
         self.q = np.array(START)
         self.q_dot = np.zeros(2)
         self.torque = np.zeros(2)
@@ -54,15 +55,17 @@ class FakeDriver:
         self.commanded_at = now
 
     def step(self, now: float) -> dict[str, Any]:
-        """One period on; the fields of the state after it. now in s counts for the watchdog."""
+        """On to now, s; the fields of the state then."""
         self.index += 1
+        dt = self.period if math.isnan(self.last) else now - self.last
+        self.last = now
         if now - self.commanded_at > WATCHDOG and self.fault != "no_watchdog":
             self.torque = np.zeros(2)
         sign = np.array([-1.0 if self.fault == "inverted" else 1.0, 1.0])
         torque = self.torque[::-1] if self.fault == "swapped_motors" else self.torque
         acceleration = (sign * torque - self.viscous * self.q_dot) / INERTIA
-        self.q = self.q + self.period * self.q_dot + 0.5 * self.period**2 * acceleration
-        self.q_dot = self.q_dot + self.period * acceleration
+        self.q = self.q + dt * self.q_dot + 0.5 * dt**2 * acceleration
+        self.q_dot = self.q_dot + dt * acceleration
         return self.fields()
 
     def fields(self) -> dict[str, Any]:
@@ -124,8 +127,10 @@ def main() -> None:
     node.create_subscription(Float64MultiArray if driver.fault == "command_type" else JointState, "joint_commands", take, asked)
     executor = rclpy.executors.SingleThreadedExecutor()
     executor.add_node(node)
+    print("ready", flush=True)
     period = driver.period * (6.0 if driver.fault == "slow" else 1.0)
     deadline = time.monotonic()
+    epoch = time.time() - deadline
     while driver.alive:
         deadline += period
         if deadline < time.monotonic() - 2.0 * PAUSE:
@@ -134,12 +139,13 @@ def main() -> None:
             executor.spin_once(timeout_sec=left)
         if driver.fault == "jitter" and driver.index % PAUSE_EVERY == 0:
             time.sleep(PAUSE)
-        fields = driver.step(time.monotonic())
+        now = time.monotonic()
+        fields = driver.step(now)
         if wrong:
             publisher.publish(Float64MultiArray(data=fields["position"]))
             continue
         message = JointState(**fields)
-        stamp = round(1e9 * driver.stamp(time.time()))
+        stamp = round(1e9 * driver.stamp(now + epoch))
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         publisher.publish(message)
 

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory
@@ -32,7 +37,8 @@ class Rig:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node("rig")
         self.commands: list[JointState] = []
-        self.status: dict[str, dict[str, str]] = {}
+        self._clients: dict[str, Any] = {}
+        self.status: dict[str, dict[str, str]] = {}  # by node name, and by its full name
         self.states = self.node.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
         self.trajectories = self.node.create_publisher(MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY))
         self.node.create_subscription(JointState, JOINT_COMMANDS.name, self.commands.append, qos(JOINT_COMMANDS))
@@ -41,7 +47,8 @@ class Rig:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             values = {item.key: item.value for item in status.values}
-            self.status[status.name.rpartition("/")[2]] = values | {"message": status.message}
+            told = {"message": status.message, "level": str(status.level[0])}
+            self.status[status.name] = self.status[status.name.rpartition("/")[2]] = values | told
 
     def until(self, condition: Callable[[], Any], what: str) -> None:
         """Spin until something holds."""
@@ -62,6 +69,35 @@ class Rig:
         self.until(lambda: self.commands and from_time(self.commands[-1].header.stamp) == stamp, f"no answer to {stamp}")
         return self.commands[-1]
 
+    def hold(self, stamps: Iterable[int], positions: Any) -> JointState:
+        """The last command that answers states of one pose at these stamps, ns."""
+        return [self.answer(stamp, positions) for stamp in stamps][-1]
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        """The answer of a service."""
+        client = self._clients.get(name) or self.node.create_client(kind, name)
+        self._clients[name] = client
+        self.until(client.service_is_ready, f"no service {name}")
+        future = client.call_async(request)
+        self.until(future.done, f"no answer of {name}")
+        return future.result()
+
+    def put(self, node: str, **values: Any) -> list[str]:
+        """Set parameters by their service, a dot as two underscores; why each was refused, empty where it was not."""
+        parameters = [Parameter(name.replace("__", "."), value=value).to_parameter_msg() for name, value in values.items()]
+        answer = self.call(SetParameters, f"{node}/set_parameters", SetParameters.Request(parameters=parameters))
+        return ["" if result.successful else result.reason for result in answer.results]
+
+    def change(self, transition: str) -> bool:
+        """A lifecycle transition of the controller, by its label."""
+        request = ChangeState.Request(transition=Transition(label=transition))
+        return bool(self.call(ChangeState, "controller/change_state", request).success)
+
+    @property
+    def lifecycle(self) -> str:
+        """The controller's lifecycle state."""
+        return str(self.call(GetState, "controller/get_state", GetState.Request()).current_state.label)
+
     def controller(self, key: str) -> str:
         """A value of the controller's diagnostics."""
         return self.status.get("controller", {}).get(key, "")
@@ -69,6 +105,28 @@ class Rig:
     def close(self) -> None:
         self.node.destroy_node()
         rclpy.try_shutdown()
+
+
+@contextlib.contextmanager
+def controlled(*parameters: str) -> Iterator[Rig]:
+    """A controller in lockstep with these NAME:=VALUE, and this process as its rig; it must end without a word too many."""
+    rig = Rig()
+    arguments = [part for value in ("lockstep:=true", *parameters) for part in ("-p", f"controller:{value}")]
+    process = start("dextar_control.ros.controller_node", *arguments)
+    try:
+        rig.until(lambda: rig.controller("lifecycle"), "the controller did not start")
+        yield rig
+    finally:
+        code, output = stop(process)
+        rig.close()
+        assert code == 0, output
+        assert "Traceback" not in output, output
+
+
+def matched(rig: Rig) -> None:
+    """Wait until a controller reads the states and its commands are read."""
+    rig.until(lambda: rig.node.count_subscribers("joint_states") and rig.node.count_publishers("joint_commands"), "no match")
+    rig.until(lambda: rig.states.get_subscription_count() == 1, "nobody reads the states")
 
 
 def start(module: str, *arguments: str) -> subprocess.Popen[str]:

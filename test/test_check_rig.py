@@ -236,6 +236,7 @@ def test_a_drive_that_lets_go_late_fails(robot: RobotParameters) -> None:
     limits = Limits(**{**vars(LIMITS), "watchdog": declared})
     lines, _ = check(robot, "none", limits=limits)
     assert results(lines, Result.FAIL) == {"watchdog"}
+    assert results(lines, Result.SKIP) == set()
 
 
 @pytest.mark.parametrize(
@@ -265,6 +266,23 @@ def test_states_that_stop_under_torque_end_it(robot: RobotParameters) -> None:
     assert "no state for" in tests.lines[0].measured
 
 
+def test_a_test_that_the_machine_disturbs_is_repeated(robot: RobotParameters) -> None:
+    rig, samples = watch(FakeDriver())
+    limits = Limits(**{**vars(LIMITS), "max_gap": 1.0})
+    tests = torque_tests(watch_lines(GRAPH, samples, robot, limits, 2.0), limits)
+    for index in range(200):
+        at = rig.now + PERIOD + WAY + THOUGHT
+        answer = tests.update(at, rig.sample())
+        if index == 30:
+            rig.now += 350_000_000  # nobody ran for 0.35 s, the whole of + and -
+        rig.driver.command(["q11", "q21"], list(answer), 1.0e-9 * at)
+        assert not tests.lines or index > 130
+    rig.run(tests)
+    assert {line.name for line in tests.lines if line.result is Result.PASS} == set(TORQUE_LINES)
+    assert "(try 2)" in tests.lines[0].measured
+    assert not any("(try" in line.measured for line in tests.lines[1:])
+
+
 def test_friction_and_a_coarse_encoder_hide_no_movement(robot: RobotParameters) -> None:
     driver = FakeDriver()
     driver.viscous, driver.count = 0.02, 2.0 * math.pi / 2**13
@@ -287,7 +305,7 @@ def test_the_elbows_are_where_the_core_has_them(uneven: RobotParameters) -> None
         ({"torque": 0.4}, "test torque = 0.4 N m; it must be <= 0.3"),
         ({"torque": 0.0}, "torque = 0.0; it must be > 0"),
         ({"watchdog": math.nan}, "watchdog = nan"),
-        ({"pulse": 0.01}, "pulse = 0.01 s at 200.0 Hz; it must be >= 0.05 s"),
+        ({"pulse": 0.01}, "pulse = 0.01 s at 200.0 Hz; it must be >= 0.1 s"),
     ],
 )
 def test_limits_that_make_no_sense_are_refused(change: dict[str, float], words: str) -> None:
@@ -303,6 +321,7 @@ def test_limits_that_make_no_sense_are_refused(change: dict[str, float], words: 
         (["--duration", "0.01"], "duration = 0.01 s"),
         (["--states", "joint states"], "joint states"),
         (["--robot", "nowhere.yaml"], "No such file"),
+        (["--json", "nowhere/report.json"], "no folder nowhere"),
     ],
 )
 def test_wrong_arguments_end_with_one_sentence(
@@ -316,8 +335,9 @@ def test_wrong_arguments_end_with_one_sentence(
 
 # -- over DDS ---------------------------------------------------------------------------------------------------------
 
-GENEROUS = ("--duration", "1.5", "--rate", "200", "--rate-tolerance", "0.6", "--jitter", "0.15", "--max-gap", "4", "--max-age",
-            "5", "--watchdog", str(WATCHDOG), "--watchdog-margin", "0.4", "--max-move", "2", "--max-speed", "10")  # fmt: skip
+GENEROUS = ("--wait", str(PATIENCE), "--duration", "1.5", "--rate", "200", "--rate-tolerance", "0.6", "--jitter", "0.15",
+            "--max-gap", "4", "--max-age", "5", "--watchdog", str(WATCHDOG), "--watchdog-margin", "0.4",
+            "--max-move", "2", "--max-speed", "10")  # fmt: skip
 """Limits that a busy machine keeps: a driver of 200 Hz may come at 80 Hz, and 0.15 s off its time once in a hundred."""
 
 
@@ -342,12 +362,13 @@ def named(lines: dict[str, dict[str, Any]], result: str) -> set[str]:
 
 
 @pytest.fixture
-def driver() -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+def driver() -> Iterator[Callable[[str], None]]:
     processes: list[subprocess.Popen[bytes]] = []
 
-    def begin(fault: str, *arguments: str) -> subprocess.Popen[bytes]:
-        processes.append(subprocess.Popen([sys.executable, str(Path(__file__).parent / "fake_driver.py"), fault, *arguments]))
-        return processes[-1]
+    def begin(fault: str) -> None:
+        command = [sys.executable, str(Path(__file__).parent / "fake_driver.py"), fault]
+        processes.append(subprocess.Popen(command, stdout=subprocess.PIPE))
+        assert processes[-1].stdout.readline() == b"ready\n"
 
     yield begin
     for process in processes:
@@ -381,28 +402,31 @@ def test_the_plant_passes_with_arrays_too(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fault", "failing", "torque"),
     [
-        ("none", set(), True),
         ("accepts_nan", {"refuses NaN"}, True),
         ("best_effort", {"QoS"}, False),
         ("latched_reader", {"QoS"}, False),
-        ("command_type", {"types"}, False),
-        ("jitter", {"jitter"}, False),
     ],
 )
 def test_a_broken_driver_fails_on_its_line_over_dds(
-    tmp_path: Path, driver: Callable[..., Any], fault: str, failing: set[str], torque: bool
+    tmp_path: Path, driver: Callable[[str], None], fault: str, failing: set[str], torque: bool
 ) -> None:
     driver(fault)
     code, lines, text = outcome(tmp_path, "--yes" if torque else "--no-torque")
     assert named(lines, "FAIL") == failing, text
-    assert code == (1 if failing else 0)
-    if torque and not failing:
-        assert named(lines, "PASS") == set(LINES)
+    assert code == 1
 
 
-def test_states_of_another_type_are_no_states(tmp_path: Path, driver: Callable[..., Any]) -> None:
+def test_who_looks_at_the_wrong_topic_is_told_the_right_one(tmp_path: Path, driver: Callable[[str], None]) -> None:
+    driver("none")
+    code, lines, text = outcome(tmp_path, "--states", "measured", "--yes", "--wait", "3")
+    assert code == 1
+    assert named(lines, "FAIL") == {"topics", "states"}
+    assert "Other topics of that type: /joint_states" in " ".join(text.split())
+
+
+def test_states_of_another_type_are_no_states(tmp_path: Path, driver: Callable[[str], None]) -> None:
     driver("state_type")
-    code, lines, _ = outcome(tmp_path, "--yes")
+    code, lines, _ = outcome(tmp_path, "--yes", "--wait", "3")
     assert code == 1
     assert named(lines, "FAIL") == {"types", "states"}
     assert "Float64MultiArray" in lines["types"]["measured"]
@@ -437,7 +461,7 @@ def until(node: Node, condition: Callable[[], Any]) -> None:
 
 
 def test_a_second_commander_is_reported_and_nothing_is_commanded(
-    tmp_path: Path, driver: Callable[..., Any], listener: tuple[Node, list[JointState]]
+    tmp_path: Path, driver: Callable[[str], None], listener: tuple[Node, list[JointState]]
 ) -> None:
     node, heard = listener
     other = node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
@@ -469,7 +493,7 @@ def drain(master: int, node: Node) -> None:
 
 
 def test_without_a_yes_the_robot_never_moves(
-    tmp_path: Path, driver: Callable[..., Any], listener: tuple[Node, list[JointState]]
+    tmp_path: Path, driver: Callable[[str], None], listener: tuple[Node, list[JointState]]
 ) -> None:
     node, heard = listener
     driver("none")
@@ -489,7 +513,7 @@ def test_without_a_yes_the_robot_never_moves(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 def test_a_signal_under_torque_leaves_zero_torque(
-    driver: Callable[..., Any], listener: tuple[Node, list[JointState]], number: int
+    driver: Callable[[str], None], listener: tuple[Node, list[JointState]], number: int
 ) -> None:
     """The torque was allowed by a yes on the terminal for the one, by --yes for the other."""
     node, heard = listener

@@ -23,6 +23,7 @@ from dextar_control.contract.topics import (
     CRITERION,
     JOINT_COMMANDS,
     JOINT_STATES,
+    MARKERS,
     PHASES,
     SERVICES,
     TOPICS,
@@ -31,7 +32,7 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.core.loop import Phase
 from dextar_control.core.planner import Plan
-from dextar_control.ros import controller_node, messages, recorder_node, trajectory_server
+from dextar_control.ros import controller_node, marker_node, messages, recorder_node, trajectory_server
 from dextar_sim import parameters as plant_parameters
 
 SPECS = {
@@ -39,6 +40,7 @@ SPECS = {
     "trajectory_server": trajectory_server.PARAMETERS,
     "recorder": recorder_node.SPECS,
     "plant": plant_parameters.PARAMETERS,
+    "markers": marker_node.PARAMETERS,
 }
 
 
@@ -154,7 +156,8 @@ def test_the_table_says_what_the_nodes_offer_and_enforce(topic: Topic) -> None:
 
 def test_streams_come_at_the_rate_of_the_samples() -> None:
     for topic in TOPICS:
-        assert topic.rate in (0.0, 5.0, 1.0 / node_defaults("plant")["task.sample_period"]), topic.name
+        drawing = node_defaults("markers")["rate"] if topic is MARKERS else 0.0
+        assert topic.rate in (drawing, 5.0, 1.0 / node_defaults("plant")["task.sample_period"]), topic.name
 
 
 def test_joints_are_written_in_the_order_of_the_table() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+import re
 import signal
 import time
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from closed_loop import turn_round
 from geometry_msgs.msg import PoseStamped
-from rig import Rig, start, stop
+from rig import Rig, controlled, matched, start, stop
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
@@ -28,7 +29,6 @@ from dextar_control.core.planner import Plan
 from dextar_control.core.trajectory import Trajectory
 from dextar_control.core.warmup import default_settings
 from dextar_control.ros import messages
-from dextar_control.ros.controller_node import SERVED_BEFORE
 from dextar_control.ros.trajectory_server import served_times
 from dextar_sim.plant import Plant
 
@@ -48,7 +48,7 @@ def rig() -> Iterator[Rig]:
 def _controller(*arguments: str) -> Iterator[Rig]:
     """A controller in lockstep, and this process as its rig."""
     rig = Rig()
-    process = start(MODULE, "-p", "controller:lockstep:=true", *arguments)
+    process = start(MODULE, "-p", "controller:lockstep:=true", "-p", "controller:healthy_time:=0.0", *arguments)
     try:
         rig.until(lambda: rig.controller("phase") == "HOLD", "the controller did not start")
         rig.until(lambda: rig.node.count_subscribers("joint_states") and rig.node.count_publishers("joint_commands"), "no match")
@@ -121,6 +121,22 @@ def test_a_gap_between_stamps_is_a_fault_until_reset_and_enable(rig: Rig, q_a: n
     assert rig.answer(80 * MS, q_a + [1e-3, 0.0]).effort[0] < still.effort[0]
 
 
+def test_states_that_stop_coming_take_the_torque_away_and_then_are_a_fault_that_lasts(q_a: np.ndarray) -> None:
+    """On the steady clock, without a further state; nothing is asked of when."""
+    with controlled("lockstep:=false", "healthy_time:=0.0", "stall_timeout:=0.1") as rig:
+        rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+        matched(rig)
+        rig.answer(time.time_ns(), q_a)
+        rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+        assert re.fullmatch(r"no state for \d+ ms; the limit is 100 ms", rig.controller("reason"))
+        assert list(rig.commands[-1].effort) == [0.0, 0.0]
+        assert rig.controller("stalls") == "1"
+        refused = _call(rig, Trigger, "controller/reset", Trigger.Request())
+        assert not refused.success
+        assert re.fullmatch(r"no state for \d+ ms; the limit is 20.0 ms", refused.message)
+        assert "latency_p50_us" in rig.status["controller"]
+
+
 def test_a_second_commander_is_a_fault(rig: Rig, q_a: np.ndarray) -> None:
     rig.answer(1 * MS, q_a)
     other = rig.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
@@ -166,7 +182,6 @@ def test_a_latched_trajectory_from_before_moves_nothing(trip: Plan, q_a: np.ndar
     rig = Rig()
     times = np.union1d(trip.certificate.profile.time, trip.certificate.crossing_times)
     rig.trajectories.publish(messages.from_trajectory(trip.trajectory, times[np.r_[True, np.diff(times) > 2e-9]]))
-    time.sleep(SERVED_BEFORE)
     process = start(MODULE, "-p", "controller:lockstep:=true")
     try:
         rig.until(lambda: rig.controller("trajectory").startswith("refused"), "the old trajectory was not refused")

@@ -16,21 +16,24 @@ ALLOWED_OUTSIDE = {
     "dextar_control.campaign": {"numpy", "matplotlib", "rich", "yaml", "pydantic", "pydantic_core", "dask", "distributed",
                                 "pyarrow"},
     "dextar_control.rig_check": {"numpy"},
-    "dextar_control.analysis": {"numpy", "scipy", "matplotlib", "mcap", "rosbags", "rich", "yaml", "zstandard"},
+    "dextar_control.faults": {"numpy", "matplotlib", "rich", "yaml", "pydantic", "pydantic_core", "mcap"},
+    "dextar_control.analysis": {"numpy", "scipy", "matplotlib", "mcap", "rosbags", "rich", "yaml", "zstandard", "bokeh", "jinja2",
+                                "pyarrow", "imageio_ffmpeg"},
 }
 ROS = {"rclpy", "builtin_interfaces", "rcl_interfaces", "sensor_msgs", "trajectory_msgs", "nav_msgs", "geometry_msgs",
-       "std_msgs", "std_srvs", "diagnostic_msgs"}  # fmt: skip
+       "std_msgs", "std_srvs", "diagnostic_msgs", "lifecycle_msgs", "visualization_msgs"}  # fmt: skip
 DOORS = {
     "dextar_control.contract": {"dextar_control.contract"},
     "dextar_control.core": {"dextar_control.core", "dextar_control.contract"},
     "dextar_control.rig_check": {"dextar_control.rig_check", "dextar_control.contract"},
     "dextar_control.analysis": {"dextar_control.analysis", "dextar_control.core", "dextar_control.contract"},
     "dextar_control.campaign": {"dextar_control.campaign", "dextar_control.core", "dextar_control.contract"},
+    "dextar_control.faults": {"dextar_control.faults", "dextar_control.core", "dextar_control.contract"},
     "dextar_sim": {"dextar_sim", "dextar_control.contract"},
 }
 NO_ROS_MODULES = {"dextar_control/contract": {"robot.py", "topics.py", "tables.py", "errors.py", "resources.py"},
                   "dextar_sim": {"plant.py", "cartesian.py", "platform_motion.py", "rig.py", "state.py", "sensors.py",
-                                 "geometry.py", "urdf.py", "world.py"}}  # fmt: skip
+                                 "geometry.py", "urdf.py", "world.py", "replay.py"}}  # fmt: skip
 
 
 def _imports(path: Path) -> set[str]:

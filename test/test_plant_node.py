@@ -312,6 +312,56 @@ def test_unanswered_state_is_repeated_and_counted(start: Callable[..., Commander
     commander.until(lambda: int(commander.health.get("repeated_states", 0)) >= 1)
 
 
+def acknowledgement(state: JointState) -> JointState:
+    message = JointState()
+    message.header.stamp = state.header.stamp
+    return message
+
+
+def test_lockstep_acknowledged_without_a_command_the_drives_hold_the_last_one_until_their_timeout(
+    start: Callable[..., Commander],
+) -> None:
+    """Commands for the states before the tenth only: the torque goes on for the time-out's 5 ms and is gone then."""
+    commander = start(mode="lockstep", command_timeout="0.005")
+
+    def answer(state: JointState) -> JointState:
+        return command(state, [0.01, -0.02]) if from_time(state.header.stamp) < 10 * PERIOD else acknowledgement(state)
+
+    commander.answer = answer
+    commander.until(lambda: len(commander.states) >= 40)
+    efforts = [list(state.effort) for state in commander.states[:40]]
+    assert efforts == [[0.0, 0.0]] + 15 * [[0.01, -0.02]] + 24 * [[0.0, 0.0]]
+    assert stamps(commander.states[:40]) == [PERIOD * index for index in range(40)]
+    commander.until(lambda: commander.health.get("watchdog_trips") == "1")
+    assert int(commander.health["acknowledgements"]) >= 30
+    assert int(commander.health["late_ticks"]) >= 30
+    assert commander.health["commands_refused"] == "0"
+
+
+def test_lockstep_takes_a_late_command_as_a_drive_does_and_waits_on(start: Callable[..., Commander]) -> None:
+    """State k is answered while k + 2 waits, after the command for k - 1 came once more: only the newest acts."""
+    commander = start(mode="lockstep")
+
+    def answer(state: JointState) -> JointState:
+        stamp = from_time(state.header.stamp)
+        for late in (stamp - 2 * PERIOD, stamp - 3 * PERIOD):
+            if late >= 0:
+                commander.commands.publish(command(commander.states[late // PERIOD], wavy(late)))
+        return acknowledgement(state)
+
+    commander.answer = answer
+    commander.until(lambda: len(commander.states) >= 50)
+    for index, state in enumerate(commander.states[:50]):
+        assert list(state.effort) == (wavy(PERIOD * (index - 3)) if index >= 3 else [0.0, 0.0])
+
+
+def test_in_real_time_a_message_without_joints_is_refused(start: Callable[..., Commander]) -> None:
+    commander = start(mode="realtime")
+    commander.answer = acknowledgement
+    commander.until(lambda: int(commander.health.get("commands_refused", 0)) > 0)
+    assert commander.health["acknowledgements"] == "0"
+
+
 def test_start_paused_waits_steps_as_told_and_resumes(start: Callable[..., Commander]) -> None:
     commander = start(mode="lockstep", start_paused="true", step_count="3")
     commander.answer = wavy_answer

@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 from geometry_msgs.msg import PoseStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -138,3 +140,11 @@ def test_a_point_without_a_plan_is_told_and_served_is_nothing(robot: Rig) -> Non
     assert "off the Type 2 locus" in answer.message
     robot.until(lambda: "off the Type 2 locus" in robot.status["trajectory_server"]["error"], "the reason is not told")
     assert robot.status["trajectory_server"]["served"] == served
+
+
+def test_a_trip_needs_an_active_controller(robot: Rig) -> None:
+    deactivate = ChangeState.Request(transition=Transition(label="deactivate"))
+    assert _call(robot, ChangeState, "controller/change_state", deactivate).success
+    robot.until(lambda: robot.controller("lifecycle") == "inactive", "not inactive")
+    refused = _call(robot, Trigger, "trajectory_server/start", Trigger.Request())
+    assert (refused.success, refused.message) == (False, "the controller is inactive; a trip needs an active one")

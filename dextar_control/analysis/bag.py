@@ -78,6 +78,16 @@ class Bag:
         return names[0] if names else ""
 
 
+class _Reader(StreamReader):
+    """Without the chunks' indexes, which took a quarter of the time: every message is read anyway."""
+
+    def _read_record(self, opcode: int, length: int) -> Any:
+        if opcode == Opcode.MESSAGE_INDEX:
+            self._stream.read(length)
+            return None
+        return super()._read_record(opcode, length)
+
+
 def read_bag(path: str | Path) -> Bag:
     """Every message of a bag: a file, MCAP or sqlite3, or a folder in rosbag2's layout, also a split one.
 
@@ -91,7 +101,7 @@ def read_bag(path: str | Path) -> Bag:
         if files and all(_storage(file) is MAGIC for file in files):
             for file in files:
                 with file.open("rb") as stream:
-                    _collect(bag, file, StreamReader(stream, emit_chunks=True))
+                    _collect(bag, file, _Reader(stream, emit_chunks=True))
         else:
             _collect_with_library(bag, path)
     except OSError as error:

@@ -21,10 +21,15 @@ class CrossingMetrics:
     """One planned crossing; times in s since the trajectory's start.
 
     Attributes:
-        planned_time: of the plan; ``planned_stamp`` is the same instant in ns.
+        planned_time: of the plan: where s of the served trajectory (a quintic between its points that meets their positions,
+            velocities and accelerations) changes sign; ``planned_stamp`` is the same instant in ns.
         point: planned, m.
         sign: planned sign of s afterwards.
-        true_time: where the true s is zero, nearest to the plan; None when it is nowhere zero between the sides.
+        true_time: where the true s, a straight line between its stamps, is zero, nearest to the plan; None when it is nowhere
+            zero between the sides. s = r_1 x r_2 / (l_1 l_2) with r_i from elbow i, by the true active joints, to the true
+            end effector and l_i the distal lengths.
+        outcome: crossed, bounced (it has not crossed by the time the plan is clear of the locus) or not reached (tracking
+            ended before); None without truth.
         crossed: the true s has the other sign before and the planned sign after, where the plan is clear of the
             locus; None without truth.
         estimated_mode: assembly mode that the controller took there afterwards; None when not recorded.
@@ -34,8 +39,13 @@ class CrossingMetrics:
         speed: true speed at the crossing (estimated without truth), m/s.
         residual: |t_s.w_d| that the controller saw at the planned instant, N.
         planned_residual: |t_s.w_d| of the plan there, N.
+        sigma_min: smallest singular value of A_r over the distal length that the controller saw while the plan was not
+            clear of the locus, 1.
         peak_torque: within |s| < 0.1 of this crossing, N m.
         torque_step: largest change in one tick within |s| < 0.15 of this crossing, N m.
+        error_before, error_after: largest true tracking error from where the plan leaves |s| >= 0.3 to the planned instant,
+            and from there to where it is at |s| >= 0.3 again, m; nan without truth.
+        estimated_error_before, estimated_error_after: the same of the estimated error, m.
     """
 
     planned_time: float
@@ -44,6 +54,7 @@ class CrossingMetrics:
     sign: int
     true_time: float | None
     crossed: bool | None
+    outcome: str | None
     estimated_mode: int | None
     verdict: str | None
     verdict_time: float
@@ -52,8 +63,13 @@ class CrossingMetrics:
     speed: float
     residual: float
     planned_residual: float
+    sigma_min: float
     peak_torque: float
     torque_step: float
+    error_before: float
+    error_after: float
+    estimated_error_before: float
+    estimated_error_after: float
 
 
 def judge_crossings(run: Run, plan: Certificate, track: Tracked) -> list[CrossingMetrics]:
@@ -65,10 +81,11 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
     planned = float(plan.crossing_times[index])
     sign = int(plan.crossing_signs[index])
     before, after = clear_times(plan, index)
-    crossed = None
+    crossed = outcome = None
     if len(track.true_s):
         sides = at(track.true_time, track.true_s, before) * sign, at(track.true_time, track.true_s, after) * sign
         crossed = bool(sides[0] < 0.0 < sides[1] and planned <= track.time[-1])
+        outcome = "crossed" if crossed else "not reached" if planned > track.time[-1] else "bounced"
     moment = _true_instant(track, planned, before, after)
     criterion_time = (run.criterion.stamps - track.start) * 1e-9
     mode = at(criterion_time, run.criterion.assembly_mode, after)
@@ -87,6 +104,7 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
         sign=sign,
         true_time=moment,
         crossed=crossed,
+        outcome=outcome,
         estimated_mode=int(mode) if math.isfinite(mode) else None,
         verdict=None if verdict is None else verdict.name.lower(),
         verdict_time=verdict_time,
@@ -95,8 +113,13 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
         speed=at(speed_time, speeds, planned if moment is None else moment),
         residual=abs(at(criterion_time, run.criterion.residual, planned)),
         planned_residual=float(abs(plan.residuals[index])),
+        sigma_min=-peak_between(criterion_time, -np.abs(run.criterion.sigma_min), before, after),
         peak_torque=peak(torque[distance < NEAR_LOCUS]),
         torque_step=peak(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
+        error_before=peak_between(track.true_time, track.true_error, before, planned),
+        error_after=peak_between(track.true_time, track.true_error, planned, after),
+        estimated_error_before=peak_between(track.time, track.estimated_error, before, planned),
+        estimated_error_after=peak_between(track.time, track.estimated_error, planned, after),
     )
 
 
@@ -149,6 +172,13 @@ def at(time: np.ndarray, values: np.ndarray, moment: float) -> float:
         return math.nan
     row = int(np.searchsorted(time, moment))
     return float(values[row - 1 if row and moment - time[row - 1] < time[row] - moment else row])
+
+
+def peak_between(time: np.ndarray, values: np.ndarray, first: float, last: float) -> float:
+    """The largest finite value within [first, last], times rising; nan where there is none."""
+    inside = values[np.searchsorted(time, first, side="left") : np.searchsorted(time, last, side="right")]
+    finite = inside[np.isfinite(inside)]
+    return float(finite.max()) if finite.size else math.nan
 
 
 def peak(values: Floats) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 import yaml
 
 from dextar_control.analysis.bag import Bag, read_bag
+from dextar_control.analysis.coherence import check_order, check_run
 from dextar_control.analysis.run import Control, Criterion, Floats, Joints, RecordedTopic, Run, Served, Truth
 from dextar_control.analysis.series import Series
 from dextar_control.contract import topics
@@ -68,7 +69,8 @@ def _run(
         raise BagError(f"{bag.path} holds no message of {topics.JOINT_STATES.name}: not a run of this robot")
     if np.isnan(states.position).all():
         raise BagError(f"{bag.path}: {topics.JOINT_STATES.name} never holds the joints {', '.join(JOINT_NAMES)} of this robot")
-    return Run(
+    check_order(topics.JOINT_STATES.name, of(topics.JOINT_STATES).stamps())
+    run = Run(
         path=bag.path,
         states=states,
         commands=_joints(of(topics.JOINT_COMMANDS)),
@@ -81,11 +83,15 @@ def _run(
         robot=_robot(parameters),
         losses=losses,
         version=record.get("version", ""),
-        record={key: text for key, text in record.items()
-                if key not in ("contract", "topics") and not key.startswith(PARAMETER_PREFIX)},
+        record={
+            key: text for key, text in record.items()
+            if key not in ("contract", "topics") and not key.startswith(PARAMETER_PREFIX)
+        },
         topics={name: _topic(series) for name, series in bag.messages.items()},
         truncated=bag.truncated is not None,
     )
+    check_run(run)
+    return run
 
 
 def _nanoseconds(time: Any) -> int:
@@ -94,7 +100,7 @@ def _nanoseconds(time: Any) -> int:
 
 def _topic(series: Series) -> RecordedTopic:
     logged = series.logged
-    return RecordedTopic(series.type, len(logged), int(logged.min(initial=0)), int(logged.max(initial=0)))
+    return RecordedTopic(series.type, len(logged), int(logged[0]) if len(logged) else 0, int(logged.max(initial=0)))
 
 
 def _by_name(kind: str, names: Sequence[str]) -> Callable[[Any], list[str]]:
@@ -143,6 +149,8 @@ def _truth(platform: Series, joints: Series) -> Truth | None:
     motion, active = platform.table(4, lambda _: places), _joints(joints)
     common, rows, joint_rows = np.intersect1d(motion.stamps, active.stamps, assume_unique=True, return_indices=True)
     if len(common) == 0:
+        if len(motion.stamps) and len(active.stamps):
+            raise BagError("the stamps of the true end effector and of the true joints have none in common")
         return None
     x, x_dot = motion.values[rows, 0:2], motion.values[rows, 2:4]
     return Truth(common, x, x_dot, active.position[joint_rows])

@@ -12,7 +12,8 @@ import numpy as np
 
 from dextar_control.analysis.crossings import CrossingMetrics, judge_crossings, peak
 from dextar_control.analysis.run import Floats, Phase, Run
-from dextar_control.analysis.tracking import Tracked, plan_of, tracked
+from dextar_control.analysis.timing import PhaseSpan, Timing, measure_timing, phase_name, phase_spans, within
+from dextar_control.analysis.tracking import plan_of, tracked
 from dextar_control.analysis.verdict import Verdict, judge
 from dextar_control.contract.errors import DextarError
 from dextar_control.core.certificate import NEAR_LOCUS
@@ -24,12 +25,20 @@ SATURATED = 1.0 - 1e-9  # of the torque limit
 class Metrics:
     """A run's numbers: m, N m, s, Hz; nan where the bag does not tell.
 
+    Each can be computed again from the bag alone. The *tracked ticks* are the stamps that both ``criterion`` (in phase TRACK
+    or CROSSING) and ``controller_state`` (with a time) have, of the last trajectory: those whose start, stamp less time, is
+    within 1 ms of the last one's. Time zero is the median of their starts.
+
     Attributes:
         law, estimator, phase, reason: of the controller; its last phase and why it is there.
         success: None without truth. ``reasons`` says why not, or why nobody can know.
-        max_true_error, rms_true_error, final_true_error: reference against truth while tracking.
-        max_estimated_error: reference against estimate while tracking.
-        peak_torque, planned_peak_torque, torque_ratio: commanded and planned over the trajectory.
+        crossings: each planned one.
+        start_stamp: time zero of the trajectory, ns.
+        max_true_error, rms_true_error, final_true_error: distance between the reference and the true end effector of the same
+            stamp over the tracked ticks that have a truth; rms is the root of the mean square.
+        max_estimated_error, rms_estimated_error: the same between reference and estimate, over all tracked ticks.
+        peak_torque: largest magnitude of either motor's command from the first tracked tick to the last;
+            ``planned_peak_torque`` that of the plan, ``torque_ratio`` the one over the other.
         peak_torque_near, planned_peak_torque_near, torque_ratio_near: the same within |s| < 0.1;
             the ratio is to the planned peak of the whole trajectory.
         saturated: commands at the controller's torque limit while tracking (``watch_ratio`` x planned, or the
@@ -41,6 +50,8 @@ class Metrics:
         late_commands, late_ticks, plant_steps: as the plant counted over its whole run (commands that
             came too late for their step, steps taken without their command); None when it did not.
         lost: samples lost per topic; None where not known.
+        timing: rates, jitter and round trips.
+        phases: the controller's, one after the other.
     """
 
     bag: str
@@ -54,12 +65,14 @@ class Metrics:
     success: bool | None
     reasons: list[str]
     crossings: list[CrossingMetrics]
+    start_stamp: int | None
     duration: float
     tracked_until: float
     max_true_error: float
     rms_true_error: float
     final_true_error: float
     max_estimated_error: float
+    rms_estimated_error: float
     peak_torque: float
     planned_peak_torque: float
     torque_ratio: float
@@ -77,11 +90,18 @@ class Metrics:
     late_commands: int | None
     late_ticks: int | None
     plant_steps: int | None
+    timing: Timing
+    phases: list[PhaseSpan]
     lost: dict[str, int | None] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON: what is not a number is None."""
+        plain: dict[str, Any] = _plain(dataclasses.asdict(self))
+        return plain
 
     def to_json(self) -> str:
         """Strict JSON: what is not a number is null."""
-        return json.dumps(_plain(dataclasses.asdict(self)), indent=2, allow_nan=False)
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
 
 def compute_metrics(run: Run) -> Metrics:
@@ -99,13 +119,13 @@ def compute_metrics(run: Run) -> Metrics:
     planned_peak = plan.peak_torque if plan else math.nan
     planned_near = plan.peak_torque_near if plan else math.nan
     limit = _torque_limit(run, planned_peak)
-    asked = run.states.stamps if track is None else _between(run.states.stamps, track)
+    asked = run.states.stamps if track is None else within(run.states.stamps, track)
     periods = np.diff(run.states.published[np.isin(run.states.stamps, asked)]) * 1e-9
     answered = int(np.isin(asked, run.commands.stamps).sum())
-    estimated = _estimated_error(run, track)
-    phase = Phase(int(run.criterion.phase[-1])) if len(run.criterion.phase) else None
+    estimated = track.estimated_error if track else np.zeros(0)
+    phase = phase_name(int(run.criterion.phase[-1])) if len(run.criterion.phase) else ""
     controller = run.diagnostics.get("controller", {})
-    stopped = phase in (Phase.SAFE_STOP, Phase.FAULT)
+    stopped = phase in (Phase.SAFE_STOP.name, Phase.FAULT.name)
     reason = str(controller.get("reason") or controller.get("message") or "") if stopped else ""
     values: dict[str, Any] = {
         "bag": str(run.path),
@@ -114,15 +134,17 @@ def compute_metrics(run: Run) -> Metrics:
         "law": str(run.parameters.get("controller", {}).get("law", "")),
         "estimator": str(run.parameters.get("controller", {}).get("estimator", "")),
         "truncated": run.truncated,
-        "phase": phase.name if phase is not None else "",
+        "phase": phase,
         "reason": reason,
         "crossings": crossings,
+        "start_stamp": track.start if track else None,
         "duration": plan.duration if plan else math.nan,
         "tracked_until": float(track.time[-1]) if track else math.nan,
         "max_true_error": peak(error),
-        "rms_true_error": float(np.sqrt(np.mean(error**2))) if len(error) else math.nan,
+        "rms_true_error": _rms(error),
         "final_true_error": float(error[-1]) if len(error) else math.nan,
         "max_estimated_error": peak(estimated),
+        "rms_estimated_error": _rms(estimated[np.isfinite(estimated)]),
         "peak_torque": peak(torque),
         "planned_peak_torque": planned_peak,
         "torque_ratio": _ratio(peak(torque), planned_peak),
@@ -141,20 +163,16 @@ def compute_metrics(run: Run) -> Metrics:
             name: _whole(run.diagnostics.get("plant", {}).get(key))
             for name, key in (("late_commands", "late_commands"), ("late_ticks", "late_ticks"), ("plant_steps", "steps"))
         },
+        "timing": measure_timing(run, track),
+        "phases": phase_spans(run, track),
         "lost": {topic: _add(count.get("lost"), count.get("dropped")) for topic, count in run.losses.items()},
     }
     verdict: Verdict = judge(values, has_truth=run.truth is not None, tracked=track is not None, problem=problem)
     return Metrics(**values, success=verdict.success, reasons=verdict.reasons)
 
 
-def _between(stamps: np.ndarray, track: Tracked) -> np.ndarray:
-    return stamps[(stamps >= track.stamps[0]) & (stamps <= track.stamps[-1])]
-
-
-def _estimated_error(run: Run, track: Tracked | None) -> Floats:
-    if track is None:
-        return np.zeros(0)
-    return np.hypot(*run.control.error[np.isin(run.control.stamps, track.stamps)].T)
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
 
 
 def _ratio(value: float, plan: float) -> float:

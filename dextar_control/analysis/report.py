@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.table import Table
@@ -10,24 +11,49 @@ from rich.table import Table
 from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.load import load_run
 from dextar_control.analysis.metrics import Metrics, compute_metrics
+from dextar_control.analysis.page import render_report
+from dextar_control.analysis.paper_figure import COLUMN, write_paper
 from dextar_control.contract.errors import BagError
 
 RESOLUTION = 150  # dots per inch
 
 
-def analyze(path: str | Path, output_dir: str | Path | None = None) -> Metrics:
-    """Write ``metrics.json`` and ``figure.png`` of a bag, next to it or into a folder.
+def analyze(
+    path: str | Path,
+    output_dir: str | Path | None = None,
+    formats: Sequence[str] = (),
+    width: float = COLUMN,
+    progress: Callable[[str], None] = lambda stage: None,
+    namespace: str | None = None,
+) -> Metrics:
+    """Write ``metrics.json``, ``figure.png`` and ``report.html`` of a bag, next to it or into a folder.
+
+    Args:
+        path: of the bag.
+        output_dir: the folder; made where it does not exist.
+        formats: of a figure for a paper, ``paper.<format>``: png, svg, pdf.
+        width: of that figure, mm.
+        progress: told what is being done.
+        namespace: of the robot, where a bag of another recorder holds several.
 
     Raises:
         BagError: the bag cannot be read, or the results cannot be written.
     """
-    run = load_run(path)
+    progress("reading the bag")
+    run = load_run(path, namespace)
+    progress("computing the metrics")
     metrics = compute_metrics(run)
     folder = Path(output_dir) if output_dir is not None else run.path.parent
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "metrics.json").write_text(metrics.to_json() + "\n", encoding="utf-8")
+        progress("drawing figure.png")
         draw_run(run, metrics).savefig(folder / "figure.png", dpi=RESOLUTION)
+        progress("writing report.html")
+        (folder / "report.html").write_text(render_report(run, metrics), encoding="utf-8")
+        if formats:
+            progress("drawing the figure for a paper")
+            write_paper(run, metrics, folder, list(formats), width)
     except OSError as error:
         raise BagError(f"cannot write the analysis to {folder}: {error.strerror or error}") from error
     return metrics

@@ -135,7 +135,7 @@ class RecordedTopic:
     last: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """Everything the analysis knows, from the bag alone.
 

@@ -80,6 +80,19 @@ class Series:
             raise TypeError(f"{self.topic}: its messages have been made into columns")
         return (self._message(data) for data in self._raw)
 
+    def stamps(self) -> Stamps:
+        """(n,) ns of the messages' headers, in the order of the bag.
+
+        Raises:
+            BagError: some bytes are no message of the type.
+        """
+        self._compact()
+        stamps = np.zeros(len(self), dtype=np.int64)
+        for block in self._blocks:
+            seconds, rest = block.column(SECONDS), block.column(NANOSECONDS)
+            stamps[block.rows] = np.asarray(seconds, dtype=np.int64) * 1_000_000_000 + np.asarray(rest, dtype=np.int64)
+        return stamps
+
     def table(self, width: int, paths: Callable[[Any], Sequence[str]]) -> Table:
         """Numbers by their paths, such as ``position.0``.
 
@@ -90,12 +103,9 @@ class Series:
         Raises:
             BagError: some bytes are no message of the type.
         """
-        self._compact()
+        stamps = self.stamps()
         values = np.full((len(self), width), np.nan)
-        stamps = np.zeros(len(self), dtype=np.int64)
         for block in self._blocks:
-            seconds, rest = block.column(SECONDS), block.column(NANOSECONDS)
-            stamps[block.rows] = np.asarray(seconds, dtype=np.int64) * 1_000_000_000 + np.asarray(rest, dtype=np.int64)
             for column, path in enumerate(paths(block.sample)):
                 values[block.rows, column] = block.column(path)
         unique, rows = np.unique(stamps, return_index=True)

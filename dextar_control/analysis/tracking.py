@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
+from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -20,6 +24,7 @@ class Tracked:
     Attributes:
         start: ns of its time zero.
         stamps, time: (n,) of the ticks, ns and s.
+        estimated_error: (n,) reference against estimate, m.
         true_time, true_s, true_error: (k,) where truth is known, also after the last tick: s, 1, m; the error is nan
             where nothing was tracked.
         torque_time, torque: (c,), (c, 2) commanded, s, N m.
@@ -29,6 +34,7 @@ class Tracked:
     start: int
     stamps: Stamps
     time: Floats
+    estimated_error: Floats
     true_time: Floats
     true_s: Floats
     true_error: Floats
@@ -37,6 +43,23 @@ class Tracked:
     torque_s: Floats
 
 
+Result = TypeVar("Result")
+
+
+def once(function: Callable[[Run], Result]) -> Callable[[Run], Result]:
+    """Compute it once for each run: metrics, figures and report all start from it."""
+    known: WeakKeyDictionary[Run, Result] = WeakKeyDictionary()
+
+    @wraps(function)
+    def remembered(run: Run) -> Result:
+        if run not in known:
+            known[run] = function(run)
+        return known[run]
+
+    return remembered
+
+
+@once
 def plan_of(run: Run) -> Certificate | None:
     """The served trajectory's crossings and torques, computed anew from the run's robot."""
     if run.robot is None or run.trajectory is None:
@@ -45,6 +68,7 @@ def plan_of(run: Run) -> Certificate | None:
     return measure(make_model(run.robot), quintic(served.time, served.x, served.x_dot, served.x_ddot))
 
 
+@once
 def tracked(run: Run) -> Tracked | None:
     """The last tracked trajectory; None when none was."""
     criterion, control = run.criterion, run.control
@@ -74,6 +98,6 @@ def tracked(run: Run) -> Tracked | None:
     s_time, s = (true_time, true_s) if len(true_s) else ((criterion.stamps - start) * 1e-9, criterion.s)
     torque_s = np.interp(torque_time, s_time, s) if len(s) else np.full(len(torque_time), np.nan)
     return Tracked(
-        start, stamps, (stamps - start) * 1e-9, true_time, true_s, true_error,
+        start, stamps, (stamps - start) * 1e-9, np.hypot(*control.error[rows].T), true_time, true_s, true_error,
         torque_time, run.commands.effort[inside], torque_s,
     )  # fmt: skip

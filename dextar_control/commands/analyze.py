@@ -3,21 +3,47 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
-from dextar_control.commands import EXIT_FAILED
+from dextar_control.commands import EXIT_FAILED, EXIT_USAGE
+from dextar_control.commands.bags import add_namespace, spoken_warnings
+from dextar_control.contract.errors import DextarError
 
-SUMMARY = "metrics and figure from a recorded run"
+SUMMARY = "metrics, figures and a report from recorded runs"
 DESCRIPTION = (
-    "Reads run.mcap and writes metrics.json and figure.png beside it (or into --output). Exit code 0 when the run was a"
-    " success or has no truth to judge by, 1 when it was not, 2 for a bad file."
+    "Reads each bag and writes metrics.json, figure.png and report.html, one page that opens offline, beside it (or into"
+    " --output). Exit code 0 when every run was a success or has no truth to judge by, 1 when one was not, 2 for a bad file;"
+    " the others are analysed all the same."
 )
+FORMATS = ("png", "svg", "pdf")
+WIDTHS = (40.0, 400.0)  # mm
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
-    parser.add_argument("bag", type=Path, help="an .mcap file, or the run's folder")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="where metrics and figure go (default: beside the bag)")
+    parser.add_argument("bag", type=Path, nargs="+", help="an .mcap file, or the run's folder")
+    add_namespace(parser)
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR",
+        help="where the results go (default: beside the bag); several bags that would share a folder get one each in it",
+    )  # fmt: skip
+    parser.add_argument(
+        "--format", action="append", default=[], metavar="NAME", dest="formats", choices=FORMATS,
+        help="also write paper.NAME, a figure for a paper with its fonts embedded: png, svg or pdf (repeatable)",
+    )  # fmt: skip
+    parser.add_argument("--width", type=_width, default=88.0, metavar="MM", help="of that figure, mm (default: %(default)g)")
+
+
+def _width(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not WIDTHS[0] <= value <= WIDTHS[1]:
+        raise argparse.ArgumentTypeError(f"width = {text}; it must lie in {WIDTHS[0]:g} to {WIDTHS[1]:g} mm")
+    return value
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -26,6 +52,37 @@ def run(arguments: argparse.Namespace) -> int:
 
     from dextar_control.analysis.report import analyze, summary_table
 
-    metrics = analyze(arguments.bag, arguments.output)
-    Console().print(summary_table(metrics))
-    return EXIT_FAILED if metrics.success is False else 0
+    console, code = Console(), 0
+    for bag, folder in zip(arguments.bag, folders(arguments.bag, arguments.output), strict=True):
+        try:
+            with console.status("") as status, spoken_warnings("analyze"):
+
+                def show(stage: str, bag: Path = bag, update: Callable[[str], None] = status.update) -> None:
+                    update(f"{bag}: {stage}")
+
+                metrics = analyze(bag, folder, arguments.formats, arguments.width, show, arguments.namespace)
+        except DextarError as error:
+            print(f"dextar analyze: {error}", file=sys.stderr)
+            code = EXIT_USAGE
+            continue
+        if len(arguments.bag) > 1:
+            console.print(f"{bag}", highlight=False)
+        console.print(summary_table(metrics))
+        code = code or (EXIT_FAILED if metrics.success is False else 0)
+    return code
+
+
+def folders(bags: list[Path], output: Path | None) -> list[Path | None]:
+    """Where each bag's results go; None is beside it. Bags that would share a folder get one each, by their names."""
+    shared = [output if output is not None else bag if bag.is_dir() else bag.parent for bag in bags]
+    if len(set(shared)) == len(shared):
+        return [output] * len(bags)
+    found: list[Path | None] = []
+    for bag, folder in zip(bags, shared, strict=True):
+        name = bag.name if bag.is_dir() or bag.parent.name in ("", ".") else f"{bag.parent.name}-{bag.stem}"
+        place, number = folder / name, 1
+        while place in found:
+            number += 1
+            place = folder / f"{name}-{number}"
+        found.append(place)
+    return found

@@ -32,12 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--max-age", type=float, default=0.05, metavar="S", help="of a stamp at arrival (default: %(default)s)")
     what.add_argument("--watchdog", type=float, metavar="S",
                       help="declared time-out of the drive (default: plant.command_timeout)")  # fmt: skip
-    what.add_argument("--watchdog-margin", type=float, default=0.005, metavar="S",
-                      help="for the way there and back, beyond one period (default: %(default)s)")  # fmt: skip
+    what.add_argument("--watchdog-margin", type=float, default=0.01, metavar="S",
+                      help="for the way there and back, beyond two periods (default: %(default)s)")  # fmt: skip
     how = parser.add_argument_group("how")
     how.add_argument("--duration", type=float, default=5.0, metavar="S", help="of the watch (default: %(default)s)")
-    how.add_argument("--torque", type=float, default=0.005, metavar="NM", help="of the tests (default: %(default)s)")
-    how.add_argument("--pulse", type=float, default=0.1, metavar="S", help="time at one torque (default: %(default)s)")
+    how.add_argument("--wait", type=float, default=5.0, metavar="S", help="for the first state (default: %(default)s)")
+    how.add_argument("--torque", type=float, default=0.005, metavar="NM",
+                     help="of the tests; above friction and the effort's noise (default: %(default)s)")  # fmt: skip
+    how.add_argument("--pulse", type=float, metavar="S", help="time at one torque (default: 0.1, or 20 states)")
     how.add_argument("--max-move", type=float, default=0.1, metavar="RAD",
                      help="of a joint, that ends the tests (default: %(default)s)")  # fmt: skip
     how.add_argument("--max-speed", type=float, default=1.0, metavar="RAD/S",

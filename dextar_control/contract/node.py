@@ -20,9 +20,11 @@ from rclpy.signals import SignalHandlerOptions
 from dextar_control.contract import resources
 from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.robot import ROBOT_KEYS, RobotParameters, from_flat
+from dextar_control.contract.services import ServiceDesk
 from dextar_control.contract.topics import DIAGNOSTICS, Topic
 
 EXIT_USAGE = 2
+COMPLAINT_PERIOD = 1.0  # s between two lines about services that failed
 
 
 @dataclass(frozen=True)
@@ -108,13 +110,18 @@ class DextarNode(Node):
         name: node name, and its section in ``config/crossing.yaml``.
         specs: the node's parameters.
         robot: whether the node takes the robot description.
+        served: whether the executor serves the services, those of parameters too; otherwise the node calls
+            ``desk.poll`` when it has time for some.
 
     Raises:
         ParameterError: an override is unknown, of another type or out of its bounds.
     """
 
-    def __init__(self, name: str, specs: Iterable[Parameter], *, robot: bool, **options: Any) -> None:
+    def __init__(
+        self, name: str, specs: Iterable[Parameter], *, robot: bool, served: bool = True, **options: Any
+    ) -> None:
         self._polled: set[int] = set()
+        self._served_by_executor = served
         super().__init__(name, **options)
         self.exit_code = 0
         self.finished = False
@@ -147,6 +154,9 @@ class DextarNode(Node):
         self.add_on_set_parameters_callback(self._on_set)
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS.name, qos(DIAGNOSTICS))
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.desk = ServiceDesk(
+            lambda: self._services, lambda text: self.get_logger().error(text, throttle_duration_sec=COMPLAINT_PERIOD)
+        )
 
     @property
     def subscriptions(self) -> Any:
@@ -166,7 +176,7 @@ class DextarNode(Node):
     @property
     def services(self) -> Any:
         """What the executor serves: not the polled ones."""
-        return (entity for entity in super().services if id(entity) not in self._polled)
+        return (entity for entity in super().services if self._served_by_executor and id(entity) not in self._polled)
 
     def create_polled_service(self, service_type: Any, name: str) -> Any:
         """A service that no executor serves, so that it may answer later than it is asked.
@@ -177,6 +187,11 @@ class DextarNode(Node):
         service = self.create_service(service_type, name, lambda _, response: response)
         self._polled.add(id(service))
         return service
+
+    def destroy_subscription(self, subscription: Any) -> bool:
+        """Also of a polled one; another may get its identity."""
+        self._polled.discard(id(subscription))
+        return bool(super().destroy_subscription(subscription))
 
     def _declare(self, name: str, value: Any, descriptor: ParameterDescriptor) -> Any:
         self.declare_parameter(name, value, descriptor, ignore_override=True)
@@ -190,8 +205,8 @@ class DextarNode(Node):
                 spec = self._specs.get(parameter.name)
                 if spec is None:
                     continue
-                if not spec.live:
-                    raise ParameterError(f"'{spec.name}' is fixed while the node runs")
+                if not spec.live and (reason := self.why_fixed()):
+                    raise ParameterError(f"'{spec.name}' is fixed {reason}")
                 changes[spec.name] = check_value(spec, parameter.value, self._defaults[spec.name])
             self.values.update(changes)
             self.on_parameters(changes)
@@ -199,6 +214,10 @@ class DextarNode(Node):
             self.values = before
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def why_fixed(self) -> str:
+        """Why parameters that are not live cannot be changed now; empty when they can."""
+        return "while the node runs"
 
     def on_parameters(self, changes: Mapping[str, Any]) -> None:
         """Take live changes, already in ``values``; raise a DextarError to refuse them all."""

@@ -30,6 +30,7 @@ class LegParameters:
         rotor_inertia: reflected to the joint, kg m^2, >= 0.
         viscous_friction: at the active joint, N m s/rad, >= 0.
         coulomb_friction: at the active joint, N m, >= 0.
+        min_angle, max_angle: range of the active joint, rad, on any turn; a whole turn or more is no bound.
     """
 
     proximal_length: float
@@ -43,6 +44,8 @@ class LegParameters:
     rotor_inertia: float
     viscous_friction: float
     coulomb_friction: float
+    min_angle: float
+    max_angle: float
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,10 @@ class RobotParameters:
         for key, value in flatten(self).items():
             _check(key, value)
         for side, leg in (("left", self.left), ("right", self.right)):
+            if not leg.min_angle < leg.max_angle:
+                raise ParameterError(
+                    f"robot.{side}.min_angle = {leg.min_angle} with max_angle = {leg.max_angle}; it must be smaller"
+                )
             if leg.proximal_inertia + leg.rotor_inertia + leg.proximal_mass * leg.proximal_center**2 <= 0.0:
                 raise ParameterError(f"robot.{side}.rotor_inertia = 0 with a massless proximal link; it must be > 0")
         if self.end_effector_mass + self.left.distal_mass + self.right.distal_mass <= 0.0:
@@ -103,7 +110,7 @@ class RobotParameters:
 _POSITIVE = {"base_distance", "proximal_length", "distal_length", "coulomb_speed", "max_torque",
              "max_joint_speed", "max_platform_speed"}  # fmt: skip
 _FRACTION = {"proximal_center", "distal_center", "min_type1_distance"}
-_FREE = {"gravity"}
+_FREE = {"gravity", "min_angle", "max_angle"}
 
 
 def _check(key: str, value: Any) -> None:

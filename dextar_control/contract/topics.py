@@ -47,7 +47,8 @@ class Topic:
         stamp: what the header's stamp means; "none" where the type has none.
         timeouts: without it, enforced by its readers.
         rate_text: the rate in words where a number does not say it.
-        switch: ``node.parameter`` that brings the topic into being where it does not exist by default; empty otherwise.
+        switch: ``node.parameter`` that brings the topic into being where plant, controller and trajectory server alone do not
+            publish it; empty otherwise.
     """
 
     name: str
@@ -123,7 +124,7 @@ JOINT_STATES = Topic(
 JOINT_COMMANDS = Topic(
     "joint_commands", "sensor_msgs/msg/JointState", "controller", STREAM_DEPTH, False, 1000.0,
     "q11, q21 by name: effort (N m), nothing else; stamp of the state it answers. Only one publisher: with a second one"
-    " nobody's commands are taken",
+    " nobody's commands are taken. Without joints it is, in lockstep only, a bare acknowledgement: no command for this state",
     subscriber="rig or plant", read_reliable=False, unit="N m", joints=JOINT_NAMES, stamp="of the state it answers",
     timeouts=(TimeOut("plant", "command_timeout", "no torque"),),
 )  # fmt: skip
@@ -170,6 +171,12 @@ SIM_JOINT_STATES = Topic(
     "applied effort (N m, 0 on passive joints); stamp of the state",
     subscriber="analysis only", unit="rad, rad/s, N m", joints=SIM_JOINT_NAMES, stamp="of the state",
 )  # fmt: skip
+MARKERS = Topic(
+    "markers", "visualization_msgs/msg/MarkerArray", "markers", 10, False, 25.0,
+    "linkage, end effector, reference, trail, t_s and text at the rate of the display; base, locus, path and crossings once a"
+    " second; frame base, m; stamp of the drawing",
+    unit="m", stamp="of the drawing", switch="markers.enabled",
+)  # fmt: skip
 DIAGNOSTICS = Topic(
     "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "all nodes", 10, False, 5.0, "health of each node",
     unit="by key", stamp="when published", rate_text="5 Hz controller, 1 Hz others",
@@ -177,7 +184,7 @@ DIAGNOSTICS = Topic(
 
 TOPICS = (
     JOINT_STATES, JOINT_COMMANDS, EFFORT_COMMANDS, EXTERNAL_POSE, TRAJECTORY, CONTROLLER_STATE, CRITERION,
-    SIM_END_EFFECTOR, SIM_JOINT_STATES, DIAGNOSTICS,
+    SIM_END_EFFECTOR, SIM_JOINT_STATES, MARKERS, DIAGNOSTICS,
 )  # fmt: skip
 
 SERVICES = (
@@ -192,6 +199,8 @@ SERVICES = (
     Service("controller/get_available_states", "lifecycle_msgs/srv/GetAvailableStates", "all states there are"),
     Service("controller/get_available_transitions", "lifecycle_msgs/srv/GetAvailableTransitions", "those from this state"),
     Service("controller/get_transition_graph", "lifecycle_msgs/srv/GetAvailableTransitions", "all transitions there are"),
+    Service("recorder/start", "std_srvs/srv/Trigger", "begins a new bag"),
+    Service("recorder/stop", "std_srvs/srv/Trigger", "finishes the bag"),
     Service("trajectory_server/plan", "std_srvs/srv/Trigger", "plans again"),
     Service("trajectory_server/start", "std_srvs/srv/Trigger", "serves the trip or tour from where the robot stands"),
     Service("trajectory_server/stop", "std_srvs/srv/Trigger", "safe stop"),

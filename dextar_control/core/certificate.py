@@ -13,7 +13,7 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_control.core.compiled import njit
 from dextar_control.core.dynamics import criterion, friction, multipliers, wrenches
 from dextar_control.core.kinematics import singularity, state_of_platform, type1_distance
-from dextar_control.core.model import Array, Model, make_model
+from dextar_control.core.model import Array, Model, beyond_range, joint_range, make_model
 from dextar_control.core.trajectory import Trajectory, evaluate
 
 PLAN_RESIDUAL = 1e-9  # N, at the crossing of a plan
@@ -305,6 +305,7 @@ def certify(
     if certificate.least_type1 < robot.min_type1_distance:
         row = int(np.argmin(profile.type1))
         raise fail("the distance to Type 1", certificate.least_type1, robot.min_type1_distance, "(least |sin|)", row)
+    check_joint_range(robot, profile)
     for index, residual in enumerate(certificate.residuals):
         if not residual <= max_residual:
             row = int(np.searchsorted(profile.time, certificate.crossing_times[index]))
@@ -324,6 +325,19 @@ def certify(
         if not values[row] <= limit:
             raise fail(what, float(values[row]), limit, unit, row)
     return certificate
+
+
+def check_joint_range(robot: RobotParameters, profile: Profile) -> None:
+    """Raise TrajectoryError where an active joint leaves its range; names the joint, its angle and the range."""
+    beyond = beyond_range(joint_range(robot), profile.q_a)
+    row, leg = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+    if beyond[row, leg] > 0.0:
+        low, high = robot.legs[leg].min_angle, robot.legs[leg].max_angle
+        x, y = profile.x[row]
+        raise TrajectoryError(
+            f"the {('left', 'right')[leg]} joint's angle is {profile.q_a[row, leg]:.4g} rad, {beyond[row, leg]:.4g} rad outside"
+            f" its range; the limits are {low:.4g} and {high:.4g} rad (at {profile.time[row]:.4f} s, ({x:.4f}, {y:.4f}) m)"
+        )
 
 
 def check_rest(trajectory: Trajectory) -> None:

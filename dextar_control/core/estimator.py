@@ -48,6 +48,10 @@ class Estimator(Protocol):
     def mode_known(self) -> bool:
         """Whether the assembly mode is known well enough to begin a motion from."""
 
+    @property
+    def unknown_s(self) -> float:
+        """|s| of the locus within which a robot at rest is on no known side, whatever was told."""
+
     def configure(self, settings: Settings) -> None:
         """Take the settings that concern it, also while running."""
 
@@ -123,7 +127,7 @@ class DirectEstimator:
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
         self._bandwidth, self._return_time = settings.filter_bandwidth, settings.return_time
-        self._unknown = settings.hold_zone
+        self.unknown_s = settings.hold_zone
 
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
         """See ``Estimator``."""
@@ -165,7 +169,7 @@ class DirectEstimator:
     def coast(self, dt: float, q_a: Array, tau: Array) -> None:
         """See ``Estimator``."""
         self.s = _coast_dgm(self._packed, self._memory, self._bandwidth, dt, q_a, self._mode, self.row)
-        if not abs(self.s) >= self._unknown:
+        if not abs(self.s) >= self.unknown_s:
             self.mode_known = False
             self.row[CONFIDENCE] = 0.5
 
@@ -245,6 +249,7 @@ class ObserverEstimator:
         )  # fmt: skip
         passage = Passage(settings.passage_armed, settings.passage_begin, settings.passage_log_odds, tight)
         self._tuning = observer.pack_tuning(self._noise, passage)
+        self.unknown_s = settings.passage_armed
         self._sure, self._bandwidth = settings.verdict_confidence, settings.filter_bandwidth
 
     @property

@@ -192,23 +192,3 @@ def control(
     out[SCALARS + 2] = enforced.sigma_min
     out[SCALARS + 3] = weight
     out[FINITE] = 1.0 if np.isfinite(out[:FINITE]).all() else 0.0
-
-
-@njit
-def brake(packed: Array, estimate: Array, gain: float, limit: float, out: Array) -> None:
-    """A tick without a law: damping torque of the joints alone, written into ``out``.
-
-    Args:
-        gain: N m s/rad.
-        limit: of each torque, N m.
-    """
-    model = unpack(packed)
-    kin = state_of_platform(model, estimate[X_HAT : X_HAT + 2], estimate[X_HAT + 2 : X_HAT + 4])
-    out[:] = 0.0
-    for i in range(2):
-        out[TAU + i] = min(max(-gain * estimate[Q_HAT + 2 + i], -limit), limit)
-    for i in range(2):
-        out[FORCE + i] = kin.J_inv[0, i] * out[TAU] + kin.J_inv[1, i] * out[TAU + 1]
-    out[SCALARS + 1] = singularity(model, kin.A_r)
-    out[SCALARS + 2] = abs(singular_values(kin.A_r).sigma2) / np.sqrt(model.l2[0] * model.l2[1])
-    out[FINITE] = 1.0 if np.isfinite(out[TAU : TAU + 2]).all() else 0.0

@@ -5,10 +5,8 @@ It knows no ROS and no simulator; a rig, a node or a plain ``for`` calls it alik
 
 from __future__ import annotations
 
-import bisect
 import math
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,15 +16,15 @@ from dextar_control.core.certificate import Certificate, certify, check_rest
 from dextar_control.core.compiled import njit
 from dextar_control.core.dgm import wrap
 from dextar_control.core.estimator import Pose, make_estimator
-from dextar_control.core.kinematics import direct_model, singularity, state_of_platform, type1_distance
+from dextar_control.core.kinematics import direct_model, singularity, state_of_platform
 from dextar_control.core.law import (
     CONFIDENCE,
     ERROR,
-    FINITE,
     FORCE,
     LAMBDA_REF,
     MODE_HAT,
     OUTPUT,
+    Q_HAT,
     Q_REF,
     REFERENCE,
     S_REF,
@@ -37,12 +35,16 @@ from dextar_control.core.law import (
     Gains,
     Law,
     U,
-    brake,
     control,
 )
 from dextar_control.core.model import Array, make_model, pack, unpack
+from dextar_control.core.safe_stop import SafeStop, Stage, Stopped, clear_rest, singularity_of_joints
 from dextar_control.core.settings import Settings
+from dextar_control.core.supervisor import Supervisor
 from dextar_control.core.trajectory import Trajectory, evaluate, hold
+from dextar_control.core.verdicts import OPEN_BEFORE as OPEN_BEFORE
+from dextar_control.core.verdicts import CrossingJudge, Passed
+from dextar_control.core.verdicts import Verdict as Verdict
 
 
 class Phase(IntEnum):
@@ -53,37 +55,18 @@ class Phase(IntEnum):
     HOLD = 2  # holds a point
     TRACK = 3  # tracks a crossing trajectory, away from the locus
     CROSSING = 4  # tracks it near the locus
-    SAFE_STOP = 5  # brakes, then no torque
+    SAFE_STOP = 5  # coasts, brakes, then no torque: ``core.safe_stop``
     FAULT = 6  # no torque
 
 
 LIMP = (Phase.IDLE, Phase.FAULT, Phase.SAFE_STOP)  # where the law gives no torque
 REST_ZONE, REST_WIDTH = 0.05, 0.05  # |s| of the estimator's hold while holding a point: the direct model serves nearer
-MIN_HOLD_S = REST_ZONE + REST_WIDTH  # |s| nearer than which no point is held
+HOLD_MARGIN = 0.05  # in |s|, over what holding a point needs
+ENABLE_SPEED = 0.5  # rad/s of a joint, at which a robot is still taken for one at rest
 FIRST_PERIOD = 1e-3  # s taken for the first sample
 START_MARGIN = 2e-3  # s by which a trajectory's start may have passed when it begins
-OPEN_BEFORE = 0.02  # s before a planned crossing from which on it counts as begun
-TYPE1_END = 0.1  # distance to Type 1 at which a robot without control is followed no further
-WATCH_DECAY = 0.25  # a torque that swings between its limits is watched too
 UNKNOWN_SIDE = "the estimator cannot tell on which side of the locus the robot stands:"
 MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
-
-
-class Verdict(IntEnum):
-    """What became of a planned crossing, as the estimator sees it."""
-
-    UNDECIDED = 0
-    CROSSED = 1
-    BOUNCED = 2
-
-
-class Passed(NamedTuple):
-    """One planned crossing and what the estimator made of it."""
-
-    planned_time: float  # since the trajectory's start, s
-    verdict: Verdict
-    confidence: float  # in the assembly mode that the verdict rests on, 0.5 to 1
-    time: float  # of the verdict, since the trajectory's start, s; nan while undecided
 
 
 class Tick:
@@ -164,15 +147,18 @@ class ControlLoop:
         self.model = make_model(robot)
         self.phase = Phase.HOLD if enabled else Phase.IDLE
         self.reason = ""
+        self.tripped = ""
         self.refusal = ""
         self.certificate: Certificate | None = None
-        self.passed: list[Passed] = []
         self.saturated_ticks = 0
         self.completed = 0
         self.tick: Tick | None = None
         self.estimator = make_estimator(robot, settings)
+        self.supervisor = Supervisor(robot, self.model)
         self._assembly_mode = assembly_mode
         self._packed = pack(self.model)
+        self._judge = CrossingJudge(self.model)
+        self._stop = SafeStop(self.model)
         self._ref = np.zeros(REFERENCE)
         self._out = np.zeros(OUTPUT)
         self._tau = np.zeros(2)
@@ -180,13 +166,8 @@ class ControlLoop:
         self._time = math.nan
         self._start = 0.0
         self._pending: tuple[Trajectory, Certificate, float | None] | None = None
-        self._watch = 0.0
         self._crossing_limit = robot.max_torque
-        self._open = -1
-        self._crossing_times: list[float] = []
-        self._crossing_signs: list[float] = []
         self._q_a = np.zeros(2)
-        self._stop_time = 0.0
         self._stop_wanted = False
         self.configure(settings)
 
@@ -215,6 +196,34 @@ class ControlLoop:
             settings.friction_compensation,
         )  # fmt: skip
         self.estimator.configure(settings)
+        self.supervisor.configure(settings)
+        self._judge.configure(settings)
+        self._stop.configure(settings)
+
+    @property
+    def passed(self) -> list[Passed]:
+        """The planned crossings of the last trajectory and what the estimator made of them."""
+        return self._judge.passed
+
+    @property
+    def watches(self) -> dict[str, tuple[float, float]]:
+        """What is watched (``supervisor.WATCHES``) and its limit, at the last sample under a law."""
+        return self.supervisor.watches
+
+    @property
+    def stopped(self) -> Stopped | None:
+        """How the last safe stop ended; None before the first and while one lasts."""
+        return self._stop.ended
+
+    @property
+    def torque_limit(self) -> float:
+        """Of the trajectory that was tracked last, N m: what a safe stop keeps."""
+        return self._crossing_limit
+
+    @property
+    def hold_s(self) -> float:
+        """|s| of the locus from which on a point is held: clear of where the side is not known and of the watch."""
+        return max(REST_ZONE + REST_WIDTH, self.estimator.unknown_s, self.settings.locus_s) + HOLD_MARGIN
 
     @property
     def mode_known(self) -> bool:
@@ -265,6 +274,8 @@ class ControlLoop:
         self._pending = (trajectory, certificate, start)
 
     def _check_start(self, trajectory: Trajectory, start: float | None, time: float) -> None:
+        if not self.mode_known:
+            raise TrajectoryError(f"{UNKNOWN_SIDE} disable, set assembly_mode to the side where it stands, enable")
         first, held = trajectory.at(0.0).x, self.trajectory.at(0.0).x
         distance = float(np.hypot(*(first - held)))
         if not distance <= self.settings.max_start_distance:
@@ -279,17 +290,24 @@ class ControlLoop:
         """Leave IDLE and hold the present point.
 
         Raises:
-            StateError: the robot stands too near to the locus to be held, or on a side that is not known.
+            StateError: the robot stands too near to the locus to be held, or on a side that is not known, or it
+                moves; says what to do.
         """
         if self.phase != Phase.IDLE:
             return
         if self.tick is not None:
-            if not self.mode_known:
-                raise StateError(f"{UNKNOWN_SIDE} set assembly_mode to the side where it stands, then enable")
-            if not abs(self.tick.s) >= MIN_HOLD_S:
-                raise StateError(f"the robot stands at |s| = {abs(self.tick.s):.3f} of the locus; holding needs {MIN_HOLD_S}")
+            self._need_side("enable")
+            s, speed = self._standing()
+            if not s >= self.hold_s:
+                raise StateError(
+                    f"the robot stands at |s| = {s:.3f} of the locus: move it by hand to |s| >= {self.hold_s:.2f}, then enable"
+                )
+            if not speed <= ENABLE_SPEED:
+                raise StateError(
+                    f"a joint moves at {speed:.2f} rad/s; the limit is {ENABLE_SPEED} rad/s: bring it to rest, then enable"
+                )
             self._hold_at(self.tick.x_hat)
-        self.phase, self.reason = Phase.HOLD, ""
+        self.phase, self.reason, self.tripped = Phase.HOLD, "", ""
 
     def disable(self) -> None:
         """No torque from the next sample on, whatever goes on."""
@@ -297,15 +315,16 @@ class ControlLoop:
             self._go_limp(Phase.IDLE, "disabled on request")
 
     def stop(self, reason: str = "stop requested") -> None:
-        """A safe stop: at once away from the locus; a crossing that has begun is finished first.
+        """A safe stop as soon as the robot comes to rest clear of the locus: mostly at once.
 
-        Holding goes on; a trajectory that waits for its start is dropped.
+        A robot in good order that cannot (it is crossing, or too fast before the locus) goes on with its crossing
+        first. Holding goes on; a trajectory that waits for its start is dropped.
         """
         self._pending = None
-        if self.phase == Phase.CROSSING:
+        if self.phase in MOVING and not self._stop_wanted:
             self._stop_wanted, self.reason = True, reason
-        elif self.phase in MOVING:
-            self._go_limp(Phase.SAFE_STOP, reason)
+            if self.tick is None or self._comes_to_rest():
+                self._go_limp(Phase.SAFE_STOP, reason)
 
     def fault(self, reason: str) -> None:
         """No torque, latched until ``reset``."""
@@ -315,12 +334,14 @@ class ControlLoop:
         """Tell on which side of the locus the robot stands; only without torque.
 
         Raises:
-            StateError: the loop is holding or moving.
+            StateError: the loop is holding or moving, or the robot stands where the estimator would not keep it.
         """
         if self.phase not in LIMP:
             raise StateError(f"the assembly mode can be told in IDLE, SAFE_STOP or FAULT; the phase is {self.phase.name}")
+        if not math.isnan(self._time) and not self._standing()[0] >= self.estimator.unknown_s:
+            raise StateError(f"{self._too_near()} move it by hand to |s| >= {self.hold_s:.2f}, then set assembly_mode")
         self._assembly_mode = assembly_mode
-        self._open = -1
+        self._judge.close()
         if not math.isnan(self._time):
             self.estimator.tell_mode(assembly_mode, self._q_a)
 
@@ -328,24 +349,50 @@ class ControlLoop:
         """From SAFE_STOP or FAULT to IDLE.
 
         Raises:
-            StateError: the robot was near the locus without control, so that its assembly mode is not
-                known; ``set_assembly_mode`` tells it.
+            StateError: the safe stop is not over, or the robot was near the locus without control, so that its
+                assembly mode is not known; says what to do.
         """
+        if self.phase is Phase.SAFE_STOP and self._stop.stage is not Stage.OVER:
+            raise StateError(f"the safe stop is not over ({self._stop.stage.name.lower()}): wait until it is, then reset")
         if self.phase in (Phase.SAFE_STOP, Phase.FAULT):
-            if not self.mode_known:
-                raise StateError(f"{UNKNOWN_SIDE} set assembly_mode to the side where it stands, then reset")
-            self.phase, self.reason, self._open = Phase.IDLE, "", -1
+            self._need_side("reset")
+            self.phase, self.reason = Phase.IDLE, ""
+            self._judge.close()
 
-    def _go_limp(self, phase: Phase, reason: str) -> None:
-        """Leave the reference: from now on the robot is only watched, and damped in SAFE_STOP."""
-        current = self._current_crossing()
+    def _standing(self) -> tuple[float, float]:
+        """|s| by the joints alone, and the larger joint speed, rad/s."""
+        q_a_dot = self.estimator.row[Q_HAT + 2 : Q_HAT + 4]
+        s, _ = singularity_of_joints(self.model, self._q_a, q_a_dot)
+        return s, float(np.abs(q_a_dot).max())
+
+    def _too_near(self) -> str:
+        return f"the robot stands at |s| = {self._standing()[0]:.3f} of the locus, where its side cannot be kept:"
+
+    def _need_side(self, then: str) -> None:
+        """Raise StateError, with what to do before ``then``, unless the side of the locus is known."""
+        if self.mode_known:
+            return
+        if not self._standing()[0] >= self.hold_s:
+            raise StateError(
+                f"{self._too_near()} move it by hand to |s| >= {self.hold_s:.2f}, set assembly_mode to the side where it"
+                f" stands, then {then}"
+            )
+        raise StateError(f"{UNKNOWN_SIDE} set assembly_mode to the side where it stands, then {then}")
+
+    def _go_limp(self, phase: Phase, reason: str, *, trusted: bool = True) -> None:
+        """Leave the reference: from now on the robot is only watched, and stopped in SAFE_STOP.
+
+        Args:
+            trusted: the estimate still tells on which side the robot is.
+        """
         if self.phase in MOVING:
-            self._open = current
+            self._judge.let_go(self._time)
         elif self.phase not in LIMP:
-            self._open = -1
+            self._judge.close()
         self.estimator.release(self.phase == Phase.CROSSING)
+        self.supervisor.forget()
         self.phase, self.reason, self._pending, self._stop_wanted = phase, reason, None, False
-        self._stop_time = self._time
+        self._stop.begin(self._time, self._crossing_limit, trusted=trusted, over=phase is not Phase.SAFE_STOP)
 
     def _hold_at(self, x: Array) -> None:
         self._set_trajectory(hold(x, 1.0), np.array([0.0, 1.0]), np.zeros((2, 2)))
@@ -367,8 +414,8 @@ class ControlLoop:
                 f" working mode {self.robot.working_mode}"
             )
         s = abs(float(singularity(self.model, kin.A_r)))
-        if self.phase == Phase.HOLD and s < MIN_HOLD_S:
-            raise StateError(f"the robot stands at |s| = {s:.3f} of the locus; holding needs {MIN_HOLD_S}")
+        if self.phase == Phase.HOLD and s < self.hold_s:
+            raise StateError(f"the robot stands at |s| = {s:.3f} of the locus; holding needs {self.hold_s:.2f}")
         self.estimator.start(x, q_a, self._assembly_mode)
         self._hold_at(x)
 
@@ -405,8 +452,8 @@ class ControlLoop:
             self.estimator.take_pose(pose, time)
         if self.phase in LIMP:
             self.estimator.coast(dt, q_a, self._tau)
-            self._compare_afterwards()
-            self._limp()
+            self._follow()
+            self._limp(dt)
         else:
             self._servo(reference_time, dt, q_a)
         self._tau = self._out[TAU : TAU + 2].copy()
@@ -421,17 +468,16 @@ class ControlLoop:
             self.refusal = str(error)
             return
         self.certificate = certificate
-        self.passed = [Passed(float(time), Verdict.UNDECIDED, 0.5, math.nan) for time in certificate.crossing_times]
-        self._crossing_limit = self._limit_crossing(certificate)
-        self._crossing_times = certificate.crossing_times.tolist()
-        self._crossing_signs = certificate.crossing_signs.tolist()
+        crossing = len(certificate.crossing_times) > 0
+        self._crossing_limit = self._limit_crossing(certificate) if crossing else self.robot.max_torque
         self._start = time if start is None else start
+        self._judge.begin(certificate, self._start)
+        self.supervisor.begin()
         self._set_trajectory(trajectory, certificate.profile.time, certificate.profile.multipliers)
         self._integral[:] = 0.0
-        self._watch = 0.0
         self._stop_wanted = False
         self.saturated_ticks = 0
-        self.phase = Phase.TRACK if len(certificate.crossing_times) else Phase.APPROACH
+        self.phase = Phase.TRACK if crossing else Phase.APPROACH
 
     def _limit_crossing(self, certificate: Certificate) -> float:
         """Torque limit of a crossing trajectory, N m: what bounds a robot that bounced and is not yet known to have."""
@@ -461,96 +507,43 @@ class ControlLoop:
             self.phase = Phase.CROSSING if near else Phase.TRACK
             limit = self._crossing_limit
         control(self._packed, self._gains, self._law, ref, self.estimator.row, self._integral, limit, dt, out)
-        self._supervise(dt, s_ref, crossing, limit)
+        self._supervise(dt, s_ref, limit)
         if self.phase in LIMP:
-            self._limp()
+            self._limp(dt)
 
-    def _supervise(self, dt: float, s_ref: float, crossing: bool, limit: float) -> None:
-        settings, out = self.settings, self._out.tolist()
-        if out[FINITE] == 0.0:
-            self._go_limp(Phase.SAFE_STOP, "the law gave a number that is not finite")
-            return
-        peak = max(abs(out[TAU]), abs(out[TAU + 1]))
-        saturated = peak >= limit
-        self.saturated_ticks += saturated
-        if self._stop_wanted and self.phase != Phase.CROSSING:
+    def _supervise(self, dt: float, s_ref: float, limit: float) -> None:
+        """Whether the law may go on, by the table of watches and by the estimator's opinion of the side."""
+        near = self.phase is Phase.CROSSING
+        problem = self.supervisor.check(self.estimator.row, self._out, self._q_a, dt, limit, near)
+        self.saturated_ticks += self.supervisor.saturated
+        if self._stop_wanted and self._comes_to_rest():
             self._go_limp(Phase.SAFE_STOP, self.reason)
             return
-        self._compare_sides(s_ref)
-        if self.phase in LIMP:
-            return
-        error = math.hypot(out[ERROR], out[ERROR + 1])
-        if error > settings.max_tracking_error:
-            self._go_limp(Phase.SAFE_STOP, f"tracking error {error:.4f} m; the limit is {settings.max_tracking_error} m")
-            return
-        if not crossing:
-            return
-        self._watch = self._watch + dt if saturated else max(self._watch - WATCH_DECAY * dt, 0.0)
-        if self._watch > settings.watch_time:
-            self._go_limp(
-                Phase.SAFE_STOP,
-                f"torque {peak:.3f} N m for {1e3 * self._watch:.0f} ms; the limit is"
-                f" {limit:.3f} N m for {1e3 * settings.watch_time:.0f} ms",
-            )
+        bounced = self._judge.compare(self._time, s_ref, self.estimator, self.phase in MOVING)
+        if bounced or problem:
+            self.tripped = "side" if bounced else self.supervisor.tripped
+            self._go_limp(Phase.SAFE_STOP, bounced or problem, trusted=not self.supervisor.estimate_lost)
 
-    def _compare_sides(self, s_ref: float) -> None:
-        """The believed assembly mode against the reference's, away from the locus: a verdict for each crossing."""
-        if abs(s_ref) < self.settings.verdict_s or not self._sure_of_side():
-            return
+    def _comes_to_rest(self) -> bool:
+        """Whether a robot that is braked from now on stops clear of the locus."""
+        row, limit = self.estimator.row, self._crossing_limit
+        q_a, q_a_dot, mode = row[Q_HAT : Q_HAT + 2], row[Q_HAT + 2 : Q_HAT + 4], float(row[MODE_HAT])
+        return bool(clear_rest(self.model, self._stop.brake, q_a, q_a_dot, mode, limit))
+
+    def _follow(self) -> None:
+        """The side on which a robot ends that was let go during a crossing, while it may still be told."""
+        if self._time - self._stop.began > self.settings.brake_time:
+            self._judge.close()
+        news = self._judge.compare_afterwards(self._time, self.estimator)
+        if news and "bounced" not in self.reason:
+            self.reason = f"{news}; {self.reason}"
+
+    def _limp(self, dt: float) -> None:
+        """One sample without the law: a safe stop, or no torque."""
         row = self.estimator.row
-        current = self._current_crossing()
-        if row[MODE_HAT] * s_ref < 0.0:
-            self._judge(current, Verdict.BOUNCED)
-            self._go_limp(
-                Phase.SAFE_STOP,
-                f"bounced: the robot is at s = {self.estimator.s:+.2f}, the reference at {s_ref:+.2f}"
-                f" (confidence {row[CONFIDENCE]:.3f})",
-            )
-        elif current >= 0 and self.phase in MOVING and s_ref * self._crossing_signs[current] > 0.0:
-            self._judge(current, Verdict.CROSSED)
-
-    def _compare_afterwards(self) -> None:
-        """The side on which a robot ends that was let go during a crossing: it may change as it coasts.
-
-        While it brakes, and until it comes near Type 1: behind that lies another working mode, which the model does not follow.
-        """
-        if self._time - self._stop_time > self.settings.brake_time:
-            self._open = -1
-        if self._open < 0 or not self._sure_of_side():
-            return
-        row = self.estimator.row
-        kin = state_of_platform(self.model, row[X_HAT : X_HAT + 2], row[X_HAT + 2 : X_HAT + 4])
-        if not type1_distance(self.model, kin) >= TYPE1_END:
-            self._open = -1
-            return
-        same = self.estimator.row[MODE_HAT] * self._crossing_signs[self._open] > 0.0
-        verdict = Verdict.CROSSED if same else Verdict.BOUNCED
-        if self.passed[self._open].verdict is verdict:
-            return
-        self._judge(self._open, verdict)
-        if not same and "bounced" not in self.reason:
-            self.reason = f"bounced (s = {self.estimator.s:+.2f}, confidence {self.estimator.row[CONFIDENCE]:.3f}); {self.reason}"
-
-    def _sure_of_side(self) -> bool:
-        """Whether the estimator has an opinion about the assembly mode that counts."""
-        return bool(self.estimator.row[CONFIDENCE] >= self.settings.verdict_confidence)
-
-    def _current_crossing(self) -> int:
-        """Index of the last planned crossing that has begun; -1 before the first and without a trajectory."""
-        return bisect.bisect_right(self._crossing_times, self._time - self._start + OPEN_BEFORE) - 1
-
-    def _judge(self, index: int, verdict: Verdict) -> None:
-        if index >= 0 and self.passed[index].verdict is not verdict:
-            time, confidence = self._time - self._start, float(self.estimator.row[CONFIDENCE])
-            self.passed[index] = self.passed[index]._replace(verdict=verdict, confidence=confidence, time=time)
-
-    def _limp(self) -> None:
-        """One tick without the law: damped in SAFE_STOP until its time is over, else without torque."""
-        settings, row, out = self.settings, self.estimator.row, self._out
-        braking = self.phase is Phase.SAFE_STOP and self._time - self._stop_time <= settings.brake_time
-        brake(self._packed, row, settings.brake_gain if braking else 0.0, self._crossing_limit, out)
-        if out[FINITE] == 0.0:
-            out[:FINITE] = 0.0
+        ended = self._stop.step(self._time, dt, row, self.estimator.mode_known, self._out)
+        if ended:
+            self.reason = f"{self.reason}; {ended}"
         self._ref[:] = 0.0
         self._ref[X_REF : X_REF + 2] = row[X_HAT : X_HAT + 2]
         self._ref[S_REF] = self.estimator.s

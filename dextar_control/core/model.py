@@ -68,6 +68,27 @@ def make_model(robot: RobotParameters) -> Model:
     )
 
 
+class JointRange(NamedTuple):
+    """Of the active joints, on a circle: a range of a whole turn is no bound."""
+
+    middle: Array  # (2,) rad
+    half: Array  # (2,) rad
+
+
+def joint_range(robot: RobotParameters) -> JointRange:
+    """The active joints' range of a robot."""
+    low, high = (np.array([getattr(leg, key) for leg in robot.legs]) for key in ("min_angle", "max_angle"))
+    return JointRange(0.5 * (low + high), 0.5 * (high - low))
+
+
+@njit
+def beyond_range(bounds: JointRange, q_a: Array) -> Array:
+    """How far each active joint (..., 2), rad, on any turn, is outside its range, rad; negative inside."""
+    off = q_a - bounds.middle
+    off = off - 2.0 * np.pi * np.floor((off + np.pi) / (2.0 * np.pi))
+    return np.abs(off) - bounds.half
+
+
 def pack(model: Model) -> Array:
     """The record as one vector: what a compiled function called at 1 kHz takes instead of fourteen arguments."""
     return np.concatenate([np.ravel(part) for part in model])

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.core.compiled import njit
 from dextar_control.core.kinematics import singularity, state_of_platform, type1_distance
-from dextar_control.core.model import Array, Model, make_model
+from dextar_control.core.model import Array, JointRange, Model, beyond_range, joint_range, make_model
 
 SPACING = 3e-3  # m, of the grid
 MARGIN = 1.2  # times the robot's least distance to Type 1 that a way keeps
@@ -35,7 +35,7 @@ class Regions(NamedTuple):
     origin: Array  # (2,) m, of cell (0, 0)
     shape: tuple[int, int]
     s: Array  # (nx, ny)
-    region: NDArray[np.int64]  # (nx, ny) its number from 1; 0 is too near to Type 1 or unreachable
+    region: NDArray[np.int64]  # (nx, ny) its number from 1; 0 is too near to Type 1, out of a joint's range or unreachable
     edges: tuple[NDArray[np.int64], NDArray[np.int64], Array]  # from, to, cost
 
     def place(self, cell: int) -> Array:
@@ -44,14 +44,15 @@ class Regions(NamedTuple):
 
 
 @njit
-def _fields(model: Model, origin: Array, nx: int, ny: int) -> Array:
-    values = np.empty((2, nx, ny))
+def _fields(model: Model, bounds: JointRange, origin: Array, nx: int, ny: int) -> Array:
+    values = np.empty((3, nx, ny))
     for i in range(nx):
         for j in range(ny):
             x = origin + SPACING * np.array([float(i), float(j)])
             kin = state_of_platform(model, x, np.zeros(2))
             values[0, i, j] = singularity(model, kin.A_r)
             values[1, i, j] = type1_distance(model, kin)
+            values[2, i, j] = beyond_range(bounds, kin.q_a).max()
     return values
 
 
@@ -63,9 +64,9 @@ def make_regions(robot: RobotParameters) -> Regions:
     low = np.array([(model.base[:, 0] - reach).max(), -reach.min()])
     high = np.array([(model.base[:, 0] + reach).min(), reach.min()])
     nx, ny = (np.ceil(np.maximum(high - low, SPACING) / SPACING).astype(int) + 1).tolist()
-    s, type1 = _fields(model, low, nx, ny)
+    s, type1, beyond = _fields(model, joint_range(robot), low, nx, ny)
     with np.errstate(invalid="ignore"):
-        clear = type1 >= MARGIN * robot.min_type1_distance
+        clear = (type1 >= MARGIN * robot.min_type1_distance) & (beyond <= 0.0)
         positive = clear & (s > 0.0)
         negative = clear & (s <= 0.0)
     first, count = label(positive, EVERYWHERE)

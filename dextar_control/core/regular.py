@@ -9,7 +9,7 @@ from dextar_control.contract.errors import GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.core.certificate import PLAN_RESIDUAL, certify, measure
 from dextar_control.core.kinematics import inverse_model, singularity, state_of_platform, type1_distance
-from dextar_control.core.model import Array, Model, make_model
+from dextar_control.core.model import Array, Model, beyond_range, joint_range, make_model
 from dextar_control.core.regions import SPACING, find_way, make_regions
 from dextar_control.core.trajectory import Trajectory
 
@@ -26,7 +26,7 @@ def side_of(model: Model, name: str, x: Array, robot: RobotParameters) -> float:
     """s of a place where a motion starts or ends.
 
     Raises:
-        GeometryError: it is unreachable or too near to Type 1.
+        GeometryError: it is unreachable, too near to Type 1 or out of a joint's range.
     """
     if not np.isfinite(x).all() or x.shape != (2,):
         raise GeometryError(f"{name} = {x.tolist()}; it must be two finite numbers, m")
@@ -39,6 +39,13 @@ def side_of(model: Model, name: str, x: Array, robot: RobotParameters) -> float:
     if distance < robot.min_type1_distance:
         raise GeometryError(
             f"{name} ({x[0]:.4f}, {x[1]:.4f}) m is {distance:.4f} from Type 1; the limit is {robot.min_type1_distance}"
+        )
+    beyond = beyond_range(joint_range(robot), kin.q_a)
+    if beyond.max() > 0.0:
+        leg = int(np.argmax(beyond))
+        raise GeometryError(
+            f"{name} ({x[0]:.4f}, {x[1]:.4f}) m takes the {('left', 'right')[leg]} joint to {kin.q_a[leg]:.4g} rad;"
+            f" the limits are {robot.legs[leg].min_angle:.4g} and {robot.legs[leg].max_angle:.4g} rad"
         )
     return float(singularity(model, kin.A_r))
 
@@ -78,6 +85,7 @@ def _clear(robot: RobotParameters, model: Model, motion: Trajectory) -> bool:
         and np.abs(profile.s).min() >= MIN_APPROACH_S
         and np.ptp(np.sign(profile.s)) == 0.0
         and profile.type1.min() >= robot.min_type1_distance
+        and beyond_range(joint_range(robot), profile.q_a).max() <= 0.0
     )
 
 
@@ -100,8 +108,8 @@ def plan_approach(robot: RobotParameters, start: Array, goal: Array, speed: floa
         speed: peak speed, m/s.
 
     Raises:
-        GeometryError: start or goal is unreachable or too near to Type 1.
-        TrajectoryError: no way stays on one side and clear of Type 1.
+        GeometryError: start or goal is unreachable, too near to Type 1 or out of a joint's range.
+        TrajectoryError: no way stays on one side, clear of Type 1 and in the joints' range.
     """
     start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
     if not speed > 0.0:

@@ -63,8 +63,18 @@ class Settings:
         watch_ratio, watch_torque: while a crossing trajectory is tracked the torque is held below the larger of
             ratio x planned peak and watch_torque (N m).
         watch_time: at a torque limit that ends a motion in a safe stop, s: a robot that bounced asks for it.
-        brake_gain: of the safe stop, N m s/rad.
+        brake_gain: of the safe stop where the side is not known, N m s/rad.
         brake_time: after which the safe stop's torque is gone, s.
+        brake_constant: of the safe stop where it is known: in which the velocity falls to its e-th part, s.
+        stop_s: |s| within which the safe stop coasts, and clear of which it comes to rest.
+        coast_time: of coasting, after which it gives no torque any more, s.
+        rest_time: for which the joints rest until it counts as over, s.
+        speed_margin, speed_time: times the robot's speed limits beyond which a motion is stopped, and after how long, s.
+        joint_margin: by which a joint may leave its range, rad.
+        max_joint_jump: of a joint beside where the last sample's estimate expected it, rad.
+        max_joint_misfit, misfit_time: of a joint beside that of the estimated platform, rad, and for how long, s.
+        locus_s: |s| of the estimate nearer than which it may come in phase CROSSING only.
+        max_torque_rate, torque_rate_time: of a torque, in the robot's max_torque per second, and for how long, s.
     """
 
     law: Law
@@ -106,6 +116,19 @@ class Settings:
     watch_time: float
     brake_gain: float
     brake_time: float
+    brake_constant: float
+    stop_s: float
+    coast_time: float
+    rest_time: float
+    speed_margin: float
+    speed_time: float
+    joint_margin: float
+    max_joint_jump: float
+    max_joint_misfit: float
+    misfit_time: float
+    locus_s: float
+    max_torque_rate: float
+    torque_rate_time: float
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> Settings:

@@ -12,7 +12,7 @@ from dextar_control.contract.robot import load_robot
 from dextar_control.core.dynamics import criterion_acceleration
 from dextar_control.core.estimator import Pose
 from dextar_control.core.kinematics import inverse_model, state_of_platform
-from dextar_control.core.locus import sample_locus
+from dextar_control.core.locus import sample_locus, singularity_gradient
 from dextar_control.core.loop import ControlLoop
 from dextar_control.core.planner import plan_approach, plan_crossing, plan_through, robot_at
 from dextar_control.core.settings import Settings
@@ -42,9 +42,24 @@ def warm_up() -> None:
     loop.step(0.05, q_a)
     loop.stop()
     loop.step(0.06, q_a)
+    idle = ControlLoop(robot, default_settings(), int(task["assembly_mode"]), enabled=False)
+    idle.step(0.0, q_a)
+    idle.enable()
     seeing = ControlLoop(robot, default_settings(estimator="external"), int(task["assembly_mode"]))
     for tick in range(3):
         seeing.step(1e-3 * tick, q_a, Pose(1e-3 * tick, start))
+
+
+def rehearse(settings: Settings) -> None:
+    """Call what a loop of these settings calls, whichever its law and estimator: its first state then compiles nothing."""
+    robot = load_robot(config_file(ROBOT_FILE))
+    task = node_defaults("controller")
+    start = np.array(task["task.start"])
+    loop = ControlLoop(robot, settings, int(task["assembly_mode"]))
+    q_a = inverse_model(loop.model, start)
+    for tick in range(3):
+        loop.step(1e-3 * tick, q_a)
+    singularity_gradient(loop.model, start)
 
 
 def main() -> int:

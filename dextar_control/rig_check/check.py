@@ -36,7 +36,8 @@ def watch_lines(
 def torque_obstacle(lines: Sequence[Line]) -> str:
     """Why no torque may be sent after these lines; empty when it may."""
     results = {line.name: line.result for line in lines}
-    bad = [name for name in NEEDED_FOR_TORQUE if results.get(name) is not Result.PASS]
+    bad = [name for name in NEEDED_FOR_TORQUE if results.get(name) is Result.FAIL]
+    bad = bad or [name for name in NEEDED_FOR_TORQUE if results.get(name) is not Result.PASS]
     return f"needs the line{'s' if len(bad) > 1 else ''} {', '.join(bad)}" if bad else ""
 
 

@@ -21,7 +21,7 @@ class Limits:
         ahead: by which a stamp may lie ahead of this machine's clock, s.
         closing: by which the distal links may miss each other, m.
         watchdog: the drive's declared time-out, s.
-        watchdog_margin: for the way of a command and of a state, beyond one period, s.
+        watchdog_margin: for the way of a command and of a state, beyond two periods, s.
         torque: of the tests, N m.
         pulse: shortest time at one torque, s.
         max_move: of a joint from where a test began, rad; more ends the tests.
@@ -41,7 +41,7 @@ class Limits:
     max_age: float = 0.05
     ahead: float = 0.005
     closing: float = 1.0e-3
-    watchdog_margin: float = 0.005
+    watchdog_margin: float = 0.01
     torque: float = 0.005
     pulse: float = 0.1
     max_move: float = 0.1
@@ -65,12 +65,14 @@ class Limits:
 
     @property
     def watchdog_limit(self) -> float:
-        """From the last command to a state without torque, s."""
-        return self.watchdog + self.watchdog_margin + self.period
+        """From the last command to a state without torque, s: the drive looks, and tells, once in a period."""
+        return self.watchdog + self.watchdog_margin + 2.0 * self.period
 
 
-MIN_SAMPLES = 10
-"""States in one pulse from which a response can be judged."""
+MIN_SAMPLES = 20
+"""States in one pulse at the expected rate, so that a response can be judged."""
+MIN_DOUBLET = 30
+"""States of a whole doublet that must have come."""
 EFFORT_SHARE = 0.2
 """Of the test torque: by which an effort may miss its command, and below which it counts as none."""
 MIN_MOVE = 2.0e-4
@@ -80,5 +82,7 @@ VELOCITY_SHARE, VELOCITY_FLOOR = 0.2, 2.0e-3
 velocity is filtered, so it lags."""
 VELOCITY_WINDOW = 0.05
 """s."""
+VELOCITY_MISSES = 0.2
+"""Share of the windows with movement that may miss: a stamp taken late spoils one, a wrong velocity all."""
 MIN_STATES = 20
 """New states from which a stream can be judged."""

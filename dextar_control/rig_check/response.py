@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dextar_control.contract.robot import JOINT_NAMES
-from dextar_control.rig_check.limits import EFFORT_SHARE, MIN_MOVE, MIN_SAMPLES, Limits
+from dextar_control.rig_check.limits import EFFORT_SHARE, MIN_DOUBLET, MIN_MOVE, Limits
 from dextar_control.rig_check.report import Line, failed, judged, skipped
 from dextar_control.rig_check.samples import NANOSECOND, Array, by_name, times
 from dextar_control.rig_check.trial import Torque, Trial
@@ -21,7 +21,7 @@ def response_line(trial: Trial, limits: Limits) -> Line:
     wanted = f"effort ± {tolerance:.2g} N m; moves its way by {1e3 * MIN_MOVE:g} mrad or more"
     if trial.trouble:
         return failed(name, trial.trouble, wanted)
-    if len(trial.samples) < 5 * MIN_SAMPLES:
+    if len(trial.samples) < MIN_DOUBLET:
         return failed(name, f"only {len(trial.samples)} states", wanted)
     up, down, noise = movements(trial)
     limit = max(MIN_MOVE, noise)
@@ -93,10 +93,10 @@ def watchdog_line(trial: Trial, limits: Limits) -> Line:
     if off and not trial.trouble:
         after = NANOSECOND * (off[0].arrival - trial.sent)
         return judged(after <= limits.watchdog_limit, "watchdog", f"gone {1e3 * after:.1f} ms after the last command", limit,
-                      time=after)  # fmt: skip
+                      time=after, gone=1.0)  # fmt: skip
     seen = NANOSECOND * (kept[-1].arrival - trial.sent) if kept else 0.0
     text = f"still {_largest(efforts):.4f} N m {1e3 * seen:.0f} ms after the last command"
-    return failed("watchdog", f"{text}; {trial.trouble}" if trial.trouble else text, limit, time=seen)
+    return failed("watchdog", f"{text}; {trial.trouble}" if trial.trouble else text, limit, time=seen, gone=0.0)
 
 
 def _largest(efforts: Array) -> float:

@@ -18,6 +18,7 @@ Torque = tuple[float, float]
 NO_TORQUE: Torque = (0.0, 0.0)
 NAN_TORQUE: Torque = (math.nan, math.nan)
 SPEED_WINDOW = 0.01  # s, over which a speed is taken from positions
+DISTURBED = 0.25  # of a pulse, without a state or an answer, after which a test is worth repeating
 STALL_PERIODS = 5  # without a state, at least, before the stream counts as stopped
 
 
@@ -55,12 +56,12 @@ def doublet(joint: int, limits: Limits) -> list[Segment]:
 def silence(joint: int, limits: Limits) -> list[Segment]:
     """Torque, then no command, shaped so that a drive that lets go in time leaves the joint nearly at rest."""
     up, down = pulse(joint, limits.torque), pulse(joint, -limits.torque)
-    swing = 0.5 * (0.5 * limits.pulse + limits.watchdog)
+    swing = 0.5 * (limits.pulse + limits.watchdog)
     watch = limits.watchdog_limit + max(10.0 * limits.period, 0.5 * limits.pulse)
     return [
         Segment("rest", NO_TORQUE, limits.pulse),
         Segment("down", down, swing),
-        Segment("up", up, 0.5 * limits.pulse),
+        Segment("up", up, limits.pulse),
         Segment("silent", None, watch),
         Segment("down again", down, swing),
         Segment("rest after", NO_TORQUE, limits.pulse),
@@ -88,6 +89,7 @@ class Trial:
         places: of each of them, index of its segment.
         sent: when the last command before a silence went out, ns of the system clock.
         trouble: why it was ended before its time; empty otherwise.
+        worst_delay: longest time without a state, or from a state's arrival to its answer, s.
         finished: no further torque is wanted.
     """
 
@@ -99,6 +101,7 @@ class Trial:
     places: list[int] = field(default_factory=list)
     sent: int = 0
     trouble: str = ""
+    worst_delay: float = 0.0
     finished: bool = False
     _start: int = 0
     _origin: np.ndarray | None = None
@@ -122,6 +125,8 @@ class Trial:
             if NANOSECOND * (now - last) > limit:
                 self._end(f"no state for {1e3 * NANOSECOND * (now - last):.0f} ms; the limit is {1e3 * limit:.0f} ms")
             return None
+        before = self.samples[-1].arrival if self.samples else sample.arrival
+        self.worst_delay = max(self.worst_delay, NANOSECOND * (sample.arrival - before), NANOSECOND * (now - sample.arrival))
         self._watch(sample)
         place = int(np.searchsorted(self._ends, NANOSECOND * (now - self._start), side="right"))
         if place == len(self.segments):
@@ -133,6 +138,11 @@ class Trial:
         if answer is not None and not any(segment.torque is None for segment in self.segments[: place + 1]):
             self.sent = now
         return answer
+
+    @property
+    def disturbed(self) -> bool:
+        """States or answers were away for so long that the torques were not those that were meant."""
+        return self.worst_delay > DISTURBED * self.limits.pulse
 
     def of(self, name: str, share: float = 0.0) -> list[Sample]:
         """The states of a segment after this share of its duration."""

@@ -99,7 +99,7 @@ class _Pinger(Node):
 def _round_trips(module: str, seconds: float) -> tuple[list[float], int]:
     """Round trips against one process, s, and how many states were not answered within their period."""
     process = subprocess.Popen(
-        [sys.executable, "-m", module, "--ros-args", "-p", "state_timeout:=10.0"],
+        [sys.executable, "-m", module, "--ros-args", "-p", "state_timeout:=10.0", "-p", "healthy_time:=0.0"],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     pinger, executor = _Pinger(), make_executor()

@@ -31,7 +31,7 @@ from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defa
 from dextar_control.contract.robot import JOINT_NAMES, RobotParameters, load_robot
 from dextar_control.contract.topics import EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES
 from dextar_control.rig_check.check import report, torque_obstacle, torque_tests, watch_lines
-from dextar_control.rig_check.limits import Limits
+from dextar_control.rig_check.limits import MIN_SAMPLES, Limits
 from dextar_control.rig_check.report import LINES, Line, Result, failed, has_failed
 from dextar_control.rig_check.samples import Endpoint, Graph, Sample
 from dextar_control.rig_check.torque import TorqueTests
@@ -98,6 +98,14 @@ class RigWatch(Node):
                 fits, why = check(info.qos_profile) if check else (QoSCompatibility.OK, "")
                 found.append(Endpoint(name, info.topic_type, reliable, why if fits == QoSCompatibility.ERROR else ""))
         return tuple(found)
+
+    def hint(self) -> str:
+        """Where to look when nobody publishes states."""
+        domain, discovery = os.environ.get("ROS_DOMAIN_ID", "0"), os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+        names = [name for name, types in self.get_topic_names_and_types() if JOINT_STATES.type in types]
+        others = ", ".join(name for name in names if self.count_publishers(name)) or "none"
+        return (f"Nobody publishes {self._states.topic_name} (ROS_DOMAIN_ID {domain}, discovery {discovery})."
+                f" Other topics of that type: {others}; --states and --namespace choose another.")  # fmt: skip
 
     def open(self) -> None:
         """Offer commands: from now on this node counts as the commander."""
@@ -177,7 +185,9 @@ def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
         max_gap=given(arguments.max_gap, controller["state_timeout"]),
         jitter=given(arguments.jitter, 1.0 / rate if rate else 0.0),
         rate_tolerance=arguments.rate_tolerance, max_age=arguments.max_age, watchdog_margin=arguments.watchdog_margin,
-        torque=arguments.torque, pulse=arguments.pulse, max_move=arguments.max_move, max_speed=arguments.max_speed,
+        torque=arguments.torque,
+        pulse=given(arguments.pulse, max(Limits.pulse, MIN_SAMPLES / rate if rate else 0.0)),
+        max_move=arguments.max_move, max_speed=arguments.max_speed,
     )  # fmt: skip
 
 
@@ -187,10 +197,15 @@ def run_check(arguments: argparse.Namespace) -> int:
     limits = limits_of(arguments, robot)
     if arguments.duration * limits.rate < 100:
         raise ParameterError(f"duration = {arguments.duration} s at {limits.rate:g} Hz; it must be >= {100 / limits.rate:g} s")
+    if not arguments.wait >= 0.0:
+        raise ParameterError(f"wait = {arguments.wait} s; it must be >= 0")
+    if arguments.json is not None and not arguments.json.parent.is_dir():
+        raise ParameterError(f"report {arguments.json} cannot be written: no folder {arguments.json.parent}")
     console = Console()
     with _watch(arguments) as (node, stop):
-        graph, samples = _look(console, node, stop, arguments.duration)
+        graph, samples = _look(console, node, stop, arguments.wait, arguments.duration)
         lines = watch_lines(graph, samples, robot, limits, arguments.duration)
+        hint = "" if graph.drivers else node.hint()
         torque: TorqueTests | str = torque_obstacle(lines) or _permission(console, stop, limits, arguments)
         if not torque:
             torque = torque_tests(lines, limits)
@@ -200,6 +215,8 @@ def run_check(arguments: argparse.Namespace) -> int:
     lines = report(lines, samples, torque)
     console.print(table(lines, graph))
     _note(console, lines)
+    if hint:
+        console.print(hint, highlight=False)
     if arguments.json is not None:
         _write(arguments.json, lines, graph, limits)
     return 1 if has_failed(lines) else 0
@@ -210,18 +227,20 @@ def _check(stop: StopSignal) -> None:
         raise KeyboardInterrupt
 
 
-def _look(console: Console, node: RigWatch, stop: StopSignal, duration: float) -> tuple[Graph, list[Sample]]:
-    """The graph, and the states of a quiet watch."""
+def _look(
+    console: Console, node: RigWatch, stop: StopSignal, wait: float, duration: float
+) -> tuple[Graph, list[Sample]]:
+    """The graph, and the states of a quiet watch that begins with the first of them, or when it has not come."""
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     samples: list[Sample] = []
     with Progress(*columns, console=console, transient=True) as progress:
-        bar = progress.add_task(f"looking for {node.graph().states}", total=DISCOVERY + SETTLE + duration)
+        bar = progress.add_task(f"looking for {node.graph().states}", total=wait + SETTLE + duration)
         begun = begin = time.monotonic()
-        while time.monotonic() - begin < DISCOVERY and not any(True for _ in node.take()):
+        while time.monotonic() - begin < wait and not any(True for _ in node.take()):
             _check(stop)
             time.sleep(20 * POLL)
             progress.update(bar, completed=time.monotonic() - begin)
-        progress.update(bar, completed=DISCOVERY, description="watching")
+        progress.update(bar, completed=wait, description="watching")
         for span, keep in ((SETTLE, False), (duration, True)):
             begin, done = time.monotonic(), progress.tasks[0].completed
             while (elapsed := time.monotonic() - begin) < span:

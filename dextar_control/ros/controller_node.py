@@ -6,51 +6,56 @@ import gc
 import math
 import sys
 import time
-from collections import deque
-from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from dextar_control.contract.cdr import NANOSECONDS, from_time, read_message
-from dextar_control.contract.errors import DextarError, ParameterError, StateError, TrajectoryError
-from dextar_control.contract.node import DextarNode, Parameter, qos, run_node
-from dextar_control.contract.topics import (
-    CONTROLLER_STATE,
-    CRITERION,
-    JOINT_COMMANDS,
-    JOINT_STATES,
-    MAX_TRAJECTORY_POINTS,
-    TRAJECTORY,
-)
-from dextar_control.core.certificate import Certificate
-from dextar_control.core.law import CONFIDENCE, ERROR, FINITE, MODE_HAT, Q_HAT, Q_REF, SCALARS, Law
-from dextar_control.core.loop import LIMP, OPEN_BEFORE, ControlLoop, Passed, Phase, Tick, Verdict
+from dextar_control.contract.cdr import NANOSECONDS, from_time
+from dextar_control.contract.errors import DextarError, ParameterError, StateError
+from dextar_control.contract.node import Parameter, qos, run_node
+from dextar_control.contract.topics import JOINT_STATES
+from dextar_control.core.law import Law
+from dextar_control.core.loop import LIMP, OPEN_BEFORE, ControlLoop, Passed, Phase, Tick
 from dextar_control.core.settings import Estimation, Settings
-from dextar_control.core.trajectory import Trajectory
-from dextar_control.core.warmup import warm_up
+from dextar_control.core.stream import StateStream
+from dextar_control.core.warmup import rehearse, warm_up
 from dextar_control.ros import messages
+from dextar_control.ros.controller_report import loop_values, waiting_for
 from dextar_control.ros.external_pose import ExternalPoseReader
-from dextar_control.ros.task import in_words
+from dextar_control.ros.lifecycle import ManagedNode
+from dextar_control.ros.outputs import Outputs
+from dextar_control.ros.reference import ReferenceReader
+from dextar_control.ros.statistics import Statistics
 
 LAWS = tuple(law.name.lower() for law in Law)
-WORDS = {verdict: verdict.name.lower() for verdict in Verdict}
 ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
 
 PARAMETERS = (
     Parameter("law", "multipliers near the locus", choices=LAWS),
     Parameter("estimator", "of the platform state and the assembly mode", choices=ESTIMATORS),
-    Parameter("enabled", "hold the first state; false idles until ~/enable"),
+    Parameter("autostart", "configure and activate at the node's start; false waits for the lifecycle services"),
+    Parameter("enabled", "enable by itself, once, when the states have been healthy for healthy_time"),
+    Parameter("healthy_time", "for which states must have come without a gap, a refusal, a repetition or a step back before"
+              " torque, s; 0 is at once", 0.0, 60.0, live=True),
     Parameter("lockstep", "states arrive reliably and at any pace"),
     Parameter("assembly_mode", "sign of s where the robot stands; live without torque", -1, 1, live=True),
     Parameter("task.sample_period", "of the control loop, s", 1e-4, 0.1),
-    Parameter("state_timeout", "longest gap between two states, by their stamps, s", 1e-3, 10.0, live=True),
+    Parameter("state_timeout", "longest gap between two states: by their stamps a fault, on the steady clock no torque until"
+              " the next one, s", 1e-3, 10.0, live=True),
+    Parameter("stall_timeout", "without a state on the steady clock, after which it is a fault, s; not in lockstep", 1e-3, 60.0,
+              live=True),
+    Parameter("reference_timeout", "for which a trajectory may wait for its start or for the enabling, s; then it is dropped:"
+              " nobody expects it any more", 0.0, 3600.0, live=True),
+    Parameter("max_reference_age", "of a trajectory when it arrives, since it was served (two machines' clocks count), s: a"
+              " delayed or latched one moves nothing", 1e-3, 3600.0, live=True),
+    Parameter("publish_effort_array", "the torques as effort_commands too, for drivers that read an array"),
     Parameter("natural_frequency", "of the platform error, rad/s", 1.0, 500.0, live=True),
     Parameter("damping_ratio", "of the platform error", 0.1, 5.0, live=True),
     Parameter("integral_frequency", "of the integral term, 1/s; 0 is off", 0.0, 50.0, live=True),
@@ -89,135 +94,219 @@ PARAMETERS = (
     Parameter("watch_time", "at a torque limit that ends a motion in a safe stop, s", 0.0, 10.0, live=True),
     Parameter("brake_gain", "of the safe stop, N m s/rad", 0.0, 10.0, live=True),
     Parameter("brake_time", "after which the safe stop's torque is gone, s", 0.0, 10.0, live=True),
+    Parameter("brake_constant", "of the safe stop on a known side: the velocity's time constant, s", 0.005, 1.0, live=True),
+    Parameter("stop_s", "|s| within which the safe stop coasts, and clear of which it comes to rest", 0.05, 0.9, live=True),
+    Parameter("coast_time", "of the safe stop's coasting, after which it gives no torque any more, s", 0.0, 10.0, live=True),
+    Parameter("rest_time", "for which the joints rest until the safe stop is over, s", 0.01, 10.0, live=True),
+    Parameter("speed_margin", "times the robot's speed limits beyond which a motion is stopped", 1.0, 10.0, live=True),
+    Parameter("speed_time", "beyond them, which ends a motion in a safe stop, s", 0.0, 10.0, live=True),
+    Parameter("joint_margin", "by which a joint may leave its range, rad", 0.0, 1.0, live=True),
+    Parameter("max_joint_jump", "of a joint beside where the last estimate expected it, rad", 1e-4, 3.2, live=True),
+    Parameter("max_joint_misfit", "of a joint beside that of the estimated platform, rad", 1e-4, 3.2, live=True),
+    Parameter("misfit_time", "of that misfit, which ends a motion in a safe stop, s", 0.0, 10.0, live=True),
+    Parameter("locus_s", "|s| nearer than which the robot may come in phase CROSSING only", 0.0, 0.9, live=True),
+    Parameter("max_torque_rate", "of a torque, in the robot's max_torque per second", 1.0, 1e6, live=True),
+    Parameter("torque_rate_time", "of that rate, which ends a motion in a safe stop, s", 0.0, 10.0, live=True),
 )  # fmt: skip
 
-SERVED_BEFORE = 1.0  # s, by which a latched trajectory may be older than the node; allows for two machines' clocks
 SWITCH_INTERVAL = 2e-4  # s until the thread that checks a trajectory lets the control thread go on
-STALLED = 0.5  # s on the steady clock without a state before a fault is latched
 WATCH_PERIOD = 0.01  # s
+SERVED_PER_WATCH = 2  # requests: 200 a second are plenty for an operator; the longest, all parameters at once, costs about 1 ms
 DIAGNOSTICS_PERIOD = 0.2  # s
 TELL_PERIOD = 1.0  # s between two lines about the external pose
+LATCHED = (Phase.SAFE_STOP, Phase.FAULT)  # left by ~/reset only
 
 
-class ControllerNode(DextarNode):
+class ControllerNode(ManagedNode):
     """Answers each joint state with a torque (``core.loop``) and tells what it did.
 
-    A gap of more than ``state_timeout`` between the stamps of two states is a fault (no torque until
-    ``~/reset`` and ``~/enable``); while no state comes nothing is commanded at all, and the drive's own
-    time-out takes the torque away.
+    Managed: ``configure`` builds everything from the parameters, ``activate`` answers states. Torque needs healthy
+    states (``healthy_time``) and nobody else who commands; ``enabled`` asks for it by itself, once. A gap of more than
+    ``state_timeout`` between the stamps of two states is a fault (no torque until ``~/reset`` and ``~/enable``); while no
+    state comes nothing is commanded at all, and the drive's own time-out takes the torque away.
     """
 
     def __init__(self) -> None:
         super().__init__("controller", PARAMETERS, robot=True)
-        if self.values["assembly_mode"] == 0:
-            raise ParameterError("parameter 'assembly_mode' = 0; it must be +1 or -1")
-        self._period = self.values["task.sample_period"]
+        _check_mode(self.values)
         warm_up()
-        self._loop = ControlLoop(
-            self.robot, Settings.from_values(self.values), self.values["assembly_mode"], enabled=self.values["enabled"]
-        )
-        self._states_in = messages.joint_states_template()
-        self._commands_out = messages.joint_commands_template()
-        self._state_out = messages.controller_state_template()
-        self._criterion_out = messages.criterion_template()
-        self._counts = {"states": 0, "missed_states": 0, "refused_states": 0, "repeated_states": 0, "stalls": 0}
+        self._loop: ControlLoop | None = None
+        self._active = False
+        self._closers: list[Callable[[], object]] = []
+        self._statistics = Statistics()
+        self._stream = StateStream()
+        self._automatic = False
+        self._enabling = "off"
+        self._side_unknown = False
+        self._latched: tuple[str, int] = ("", 0)
+        self._others = ""
         self._stamp = -1
-        self._arrival = math.nan
         self._stalled = False
-        self._last_command = b""
-        self._tick_times: deque[float] = deque(maxlen=500)
-        self._trajectory_note = "none"
         self._refusal = ""
-        self._checker = ThreadPoolExecutor(max_workers=1)
-        self._checking: Future[tuple[Trajectory, Certificate, float | None] | None] | None = None
-        self._said: tuple[Phase, str] = (self._loop.phase, "")
-        self._passed: list[Passed] = self._loop.passed
+        self._said: tuple[Phase, str] = (Phase.IDLE, "")
+        self._passed: list[Passed] = []
         self._begun = -1
         self._pose_note = ""
         self._pose_told = -math.inf
-        reliable = self.values["lockstep"]
-        self._command_publisher = self.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
-        self._state_publisher = self.create_publisher(JointTrajectory, CONTROLLER_STATE.name, qos(CONTROLLER_STATE))
-        self._criterion_publisher = self.create_publisher(JointState, CRITERION.name, qos(CRITERION))
-        self.create_subscription(
-            JointState, JOINT_STATES.name, self._on_state, qos(JOINT_STATES, reliable=reliable), raw=True
-        )
-        self._trajectories = self.create_polled_subscription(MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY))
-        external = self._loop.settings.estimator is Estimation.EXTERNAL
-        self._poses = ExternalPoseReader(self) if external else None
-        self._started = time.time_ns()
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_timer(WATCH_PERIOD, self._watch, clock=self.steady_clock)
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
         sys.setswitchinterval(SWITCH_INTERVAL)
+        if self.values["autostart"]:
+            for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+                if not self.change_state(transition):
+                    raise self.transition_error or ParameterError("the controller could not be activated")
         gc.collect()
         gc.freeze()
-        self.get_logger().info(
-            f"law {self.values['law']}, estimator {self.values['estimator']},"
-            f" waiting for {self.resolve_topic_name(JOINT_STATES.name)}"
+
+    def configure(self) -> None:
+        """The loop, which checks the parameters, then publishers and subscriptions."""
+        values = self.values
+        loop = self._make_loop()
+        rehearse(loop.settings)
+        self._period = values["task.sample_period"]
+        self._lockstep = values["lockstep"]
+        self._states_in = messages.joint_states_template()
+        self._outputs = Outputs(self, array=values["publish_effort_array"])
+        self._closers.append(self._outputs.close)
+        self._reference = ReferenceReader(self)
+        self._closers.append(self._reference.close)
+        self._poses = ExternalPoseReader(self) if loop.settings.estimator is Estimation.EXTERNAL else None
+        if self._poses is not None:
+            self._closers.append(self._poses.close)
+        states = self.create_subscription(
+            JointState, JOINT_STATES.name, self._on_state, qos(JOINT_STATES, reliable=self._lockstep), raw=True
         )
+        self._closers.append(lambda: self.destroy_subscription(states))
+        self._automatic = values["enabled"]
+        self._enabling = "waiting" if self._automatic else "off"
+        self._loop = loop
+        self.get_logger().info(f"law {values['law']}, estimator {values['estimator']}")
+
+    def activate(self) -> None:
+        """Answer states, beginning with a loop that knows none; a fault that was latched before still is.
+
+        Raises:
+            StateError: the controller was deactivated where it did not know the robot's assembly mode.
+        """
+        if self._side_unknown:
+            raise StateError("the robot was let go near the locus: set assembly_mode to the side where it stands, then activate")
+        self._loop = self._make_loop()
+        self._reference.restart()
+        self._stream = StateStream()
+        self._statistics.restart()
+        self._outputs.forget()
+        self._stamp, self._stalled, self._refusal = -1, False, ""
+        self._passed, self._begun = self._loop.passed, -1
+        if self._latched[0]:
+            self._loop.fault(self._latched[0])
+        elif self._automatic and self.values["healthy_time"] == 0.0:
+            self._enable_itself()
+        self._said = (self._loop.phase, self._loop.reason)
+        self._active = True
+        self.get_logger().info(f"waiting for {self.resolve_topic_name(JOINT_STATES.name)}")
+
+    def deactivate(self) -> None:
+        """No torque, at once; the side of the locus as it was believed stays, in the parameter ``assembly_mode``."""
+        self._active = False
+        if self._loop is None:
+            return
+        self._outputs.release()
+        self._reference.drop()
+        self._enabling = "off"
+        self._automatic = False
+        loop, tick = self._loop, self._loop.tick
+        loop.disable()
+        if tick is not None and loop.mode_known:
+            self.set_parameters([RosParameter("assembly_mode", value=tick.assembly_mode)])
+        self._side_unknown = tick is not None and not loop.mode_known
+
+    def cleanup(self) -> None:
+        """Drop the loop and everything on the network but services and diagnostics; a latched fault is forgotten."""
+        self._loop, self._latched, self._others = None, ("", 0), ""
+        while self._closers:
+            self._closers.pop()()
+
+    def on_transition(self) -> None:
+        """Tell it."""
+        self._diagnose()
+
+    def _make_loop(self) -> ControlLoop:
+        _check_mode(self.values)
+        return ControlLoop(self.robot, Settings.from_values(self.values), self.values["assembly_mode"], enabled=False)
 
     def on_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Take live gains, limits or, without torque, the assembly mode."""
-        if changes.get("assembly_mode") == 0:
-            raise ParameterError("parameter 'assembly_mode' = 0; it must be +1 or -1")
-        if not changes.keys().isdisjoint(Settings.__dataclass_fields__):
+        """Take live gains, limits or, without torque, the assembly mode; what is not live waits for ``configure``."""
+        if "assembly_mode" in changes:
+            _check_mode(changes)
+        if self._loop is not None and not changes.keys().isdisjoint(Settings.__dataclass_fields__):
             self._loop.configure(Settings.from_values(self.values))
         if "assembly_mode" in changes:
-            self._loop.set_assembly_mode(changes["assembly_mode"])
+            if self._loop is not None:
+                self._loop.set_assembly_mode(changes["assembly_mode"])
+            self._side_unknown = False
+
+    def _now(self) -> float | None:
+        """The steady clock, s; None in lockstep, where states may come at any pace."""
+        return None if self._lockstep else time.perf_counter()
 
     def _on_state(self, raw: bytes) -> None:
+        loop = self._loop
+        if loop is None or not self._active:
+            return
         begin = time.perf_counter()
-        known = self._states_in.unpack(raw)
         try:
-            if known is not None:
-                stamp, values = known
-                q_a = np.array(values[0:2])
-            else:
-                message = deserialize_message(raw, JointState)
-                q_a = messages.active_joints(message)
-                stamp = from_time(message.header.stamp)
-                if list(message.name) == ["q11", "q21"]:
-                    self._states_in.learn(raw)
-            if stamp == self._stamp and self._last_command:
-                self._counts["repeated_states"] += 1
-                self._command_publisher.publish(self._last_command)
+            stamp, q_a = self._read_state(raw)
+            if stamp == self._stamp and self._outputs.answered:
+                self._repeat(stamp)
                 return
-            self._check_gap(stamp)
+            self._check_gap(loop, stamp)
+            limit, arrival = self.values["state_timeout"], None if self._lockstep else begin
+            self._stream.take(stamp, limit, arrival)
+            if self._automatic and self._stream.healthy_for(limit, arrival) >= self.values["healthy_time"]:
+                self._enable_itself()
             pose = None if self._poses is None else self._poses.take()
-            tau = self._loop.step(stamp / NANOSECONDS, q_a, pose)
+            tau = loop.step(stamp / NANOSECONDS, q_a, pose)
         except DextarError as error:
-            self._refuse(error)
+            self._refuse(loop, error)
             return
         self._stamp = stamp
-        self._arrival = begin
         self._stalled = False
-        self._counts["states"] += 1
-        self._answer(stamp, tau)
-        self._tick_times.append(time.perf_counter() - begin)
-        if self._loop.refusal != self._refusal:
-            self._refusal = self._loop.refusal
-            self._note_refusal(self._refusal)
-
-    def _answer(self, stamp: int, tau: np.ndarray) -> None:
-        tick = self._loop.tick
-        assert tick is not None
-        self._last_command = self._commands_out.pack(stamp, tau.tolist())
-        self._command_publisher.publish(self._last_command)
-        reference, estimate, output = tick.rows
-        values = [*reference[:Q_REF].tolist(), *estimate[:Q_HAT].tolist(), *output[ERROR:SCALARS].tolist()]
-        self._state_publisher.publish(self._state_out.pack(stamp, values, round(tick.reference_time * NANOSECONDS)))
-        mode, confidence = estimate[MODE_HAT : CONFIDENCE + 1].tolist()
-        criterion = [*output[SCALARS:FINITE].tolist(), mode, float(tick.phase), confidence, self._verdict(tick)]
-        self._criterion_publisher.publish(self._criterion_out.pack(stamp, criterion))
-        if (self._loop.phase, self._loop.reason) != self._said:
+        assert loop.tick is not None
+        self._outputs.answer(stamp, tau, loop.tick, self._verdict(loop, loop.tick))
+        if (loop.phase, loop.reason) != self._said:
             self._say(answered=True)
+        self._statistics.arrived(stamp, begin)
+        self._statistics.worked(time.perf_counter() - begin)
+        if loop.refusal != self._refusal:
+            self._refusal = loop.refusal
+            if self._refusal:
+                self._reference.refuse(self._refusal)
+                self._diagnose()
 
-    def _verdict(self, tick: Tick) -> float:
+    def _read_state(self, raw: bytes) -> tuple[int, np.ndarray]:
+        """Stamp, ns, and active joints (2,), rad, of a joint state."""
+        known = self._states_in.unpack(raw)
+        if known is not None:
+            return known[0], np.array(known[1][0:2])
+        message = deserialize_message(raw, JointState)
+        q_a = messages.active_joints(message)
+        if list(message.name) == ["q11", "q21"]:
+            self._states_in.learn(raw)
+        return from_time(message.header.stamp), q_a
+
+    def _repeat(self, stamp: int) -> None:
+        """A state that came before; in lockstep a rig asks so for an answer that it did not get."""
+        self._statistics.counts["repeated_states"] += 1
+        if not self._lockstep:
+            self._stream.spoil(f"the state of {stamp} ns was repeated")
+        self._outputs.repeat()
+
+    def _verdict(self, loop: ControlLoop, tick: Tick) -> float:
         """Of the planned crossing that has begun last; once the controller let go that one stays."""
-        passed = self._loop.passed
+        passed = loop.passed
         if passed is not self._passed:
             self._passed, self._begun = passed, -1
         begun = tick.reference_time + OPEN_BEFORE
@@ -225,62 +314,76 @@ class ControllerNode(DextarNode):
             self._begun += 1
         return float(passed[self._begun].verdict) if self._begun >= 0 else 0.0
 
-    def _check_gap(self, stamp: int) -> None:
+    def _check_gap(self, loop: ControlLoop, stamp: int) -> None:
         if self._stamp < 0:
             return
         gap = (stamp - self._stamp) / NANOSECONDS
-        self._counts["missed_states"] += max(round(gap / self._period) - 1, 0)
-        if gap > self.values["state_timeout"] and self._loop.phase not in (Phase.IDLE, Phase.FAULT):
-            self._loop.fault(f"no state for {1e3 * gap:.1f} ms; the limit is {1e3 * self.values['state_timeout']:.1f} ms")
+        self._statistics.counts["missed_states"] += max(round(gap / self._period) - 1, 0)
+        if gap > self.values["state_timeout"] and loop.phase not in (Phase.IDLE, Phase.FAULT):
+            loop.fault(f"no state for {1e3 * gap:.1f} ms; the limit is {1e3 * self.values['state_timeout']:.1f} ms")
 
-    def _refuse(self, error: DextarError) -> None:
+    def _refuse(self, loop: ControlLoop, error: DextarError) -> None:
         """No torque for a state that cannot be used; a broken first state or a bad number is a fault."""
-        self._counts["refused_states"] += 1
-        if self._loop.phase not in (Phase.IDLE, Phase.FAULT) and isinstance(error, StateError):
-            self._loop.fault(str(error))
+        self._statistics.counts["refused_states"] += 1
+        self._stream.spoil(str(error))
+        if loop.phase not in (Phase.IDLE, Phase.FAULT) and isinstance(error, StateError):
+            loop.fault(str(error))
         else:
             self.get_logger().error(str(error), throttle_duration_sec=1.0)
-        if (self._loop.phase, self._loop.reason) != self._said:
+        if (loop.phase, loop.reason) != self._said:
             self._say()
 
     def _say(self, *, answered: bool = False) -> None:
         """Tell a change of phase; one that no state has answered yet takes the torque away at once."""
-        self._said = (self._loop.phase, self._loop.reason)
-        if not answered and self._loop.phase in LIMP:
-            self._release()
-        if self._loop.phase in (Phase.FAULT, Phase.SAFE_STOP):
-            self.get_logger().error(f"{self._loop.phase.name}: {self._loop.reason}")
+        loop = self._loop
+        assert loop is not None
+        before, self._said = self._said, (loop.phase, loop.reason)
+        if not answered and loop.phase in LIMP:
+            self._outputs.release()
+        if loop.phase in LATCHED:
+            self._latched = (loop.reason, self._latched[1] if before[0] is loop.phase else time.time_ns())
+            self._reference.drop()
+            self.get_logger().error(f"{loop.phase.name}: {loop.reason}")
         else:
-            self.get_logger().info(f"phase {self._loop.phase.name}")
+            self._latched = ("", 0)
+            self.get_logger().info(f"phase {loop.phase.name}")
         self._diagnose()
 
-    def _release(self) -> None:
-        """No torque, in answer to the last state once more."""
-        if self._stamp >= 0:
-            self._last_command = self._commands_out.pack(self._stamp, (0.0, 0.0))
-            self._command_publisher.publish(self._last_command)
-
     def _watch(self) -> None:
-        """New trajectories, states on the steady clock, and who else commands the robot."""
-        self._take_trajectory()
-        self._tell_pose()
-        if self._loop.phase in (Phase.IDLE, Phase.FAULT):
+        """Every WATCH_PERIOD: some service requests, new trajectories, the steady clock, and who else commands the robot."""
+        self.desk.poll(SERVED_PER_WATCH)
+        loop = self._loop
+        if loop is None:
             return
-        others = self.count_publishers(self._command_publisher.topic_name) - 1
-        if others > 0:
-            self._loop.fault(f"{others + 1} publishers on {self._command_publisher.topic_name}; the limit is 1")
-        age = time.perf_counter() - self._arrival
-        if not math.isnan(age) and not self.values["lockstep"]:
-            if age > self.values["state_timeout"] and not self._stalled:
-                self._stalled = True
-                self._counts["stalls"] += 1
-                self._release()
-                limit = 1e3 * self.values["state_timeout"]
-                self.get_logger().warning(f"no state for {1e3 * age:.0f} ms (limit {limit:.0f} ms): no torque")
-            if age > STALLED:
-                self._loop.fault(f"no state for {1e3 * age:.0f} ms; the limit is {1e3 * STALLED:.0f} ms")
-        if (self._loop.phase, self._loop.reason) != self._said:
+        self._others = self._outputs.others()
+        if not self._active:
+            return
+        now = self._stamp / NANOSECONDS if self._stamp >= 0 else math.nan
+        keep = self._automatic and loop.phase is Phase.IDLE
+        if self._reference.poll(loop, self.values, now if self._lockstep else time.perf_counter(), now, keep):
+            self._diagnose()
+        self._tell_pose()
+        if loop.phase in (Phase.IDLE, Phase.FAULT):
+            return
+        if self._others:
+            loop.fault(self._others)
+        self._watch_stall(loop)
+        if (loop.phase, loop.reason) != self._said:
             self._say()
+
+    def _watch_stall(self, loop: ControlLoop) -> None:
+        """No state on the steady clock: no torque at once, and after a while a fault."""
+        age = time.perf_counter() - self._statistics.arrival
+        if math.isnan(age) or self._lockstep:
+            return
+        limit, fatal = self.values["state_timeout"], self.values["stall_timeout"]
+        if age > limit and not self._stalled:
+            self._stalled = True
+            self._statistics.counts["stalls"] += 1
+            self._outputs.release()
+            self.get_logger().warning(f"no state for {1e3 * age:.0f} ms (limit {1e3 * limit:.0f} ms): no torque")
+        if age > fatal:
+            loop.fault(f"no state for {1e3 * age:.0f} ms; the limit is {1e3 * fatal:.0f} ms")
 
     def _tell_pose(self) -> None:
         """A complaint about the external pose when it changes, the last one and not more than one each TELL_PERIOD."""
@@ -297,125 +400,137 @@ class ControllerNode(DextarNode):
         self._diagnose()
 
     def _pose_complaint(self) -> str:
-        return "" if self._poses is None else self._poses.note or self._loop.estimator.note
+        if self._loop is None or self._poses is None:
+            return ""
+        return self._poses.note or self._loop.estimator.note
 
-    def _take_trajectory(self) -> None:
-        """The newest trajectory, unless it was served before this node began: a restart moves nothing.
+    def _check_ready(self) -> None:
+        """Raise StateError where torque may not be asked for: somebody else commands, or the states are not healthy."""
+        if not self._active:
+            raise StateError(f"the controller is {self.lifecycle}; activate it first")
+        if self._others:
+            raise StateError(self._others)
+        self._stream.check(self.values["healthy_time"], self.values["state_timeout"], self._now())
 
-        It is read and checked in another thread (a long one takes tenths of a second), and begins with
-        the sample after that.
-        """
-        newest = None
-        while (taken := self._trajectories.handle.take_message(MultiDOFJointTrajectory, True)) is not None:
-            newest = taken
-        if newest is not None:
-            raw, info = newest
-            age = (self._started - info["source_timestamp"]) / NANOSECONDS
-            if self._checking is not None:
-                self._checking.cancel()
-            self._trajectory_note = "checking"
-            self._checking = self._checker.submit(self._check_trajectory, bytes(raw), age)
-        if self._checking is None or not self._checking.done():
-            return
-        checking, self._checking = self._checking, None
+    def _enable_itself(self) -> None:
+        """Once, when the states have become healthy; what was kept begins with this state."""
+        assert self._loop is not None
+        self._automatic = False
         try:
-            checked = checking.result()
-            if checked is None:
-                self._trajectory_note = "stop"
-                self._loop.stop("stopped by the trajectory server")
-            else:
-                trajectory, certificate, start = checked
-                self._loop.schedule(trajectory, certificate, start)
-                self._trajectory_note = "accepted"
-                self.get_logger().info(f"trajectory accepted: {in_words(certificate)}")
-        except DextarError as error:
-            self._note_refusal(str(error))
-        self._diagnose()
-
-    def _check_trajectory(self, raw: bytes, age: float) -> tuple[Trajectory, Certificate, float | None] | None:
-        """(trajectory, certificate, start) of a message's bytes; None for a stop."""
-        message = read_message(raw, TRAJECTORY.type)
-        if age > SERVED_BEFORE:
-            raise TrajectoryError(f"it was served {age:.1f} s before this controller began; serve it again")
-        if len(message.points) == 0:
-            return None
-        if len(message.points) > MAX_TRAJECTORY_POINTS:
-            raise TrajectoryError(f"the trajectory has {len(message.points)} points; the limit is {MAX_TRAJECTORY_POINTS}")
-        stamp = from_time(message.header.stamp)
-        trajectory = messages.to_trajectory(message)
-        return trajectory, self._loop.check(trajectory), stamp / NANOSECONDS if stamp else None
-
-    def _note_refusal(self, reason: str) -> None:
-        if reason:
-            self._trajectory_note = f"refused: {reason}"
-            self.get_logger().error(f"trajectory refused: {reason}")
+            if self._others:
+                raise StateError(self._others)
+            self._enable(self._loop)
+        except StateError as error:
+            self._enabling = f"refused: {error}"
+            self.get_logger().error(f"not enabled: {error}; ~/enable asks again")
+            if self._reference.waiting is not None:
+                self._reference.refuse(f"the controller was not enabled: {error}")
             self._diagnose()
+        else:
+            self._enabling = "done"
+
+    def _enable(self, loop: ControlLoop) -> None:
+        """Hold, or begin the trajectory that was kept for this."""
+        loop.enable()
+        self._automatic = False
+        self._reference.begin(loop)
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        loop = self._loop
         try:
             if request.data:
-                self._loop.enable()
+                self._check_ready()
+                assert loop is not None
+                self._enable(loop)
+                self._enabling = "done"
             else:
-                self._loop.disable()
-            response.success = (self._loop.phase not in LIMP) if request.data else self._loop.phase in LIMP
-            response.message = f"phase {self._loop.phase.name} {self._loop.reason}".strip()
+                self._automatic, self._enabling = False, "off"
+                if loop is not None:
+                    self._reference.drop()
+                    loop.disable()
         except StateError as error:
-            response.success, response.message = False, str(error)
-        self._say()
-        return response
+            return self._answer(response, False, str(error))
+        wanted = loop is None or (loop.phase in LIMP) != request.data
+        return self._answer(response, wanted)
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._loop.stop()
-        response.success, response.message = True, f"phase {self._loop.phase.name}"
-        if (self._loop.phase, self._loop.reason) != self._said:
-            self._say()
-        return response
+        if self._loop is not None:
+            self._reference.drop()
+            self._loop.stop()
+        return self._answer(response, True)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Only what was latched before this call, and only while its cause is gone."""
+        loop = self._loop
         try:
-            self._loop.reset()
-            response.success = self._loop.phase == Phase.IDLE
-            response.message = f"phase {self._loop.phase.name} {self._loop.reason}".strip()
+            if loop is not None and loop.phase in LATCHED:
+                if 0 < self.desk.received < self._latched[1]:
+                    raise StateError(f"{loop.phase.name} was latched after this call: {loop.reason}; call again to clear it")
+                self._check_ready()
+                loop.reset()
         except StateError as error:
-            response.success, response.message = False, str(error)
-        self._say()
+            return self._answer(response, False, str(error))
+        return self._answer(response, loop is not None and loop.phase is Phase.IDLE)
+
+    def _answer(self, response: Any, success: bool, message: str = "") -> Any:
+        """A service's response, once the change of phase is told."""
+        loop = self._loop
+        if loop is not None and self._active and (loop.phase, loop.reason) != self._said:
+            self._say()
+        state = f"phase {loop.phase.name} {loop.reason}".strip() if loop is not None and self._active else self.lifecycle
+        response.success, response.message = success, message or state
         return response
 
     def _diagnose(self) -> None:
-        loop, tick = self._loop, self._loop.tick
-        bad = loop.phase in (Phase.FAULT, Phase.SAFE_STOP)
-        times = np.array(self._tick_times) if self._tick_times else np.array([math.nan])
-        x, y = tick.x_hat.tolist() if tick is not None else (math.nan, math.nan)
-        values = {
-            "phase": loop.phase.name, "reason": loop.reason, "law": self.values["law"],
-            "estimator": self.values["estimator"], "trajectory": self._trajectory_note,
-            "x": x, "y": y, "s": tick.s if tick else math.nan,
-            "assembly_mode": tick.assembly_mode if tick else self.values["assembly_mode"],
-            "mode_confidence": tick.confidence if tick else math.nan, "mode_known": loop.mode_known,
-            **self._verdicts(), "completed": loop.completed, "reference_time": tick.reference_time if tick else 0.0,
-            "duration": loop.certificate.duration if loop.certificate else 0.0,
-            **self._counts, "saturated_ticks": loop.saturated_ticks,
-            "callback_p50_us": round(1e6 * float(np.percentile(times, 50)), 1),
-            "callback_p99_us": round(1e6 * float(np.percentile(times, 99)), 1),
+        values: dict[str, object] = {"lifecycle": self.lifecycle}
+        values |= {name: self.values[name] for name in ("law", "estimator")}
+        loop = self._loop
+        if loop is None:
+            self.publish_diagnostics(DiagnosticStatus.OK, self.lifecycle, {**values, "phase": "", "reason": ""})
+            return
+        limit = self.values["state_timeout"]
+        values |= {
+            "phase": loop.phase.name if self._active else "", "reason": loop.reason, "enabling": self._enabling,
+            "healthy": round(self._stream.healthy_for(limit, self._now()), 3), "last_trouble": self._stream.trouble,
+            "trajectory": self._reference.note,
+            "waiting_for": waiting_for(self._reference), **loop_values(loop, self._begun + 1),
+            "other_commanders": self._others, "requests": self.desk.served,
         }  # fmt: skip
         if self._poses is not None:
             values |= {"poses": self._poses.received, "refused_poses": self._poses.refused, "pose_note": self._pose_complaint()}
-        level = DiagnosticStatus.ERROR if bad else DiagnosticStatus.WARN if self._pose_complaint() else DiagnosticStatus.OK
-        self.publish_diagnostics(level, loop.reason if bad else loop.phase.name, values)
+        warnings = self._warnings(limit)
+        values |= self._statistics.report(loop.saturated_ticks)
+        if self._active and loop.phase in LATCHED:
+            self.publish_diagnostics(DiagnosticStatus.ERROR, loop.reason, values)
+        elif warnings:
+            self.publish_diagnostics(DiagnosticStatus.WARN, "; ".join(warnings), values)
+        else:
+            self.publish_diagnostics(DiagnosticStatus.OK, loop.phase.name if self._active else self.lifecycle, values)
 
-    def _verdicts(self) -> dict[str, object]:
-        """How many crossings are planned, have begun, and were called crossed or bounced; each one's verdict."""
-        words = [WORDS[passed.verdict] for passed in self._loop.passed]
-        return {
-            "crossings": len(words), "begun": self._begun + 1, "crossed": words.count("crossed"),
-            "bounced": words.count("bounced"), "verdicts": " ".join(words),
-        }  # fmt: skip
+    def _warnings(self, limit: float) -> list[str]:
+        """What an operator should look at."""
+        told = [self._others, self._pose_complaint()]
+        if self._active and not self._lockstep:
+            age = time.perf_counter() - self._statistics.arrival
+            told += [f"no state for {age:.1f} s"] if age > limit else self._statistics.warnings(self._period)
+        elif self._active:
+            told += self._statistics.missed_lately()
+        if self._enabling.startswith("refused"):
+            told.append(f"enabling was {self._enabling}")
+        return [text for text in told if text]
 
     def close(self) -> None:
         """A last word, and zero torque in answer to the last state."""
-        self._checker.shutdown(wait=False, cancel_futures=True)
-        self._release()
+        if self._loop is not None:
+            self._reference.drop()
+            if self._active:
+                self._outputs.release()
         self._diagnose()
+
+
+def _check_mode(values: Mapping[str, Any]) -> None:
+    if values["assembly_mode"] == 0:
+        raise ParameterError("parameter 'assembly_mode' = 0; it must be +1 or -1")
 
 
 def main(args: list[str] | None = None) -> int:

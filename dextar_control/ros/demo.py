@@ -306,7 +306,8 @@ def _wait_until_ready(console: Console, monitor: _Monitor, processes: _Processes
             if note.startswith("refused"):
                 raise DemoError(f"the controller {note}")
             recording = monitor.get("recorder", "parameters_missing") == "none"
-            if recording and note == "accepted" and "plant" in monitor.status:
+            active = monitor.get("controller", "lifecycle") == "active"
+            if recording and active and note == "accepted" and "plant" in monitor.status:
                 return
             if time.monotonic() > deadline:
                 known = ", ".join(sorted(monitor.status)) or "none"
@@ -317,6 +318,13 @@ def _crossings(monitor: _Monitor) -> str:
     """How many of the planned crossings have begun."""
     total = monitor.get("controller", "crossings") or "0"
     return f"crossing {monitor.get('controller', 'begun') or '0'} of {total}" if total != "0" else ""
+
+
+def _unhealthy(monitor: _Monitor) -> str:
+    """Why the controller still waits to enable itself; empty when it does not."""
+    if monitor.get("controller", "enabling") != "waiting":
+        return ""
+    return f": healthy states for {monitor.get('controller', 'healthy')} s only; {monitor.get('controller', 'last_trouble')}"
 
 
 def _follow(console: Console, monitor: _Monitor, processes: _Processes) -> None:
@@ -334,6 +342,11 @@ def _follow(console: Console, monitor: _Monitor, processes: _Processes) -> None:
                 known_duration = duration
                 deadline = time.monotonic() + RUN_TIMEOUT + 20.0 * duration
             phase = monitor.get("controller", "phase")
+            note = monitor.get("controller", "trajectory")
+            if note.startswith("refused"):
+                raise DemoError(f"the controller {note}")
+            if waits := _unhealthy(monitor):
+                progress.update(task, description=f"waiting{waits}")
             if duration > 0.0:
                 elapsed = float(monitor.get("controller", "reference_time") or 0.0)
                 progress.update(task, description=f"{phase:<9} {_crossings(monitor)}", completed=min(elapsed / duration, 1.0))
@@ -344,7 +357,7 @@ def _follow(console: Console, monitor: _Monitor, processes: _Processes) -> None:
                 progress.update(task, description=f"{phase} {_crossings(monitor)}")
                 break
             if time.monotonic() > deadline:
-                raise DemoError(f"the trip did not end in time; the controller is in phase {phase}")
+                raise DemoError(f"the trip did not end in time; the controller is in phase {phase}{_unhealthy(monitor)}")
     end = time.monotonic() + (1.5 if monitor.get("controller", "phase") == "SAFE_STOP" else LINGER)
     while time.monotonic() < end:
         rclpy.spin_once(monitor, timeout_sec=0.05)

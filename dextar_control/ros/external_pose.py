@@ -25,7 +25,9 @@ class ExternalPoseReader:
 
     def __init__(self, node: DextarNode) -> None:
         profile = qos(EXTERNAL_POSE, reliable=False, depth=DEPTH)
-        self._take = node.create_polled_subscription(PoseStamped, EXTERNAL_POSE.name, profile, raw=True).handle.take_message
+        self._node = node
+        self._subscription = node.create_polled_subscription(PoseStamped, EXTERNAL_POSE.name, profile, raw=True)
+        self._take = self._subscription.handle.take_message
         self._template = messages.external_pose_template()
         self.received = 0
         self.refused = 0
@@ -60,3 +62,7 @@ class ExternalPoseReader:
         position = messages.position_in_base(message)
         self._template.learn(raw)
         return Pose(from_time(message.header.stamp) / NANOSECONDS, position)
+
+    def close(self) -> None:
+        """Destroy the subscription."""
+        self._node.destroy_subscription(self._subscription)

@@ -29,7 +29,7 @@ PARAMETERS = (
     *task.PARAMETERS,
     Parameter("approach_speed", "peak speed of the way to the start, m/s", 1e-3, 2.0, live=True),
     Parameter("sample_period", "of the served trajectory's points, s; longer for a long one", 1e-4, 0.02, live=True),
-    Parameter("autostart", "serve the trip once it is planned and a controller is there"),
+    Parameter("autostart", "serve the trip once it is planned and an active controller holds or waits to be enabled"),
     Parameter("drawing", "a .png to which each plan is drawn before it runs; empty: none", live=True),
 )
 
@@ -98,7 +98,7 @@ class TrajectoryServer(DextarNode):
                 answer(service, *taken)
         self._worker.poll()
         self._tell_progress()
-        if self._waiting and self._planned is not None and self._controller:
+        if self._waiting and self._planned is not None and not self._why_not():
             self._waiting = False
             self._worker.submit(self._trip(self._origin()), self._on_autostart)
 
@@ -164,11 +164,24 @@ class TrajectoryServer(DextarNode):
         """Raise TrajectoryError unless the controller holds the robot somewhere known."""
         if time.monotonic() - self._controller_time > FRESH:
             raise TrajectoryError(f"no word of the controller on {DIAGNOSTICS.name} for {FRESH:.1f} s")
-        phase = self._controller.get("phase", "")
-        if phase != "HOLD":
-            raise TrajectoryError(f"the controller is in phase {phase}; a trip starts from HOLD")
+        if reason := self._why_not():
+            raise TrajectoryError(reason)
         if not np.isfinite([float(self._controller[axis]) for axis in ("x", "y")]).all():
             raise TrajectoryError("the controller has had no state yet")
+
+    def _why_not(self) -> str:
+        """Why the controller would not take a trajectory now, as far as it has told; empty when it would.
+
+        It takes one while it holds, and while it waits to enable itself.
+        """
+        if not self._controller:
+            return f"no word of the controller on {DIAGNOSTICS.name}"
+        lifecycle, phase = self._controller.get("lifecycle", "active"), self._controller.get("phase", "")
+        if lifecycle != "active":
+            return f"the controller is {lifecycle}; a trip needs an active one"
+        if phase == "HOLD" or (phase == "IDLE" and self._controller.get("enabling") == "waiting"):
+            return ""
+        return f"the controller is in phase {phase}; a trip starts from HOLD"
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         wanted = f"{self.get_namespace().rstrip('/')}/controller"

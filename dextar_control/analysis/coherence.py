@@ -1,0 +1,58 @@
+"""Whether the streams of a bag belong to one run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dextar_control.analysis.run import Run, Stamps
+from dextar_control.contract import topics
+from dextar_control.contract.errors import BagError
+
+LEAST_JUMP = 500_000_000  # ns by which stamps must fall back before they count as those of another run
+LEAST_SIDE = 10  # messages on either side of such a jump: fewer are single wrong stamps
+
+
+def check_run(run: Run) -> None:
+    """Streams that answer the states carry their stamps.
+
+    Raises:
+        BagError: not one stamp of a stream is one of the states'.
+    """
+    streams = {
+        topics.JOINT_COMMANDS.name: run.commands.stamps,
+        topics.CONTROLLER_STATE.name: run.control.stamps,
+        topics.CRITERION.name: run.criterion.stamps,
+    }
+    if run.truth is not None:
+        streams[topics.SIM_END_EFFECTOR.name] = run.truth.stamps
+    for name, stamps in streams.items():
+        if len(stamps) and not np.isin(stamps, run.states.stamps).any():
+            raise BagError(
+                f"{run.path}: none of the {len(stamps)} stamps of {name} is one of the {len(run.states.stamps)} of"
+                f" {topics.JOINT_STATES.name}: these are streams of different runs, or of different clocks"
+            )
+
+
+def check_order(name: str, stamps: Stamps) -> None:
+    """A run's stamps go on; they do not begin anew.
+
+    Args:
+        name: of the topic.
+        stamps: (n,) ns in the order of the bag.
+
+    Raises:
+        BagError: they fall back, and go on from there.
+    """
+    if len(stamps) < 2 * LEAST_SIDE:
+        return
+    falls = np.diff(stamps)
+    row = int(falls.argmin())
+    if -falls[row] < LEAST_JUMP:
+        return
+    ahead = int((stamps[: row + 1] > stamps[row + 1]).sum())
+    behind = int((stamps[row + 1 :] < stamps[row]).sum())
+    if min(ahead, behind) >= LEAST_SIDE:
+        raise BagError(
+            f"the stamps of {name} fall back by {-falls[row] * 1e-9:.3f} s after {row + 1} of {len(stamps)} messages: two runs"
+            " in one bag, or a plant that was reset; record each run into a bag of its own"
+        )

@@ -1,0 +1,364 @@
+"""Several runs side by side: the same quantities with their differences, and their curves over each other."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bokeh.embed import components
+from rich.table import Table
+
+from dextar_control.analysis.crossings import CrossingMetrics
+from dextar_control.analysis.curves import Curve, Panel, panels
+from dextar_control.analysis.load import load_run
+from dextar_control.analysis.metrics import Metrics, compute_metrics
+from dextar_control.analysis.page import NO_TRUTH, Cell, Column, number, render
+from dextar_control.analysis.plane import plane_of
+from dextar_control.analysis.run import Run
+from dextar_control.analysis.web_figures import in_plane, over_time
+from dextar_control.contract.errors import BagError
+
+Value = float | int | str | None
+
+
+class Quantity(NamedTuple):
+    """One line of a comparison.
+
+    Attributes:
+        name, unit, form: of the number.
+        of: its value from a run's metrics.
+        truth: whether it needs the true motion.
+    """
+
+    name: str
+    unit: str
+    form: str
+    of: Callable[[Metrics], Value]
+    truth: bool = False
+
+
+class CrossingQuantity(NamedTuple):
+    """The same of one crossing."""
+
+    name: str
+    unit: str
+    form: str
+    of: Callable[[CrossingMetrics], Value]
+    truth: bool = False
+
+
+QUANTITIES = (
+    Quantity("verdict", "", "", lambda m: {True: "success", False: "failed", None: "not decidable"}[m.success]),
+    Quantity("law", "", "", lambda m: m.law or "unknown"),
+    Quantity("estimator", "", "", lambda m: m.estimator or "unknown"),
+    Quantity("crossed", "", "d", lambda m: _count([c.crossed for c in m.crossings]), truth=True),
+    Quantity("planned crossings", "", "d", lambda m: len(m.crossings)),
+    Quantity("estimator's verdicts right", "", "d", lambda m: _count(_checked(m)), truth=True),
+    Quantity("estimator's verdicts", "", "d", lambda m: sum(c.verdict in ("crossed", "bounced") for c in m.crossings)),
+    Quantity("true error, largest", "mm", ".3f", lambda m: 1e3 * m.max_true_error, truth=True),
+    Quantity("true error, RMS", "mm", ".4f", lambda m: 1e3 * m.rms_true_error, truth=True),
+    Quantity("true error at the end", "mm", ".3f", lambda m: 1e3 * m.final_true_error, truth=True),
+    Quantity("estimated error, largest", "mm", ".3f", lambda m: 1e3 * m.max_estimated_error),
+    Quantity("estimated error, RMS", "mm", ".4f", lambda m: 1e3 * m.rms_estimated_error),
+    Quantity("peak torque", "N m", ".4f", lambda m: m.peak_torque),
+    Quantity("peak torque over the plan's", "1", ".3f", lambda m: m.torque_ratio),
+    Quantity("peak torque within |s| < 0.1", "N m", ".4f", lambda m: m.peak_torque_near),
+    Quantity("the same over the plan's peak", "1", ".3f", lambda m: m.torque_ratio_near),
+    Quantity("saturated commands", "", "d", lambda m: m.saturated),
+    Quantity("duration of the trajectory", "s", ".3f", lambda m: m.duration),
+    Quantity("states without a command", "", "d", lambda m: m.missed),
+    Quantity("longest gap in states", "", "d", lambda m: m.timing.longest_miss),
+    Quantity("rate of the states, median", "Hz", ".0f", lambda m: m.loop_rate),
+    Quantity("period of the states, 99 %", "µs", ".0f", lambda m: 1e6 * m.timing.state_period.p99),
+    Quantity("round trip, median", "µs", ".0f", lambda m: 1e6 * m.timing.round_trip.median),
+    Quantity("round trip, 99 %", "µs", ".0f", lambda m: 1e6 * m.timing.round_trip.p99),
+    Quantity("samples lost in recording", "", "d", lambda m: sum(n or 0 for n in m.lost.values()) if m.lost else None),
+)
+CROSSING_QUANTITIES = (
+    CrossingQuantity("outcome", "", "", lambda c: c.outcome, truth=True),
+    CrossingQuantity("estimator says", "", "", lambda c: c.verdict or "not recorded"),
+    CrossingQuantity("planned instant", "s", ".4f", lambda c: c.planned_time),
+    CrossingQuantity("true instant", "s", ".4f", lambda c: c.true_time, truth=True),
+    CrossingQuantity("speed", "m/s", ".3f", lambda c: c.speed),
+    CrossingQuantity("|t_s·w_d| seen", "N", ".4f", lambda c: c.residual),
+    CrossingQuantity("smallest σ", "1", ".4f", lambda c: c.sigma_min),
+    CrossingQuantity("peak torque", "N m", ".4f", lambda c: c.peak_torque),
+    CrossingQuantity("torque step", "N m", ".4f", lambda c: c.torque_step),
+    CrossingQuantity("true error before", "mm", ".3f", lambda c: 1e3 * c.error_before, truth=True),
+    CrossingQuantity("true error after", "mm", ".3f", lambda c: 1e3 * c.error_after, truth=True),
+    CrossingQuantity("estimated error after", "mm", ".3f", lambda c: 1e3 * c.estimated_error_after),
+)
+MOST_CROSSINGS = 24  # written out one by one; the JSON has them all
+
+
+class Line(NamedTuple):
+    """One quantity of every run.
+
+    Attributes:
+        name, unit, form: of the numbers.
+        values: per run; None where the bag does not tell.
+        differences: of each further run to the first; None where one of the two is not a number.
+        truth: whether it needs the true motion.
+    """
+
+    name: str
+    unit: str
+    form: str
+    values: list[Value]
+    differences: list[float | None]
+    truth: bool
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Runs side by side; the first is what the others are compared with.
+
+    Attributes:
+        names: of the runs, all different.
+        runs, metrics: of each.
+        lines: of the whole runs.
+        crossings: lines per crossing number, of those that every run has planned.
+        remarks: what makes the runs less comparable.
+    """
+
+    names: list[str]
+    runs: list[Run]
+    metrics: list[Metrics]
+    lines: list[Line]
+    crossings: list[list[Line]]
+    remarks: list[str]
+
+    def to_json(self) -> str:
+        """Strict JSON: what is not known is null."""
+        return json.dumps(
+            {
+                "runs": [{"name": name, "bag": str(run.path)} for name, run in zip(self.names, self.runs, strict=True)],
+                "remarks": self.remarks,
+                "quantities": [_entry(line) for line in self.lines],
+                "crossings": [[_entry(line) for line in lines] for lines in self.crossings],
+            },
+            indent=2, allow_nan=False, ensure_ascii=False,
+        )  # fmt: skip
+
+    def to_markdown(self) -> str:
+        """The tables as Markdown."""
+        text = ["# Comparison", ""]
+        text += [f"- **{name}**: `{run.path}`" for name, run in zip(self.names, self.runs, strict=True)]
+        text += ["", "Differences (Δ) are to the first run.", *[f"\n{remark}" for remark in self.remarks], ""]
+        text += _markdown(self, self.lines)
+        for index, lines in enumerate(self.crossings[:MOST_CROSSINGS], start=1):
+            text += ["", f"## Crossing {index}", "", *_markdown(self, lines)]
+        if len(self.crossings) > MOST_CROSSINGS:
+            text += ["", f"... and {len(self.crossings) - MOST_CROSSINGS} more crossings in comparison.json."]
+        return "\n".join(text) + "\n"
+
+
+def compare_runs(runs: Sequence[Run], metrics: Sequence[Metrics], names: Sequence[str] | None = None) -> Comparison:
+    """Put runs side by side.
+
+    Raises:
+        BagError: fewer than two runs.
+    """
+    if len(runs) < 2:
+        raise BagError(f"{len(runs)} runs; a comparison needs at least two")
+    lines = [_line(quantity, list(metrics)) for quantity in QUANTITIES]
+    common = min(len(one.crossings) for one in metrics)
+    crossings = [
+        [_line(quantity, [one.crossings[index] for one in metrics]) for quantity in CROSSING_QUANTITIES]
+        for index in range(common)
+    ]
+    names = list(names) if names is not None else name_runs(runs, metrics)
+    return Comparison(names, list(runs), list(metrics), lines, crossings, _remarks(names, runs, metrics))
+
+
+def compare_bags(
+    paths: Sequence[str | Path], progress: Callable[[str], None] = lambda stage: None, namespace: str | None = None
+) -> Comparison:
+    """Load the bags and put them side by side; ``namespace`` as in ``load_run``.
+
+    Raises:
+        BagError: a bag cannot be read, or there are fewer than two.
+    """
+    runs, metrics = [], []
+    for path in paths:
+        progress(f"reading {path}")
+        runs.append(load_run(path, namespace))
+        progress(f"computing the metrics of {path}")
+        metrics.append(compute_metrics(runs[-1]))
+    return compare_runs(runs, metrics)
+
+
+def write_comparison(comparison: Comparison, folder: Path) -> None:
+    """Write ``comparison.html``, ``comparison.md`` and ``comparison.json``.
+
+    Raises:
+        BagError: they cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "comparison.json").write_text(comparison.to_json() + "\n", encoding="utf-8")
+        (folder / "comparison.md").write_text(comparison.to_markdown(), encoding="utf-8")
+        (folder / "comparison.html").write_text(render_comparison(comparison), encoding="utf-8")
+    except OSError as error:
+        raise BagError(f"cannot write the comparison to {folder}: {error.strerror or error}") from error
+
+
+def render_comparison(comparison: Comparison) -> str:
+    """The comparison as one self-contained page."""
+    drawn: dict[str, Any] = {}
+    over = overlaid(comparison)
+    if over:
+        durations = [one.duration if math.isfinite(one.duration) else one.tracked_until for one in comparison.metrics]
+        duration = max((value for value in durations if math.isfinite(value)), default=1.0)
+        instants = [crossing.planned_time for crossing in comparison.metrics[0].crossings]
+        for index, axes in enumerate(over_time(over, instants, duration, comparison.names)):
+            drawn[f"time{index}"] = axes
+    planes = [plane_of(run, one) for run, one in zip(comparison.runs, comparison.metrics, strict=True)]
+    drawn["plane"] = in_plane(planes, comparison.names)
+    script, places = components(drawn, wrap_script=False)
+    first, *others = comparison.names
+    columns = [Column("", text=True), Column("unit", text=True), Column(first)]
+    for name in others:
+        columns += [Column(name), Column("Δ", f"to {first}")]
+    shown = comparison.crossings[:MOST_CROSSINGS]
+    return render(
+        "comparison.html", script,
+        title=f"{first} against {', '.join(others)}",
+        heading=f"{first} against {', '.join(others)}",
+        bags=[
+            {"name": name, "path": run.path.name, "verdict": line, "kind": {True: "good", False: "bad", None: ""}[one.success]}
+            for name, run, one, line in zip(
+                comparison.names, comparison.runs, comparison.metrics, comparison.lines[0].values, strict=True
+            )
+        ],
+        remarks=comparison.remarks,
+        figures={"plane": places["plane"], "time": [div for name, div in places.items() if name.startswith("time")]},
+        columns=columns,
+        lines=[_cells(line) for line in comparison.lines],
+        crossings=[[_cells(line) for line in lines] for lines in shown],
+        more=len(comparison.crossings) - len(shown),
+        footer="Made by dextar compare. Δ: difference to the first run. All numbers stand in comparison.json beside this page.",
+    )  # fmt: skip
+
+
+def overlaid(comparison: Comparison) -> list[Panel]:
+    """The runs' measured curves over each other: each motor's torque, error, residual and s; a curve's kind is its run."""
+    found: dict[str, Panel] = {}
+    for index, (name, run, one) in enumerate(zip(comparison.names, comparison.runs, comparison.metrics, strict=True)):
+        for panel in panels(run, one):
+            for curve in _measured(panel):
+                key, label = panel.key, panel.label
+                if panel.key == "torque":
+                    key, label = f"torque{curve.part}", f"τ{curve.part + 1} (N m)"
+                suffix = ", estimated" if curve.kind == "estimated" else ""
+                entry = Curve(f"{name}{suffix}", curve.time, curve.values, str(index))
+                before = found.get(key, Panel(key, label, [], panel.low, panel.high))
+                found[key] = before._replace(
+                    curves=[*before.curves, entry], low=_widest(min, before.low, panel.low),
+                    high=_widest(max, before.high, panel.high),
+                )  # fmt: skip
+    return [found[key] for key in ("torque0", "torque1", "error", "residual", "s") if key in found]
+
+
+def summary_table(comparison: Comparison) -> Table:
+    """The comparison for a terminal."""
+    table = Table(title="differences are to the first run", title_justify="left")
+    table.add_column("")
+    for index, name in enumerate(comparison.names):
+        table.add_column(name, justify="right", overflow="fold")
+        if index:
+            table.add_column("Δ", justify="right")
+    for line in comparison.lines:
+        table.add_row(f"{line.name}{f' ({line.unit})' if line.unit else ''}", *(cell.text for cell in _cells(line)[2:]))
+    return table
+
+
+def name_runs(runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[str]:
+    """Short names that differ: by law and estimator, then by whether the truth is known, then by folder, then by number."""
+    ways: list[list[str]] = [
+        [run.record.get("name", "") or f"{one.law or 'unknown'} / {one.estimator or 'unknown'}"
+         for run, one in zip(runs, metrics, strict=True)],
+    ]  # fmt: skip
+    ways.append([f"{name}, {'simulation' if run.truth else 'no truth'}" for name, run in zip(ways[0], runs, strict=True)])
+    ways.append([f"{name}, {run.path.parent.name}" for name, run in zip(ways[0], runs, strict=True)])
+    ways.append([f"{name}, {index}" for index, name in enumerate(ways[0], start=1)])
+    return next(names for names in ways if len(set(names)) == len(names))
+
+
+def _remarks(names: Sequence[str], runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[str]:
+    remarks = [f"{name}: no true motion in the bag; what needs it is marked." for name, run in zip(names, runs, strict=True)
+               if run.truth is None]  # fmt: skip
+    if len({run.robot for run in runs}) > 1:
+        remarks.append("The runs have different robots.")
+    counts = [len(one.crossings) for one in metrics]
+    if len(set(counts)) > 1:
+        times = ", ".join(map(str, counts))
+        remarks.append(f"The plans cross {times} times: only the first {min(counts)} are compared one by one.")
+    elif any(
+        abs(a.planned_time - b.planned_time) > 1e-3
+        for other in metrics[1:] for a, b in zip(metrics[0].crossings, other.crossings, strict=True)
+    ):  # fmt: skip
+        remarks.append("The plans differ: their crossings are not at the same instants.")
+    return remarks
+
+
+def _checked(metrics: Metrics) -> list[bool | None]:
+    """Whether each verdict is right; undecided ones are none."""
+    return [crossing.verdict_correct for crossing in metrics.crossings if crossing.verdict in ("crossed", "bounced")]
+
+
+def _count(values: Sequence[bool | None]) -> int | None:
+    return None if None in values else sum(map(bool, values))
+
+
+def _line(quantity: Quantity | CrossingQuantity, of: Sequence[Any]) -> Line:
+    values = [_known(quantity.of(one)) for one in of]
+    first = values[0]
+    differences = [
+        value - first if isinstance(value, (int, float)) and isinstance(first, (int, float)) else None for value in values[1:]
+    ]
+    return Line(quantity.name, quantity.unit, quantity.form, values, differences, quantity.truth)
+
+
+def _known(value: Value) -> Value:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _entry(line: Line) -> dict[str, Any]:
+    entry = line._asdict()
+    del entry["form"]
+    return entry
+
+
+def _cells(line: Line) -> list[Cell]:
+    missing = NO_TRUTH if line.truth else "-"
+    cells = [Cell(line.name), Cell(line.unit)]
+    for index, value in enumerate(line.values):
+        cells.append(Cell(missing if value is None else value if isinstance(value, str) else number(value, line.form)))
+        if index:
+            difference = line.differences[index - 1]
+            cells.append(Cell("" if difference is None else format(difference, f"+{line.form}")))
+    return cells
+
+
+def _markdown(comparison: Comparison, lines: Sequence[Line]) -> list[str]:
+    head = ["", "unit"]
+    for index, name in enumerate(comparison.names):
+        head += [name, "Δ"] if index else [name]
+    rows = [head, ["---", "---"] + ["---:"] * (len(head) - 2), *([cell.text for cell in _cells(line)] for line in lines)]
+    return [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows]
+
+
+def _measured(panel: Panel) -> list[Curve]:
+    """A run's own curves: commanded torques; the true error and s, or where there is no truth the estimated."""
+    kinds = {curve.kind for curve in panel.curves}
+    wanted = {"torque": "commanded", "residual": "seen"}.get(panel.key, "true" if "true" in kinds else "estimated")
+    return [curve for curve in panel.curves if curve.kind == wanted]
+
+
+def _widest(pick: Callable[[float, float], float], one: float, other: float) -> float:
+    return pick(one, other) if math.isfinite(one) and math.isfinite(other) else math.nan

@@ -1,0 +1,138 @@
+"""What a run's figures show over time: curves with their units, for paper, page and comparison alike."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dextar_control.analysis.metrics import Metrics
+from dextar_control.analysis.run import Floats, Run, Stamps
+from dextar_control.analysis.tracking import Tracked, plan_of, tracked
+from dextar_control.contract.errors import DextarError
+from dextar_control.core.certificate import Certificate
+
+HEADROOM = 1.25  # of the torque axis over the larger of plan and command
+MOST_TORQUE = 3.0  # of the plan's peak, to which the axis reaches at most
+MOST_RESIDUAL = 3.0  # the same for the criterion's residual
+ERROR_CEILING = 10.0  # mm
+
+
+class Curve(NamedTuple):
+    """One curve over time.
+
+    Attributes:
+        name: what it shows, as in a legend.
+        time, values: (n,) s since the trajectory's start, and in the panel's unit.
+        kind: commanded, planned, true, estimated, seen, confidence: how it is drawn.
+        part: 0 for the first or only motor, 1 for the second.
+    """
+
+    name: str
+    time: Floats
+    values: Floats
+    kind: str
+    part: int = 0
+
+
+class Panel(NamedTuple):
+    """Curves that share an axis.
+
+    Attributes:
+        key: torque, error, residual or s.
+        label: of the axis, with its unit.
+        curves: in drawing order.
+        low, high: of the axis; nan where the curves decide.
+        note: what is missing and why; "" when nothing is.
+    """
+
+    key: str
+    label: str
+    curves: list[Curve]
+    low: float
+    high: float
+    note: str = ""
+
+
+def checked_plan(run: Run) -> Certificate | None:
+    """The plan, or None where there is none or it cannot be computed; the metrics' reasons say why."""
+    try:
+        return plan_of(run)
+    except DextarError:
+        return None
+
+
+def panels(run: Run, metrics: Metrics) -> list[Panel]:
+    """Torques, tracking error, residual of the criterion and s over time; empty when nothing was tracked."""
+    track = tracked(run)
+    if track is None:
+        return []
+    plan = checked_plan(run)
+    return [
+        _torque(metrics, track, plan), _error(run, track), _residual(run, track, plan), _singularity(run, track, plan)
+    ]  # fmt: skip
+
+
+def _torque(metrics: Metrics, track: Tracked, plan: Certificate | None) -> Panel:
+    curves = []
+    for part, name in enumerate(("τ1", "τ2")):
+        if plan is not None:
+            curves.append(Curve(f"{name} planned", plan.profile.time, plan.profile.torque[:, part], "planned", part))
+        curves.append(Curve(f"{name} commanded", track.torque_time, track.torque[:, part], "commanded", part))
+    high = math.nan
+    planned, found = metrics.planned_peak_torque, metrics.peak_torque
+    if math.isfinite(planned) and math.isfinite(found):
+        high = HEADROOM * min(max(planned, found), max(MOST_TORQUE * planned, 1e-6))
+    return Panel("torque", "torque (N m)", curves, -high, high, "" if plan else "no plan to compare with")
+
+
+def _error(run: Run, track: Tracked) -> Panel:
+    curves = [Curve("estimated", track.time, 1e3 * track.estimated_error, "estimated")]
+    if len(track.true_error):
+        shown = _inside(track.true_time, track)
+        curves.append(Curve("true", track.true_time[shown], 1e3 * track.true_error[shown], "true"))
+    together = np.concatenate([curve.values for curve in curves])
+    finite = together[np.isfinite(together)]
+    high = 1.15 * min(max(float(finite.max()) if finite.size else 0.0, 1e-2), ERROR_CEILING)
+    note = "" if run.truth is not None else "the true error needs the true motion, which this bag does not hold"
+    return Panel("error", "tracking error (mm)", curves, 0.0, high, note)
+
+
+def _time(stamps: Stamps, track: Tracked) -> Floats:
+    return np.asarray(stamps - track.start, dtype=np.float64) * 1e-9
+
+
+def _inside(time: Floats, track: Tracked) -> slice:
+    return slice(*np.searchsorted(time, (track.time[0], track.time[-1] + 1e-9)).tolist())
+
+
+def _residual(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
+    time = _time(run.criterion.stamps, track)
+    inside = _inside(time, track)
+    seen = run.criterion.residual[inside]
+    curves = [Curve("seen by the controller", time[inside], seen, "seen")]
+    low = high = math.nan
+    if plan is not None:
+        curves.insert(0, Curve("planned", plan.profile.time, plan.profile.residual, "planned"))
+        ceiling = MOST_RESIDUAL * max(float(np.nanmax(np.abs(plan.profile.residual))), 1e-3)
+        finite = np.concatenate([seen[np.isfinite(seen)], plan.profile.residual])
+        low, high = 1.1 * max(float(finite.min()), -ceiling), 1.1 * min(float(finite.max()), ceiling)
+    return Panel("residual", "t_s·w_d (N)", curves, low, high)
+
+
+def _singularity(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
+    time = _time(run.criterion.stamps, track)
+    inside = _inside(time, track)
+    curves = []
+    if np.isfinite(run.criterion.mode_confidence[inside]).any():
+        curves.append(Curve("confidence", time[inside], run.criterion.mode_confidence[inside], "confidence"))
+    if plan is not None:
+        curves.append(Curve("planned", plan.profile.time, plan.profile.s, "planned"))
+    curves.append(Curve("estimated", time[inside], run.criterion.s[inside], "estimated"))
+    note = "the true s needs the true motion, which this bag does not hold"
+    if len(track.true_s):
+        shown = _inside(track.true_time, track)
+        curves.append(Curve("true", track.true_time[shown], track.true_s[shown], "true"))
+        note = ""
+    return Panel("s", "s (1), 0 on the locus", curves, -1.05, 1.05, note)

@@ -1,0 +1,396 @@
+"""One self-contained HTML page of a run: it opens offline, and its figures zoom."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from typing import Any, NamedTuple
+
+import bokeh
+import numpy as np
+from bokeh.embed import components
+from bokeh.resources import Resources
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
+from dextar_control.analysis.crossings import CrossingMetrics
+from dextar_control.analysis.curves import checked_plan, panels
+from dextar_control.analysis.metrics import Metrics
+from dextar_control.analysis.plane import plane_of
+from dextar_control.analysis.run import Run
+from dextar_control.analysis.thin import POINTS
+from dextar_control.analysis.timing import Spread, periods, round_trips, within
+from dextar_control.analysis.tracking import tracked
+from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band
+from dextar_control.core.certificate import Certificate
+
+NO_TRUTH = "needs truth"
+MOST_PLAN_LINES = 40
+WORDS = {True: ("good", "Success."), False: ("bad", "Failed."), None: ("", "Not decidable.")}
+PRINTED = {"version", "versions", "started", "ended", "certificate", "parameters_missing", "parameter_changes", "name", "notes",
+           "tags", "law", "estimator", "robot_description", "parameter_changes_not_listed"}  # in their own places
+
+
+class Column(NamedTuple):
+    """Of a table."""
+
+    name: str
+    unit: str = ""
+    text: bool = False
+
+
+class Cell(NamedTuple):
+    """Of a table."""
+
+    text: str
+    bad: bool = False
+
+
+def number(value: float | None, form: str, missing: str = "-") -> str:
+    """A number in a format, or what stands for one that is not known."""
+    return missing if value is None or not math.isfinite(value) else format(value, form)
+
+
+def render_report(run: Run, metrics: Metrics) -> str:
+    """The page of one run."""
+    drawn: dict[str, Any] = {"plane": in_plane([plane_of(run, metrics)])}
+    shown = panels(run, metrics)
+    duration = metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until
+    instants = [crossing.planned_time for crossing in metrics.crossings]
+    for index, axes in enumerate(over_time(shown, instants, duration)):
+        drawn[f"time{index}"] = axes
+    for index, axes in enumerate(_timing_figures(run)):
+        drawn[f"timing{index}"] = axes
+    if metrics.phases:
+        drawn["phases"] = phase_band(metrics.phases, metrics)
+    script, places = components(drawn, wrap_script=False)
+    plan = checked_plan(run)
+    most = max((len(curve.time) for panel in shown for curve in panel.curves), default=0)
+    return render(
+        "report.html", script,
+        title=f"{metrics.robot or 'run'}: {metrics.law or 'law unknown'}, {verdict(metrics)['word']}",
+        heading=f"{metrics.robot or 'robot unknown'}: law {metrics.law or 'unknown'}, estimator {metrics.estimator or 'unknown'}",
+        subheading=_subheading(run),
+        verdict=verdict(metrics),
+        tiles=_tiles(metrics),
+        figures={
+            "plane": places["plane"],
+            "time": [div for name, div in places.items() if name.startswith("time") and name[4:].isdigit()],
+            "timing": [div for name, div in places.items() if name.startswith("timing")],
+            "phases": places.get("phases", ""),
+        },
+        thinned=f"Drawn are the extremes of {1e3 * 2 * duration / POINTS:.0f} ms bins and, about each crossing, every sample"
+        " as far as there is room; the numbers below use every sample." if most > POINTS else "",
+        notes=[f"{panel.label}: {panel.note}" for panel in shown if panel.note],
+        crossings=_crossings(run, metrics),
+        timing=_timing(metrics),
+        recording=_recording(run),
+        plan=_shortened(plan.lines(), MOST_PLAN_LINES) if plan else [],
+        no_plan=next((reason for reason in metrics.reasons if "plan" in reason), "The bag holds no trajectory."),
+        certificate=_certificate(run, plan),
+        versions=_versions(run),
+        nodes=_nodes(run),
+        changes=_changes(run),
+        footer=f"Made by dextar analyze from {run.path.name}. Times are seconds since the trajectory's start unless said"
+        " otherwise; all numbers stand in metrics.json beside this page.",
+    )  # fmt: skip
+
+
+def render(template: str, script: str, **values: Any) -> str:
+    """A page with Bokeh's code inside it."""
+    environment = Environment(
+        loader=PackageLoader("dextar_control.analysis"), autoescape=select_autoescape(), undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    code = "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
+    page = environment.get_template(template).render(bokeh=code.replace("</script", "<\\/script"), script=script, **values)
+    return f"{page}\n"
+
+
+def verdict(metrics: Metrics) -> dict[str, Any]:
+    """The run in a word, a sentence and the reasons."""
+    kind, word = WORDS[metrics.success]
+    planned = len(metrics.crossings)
+    known = [crossing.crossed for crossing in metrics.crossings]
+    parts = []
+    if planned and None not in known:
+        parts.append(f"Crossed {sum(map(bool, known))} of {planned} planned crossings")
+    elif planned:
+        said = sum(crossing.verdict == "crossed" for crossing in metrics.crossings)
+        parts.append(f"{planned} planned crossings, {said} crossed by the estimator's own verdict")
+    if math.isfinite(metrics.max_true_error):
+        largest, last = 1e3 * metrics.max_true_error, 1e3 * metrics.final_true_error
+        parts.append(f"true error {largest:.3f} mm at most and {last:.3f} mm at the end")
+    elif math.isfinite(metrics.max_estimated_error):
+        parts.append(f"estimated error {1e3 * metrics.max_estimated_error:.3f} mm at most")
+    if math.isfinite(metrics.peak_torque):
+        of_plan = f", {metrics.torque_ratio:.2f} × the plan's" if math.isfinite(metrics.torque_ratio) else ""
+        parts.append(f"peak torque {metrics.peak_torque:.4f} N m{of_plan}")
+    parts.append(f"{metrics.saturated} commands saturated" if metrics.saturated else "no command saturated")
+    reasons = list(metrics.reasons)
+    if metrics.truncated:
+        reasons.append("The bag breaks off: it was read up to its last complete chunk.")
+    sentence = "; ".join(parts)
+    return {"kind": kind, "word": word, "sentence": f"{sentence[:1].upper()}{sentence[1:]}.", "reasons": reasons}
+
+
+def _tiles(metrics: Metrics) -> list[dict[str, str]]:
+    crossed = [crossing.crossed for crossing in metrics.crossings]
+    verdicts = [crossing.verdict_correct for crossing in metrics.crossings if crossing.verdict in ("crossed", "bounced")]
+    right = NO_TRUTH if None in verdicts else f"{sum(map(bool, verdicts))} of {len(verdicts)} right"
+    lost = sum(count or 0 for count in metrics.lost.values())
+    pairs = [
+        ("planned crossings crossed", f"{sum(map(bool, crossed))} of {len(crossed)}" if None not in crossed else NO_TRUTH),
+        ("estimator's verdicts", right if verdicts else "none"),
+        ("true error, largest", f"{number(1e3 * metrics.max_true_error, '.3f')} mm"),
+        ("true error, RMS", f"{number(1e3 * metrics.rms_true_error, '.3f')} mm"),
+        ("true error at the end", f"{number(1e3 * metrics.final_true_error, '.3f')} mm"),
+        ("estimated error, largest", f"{number(1e3 * metrics.max_estimated_error, '.3f')} mm"),
+        ("peak torque", f"{number(metrics.peak_torque, '.4f')} N m"),
+        ("of the plan's peak", f"{number(metrics.torque_ratio, '.2f')} ×"),
+        ("near the locus, of the plan's peak", f"{number(metrics.torque_ratio_near, '.2f')} ×"),
+        ("states without a command", f"{metrics.missed} of {metrics.states}"),
+        ("samples lost in recording", str(lost) if metrics.lost else "not counted"),
+        ("duration of the trajectory", f"{number(metrics.duration, '.2f')} s"),
+    ]
+    if math.isnan(metrics.max_true_error):
+        pairs = [(name, NO_TRUTH if name.startswith("true error") else value) for name, value in pairs]
+    return [{"name": name, "value": value} for name, value in pairs]
+
+
+CROSSING_COLUMNS = (
+    Column("no."), Column("planned", "s"), Column("true", "s"), Column("late by", "ms"), Column("outcome"),
+    Column("estimator says"), Column("at", "s"), Column("confidence", "1"), Column("verdict is"), Column("speed", "m/s"),
+    Column("|t_s·w_d| seen", "N"), Column("smallest σ", "1"), Column("peak torque", "N m"), Column("torque step", "N m"),
+    Column("error before", "mm"), Column("error after", "mm"),
+)  # fmt: skip
+
+
+def _crossings(run: Run, metrics: Metrics) -> dict[str, Any]:
+    has_truth = run.truth is not None
+    rows = [_crossing_row(index, crossing, has_truth) for index, crossing in enumerate(metrics.crossings, start=1)]
+    notes = [
+        "Speed at the crossing; residual at the planned instant; smallest singular value of A_r over the distal length as the"
+        " controller saw it; peak torque within |s| < 0.1; torque step from one tick to the next within |s| < 0.15; largest"
+        " error from where the plan leaves |s| ≥ 0.3 to the crossing, and from there to |s| ≥ 0.3 again."
+    ]
+    if not has_truth:
+        notes.insert(0, "This bag holds no true motion: instant, outcome and the check of the verdict need it; errors and speed"
+                     " are the estimator's.")  # fmt: skip
+    return {"columns": CROSSING_COLUMNS, "rows": rows, "notes": notes, "empty": _no_crossings(metrics)}
+
+
+def _no_crossings(metrics: Metrics) -> str:
+    return next((f"None: {reason}." for reason in metrics.reasons if "no trajectory" in reason or "plan" in reason),
+                "The trajectory crosses no singularity.")  # fmt: skip
+
+
+def _crossing_row(index: int, crossing: CrossingMetrics, has_truth: bool) -> list[Cell]:
+    missing = "-" if has_truth else NO_TRUTH
+    late = None if crossing.true_time is None else 1e3 * (crossing.true_time - crossing.planned_time)
+    unknown = "-" if has_truth or not crossing.verdict else NO_TRUTH
+    right = {True: "right", False: "WRONG", None: unknown}[crossing.verdict_correct]
+    before, after = (
+        (crossing.error_before, crossing.error_after)
+        if has_truth
+        else (crossing.estimated_error_before, crossing.estimated_error_after)
+    )
+    return [
+        Cell(str(index)),
+        Cell(f"{crossing.planned_time:.4f}"),
+        Cell(number(crossing.true_time, ".4f", missing)),
+        Cell(number(late, "+.2f", missing)),
+        Cell(crossing.outcome or missing, crossing.outcome in ("bounced", "not reached")),
+        Cell(crossing.verdict or "not recorded"),
+        Cell(number(crossing.verdict_time, ".4f")),
+        Cell(number(crossing.verdict_confidence, ".4f")),
+        Cell(right, right == "WRONG"),
+        Cell(number(crossing.speed, ".3f")),
+        Cell(number(crossing.residual, ".4f")),
+        Cell(number(crossing.sigma_min, ".4f")),
+        Cell(number(crossing.peak_torque, ".4f")),
+        Cell(number(crossing.torque_step, ".4f")),
+        Cell(number(1e3 * before, ".3f")),
+        Cell(number(1e3 * after, ".3f")),
+    ]
+
+
+TIMING_COLUMNS = (
+    Column("", text=True), Column("count"), Column("median", "µs"), Column("95 %", "µs"), Column("99 %", "µs"),
+    Column("largest", "µs"), Column("deviation", "µs"), Column("rate", "Hz"),
+)  # fmt: skip
+
+
+def _timing(metrics: Metrics) -> dict[str, Any]:
+    timing = metrics.timing
+
+    def row(name: str, spread: Spread, rate: bool) -> list[Cell]:
+        numbers = (spread.median, spread.p95, spread.p99, spread.maximum, spread.deviation)
+        per_second = number(1.0 / spread.median, ".0f") if rate and spread.median > 0.0 else ""
+        return [Cell(name), Cell(str(spread.count)), *(Cell(number(1e6 * value, ".0f")) for value in numbers), Cell(per_second)]
+
+    how = {
+        True: "Lockstep: the plant waited for each command, so these rates say how fast the simulation ran, and nothing about"
+        " real time.",
+        False: "Real time.",
+        None: "The bag does not say whether this was real time.",
+    }[timing.lockstep]
+    sampled = number(1e3 * timing.stamp_period, ".3f")
+    share = f"{metrics.missed} of {metrics.states} states have no command with their stamp"
+    runs = f"; the longest gap is {timing.longest_miss} states, in {len(timing.missed_runs)} gaps" if metrics.missed else ""
+    counted = (
+        f" The plant counted {metrics.late_ticks} of {metrics.plant_steps} steps without their command in time and"
+        f" {metrics.late_commands} commands that came later, over its whole run."
+        if metrics.late_ticks is not None
+        else " No count of late commands by the plant is in the bag."
+    )
+    return {
+        "sentence": f"{how} By the system clock at publishing, not by the stamps, which are {sampled} ms apart.",
+        "columns": TIMING_COLUMNS,
+        "rows": [
+            row("period of the states", timing.state_period, True),
+            row("period of the commands", timing.command_period, True),
+            row("round trip, state published → its command published", timing.round_trip, False),
+        ],
+        "misses": f"{share}{runs}.{counted}",
+    }
+
+
+def _timing_figures(run: Run) -> list[Any]:
+    track = tracked(run)
+    asked = run.states.stamps if track is None else within(run.states.stamps, track)
+    drawn = []
+    for values, label in (
+        (periods(run.states, asked), "period of the states (µs)"),
+        (round_trips(run, asked)[1], "round trip, state to command (µs)"),
+    ):
+        if (values > 0.0).any():
+            drawn.append(histogram(values, label))
+    return drawn
+
+
+def _recording(run: Run) -> dict[str, Any]:
+    rows = []
+    for name, topic in sorted(run.topics.items()):
+        count = run.losses.get(name)
+        lost = "not counted" if count is None else "unknown" if count.get("lost") is None else str(count["lost"])
+        dropped = "not counted" if count is None else str(count.get("dropped") or 0)
+        span = (topic.last - topic.first) * 1e-9
+        rate = number((topic.count - 1) / span, ".0f") if topic.count > 1 and span > 0.0 else "-"
+        rows.append([
+            Cell(name), Cell(topic.type), Cell(str(topic.count)), Cell(lost, lost not in ("0", "not counted", "unknown")),
+            Cell(dropped, dropped not in ("0", "not counted")), Cell(rate),
+        ])  # fmt: skip
+    began, ended = run.record.get("started", ""), run.record.get("ended", "")
+    sentence = f"Recorded from {_short(began)} to {_short(ended)} (UTC). " if began and ended else ""
+    if run.truncated:
+        sentence += "The file breaks off; everything up to its last complete chunk is here. "
+    if not run.losses:
+        sentence += "The bag was not written by this package's recorder: nobody counted its losses."
+    else:
+        sentence += "Lost: by the middleware's sequence numbers. Dropped: before the disk."
+    columns = (
+        Column("topic"), Column("type", text=True), Column("messages"), Column("lost"), Column("dropped"),
+        Column("mean rate", "Hz"),
+    )  # fmt: skip
+    return {"columns": columns, "rows": rows, "sentence": sentence}
+
+
+def _short(time: str) -> str:
+    try:
+        return datetime.fromisoformat(time).astimezone(timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
+    except ValueError:
+        return time
+
+
+def _subheading(run: Run) -> str:
+    parts = [run.record["name"]] if run.record.get("name") else []
+    parts += [run.path.name, _short(run.record.get("started", ""))]
+    simulated = run.truth is not None
+    parts.append("simulation: the true motion is in the bag" if simulated else "no true motion in the bag, as from a rig")
+    parts += [run.record[key] for key in ("notes", "tags") if run.record.get(key)]
+    return " · ".join(part for part in parts if part)
+
+
+def _versions(run: Run) -> list[tuple[str, str]]:
+    recorded = {"dextar": run.version} | _parsed(run.record.get("versions", ""), dict)
+    known = [(f"recorded with {name}", str(text)) for name, text in recorded.items() if text] or [("recorded with", "unknown")]
+    known += [(key, text) for key, text in sorted(run.record.items()) if key not in PRINTED and 0 < len(text) < 200]
+    known += [("analysed with numpy", np.__version__), ("drawn with bokeh", bokeh.__version__)]
+    return [*known, ("analysed with python", platform.python_version())]
+
+
+def _parsed(text: str, kind: type) -> Any:
+    """A recorded JSON value of a kind; an empty one where there is none."""
+    try:
+        value = json.loads(text)
+    except ValueError:
+        value = None
+    return value if isinstance(value, kind) else kind()
+
+
+def _changes(run: Run) -> list[str]:
+    """Parameters changed while the run was recorded, in words."""
+    track = tracked(run)
+    zero = int(run.states.published[0])
+    if track is not None:
+        row = int(np.searchsorted(run.states.stamps, track.stamps[0]))
+        zero = int(run.states.published[min(row, len(run.states.published) - 1)])
+    lines = []
+    for change in _parsed(run.record.get("parameter_changes", ""), list):
+        try:
+            moment = (int(change["time"]) - zero) * 1e-9
+            lines.append(f"{change['node']}.{change['name']} was set to {json.dumps(change['value'])} at {moment:+.3f} s")
+        except (KeyError, TypeError, ValueError):
+            continue
+    return lines
+
+
+def _certificate(run: Run, plan: Certificate | None) -> list[str]:
+    """What the recorded certificate says, and how far the plan computed anew is from it."""
+    recorded = _parsed(run.record.get("certificate", ""), dict)
+    if not recorded:
+        return []
+    crossings = recorded.get("crossings") or []
+    lines = [
+        f"{name.replace('_', ' ')} {number(recorded[name], '.6g')} {unit}"
+        for name, unit in (("duration", "s"), ("peak_torque", "N m"), ("peak_torque_near", "N m"), ("peak_joint_speed", "rad/s"),
+                           ("peak_platform_speed", "m/s"), ("least_type1", "(distance to Type 1)"))
+        if isinstance(recorded.get(name), (int, float))
+    ]  # fmt: skip
+    lines.append(f"{len(crossings)} crossings listed")
+    if plan is not None and isinstance(recorded.get("peak_torque"), (int, float)):
+        torque = abs(plan.peak_torque - recorded["peak_torque"])
+        instants = [abs(one["time"] - time) for one, time in zip(crossings, plan.crossing_times, strict=False)]
+        lines.append(
+            f"the plan computed anew differs by {torque:.1e} N m in peak torque"
+            + (f" and by at most {max(instants):.1e} s in the instants of these crossings" if instants else "")
+        )
+    return lines
+
+
+def _nodes(run: Run) -> list[dict[str, Any]]:
+    """The robot once, then each node's own parameters; its robot too where it is another."""
+    robots = {
+        node: {key: value for key, value in values.items() if key.startswith("robot.")}
+        for node, values in run.parameters.items()
+    }
+    robot = next((values for values in (robots.get("controller"), *robots.values()) if values), {})
+    described = _texts((key.removeprefix("robot."), value) for key, value in robot.items())
+    nodes = [{"name": "robot", "entries": described}] if robot else []
+    for node in sorted(run.parameters):
+        same = robots[node] == robot
+        own = run.parameters[node].items()
+        values = ((key, value) for key, value in own if not (same and key.startswith("robot.")))
+        nodes.append({"name": node, "entries": _texts(values)})
+    return nodes
+
+
+def _texts(pairs: Any) -> list[tuple[str, str]]:
+    return [(key, value if isinstance(value, str) else json.dumps(value)) for key, value in sorted(pairs)]
+
+
+def _shortened(lines: Sequence[str], most: int) -> list[str]:
+    return [*lines[:most], f"... and {len(lines) - most} more"] if len(lines) > most else list(lines)

@@ -1,0 +1,113 @@
+"""What a run's figures show in the plane: locus, path, crossings with t_s, linkage."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dextar_control.analysis.metrics import Metrics
+from dextar_control.analysis.run import Floats, Run
+from dextar_control.analysis.tracking import tracked
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.core.kinematics import elbows, inverse_geometric_model, singular_values, state_of_platform
+from dextar_control.core.locus import Family, trace_locus
+from dextar_control.core.model import make_model
+
+T_S_LENGTH = 6.0e-3  # m, half of what is drawn of t_s
+MARGIN = 0.02  # m around everything
+SAME_PLACE = 1e-3  # m, crossings nearer than this share their marks
+
+
+class Place(NamedTuple):
+    """Crossings at one point of the plane."""
+
+    numbers: list[int]  # from 1
+    x: Floats  # (2,) m
+    t_s: Floats  # (2, 2) ends of a segment along t_s, m; nan without a robot
+    verdict: str  # the estimator's, of the first; "" where none is recorded
+
+
+class Plane(NamedTuple):
+    """The plane, in m.
+
+    Attributes:
+        locus: (family, (n, 2)) of each arc in the run's working mode.
+        planned, true, estimated: (n, 2); true is empty without truth.
+        places: of the crossings.
+        linkage: (5, 2) motor, elbow, end effector, elbow, motor at the first crossing, or at the path's start; empty without
+            a robot.
+        low, high: (2,) corners of what is worth seeing.
+    """
+
+    locus: list[tuple[str, Floats]]
+    planned: Floats
+    true: Floats
+    estimated: Floats
+    places: list[Place]
+    linkage: Floats
+    low: Floats
+    high: Floats
+
+
+def plane_of(run: Run, metrics: Metrics) -> Plane:
+    """Everything that is drawn in the plane."""
+    none, track = np.zeros((0, 2)), tracked(run)
+    planned = run.trajectory.x if run.trajectory is not None else none
+    true = estimated = none
+    if track is not None:
+        estimated = run.control.estimate[np.isin(run.control.stamps, track.stamps)]
+        if run.truth is not None:
+            true = run.truth.x[(run.truth.stamps >= track.stamps[0]) & (run.truth.stamps <= track.stamps[-1])]
+    places = _places(run.robot, metrics)
+    linkage = none
+    if run.robot is not None and (places or len(planned)):
+        linkage = linkage_at(run.robot, places[0].x if places else planned[0])
+    seen = [planned if len(planned) else estimated, linkage]
+    everything = np.concatenate([part for part in seen if len(part)] or [np.zeros((1, 2))])
+    everything = everything[np.isfinite(everything).all(axis=1)]
+    low, high = everything.min(axis=0) - MARGIN, everything.max(axis=0) + MARGIN
+    return Plane(locus_of(run.robot), planned, true, estimated, places, linkage, low, high)
+
+
+def locus_of(robot: RobotParameters | None) -> list[tuple[str, Floats]]:
+    """(family, points) of the Type 2 locus in the robot's working mode."""
+    if robot is None:
+        return []
+    arcs = trace_locus(robot, (robot.working_mode,), robot.min_type1_distance)
+    return [("stretched" if arc.family is Family.STRETCHED else "folded", arc.x) for arc in arcs]
+
+
+def linkage_at(robot: RobotParameters, x: Floats) -> Floats:
+    """(5, 2) motor, elbow, end effector, elbow, motor, m, in the robot's working mode; nan where it cannot be."""
+    model = make_model(robot)
+    return chain(robot, x, inverse_geometric_model(model, x))
+
+
+def chain(robot: RobotParameters, x: Floats, q_a: Floats) -> Floats:
+    """(5, 2) motor, elbow, end effector, elbow, motor, m, of an end effector and active joints."""
+    model = make_model(robot)
+    left, right = elbows(model, q_a)
+    return np.array([model.base[0], left, x, right, model.base[1]])
+
+
+def t_s_at(robot: RobotParameters, x: Floats) -> Floats:
+    """(2,) weak direction of A_r at an end effector position: t_s where it is on the locus."""
+    return singular_values(state_of_platform(make_model(robot), x, np.zeros(2)).A_r).v2
+
+
+def _places(robot: RobotParameters | None, metrics: Metrics) -> list[Place]:
+    places: list[Place] = []
+    for number, crossing in enumerate(metrics.crossings, start=1):
+        x = np.array(crossing.point)
+        for place in places:
+            if np.hypot(*(place.x - x)) < SAME_PLACE:
+                place.numbers.append(number)
+                break
+        else:
+            ends = np.full((2, 2), np.nan)
+            if robot is not None:
+                along = T_S_LENGTH * t_s_at(robot, x)
+                ends = np.stack([x - along, x + along])
+            places.append(Place([number], x, ends, crossing.verdict or ""))
+    return places

@@ -1,0 +1,255 @@
+"""A run as tables for pandas and MATLAB: one row for each state, or each topic in its own rows."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+from scipy.io import savemat
+
+from dextar_control.analysis.geometry import singularity_measure
+from dextar_control.analysis.run import Joints, Run, Stamps
+from dextar_control.analysis.timing import phase_name
+from dextar_control.analysis.tracking import tracked
+from dextar_control.contract.errors import BagError, ParameterError
+from dextar_control.contract.robot import JOINT_NAMES, flatten
+
+FORMATS = ("parquet", "csv", "mat")
+MAT_LIMIT = 2**31 - 1  # bytes of one variable in MATLAB's format 5
+NS, SECOND, METRE, SPEED, ACCELERATION, ANGLE, RATE, TORQUE, FORCE, ONE = (
+    "ns", "s", "m", "m/s", "m/s^2", "rad", "rad/s", "N m", "N", "1"
+)  # fmt: skip
+
+
+class Field(NamedTuple):
+    """One column.
+
+    Attributes:
+        name: of the column.
+        unit: "" for words.
+        meaning: in a few words.
+        values: (n,).
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    values: Any
+
+
+def state_table(run: Run) -> pa.Table:
+    """One row for each recorded state, the others joined to it by their stamps; null where there is none.
+
+    Units and meanings stand in the metadata of each column, the robot, the parameters and time zero in that of the table.
+    """
+    stamps = run.states.stamps
+    track = tracked(run)
+    zero = track.start if track else int(stamps[0])
+    fields = [
+        Field("stamp", NS, "of the state", stamps),
+        Field("time", SECOND, "since the trajectory's start" if track else "since the first state",
+              np.asarray(stamps - zero, dtype=np.float64) * 1e-9),
+        Field("published", NS, "system clock when the state was published", run.states.published),
+        *_joints(run.states, "", ("position", "velocity", "effort"), stamps),
+        *_joints(run.commands, "command_", ("effort",), stamps),
+        Field("command_published", NS, "system clock when the command was published",
+              _joined(run.commands.stamps, run.commands.published, stamps)),
+        *_control(run, stamps), *_criterion(run, stamps), *_truth(run, stamps),
+    ]  # fmt: skip
+    return _table(fields, run, {"time_zero": str(zero)})
+
+
+def topic_tables(run: Run) -> dict[str, pa.Table]:
+    """Each topic in its own rows, by rising stamp: states, commands, controller_state, criterion, truth, trajectory."""
+    found: dict[str, list[Field]] = {}
+    kinds = ("position", "velocity", "effort")
+    for name, joints in (("states", run.states), ("commands", run.commands)):
+        found[name] = [
+            Field("stamp", NS, "of the state", joints.stamps), *_joints(joints, "", kinds, joints.stamps),
+            Field("published", NS, "system clock of the publisher", joints.published),
+            Field("logged", NS, "system clock of the recorder", joints.logged),
+        ]  # fmt: skip
+    found["controller_state"] = [Field("stamp", NS, "of the state", run.control.stamps), *_control(run, run.control.stamps)]
+    found["criterion"] = [Field("stamp", NS, "of the state", run.criterion.stamps), *_criterion(run, run.criterion.stamps)]
+    if run.truth is not None:
+        found["truth"] = [Field("stamp", NS, "of the state", run.truth.stamps), *_truth(run, run.truth.stamps)]
+    if run.trajectory is not None:
+        served = run.trajectory
+        found["trajectory"] = [Field("time", SECOND, "since the trajectory's start", served.time)]
+        for kind, unit in (("x", METRE), ("x_dot", SPEED), ("x_ddot", ACCELERATION)):
+            found["trajectory"] += _pair(f"planned_{kind}", unit, "served", getattr(served, kind))
+    return {name: _table(fields, run, {}) for name, fields in found.items() if len(fields[0].values)}
+
+
+def export(
+    run: Run, folder: Path, formats: list[str], topics: bool = False, progress: Callable[[str], None] = lambda stage: None
+) -> list[Path]:
+    """Write ``run.<format>``, and with ``topics`` each topic's ``<topic>.<format>``; the files.
+
+    Raises:
+        BagError: a file cannot be written.
+        ParameterError: the table does not fit into the format.
+    """
+    tables = {"run": state_table(run)} | (topic_tables(run) if topics else {})
+    files = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, table in tables.items():
+            for kind in formats:
+                file = folder / f"{name}.{kind}"
+                progress(f"writing {file.name}")
+                _WRITERS[kind](table, file)
+                files.append(file)
+        if "csv" in formats:
+            files.append(folder / "columns.json")
+            files[-1].write_text(json.dumps({name: _describe(table) for name, table in tables.items()}, indent=1) + "\n")
+    except OSError as error:
+        raise BagError(f"cannot write to {folder}: {error.strerror or error}") from error
+    return files
+
+
+def _joined(own: Stamps, values: Any, stamps: Stamps) -> Any:
+    """Values (n, ...) by their stamps on other stamps; masked where there is none."""
+    if len(own) == len(stamps) and (own == stamps).all():
+        return values
+    rows = np.searchsorted(own, stamps)
+    rows[rows == len(own)] = 0
+    known = (own[rows] == stamps) if len(own) else np.zeros(len(stamps), dtype=bool)
+    if len(own) == 0:
+        return np.ma.masked_all((len(stamps), *values.shape[1:]), dtype=values.dtype)
+    return np.ma.array(values[rows], mask=np.broadcast_to(~known.reshape(-1, *[1] * (values.ndim - 1)), values[rows].shape))
+
+
+def _pair(name: str, unit: str, meaning: str, values: Any) -> list[Field]:
+    return [Field(f"{name}_{axis}", unit, meaning, values[:, column]) for column, axis in enumerate("xy")]
+
+
+def _joints(joints: Joints, prefix: str, kinds: tuple[str, ...], stamps: Stamps) -> list[Field]:
+    units = {"position": ANGLE, "velocity": RATE, "effort": TORQUE}
+    fields = []
+    for kind in kinds:
+        values = _joined(joints.stamps, getattr(joints, kind), stamps)
+        fields += [Field(f"{prefix}{name}_{kind}", units[kind], f"{prefix.rstrip('_') or 'measured'} {kind}", values[:, column])
+                   for column, name in enumerate(JOINT_NAMES)]  # fmt: skip
+    return fields
+
+
+def _control(run: Run, stamps: Stamps) -> list[Field]:
+    own = run.control.stamps
+    time = _joined(own, run.control.time, stamps)
+    fields = [Field("reference_time", SECOND, "controller's, since the trajectory's start", time)]
+    for name, unit in (
+        ("reference", METRE), ("reference_dot", SPEED), ("reference_ddot", ACCELERATION), ("estimate", METRE),
+        ("estimate_dot", SPEED), ("error", METRE), ("error_dot", SPEED), ("output", ACCELERATION), ("wrench", FORCE),
+    ):  # fmt: skip
+        fields += _pair(name, unit, f"controller's {name.replace('_', ' ')}", _joined(own, getattr(run.control, name), stamps))
+    return fields
+
+
+def _criterion(run: Run, stamps: Stamps) -> list[Field]:
+    own = run.criterion.stamps
+    units = {"residual": FORCE}
+    fields = []
+    for field in dataclasses.fields(run.criterion):
+        if field.name in ("stamps", "phase"):
+            continue
+        meaning = "t_s.w_d" if field.name == "residual" else f"controller's {field.name.replace('_', ' ')}"
+        fields.append(
+            Field(field.name, units.get(field.name, ONE), meaning, _joined(own, getattr(run.criterion, field.name), stamps))
+        )
+    numbers = _joined(own, run.criterion.phase, stamps)
+    known = {int(number): phase_name(int(number)) for number in np.unique(run.criterion.phase)}
+    names = [None if number is np.ma.masked else known[int(number)] for number in numbers]
+    return [*fields, Field("phase", "", "of the controller", names)]
+
+
+def _truth(run: Run, stamps: Stamps) -> list[Field]:
+    if run.truth is None:
+        return []
+    truth = run.truth
+    fields = [
+        *_pair("true", METRE, "true end effector", _joined(truth.stamps, truth.x, stamps)),
+        *_pair("true_dot", SPEED, "true end effector velocity", _joined(truth.stamps, truth.x_dot, stamps)),
+    ]
+    q_a = _joined(truth.stamps, truth.q_a, stamps)
+    fields += [Field(f"true_{name}", ANGLE, "true joint angle", q_a[:, column]) for column, name in enumerate(JOINT_NAMES)]
+    if run.robot is not None:
+        s = singularity_measure(run.robot, truth.x, truth.q_a)
+        fields.append(Field("true_s", ONE, "singularity measure of the true state", _joined(truth.stamps, s, stamps)))
+    return fields
+
+
+def _table(fields: list[Field], run: Run, extra: dict[str, str]) -> pa.Table:
+    arrays, schema = [], []
+    for field in fields:
+        arrays.append(_array(field.values))
+        about = {"unit": field.unit, "meaning": field.meaning}
+        schema.append(pa.field(field.name, arrays[-1].type, metadata={key: text for key, text in about.items() if text}))
+    about = {
+        "bag": run.path.name, "version": run.version, "parameters": json.dumps(run.parameters),
+        "robot": json.dumps(flatten(run.robot)) if run.robot else "", **extra,
+    }  # fmt: skip
+    return pa.Table.from_arrays(arrays, schema=pa.schema(schema, metadata=about))
+
+
+def _array(values: Any) -> pa.Array:
+    """Without a value where it is masked or not a number."""
+    if isinstance(values, list):
+        return pa.array(values, type=pa.string())
+    mask = np.ma.getmaskarray(values)
+    data = np.ma.getdata(values)
+    if data.dtype.kind == "f":
+        mask = mask | np.isnan(data)
+    return pa.array(np.ascontiguousarray(data), mask=mask)
+
+
+def _describe(table: pa.Table) -> dict[str, dict[str, str]]:
+    return {
+        field.name: {key.decode(): text.decode() for key, text in (field.metadata or {}).items()} for field in table.schema
+    }
+
+
+def _titles(table: pa.Table) -> list[str]:
+    """Names with their units, for files that have no other place for them: ``true_x [m]``."""
+    units = [_describe(table)[name].get("unit", "") for name in table.column_names]
+    return [f"{name} [{unit}]" if unit else name for name, unit in zip(table.column_names, units, strict=True)]
+
+
+def _write_parquet(table: pa.Table, file: Path) -> None:
+    pyarrow.parquet.write_table(table, file, compression="zstd")
+
+
+def _write_csv(table: pa.Table, file: Path) -> None:
+    pyarrow.csv.write_csv(table.rename_columns(_titles(table)), file)
+
+
+def _write_mat(table: pa.Table, file: Path) -> None:
+    columns: dict[str, Any] = {}
+    for name in table.column_names:
+        column = table.column(name)
+        if pa.types.is_string(column.type):
+            columns[name] = np.array([text or "" for text in column.to_pylist()], dtype=object)
+        elif pa.types.is_integer(column.type):
+            columns[name] = column.fill_null(-1).to_numpy().astype(np.int64)
+        else:
+            columns[name] = column.to_numpy().astype(np.float64)
+    largest = max((column.nbytes for column in columns.values()), default=0)
+    if not math.isfinite(largest) or largest > MAT_LIMIT:
+        raise ParameterError(f"{file.name}: a column of {largest} bytes; MATLAB's format 5 takes {MAT_LIMIT}: use parquet")
+    units = {name: about.get("unit", "") for name, about in _describe(table).items()}
+    about = {key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()}
+    content = {file.stem: columns, "units": units, "about": about}
+    savemat(file, content, do_compression=True, oned_as="column", long_field_names=True)
+
+
+_WRITERS: dict[str, Callable[[pa.Table, Path], None]] = {
+    "parquet": _write_parquet, "csv": _write_csv, "mat": _write_mat,
+}  # fmt: skip

@@ -1,0 +1,155 @@
+"""How a run went by the system clock: rates, jitter, round trips, unanswered states, phases."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dextar_control.analysis.run import Floats, Joints, Phase, Run, Stamps
+from dextar_control.analysis.tracking import Tracked
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A measured quantity in one line; all nan when nothing was measured.
+
+    Attributes:
+        count: of the values.
+        median, p95, p99, maximum: percentiles by linear interpolation, in the quantity's unit.
+        deviation: standard deviation (of the population), in the quantity's unit.
+    """
+
+    count: int
+    median: float
+    p95: float
+    p99: float
+    maximum: float
+    deviation: float
+
+    @staticmethod
+    def of(values: Floats) -> Spread:
+        """The spread of the finite values."""
+        finite = values[np.isfinite(values)]
+        if len(finite) == 0:
+            return Spread(0, *(math.nan,) * 5)
+        middle, p95, p99 = np.percentile(finite, (50.0, 95.0, 99.0))
+        return Spread(len(finite), float(middle), float(p95), float(p99), float(finite.max()), float(finite.std()))
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The stream of states and its answers while tracking (or over the whole run when nothing was tracked).
+
+    By the system clocks, not by the stamps. Publishers on one machine share a clock; on two, the round trip is only as true
+    as their clocks are alike.
+
+    Attributes:
+        lockstep: the plant waited for each command, so that the rates say how fast the simulation ran; None when unknown.
+        state_period, command_period: s between successive messages, by the times at which they were published.
+        round_trip: s from the publishing of a state to the publishing of the command with its stamp.
+        stamp_period: s, median of the states' stamps: the period that the robot was sampled with.
+        missed_runs: lengths of the stretches of successive states without a command, in the order of the run.
+        longest_miss: the longest of them, in states; 0 when every state was answered.
+    """
+
+    lockstep: bool | None
+    state_period: Spread
+    command_period: Spread
+    round_trip: Spread
+    stamp_period: float
+    missed_runs: list[int]
+    longest_miss: int
+
+
+@dataclass(frozen=True)
+class PhaseSpan:
+    """A stretch of one phase.
+
+    Attributes:
+        phase: of the controller.
+        start, end: s since the trajectory's start (since the first state where nothing was tracked); a phase ends where the
+            next one starts.
+        ticks: recorded in it.
+    """
+
+    phase: str
+    start: float
+    end: float
+    ticks: int
+
+
+def round_trips(run: Run, stamps: Stamps) -> tuple[Stamps, Floats]:
+    """(stamps of the answered states, s from the publishing of each to that of its command)."""
+    states, state_rows, command_rows = np.intersect1d(
+        run.states.stamps, run.commands.stamps, assume_unique=True, return_indices=True
+    )
+    wanted = np.isin(states, stamps)
+    trips = _seconds(run.commands.published[command_rows] - run.states.published[state_rows])
+    return np.asarray(states[wanted], dtype=np.int64), trips[wanted]
+
+
+def periods(joints: Joints, stamps: Stamps) -> Floats:
+    """Between the publishing of successive messages that have one of the stamps, s."""
+    return _seconds(np.diff(np.sort(joints.published[np.isin(joints.stamps, stamps)])))
+
+
+def _seconds(nanoseconds: Any) -> Floats:
+    return np.asarray(nanoseconds, dtype=np.float64) * 1e-9
+
+
+def measure_timing(run: Run, track: Tracked | None) -> Timing:
+    """The timing of a run."""
+    asked = run.states.stamps if track is None else within(run.states.stamps, track)
+    told = run.commands.stamps if track is None else within(run.commands.stamps, track)
+    missed = ~np.isin(asked, run.commands.stamps)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missed, [False]]).astype(int)))
+    lengths = (edges[1::2] - edges[::2]).tolist()
+    return Timing(
+        lockstep=lockstep(run),
+        state_period=Spread.of(periods(run.states, asked)),
+        command_period=Spread.of(periods(run.commands, told)),
+        round_trip=Spread.of(round_trips(run, asked)[1]),
+        stamp_period=float(np.median(np.diff(asked))) * 1e-9 if len(asked) > 1 else math.nan,
+        missed_runs=lengths,
+        longest_miss=max(lengths, default=0),
+    )
+
+
+def lockstep(run: Run) -> bool | None:
+    """Whether the plant waited for its commands; None when no node's parameters tell."""
+    mode = run.parameters.get("plant", {}).get("mode")
+    waits = run.parameters.get("controller", {}).get("lockstep")
+    if mode is None and waits is None:
+        return None
+    return mode == "lockstep" or (mode is None and bool(waits))
+
+
+def within(stamps: Stamps, track: Tracked) -> Stamps:
+    """The stamps from the first to the last tracked tick."""
+    return stamps[(stamps >= track.stamps[0]) & (stamps <= track.stamps[-1])]
+
+
+def phase_spans(run: Run, track: Tracked | None) -> list[PhaseSpan]:
+    """The controller's phases one after the other."""
+    phases, stamps = run.criterion.phase, run.criterion.stamps
+    if len(phases) == 0:
+        return []
+    zero = track.start if track else int(run.states.stamps[0])
+    begins = np.concatenate([[0], np.flatnonzero(np.diff(phases)) + 1])
+    ends = np.append(begins[1:], len(phases) - 1)
+    counts = np.diff(np.append(begins, len(phases)))
+    return [
+        PhaseSpan(phase_name(int(phases[begin])), float(stamps[begin] - zero) * 1e-9, float(stamps[end] - zero) * 1e-9, int(n))
+        for begin, end, n in zip(begins, ends, counts, strict=True)
+    ]
+
+
+def phase_name(number: int) -> str:
+    """Its name; its number where this version knows none."""
+    try:
+        return Phase(number).name
+    except ValueError:
+        return f"phase {number}"

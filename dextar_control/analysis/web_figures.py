@@ -1,0 +1,240 @@
+"""Figures for a page that zoom: what ``curves`` and ``plane`` say, drawn by Bokeh.
+
+Read in grey as in colour: line styles and widths differ, and the shades differ in lightness.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from bokeh.core.properties import value
+from bokeh.models import (
+    BoxZoomTool,
+    ColumnDataSource,
+    CrosshairTool,
+    DataRange1d,
+    FactorRange,
+    HoverTool,
+    PanTool,
+    Range1d,
+    ResetTool,
+    SaveTool,
+    WheelZoomTool,
+)
+from bokeh.models.annotations import Span
+from bokeh.plotting import figure
+
+from dextar_control.analysis.curves import Curve, Panel
+from dextar_control.analysis.metrics import Metrics
+from dextar_control.analysis.plane import Plane
+from dextar_control.analysis.run import Floats
+from dextar_control.analysis.thin import thin, thin_path
+from dextar_control.analysis.timing import PhaseSpan
+
+BLACK, GREY, LIGHT, ACCENT, BLUE = "#111111", "#767676", "#c4c4c4", "#b3260f", "#2f6fb5"
+FONT = "system-ui, -apple-system, 'Segoe UI', Helvetica, Arial, sans-serif"
+HEIGHT = 200  # px, of a panel over time
+LAST = 40  # px more for the one with the axis
+PLANE_WIDTH, PLANE_REST = 450, 170  # px, of the frame in the plane, and beside its height for axis and legend
+VERDICT_MARKS = {"crossed": "circle", "bounced": "x"}
+BINS = 80  # of a histogram
+
+
+class Style(NamedTuple):
+    """How a line is drawn."""
+
+    color: str
+    dash: str
+    width: float
+
+
+STYLES = {
+    ("commanded", 0): Style(BLACK, "solid", 1.8),
+    ("commanded", 1): Style(BLACK, "dashed", 1.8),
+    ("planned", 0): Style(ACCENT, "dotted", 1.4),
+    ("planned", 1): Style(ACCENT, "dotdash", 1.2),
+    ("true", 0): Style(BLACK, "solid", 1.8),
+    ("estimated", 0): Style(BLUE, "dashed", 1.4),
+    ("seen", 0): Style(BLACK, "solid", 1.6),
+    ("confidence", 0): Style(LIGHT, "solid", 2.5),
+}
+RUN_STYLES = (
+    Style(BLACK, "solid", 1.8), Style(ACCENT, "dashed", 1.6), Style(BLUE, "dotdash", 1.6), Style(GREY, "dotted", 2.0),
+    Style("#1b7f5c", "solid", 1.0), Style("#7a4fa3", "dashed", 1.0),
+)  # fmt: skip
+
+
+def over_time(panels: Sequence[Panel], instants: Sequence[float], duration: float, names: Sequence[str] = ()) -> list[Any]:
+    """One figure for each panel, with a common time axis and cross-hair.
+
+    Args:
+        panels: of a run; or of several, each curve's ``kind`` then being the number of its run (see ``names``).
+        instants: planned crossings, s.
+        duration: of the time axis, s.
+        names: of the runs, where there are several.
+    """
+    common: Any = Range1d(start=0.0, end=max(duration, 1e-3))
+    hair = Span(dimension="height", line_color=GREY, line_width=1)
+    drawn = []
+    for index, panel in enumerate(panels):
+        last = index == len(panels) - 1
+        axes = _axes(panel.label, HEIGHT + LAST * last, common)
+        if math.isfinite(panel.high):
+            axes.y_range = Range1d(start=panel.low, end=panel.high)
+        for instant in instants:
+            axes.add_layout(Span(location=instant, dimension="height", line_color=GREY, line_dash="dotted", line_width=1))
+        for curve in panel.curves:
+            style = RUN_STYLES[int(curve.kind) % len(RUN_STYLES)] if names else STYLES[curve.kind, curve.part]
+            _line(axes, curve, style, instants)
+        axes.xaxis.visible = last
+        if last:
+            axes.xaxis.axis_label = "time since the trajectory's start (s)"
+        axes.add_tools(CrosshairTool(overlay=hair), HoverTool(tooltips=[("", "$name"), ("s", "@x{0.0000}"), ("", "@y")],
+                                                               mode="vline", line_policy="nearest"))  # fmt: skip
+        _legend(axes)
+        drawn.append(axes)
+    return drawn
+
+
+def in_plane(planes: Sequence[Plane], names: Sequence[str] = ()) -> Any:
+    """The path to scale, with locus, linkage, crossings and t_s; the true paths of several runs where they have names."""
+    plane = planes[0]
+    width, height = np.maximum(plane.high - plane.low, 1e-3)
+    pixels = min(PLANE_WIDTH * height / width + PLANE_REST, 4 * HEIGHT + LAST)
+    axes = _axes("y (m)", round(pixels), DataRange1d(range_padding=0.0), plane=True)
+    axes.y_range = DataRange1d(range_padding=0.0)
+    axes.match_aspect = True
+    axes.xaxis.axis_label = "x (m)"
+    corners = axes.scatter(*np.stack([plane.low, plane.high]).T, alpha=0.0)
+    axes.x_range.renderers = axes.y_range.renderers = [corners]
+    for family, arc in plane.locus:
+        dash = "dashed" if family == "stretched" else "dotted"
+        _trace(axes, arc, Style(GREY, dash, 1.6), f"Type 2 locus, {family}")
+    _trace(axes, plane.linkage, Style(LIGHT, "solid", 4.0), "linkage at a crossing" if plane.places else "linkage")
+    if len(plane.linkage):
+        axes.scatter(*plane.linkage[[0, 4]].T, marker="triangle", size=13, color=BLACK)
+        axes.scatter(*plane.linkage[1:4].T, marker="circle", size=6, color=GREY)
+    _trace(axes, plane.planned, Style(ACCENT, "solid", 5.0), "planned", alpha=0.3)
+    if names:
+        for index, (name, other) in enumerate(zip(names, planes, strict=True)):
+            path = other.true if len(other.true) else other.estimated
+            _trace(axes, path, RUN_STYLES[index % len(RUN_STYLES)], f"{name}{'' if len(other.true) else ', estimated'}")
+    elif len(plane.true):
+        _trace(axes, plane.true, Style(BLACK, "solid", 1.6), "true")
+    else:
+        _trace(axes, plane.estimated, Style(BLUE, "dashed", 1.6), "estimated (no truth in this bag)")
+    for place in plane.places:
+        axes.line(*place.t_s.T, color=BLACK, line_width=3.0, legend_label="t_s at a crossing")
+        axes.scatter([place.x[0]], [place.x[1]], marker=VERDICT_MARKS.get(place.verdict, "square"), size=10,
+                     fill_color="white", line_color=BLACK, line_width=1.5, legend_label="planned crossing")  # fmt: skip
+        text = ", ".join(map(str, place.numbers[:6])) + (" ..." if len(place.numbers) > 6 else "")
+        axes.text([place.x[0]], [place.x[1]], text=[text], x_offset=10, y_offset=-6, text_font_size="12px", text_font=value(FONT))
+    if len(plane.planned):
+        axes.scatter(*plane.planned[:1].T, marker="circle", size=7, color=BLACK)
+        axes.text(*plane.planned[:1].T, text=["start"], x_offset=8, y_offset=-4, text_font_size="12px", text_font=value(FONT))
+    _legend(axes, "below", 2)
+    return axes
+
+
+def histogram(values: Floats, label: str, unit: float = 1e6) -> Any:
+    """Counts of durations (n,), s, on a logarithmic axis in microseconds."""
+    good = values[np.isfinite(values) & (values > 0.0)] * unit
+    low, high = math.floor(math.log10(max(good.min(), 1e-3)) * 4) / 4, math.ceil(math.log10(good.max()) * 4) / 4
+    counts, edges = np.histogram(np.log10(good), bins=BINS, range=(low, max(high, low + 0.25)))
+    axes = figure(height=HEIGHT, sizing_mode="stretch_width", x_axis_type="log", y_axis_type="log", toolbar_location=None,
+                  tools="", y_range=Range1d(start=0.7, end=max(2.0 * counts.max(), 2.0)))  # fmt: skip
+    _dress(axes, "count")
+    axes.xaxis.axis_label = label
+    axes.quad(top=np.maximum(counts, 0.7), bottom=0.7, left=10.0 ** edges[:-1], right=10.0 ** edges[1:], fill_color=LIGHT,
+              line_color=GREY, line_width=0.5)  # fmt: skip
+    for percent, dash in ((50.0, "solid"), (99.0, "dashed")):
+        place = float(np.percentile(good, percent))
+        axes.add_layout(Span(location=place, dimension="height", line_color=BLACK, line_dash=dash, line_width=1.5))
+    return axes
+
+
+def phase_band(spans: Sequence[PhaseSpan], metrics: Metrics) -> Any:
+    """The phases one under the other over time."""
+    names = list(dict.fromkeys(span.phase for span in spans))
+    axes = figure(height=60 + 26 * len(names), sizing_mode="stretch_width", y_range=FactorRange(factors=names[::-1]),
+                  toolbar_location="right",
+                  tools=[PanTool(dimensions="width"), BoxZoomTool(dimensions="width"), ResetTool()],
+                  x_axis_label="time since the trajectory's start (s)")  # fmt: skip
+    _dress(axes, "")
+    axes.toolbar.logo = None
+    shades = {"TRACK": GREY, "CROSSING": BLACK, "SAFE_STOP": ACCENT, "FAULT": ACCENT}
+    source = ColumnDataSource(
+        {
+            "phase": [span.phase for span in spans], "left": [span.start for span in spans],
+            "right": [max(span.end, span.start + 1e-3) for span in spans],
+            "color": [shades.get(span.phase, LIGHT) for span in spans], "ticks": [span.ticks for span in spans],
+        }
+    )  # fmt: skip
+    axes.hbar(y="phase", left="left", right="right", height=0.6, fill_color="color", line_color=None, source=source)
+    shown = [("", "@phase"), ("from", "@left{0.000} s"), ("to", "@right{0.000} s"), ("ticks", "@ticks")]
+    axes.add_tools(HoverTool(tooltips=shown))
+    return axes
+
+
+def _axes(label: str, height: int, x_range: Any, plane: bool = False) -> Any:
+    dimensions: Any = "both" if plane else "width"
+    axes = figure(
+        height=height, sizing_mode="stretch_width", x_range=x_range, toolbar_location="right", output_backend="canvas",
+        tools=[BoxZoomTool(dimensions="both", match_aspect=plane), PanTool(dimensions="both"),
+               WheelZoomTool(dimensions=dimensions), ResetTool(), SaveTool()],
+    )  # fmt: skip
+    axes.toolbar.logo = None
+    axes.toolbar.autohide = True
+    _dress(axes, label)
+    return axes
+
+
+def _dress(axes: Any, label: str) -> None:
+    axes.yaxis.axis_label = label
+    axes.min_border_left = 76
+    axes.grid.grid_line_color = "#ececec"
+    axes.outline_line_color = "#bbbbbb"
+    axes.axis.axis_label_text_font_style = "normal"
+    for name in ("axis_label_text_font", "major_label_text_font"):
+        setattr(axes.axis, name, FONT)
+    axes.axis.axis_label_text_font_size = "12px"
+    axes.axis.major_label_text_font_size = "11px"
+    axes.axis.minor_tick_line_color = None
+
+
+def _legend(axes: Any, side: str = "above", columns: int = 0) -> None:
+    """The legend outside the frame, where it hides no curve."""
+    if not axes.legend:
+        return
+    legend = axes.legend[0]
+    axes.center.remove(legend)
+    axes.add_layout(legend, side)
+    axes.legend.location = "left" if side == "below" else "right"
+    axes.legend.orientation = "horizontal"
+    if columns:
+        axes.legend.ncols = columns
+    axes.legend.click_policy = "hide"
+    axes.legend.label_text_font = FONT
+    axes.legend.label_text_font_size = "11px"
+    axes.legend.padding, axes.legend.margin, axes.legend.spacing = 1, 2, 10
+    axes.legend.glyph_width = 34
+    axes.legend.background_fill_alpha = 0.85
+    axes.legend.border_line_color = None
+
+
+def _line(axes: Any, curve: Curve, style: Style, instants: Sequence[float]) -> None:
+    rows = thin(curve.time, curve.values, instants)
+    source = ColumnDataSource({"x": curve.time[rows].astype(np.float32), "y": curve.values[rows].astype(np.float32)})
+    axes.line("x", "y", source=source, name=curve.name, legend_label=curve.name, color=style.color, line_dash=style.dash,
+              line_width=style.width)  # fmt: skip
+
+
+def _trace(axes: Any, x: Floats, style: Style, name: str, alpha: float = 1.0) -> None:
+    if len(x) == 0:
+        return
+    shown = x[thin_path(x)].astype(np.float32)
+    axes.line(shown[:, 0], shown[:, 1], legend_label=name, color=style.color, line_dash=style.dash, line_width=style.width,
+              line_alpha=alpha)  # fmt: skip

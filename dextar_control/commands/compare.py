@@ -1,0 +1,39 @@
+"""``dextar compare``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from dextar_control.commands.bags import add_namespace, spoken_warnings
+
+SUMMARY = "recorded runs side by side, with their differences"
+DESCRIPTION = (
+    "Puts two or more runs side by side, law against law or rig against simulation: comparison.html (curves over each other),"
+    " comparison.md and comparison.json. Differences are to the first bag. Exit code 0, or 2 for a bad file."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument("bag", type=Path, nargs="+", help="an .mcap file, or the run's folder; two or more")
+    add_namespace(parser)
+    parser.add_argument("--output", type=Path, default=Path("comparison"), metavar="DIR", help="folder (default: %(default)s)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """The exit code."""
+    from rich.console import Console
+
+    from dextar_control.analysis.compare import compare_bags, summary_table, write_comparison
+
+    console = Console()
+    with console.status("") as status, spoken_warnings("compare"):
+        comparison = compare_bags(arguments.bag, status.update, arguments.namespace)
+        status.update(f"writing to {arguments.output}")
+        write_comparison(comparison, arguments.output)
+    console.print(summary_table(comparison))
+    for remark in comparison.remarks:
+        console.print(remark, highlight=False)
+    console.print(f"{arguments.output}: comparison.html comparison.md comparison.json", highlight=False)
+    return 0

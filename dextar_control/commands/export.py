@@ -1,0 +1,49 @@
+"""``dextar export``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from dextar_control.commands.bags import add_namespace, spoken_warnings
+from dextar_control.contract.errors import ParameterError
+
+SUMMARY = "a recorded run as a table for pandas or MATLAB"
+DESCRIPTION = (
+    "Writes run.parquet, run.csv or run.mat: one row for each state, everything else joined to it by its stamp, with units (in"
+    " Parquet's column metadata, in CSV's column names, in MATLAB's struct units). Exit code 0, or 2 for a bad file."
+)
+FORMATS = ("parquet", "csv", "mat")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument("bag", type=Path, help="an .mcap file, or the run's folder")
+    add_namespace(parser)
+    parser.add_argument("--output", type=Path, metavar="DIR", help="folder (default: export beside the bag)")
+    parser.add_argument(
+        "--format", action="append", metavar="NAME", dest="formats", choices=FORMATS,
+        help="parquet, csv or mat (repeatable; default: parquet and csv)",
+    )  # fmt: skip
+    parser.add_argument("--topics", action="store_true", help="also each topic in a table of its own")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """The exit code."""
+    from rich.console import Console
+
+    from dextar_control.analysis.load import load_run
+
+    try:
+        from dextar_control.analysis.table import export
+    except ImportError as error:
+        if str(error.name).startswith("dextar"):
+            raise
+        raise ParameterError(f"an export needs the packages named in setup.py, installed by pip: {error}") from error
+    console = Console()
+    with console.status(f"reading {arguments.bag}") as status, spoken_warnings("export"):
+        recorded = load_run(arguments.bag, arguments.namespace)
+        folder = arguments.output or recorded.path.parent / "export"
+        files = export(recorded, folder, arguments.formats or ["parquet", "csv"], arguments.topics, status.update)
+    console.print(f"{folder}: {' '.join(file.name for file in files)}", highlight=False)
+    return 0

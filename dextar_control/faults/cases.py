@@ -1,0 +1,166 @@
+"""The cases of ``config/faults.yaml``: which fault, where, how often, what may come of it and who must say so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.faults.frames import LinkQuality
+from dextar_control.faults.judgement import Outcome
+from dextar_control.faults.link import Shape, Transport
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Node = Literal["plant", "controller", "trajectory_server", "recorder"]
+Way = Literal["states", "commands"]
+KINDS = ("transport", "window", "kill", "commander", "flood", "parameters", "disk", "network")
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            raise _problem(f"it must be a mapping with some of: {', '.join(cls.model_fields)}")
+        for key in data:
+            if key not in cls.model_fields:
+                raise _problem(f"unknown key '{key}'; known are: {', '.join(cls.model_fields)}")
+        return data
+
+
+class Kill(_Section):
+    """A signal to one node."""
+
+    node: Node
+    signal: Literal["SIGKILL", "SIGTERM"]
+
+
+class Window(_Section):
+    """A span of time in which each message has one shape."""
+
+    shape: str
+    lasting: Number = Field(gt=0.0, le=1.0)
+
+    @field_validator("shape")
+    @classmethod
+    def _known_shape(cls, shape: str) -> str:
+        known = [item.value for item in Shape]
+        if shape not in known:
+            raise _problem(f"unknown shape '{shape}'; known are: {', '.join(known)}")
+        return shape
+
+
+class Case(_Section):
+    """One fault: exactly one of the ``KINDS``.
+
+    ``crossings`` faulted ones are tried in a full run, ``quick`` in a quick one (0 leaves the case out); ``trips`` return
+    trips make one trajectory. An outcome that is not among ``expect`` fails the run. Of ``reported`` at least one must be
+    seen for each fault that took effect: ``node.key`` (a counter in the diagnostics that rose), ``node.key~words``
+    (a text that held the words), ``exit.node`` (an exit code that is not 0), ``silent.node`` (its diagnostics stopped),
+    ``log.node~words``, ``answer~words`` (of a service); an empty list is a fault that nobody needs to notice.
+    """
+
+    title: str
+    clock: Literal["lockstep", "realtime"] = "lockstep"
+    ways: Annotated[list[Way], Field(min_length=1)] = ["states"]
+    transport: dict[str, Number] | None = None
+    window: Window | None = None
+    kill: Kill | None = None
+    commander: bool = False
+    flood: Number = Field(default=0.0, ge=0.0, le=10_000.0)
+    parameters: bool = False
+    disk: Number = Field(default=0.0, ge=0.0, le=1000.0)
+    network: dict[str, Number] | None = None
+    crossings: int = Field(ge=1, le=100_000)
+    quick: int = Field(default=0, ge=0, le=1000)
+    trips: int = Field(default=1, ge=1, le=100)
+    expect: list[str] = Field(min_length=1)
+    reported: list[str] = []
+
+    @property
+    def kind(self) -> str:
+        """Which of the faults it is."""
+        return next(kind for kind in KINDS if getattr(self, kind))
+
+    @field_validator("expect")
+    @classmethod
+    def _known_outcomes(cls, expect: list[str]) -> list[str]:
+        for outcome in expect:
+            if outcome not in list(Outcome):
+                raise _problem(f"unknown outcome '{outcome}'; known are: {', '.join(Outcome)}")
+        return expect
+
+    @model_validator(mode="after")
+    def _one_fault(self) -> Case:
+        kinds = [kind for kind in KINDS if getattr(self, kind)]
+        if len(kinds) != 1:
+            raise _problem(f"it has {' and '.join(kinds) or 'no fault'}; it must have exactly one of: {', '.join(KINDS)}")
+        if self.kind not in ("transport", "window") and self.clock == "lockstep" and self.kind != "parameters":
+            raise _problem(f"{self.kind} needs the clock realtime")
+        try:
+            Transport(**(self.transport or {}))
+            LinkQuality(**(self.network or {}))
+        except (DextarError, TypeError) as error:
+            raise _problem(str(error)) from error
+        return self
+
+
+class Trip(_Section):
+    """The return trip that is made again and again: seconds one way, and at rest."""
+
+    duration: Number = Field(gt=0.02, le=60.0)
+    dwell: Number = Field(ge=0.01, le=60.0)
+
+
+class FaultConfig(_Section):
+    """Everything a run of faults is made of."""
+
+    seed: int = Field(default=0, ge=0, lt=2**32)
+    trip: Trip
+    cases: dict[str, Case] = Field(min_length=1)
+
+
+def load_cases(path: str | Path) -> FaultConfig:
+    """The cases of a YAML file.
+
+    Raises:
+        ParameterError: the file cannot be read, or something in it is unknown, missing or out of its range.
+    """
+    try:
+        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"fault file {path}: {error.strerror or error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ParameterError(f"fault file {path}: {' '.join(str(error).split())}") from error
+    return validated(document, f"fault file {path}")
+
+
+def validated(data: Any, source: str) -> FaultConfig:
+    """Cases from plain data.
+
+    Raises:
+        ParameterError: something in it is unknown, missing or out of its range; it names the source.
+    """
+    try:
+        return FaultConfig.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"] if part not in ("float", "str"))
+        if first["type"] == "dextar":
+            said = first["msg"]
+        elif first["type"] == "missing":
+            said = "it is missing"
+        else:
+            said = f"{first['input']!r} is not valid: {first['msg'][0].lower()}{first['msg'][1:]}"
+        raise ParameterError(f"{source}: {where}: {said}" if where else f"{source}: {said}") from error
+
+
+def _problem(text: str) -> PydanticCustomError:
+    return PydanticCustomError("dextar", "{text}", {"text": text})

@@ -1,0 +1,56 @@
+"""What the controller's loop is at, as values for /diagnostics."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dextar_control.core.locus import singularity_gradient
+from dextar_control.core.loop import ControlLoop, Verdict
+from dextar_control.ros.reference import ReferenceReader
+
+WORDS = {verdict: verdict.name.lower() for verdict in Verdict}
+
+
+def loop_values(loop: ControlLoop, begun: int) -> dict[str, object]:
+    """Where the robot is and what became of its crossings; m, s.
+
+    Args:
+        loop: that answers the states.
+        begun: how many planned crossings have begun.
+    """
+    tick = loop.tick
+    x, y = tick.x_hat.tolist() if tick is not None else (math.nan, math.nan)
+    words = [WORDS[passed.verdict] for passed in loop.passed]
+    return {
+        "x": x, "y": y, "s": tick.s if tick else math.nan, "distance_to_locus": distance_to_locus(loop),
+        "assembly_mode": tick.assembly_mode if tick else 0,
+        "mode_confidence": tick.confidence if tick else math.nan, "mode_known": loop.mode_known,
+        "crossings": len(words), "begun": begun, "crossed": words.count("crossed"), "bounced": words.count("bounced"),
+        "verdicts": " ".join(words), "completed": loop.completed, "reference_time": tick.reference_time if tick else 0.0,
+        "duration": loop.certificate.duration if loop.certificate else 0.0,
+        **watched(loop),
+    }  # fmt: skip
+
+
+def watched(loop: ControlLoop) -> dict[str, object]:
+    """Each watch of the loop with its limit."""
+    watches = getattr(loop, "watches", {})
+    return {f"watch_{name}": f"{value:.4g} of {limit:.4g}" for name, (value, limit) in watches.items()}
+
+
+def distance_to_locus(loop: ControlLoop) -> float:
+    """To the Type 2 locus to first order, |s| over the length of its gradient, m; nan before the first state."""
+    if loop.tick is None:
+        return math.nan
+    gradient = singularity_gradient(loop.model, np.ascontiguousarray(loop.tick.x_hat))
+    slope = math.hypot(gradient[0], gradient[1])
+    return round(abs(loop.tick.s) / slope, 5) if slope > 0.0 else math.nan
+
+
+def waiting_for(reader: ReferenceReader) -> str:
+    """What an accepted trajectory waits for; empty when none does."""
+    if reader.waiting is None:
+        return ""
+    return "its start" if reader.waiting.scheduled else "the enabling"

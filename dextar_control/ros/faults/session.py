@@ -1,0 +1,509 @@
+"""One set of nodes and the cases tried on it; a process of its own that tells its results as lines of JSON.
+
+``python -m dextar_control.ros.faults.session`` reads a ``Request`` as one line of JSON. Each line that it prints is an
+event: ``start`` (a case), ``record`` (a faulted crossing), ``checks`` (what was looked at, and violations), ``note``,
+``failed`` (a case that could not go on), ``network`` (answered on the standard input once the link is so).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import SetBool, Trigger
+
+from dextar_control.contract.errors import DextarError
+from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
+from dextar_control.contract.robot import load_robot
+from dextar_control.contract.topics import CRITERION_NAMES
+from dextar_control.core.loop import MOVING, Phase
+from dextar_control.core.planner import Plan, plan_return_trip
+from dextar_control.faults import bag_check, judgement
+from dextar_control.faults.cases import Case, validated
+from dextar_control.faults.judgement import Check, Evidence, Outcome, Seen, Tally
+from dextar_control.faults.link import Transport
+from dextar_control.ros.faults.actions import Action, Trouble, make_action
+from dextar_control.ros.faults.injector import REMAPPINGS
+from dextar_control.ros.faults.operator import Operator
+from dextar_control.ros.faults.processes import MODULES, FaultsError, Processes
+
+NANOSECONDS = 1_000_000_000
+START_TIMEOUT = 180.0  # s: the first start on a machine compiles the core
+RECOVERY_PATIENCE = 30.0  # s until a robot that does not come back to HOLD is given up
+LAST_WORDS = 0.3  # s
+LEASE_PATIENCE = 60.0  # s
+HOLD_WAIT = 0.1  # s
+TRIP_PATIENCE = 60.0  # s beyond twenty times the trip's duration
+REPORT_PATIENCE = 4.0  # s: every node speaks at least each second
+CATCH_UP = 1.0  # s given to commands under way to the reader that judges them
+SERVE_ATTEMPTS = 5
+MOST_IDLE = 20  # trips in a row in which a fault met nothing
+SILENT = 2.5  # s without its diagnostics after which a node counts as silent
+SPREAD = 0.13  # s around a crossing within which its fault begins
+JUDGED_AFTER = 0.12  # s after the planned crossing, where the reference is clear of the locus
+NEAR = 0.4  # |s| of the reference below which a fault is at the locus
+SETTLE = 0.3  # s of the rig's time that a robot without control is watched
+FIRST_FAULT = 0.02  # s after the start before which no window opens
+PHASE = CRITERION_NAMES.index("phase")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a session is asked for.
+
+    Attributes:
+        folder: of logs and bags.
+        clock: ``lockstep`` or ``realtime``.
+        cases: name and count of faulted crossings of each case, in this order.
+        config: the cases' file as plain data.
+        seed: of all chance.
+        injector: whether one stands between rig and controller.
+        record: whether a recorder runs beside.
+        prefix: command words before a node's own, by name.
+        plant: further parameters of the plant, NAME:=VALUE.
+        modules: run in the place of a node's own, by name: another driver or controller.
+    """
+
+    folder: str
+    clock: str
+    cases: dict[str, int]
+    config: dict[str, Any]
+    seed: int
+    injector: bool
+    record: bool
+    prefix: dict[str, list[str]] = field(default_factory=dict)
+    plant: list[str] = field(default_factory=list)
+    modules: dict[str, str] = field(default_factory=dict)
+
+
+class Session:
+    """The nodes, and the cases on them."""
+
+    def __init__(self, request: Request) -> None:
+        self.request = request
+        self.folder = Path(request.folder)
+        self.config = validated(request.config, "cases")
+        self.robot = load_robot(config_file(ROBOT_FILE))
+        self.period = round(node_defaults("plant")["task.sample_period"] * NANOSECONDS)
+        self.gap_limit = float(node_defaults("controller")["state_timeout"])
+        self.lockstep = request.clock == "lockstep"
+        self.random = random.Random(request.seed)
+        self.bags = 0
+        self.processes = Processes(self.folder, self._arguments(), request.prefix, request.modules)
+        self.answers: list[str] = []
+        self._last_reason = ""
+        self._plans: dict[int, Plan] = {}
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self.operator = Operator(injector=request.injector, lockstep=self.lockstep)
+
+    def _arguments(self) -> dict[str, list[str]]:
+        common = ["--params-file", str(config_file(ROBOT_FILE)), "--params-file", str(config_file(NODES_FILE))]
+        trip, word = self.config.trip, str(self.lockstep).lower()
+        values = {
+            "plant": [f"mode:={self.request.clock}", "start_paused:=true", *self.request.plant],
+            "controller": [f"lockstep:={word}"],
+            "trajectory_server": [f"duration:={trip.duration:f}", f"dwell:={trip.dwell:f}"],
+            "recorder": [f"reliable:={word}"],
+        }
+        remap = [part for rule in REMAPPINGS for part in ("-r", rule)] if self.request.injector else []
+        return {
+            name: [*common, *(part for value in own for part in ("-p", f"{name}:{value}")), *(remap if name == "plant" else [])]
+            for name, own in values.items()
+        }
+
+    def bag(self) -> Path:
+        """Path of the next recording."""
+        self.bags += 1
+        return self.folder / f"run-{self.bags}.mcap"
+
+    def current_bag(self) -> Path | None:
+        """Path of the recording under way."""
+        return self.folder / f"run-{self.bags}.mcap" if self.bags else None
+
+    def start_recorder(self, *, wrap: Sequence[str] = (), path: Path | None = None, limit: Any = None, **more: str) -> Path:
+        """Start the recorder; its bag."""
+        path = path or self.bag()
+        extra = [part for name, value in {"output": str(path), **more}.items() for part in ("-p", f"recorder:{name}:={value}")]
+        self.processes.start("recorder", extra, wrap, limit)
+        return path
+
+    def plan(self, trips: int) -> Plan:
+        """The trajectory of so many return trips, as the server plans it from the same numbers."""
+        if trips not in self._plans:
+            task, trip = node_defaults("trajectory_server"), self.config.trip
+            start, goal = np.array(task["task.start"]), np.array(task["task.goal"])
+            self._plans[trips] = plan_return_trip(self.robot, start, goal, trip.duration, trip.dwell, trips)
+        return self._plans[trips]
+
+    def begin(self) -> None:
+        """Start the nodes, let the time run and bring the robot to HOLD."""
+        names = ["plant", "controller", "trajectory_server"]
+        if self.request.record:
+            self.start_recorder()
+            names.append("recorder")
+        for name in names:
+            if name != "recorder":
+                self.processes.start(name)
+
+        def ready() -> bool:
+            self.processes.check()
+            planned = self.operator.get("trajectory_server", "crossings")
+            return bool(planned) and all(name in self.operator.status for name in names)
+
+        if not self.operator.until(ready, START_TIMEOUT):
+            heard = ", ".join(sorted(self.operator.status)) or "none"
+            raise FaultsError(f"the nodes were not ready within {START_TIMEOUT:.0f} s; heard of: {heard}")
+        self.operator.call(SetBool, "plant/pause", data=False)
+        if not self.recover():
+            raise FaultsError(f"the controller does not hold: {self.operator.get('controller', 'reason')}")
+
+    def holding(self) -> bool:
+        """Whether the controller says, and its answers show, that it holds."""
+        return self.operator.get("controller", "phase") == Phase.HOLD.name and self.operator.phase == Phase.HOLD
+
+    def recover(self, *, disable: bool = False) -> bool:
+        """What an operator does: side told, reset, the robot back to its start, enable; whether it then holds.
+
+        A commander that was killed counts as a second one until its lease with the middleware is over, and the drives
+        take no commands so long: that is waited for.
+
+        Args:
+            disable: also a robot that holds, because its controller does not know the side.
+        """
+        operator = self.operator
+        if operator.injector is not None:
+            operator.injector.clear()
+            for link in (operator.injector.states, operator.injector.commands):
+                link.configure(Transport(), 0)
+        operator.until(lambda: operator.get("plant", "command_publishers") in ("", "0", "1"), LEASE_PATIENCE)
+        if disable:
+            operator.call(SetBool, "controller/enable", data=False)
+            operator.until(lambda: not self.holding(), 1.0)
+        deadline = time.monotonic() + RECOVERY_PATIENCE
+        while not operator.until(self.holding, HOLD_WAIT) and time.monotonic() < deadline:
+            operator.change_parameters("controller", assembly_mode=1)
+            operator.call(Trigger, "controller/reset")  # first: a safe stop that brakes would push the robot from its start
+            operator.call(Trigger, "plant/reset")
+            self._linger(HOLD_WAIT)
+            operator.change_parameters("controller", assembly_mode=1)
+            operator.call(SetBool, "controller/enable", data=True)
+        return self.holding()
+
+    def restart(self, name: str) -> None:
+        """Start a node that ended; a controller without torque until it is enabled."""
+        operator = self.operator
+        operator.until(lambda: False, LAST_WORDS)  # of the one that ended
+        operator.status.pop(name, None)
+        bag: Path | None = None
+        if name == "recorder":
+            bag = self.start_recorder()
+        else:
+            self.processes.start(name, ["-p", "controller:enabled:=false"] if name == "controller" else [])
+        if name == "plant" and operator.injector is not None:
+            operator.injector.forget_rig()
+
+        def ready() -> bool:
+            self.processes.check()
+            if bag is not None and not bag.exists():
+                return False
+            return name in operator.status and (name != "trajectory_server" or bool(operator.get(name, "crossings")))
+
+        if not operator.until(ready, START_TIMEOUT):
+            raise FaultsError(f"{name} did not come back within {START_TIMEOUT:.0f} s")
+        if name == "plant":
+            operator.call(SetBool, "plant/pause", data=False)
+
+    def run_case(self, name: str, count: int) -> Iterator[dict[str, Any]]:
+        """Events of one case: a record for each faulted crossing, the checks of each trip."""
+        case = self.config.cases[name]
+        action = make_action(case, self)
+        done = idle = 0
+        while done < count:
+            trips = min(case.trips, (count - done + 1) // 2)
+            refusals = self.operator.change_parameters("trajectory_server", repeat=trips)
+            if any(refusals):
+                raise FaultsError(f"the trajectory server does not take repeat = {trips}: {refusals[0]}")
+            records, tally = self.trip(name, case, action, trips, count - done)
+            recovered = self._back(action)
+            for record in records:
+                yield {"event": "record", **record, "recovered": recovered}
+            yield {"event": "checks", "case": name, "looked": tally.looked, "violations": tally.violations}
+            tried = [record for record in records if record["outcome"] != Outcome.DISTURBED.value]
+            done += len(tried)
+            idle = 0 if tried else idle + 1
+            if not records:
+                why = self._last_reason or "it met nothing"
+                yield {"event": "note", "case": name, "text": f"a trip without the fault: {why}"}
+            if idle > MOST_IDLE:
+                raise FaultsError(f"the fault did not come about in {idle} trips")
+            if not recovered:
+                self.processes.check()
+                raise FaultsError(f"the robot did not come back to HOLD: {self.operator.get('controller', 'reason')}")
+
+    def _back(self, action: Action) -> bool:
+        action.restore()
+        self.processes.check()
+        return self.recover()
+
+    def trip(self, name: str, case: Case, action: Action, trips: int, left: int) -> tuple[list[dict[str, Any]], Tally]:
+        """One trajectory with faults in its crossings; their records and the checks on everything seen."""
+        operator, plan = self.operator, self.plan(trips)
+        self.processes.check()
+        self.processes.forget()
+        operator.forget()
+        self.answers = []
+        before = {node: dict(values) for node, values in operator.status.items()}
+        planned = plan.certificate.crossing_times
+        faulted = list(range(len(planned)))
+        if trips == 1 and case.kind != "transport" and self.random.random() < 0.5:
+            faulted = faulted[1:]  # the fault meets the way back
+        faulted = faulted[:left] if action.single is False else faulted[:1]
+        offsets = [self.random.uniform(-SPREAD, SPREAD) for _ in faulted]
+        action.prepare(self.random)
+        start, shift = self._start(plan)
+        crossings = [start + round(NANOSECONDS * (planned[index] + shift)) for index in faulted]
+        times = [max(at + round(NANOSECONDS * offset), start + round(NANOSECONDS * FIRST_FAULT))
+                 for at, offset in zip(crossings, offsets, strict=True)]  # fmt: skip
+        action.arm(times)
+        end = start + round(NANOSECONDS * (plan.certificate.duration + shift))
+        trouble = self._follow(action, end, plan.certificate.duration)
+        action.release()
+        self._linger(0.02)
+        until = operator.now  # what is judged: a command may come to this reader later than to the drives
+        operator.until(lambda: bool(operator.at_rig.stamps) and operator.at_rig.stamps[-1] >= until, CATCH_UP)
+        took = action.took_effect()
+        ways = self._reports(case, before, took)
+        self._last_reason = self.operator.get("controller", "reason") if trouble is not None else ""
+        tally = Tally()
+        evidence, records = self._judge(name, case, plan, start, shift, faulted, crossings, times, trouble, action, until)
+        if took and case.reported and not ways:
+            tally.count(Check.UNREPORTED, 1, [f"{case.title}: none of {', '.join(case.reported)} was seen"])
+        else:
+            tally.count(Check.UNREPORTED, int(took), [])
+        self._check(evidence, tally, action)
+        if not took:
+            records = []  # nothing was tried
+        for record in records:
+            record["reported"] = ways
+            record["answers"] = self.answers
+        action.extra(records, evidence)
+        return records, tally
+
+    def _start(self, plan: Plan) -> tuple[int, float]:
+        """``_serve``, once more where the last trip left the robot off its start or its side unknown."""
+        try:
+            return self._serve(plan)
+        except FaultsError:
+            if not self.recover(disable=True):
+                raise
+            return self._serve(plan)
+
+    def _serve(self, plan: Plan) -> tuple[int, float]:
+        """(stamp of the start, s that the way to the start takes before the plan)."""
+        operator = self.operator
+        refused = operator.get("controller", "trajectory")
+        for _ in range(SERVE_ATTEMPTS):  # a busy machine keeps the controller's words from the server
+            answer = operator.call(Trigger, "trajectory_server/start")
+            if answer.success:
+                break
+            operator.until(lambda: False, 1.0)
+        else:
+            raise FaultsError(f"the trajectory server: {answer.message}")
+        first = max(len(operator.criterion.rows) - 1, 0)
+
+        def moving() -> int | None:
+            nonlocal first
+            rows = operator.criterion.rows
+            while first < len(rows):
+                if int(rows[first][PHASE]) in MOVING:
+                    return operator.criterion.stamps[first]
+                first += 1
+            note = operator.get("controller", "trajectory")
+            if note.startswith("refused") and note != refused:
+                raise FaultsError(f"the controller {note}")
+            return None
+
+        if not operator.until(moving, TRIP_PATIENCE):
+            raise FaultsError(f"the trajectory did not begin; the controller is in phase {operator.get('controller', 'phase')}")
+        start = moving()
+        assert start is not None
+        duration = plan.certificate.duration
+        operator.until(lambda: operator.get("controller", "phase") != Phase.HOLD.name, 5.0)  # these words are of this trajectory
+        return start, max(float(operator.get("controller", "duration") or duration) - duration, 0.0)
+
+    def _follow(self, action: Action, end: int, duration: float) -> Trouble | None:
+        """Watch until the trajectory is over or the robot is without control, and a little longer."""
+        operator = self.operator
+        deadline = time.monotonic() + TRIP_PATIENCE + 20.0 * duration
+        limp = (Phase.FAULT, Phase.SAFE_STOP)
+        while time.monotonic() < deadline:
+            operator.turn()
+            trouble = action.poll(operator.now)
+            if trouble is not None:
+                self._linger(SETTLE)
+                return trouble
+            if operator.phase in limp or operator.get("controller", "phase") in [phase.name for phase in limp]:
+                phase = operator.phase if operator.phase in limp else Phase[operator.get("controller", "phase")]
+                stamps = operator.criterion.stamps
+                self._linger(SETTLE)
+                outcome = Outcome.FAULT if phase == Phase.FAULT else Outcome.SAFE_STOP
+                return Trouble(stamps[-1] if stamps else operator.now, outcome)
+            if operator.now >= end + round(0.05 * NANOSECONDS) and action.done:
+                return None
+        raise FaultsError(f"the trip did not end; the controller is in phase {operator.get('controller', 'phase')}")
+
+    def _linger(self, seconds: float) -> None:
+        """Let the rig's clock go on, or the steady one where it does not."""
+        until = self.operator.now + round(seconds * NANOSECONDS)
+        patience = 10.0 * seconds + 1.0 if self.lockstep else max(1.5 * seconds, 0.5)
+        self.operator.until(lambda: self.operator.now >= until, patience)
+
+    def _reports(self, case: Case, before: dict[str, dict[str, str]], took: bool) -> list[str]:
+        operator, processes = self.operator, self.processes
+
+        def look() -> list[str]:
+            for name in MODULES:
+                processes.ended(name)
+            silent = {name for name, heard in operator.heard.items() if time.monotonic() - heard > SILENT}
+            seen = Seen(before, operator.status, operator.texts, processes.exits, processes.logs(), self.answers, silent)
+            return seen.reports(case.reported)
+
+        operator.until(look, REPORT_PATIENCE if took and case.reported else 0.0)
+        return look()
+
+    def _judge(
+        self, name: str, case: Case, plan: Plan, start: int, shift: float, faulted: list[int], crossings: list[int],
+        times: list[int], trouble: Trouble | None, action: Action, until: int,
+    ) -> tuple[Evidence, list[dict[str, Any]]]:  # fmt: skip
+        """What became of each faulted crossing, told by the true joints."""
+        operator = self.operator
+        stamps, rows = operator.truth.table(12)
+        rows, stamps = rows[stamps <= until], stamps[stamps <= until]
+        command_stamps, command_rows = operator.at_rig.table(2)
+        evidence = Evidence(stamps, rows[:, :4], rows[:, [8, 10]], command_stamps, command_rows, self.period)
+        trouble = self._first_trouble(trouble)
+        sides = judgement.true_side(evidence.joints)
+        records: list[dict[str, Any]] = []
+        sent = (operator.truth.sent[1:], operator.commands.sent[300:])
+        disturbed = not self.lockstep and any(judgement.paused(np.array(times), self.gap_limit) for times in sent)
+        for index, crossing, at in zip(faulted, crossings, times, strict=True):
+            judged_at = max(crossing + round(JUDGED_AFTER * NANOSECONDS), at + round(0.02 * NANOSECONDS))
+            outcome = Outcome.CROSSED
+            stopped = trouble is not None and trouble.stamp <= judged_at + action.grace
+            if stopped and trouble is not None:
+                outcome = trouble.outcome
+            elif len(stamps) and stamps[-1] >= judged_at:
+                place = int(np.searchsorted(stamps, judged_at))
+                if sides[place] != np.sign(plan.certificate.crossing_signs[index]):
+                    outcome = Outcome.MISSED
+                elif action.refused:
+                    outcome = Outcome.REFUSED
+            else:
+                outcome = Outcome.MISSED
+            if disturbed and outcome not in case.expect and outcome is not Outcome.MISSED:
+                outcome = Outcome.DISTURBED
+            s = np.interp((at - start) / NANOSECONDS - shift, plan.certificate.profile.time, plan.certificate.profile.s)
+            where = "at the locus" if abs(s) < NEAR else "before" if at < crossing else "after"
+            records.append({
+                "case": name, "outcome": outcome.value, "expected": outcome.value in [*case.expect, Outcome.DISTURBED.value],
+                "where": "throughout" if case.kind in ("transport", "network", "flood") else where,
+                "offset": (at - crossing) / NANOSECONDS, "reason": operator.get("controller", "reason") if stopped else "",
+                "true_error": self._true_error(plan, evidence, start, shift, crossing) if not stopped else None,
+                "torque": judgement.largest_torque(evidence),
+            })  # fmt: skip
+            if stopped:
+                break  # the crossings after it did not take place
+        return evidence, records
+
+    def _first_trouble(self, trouble: Trouble | None) -> Trouble | None:
+        """The first answered state without control, where there is one."""
+        stamps, rows = self.operator.criterion.stamps, self.operator.criterion.rows
+        for stamp, row in zip(stamps[1:], rows[1:], strict=True):
+            if int(row[PHASE]) in (Phase.FAULT, Phase.SAFE_STOP):
+                outcome = Outcome.FAULT if int(row[PHASE]) == Phase.FAULT else Outcome.SAFE_STOP
+                return Trouble(min(stamp, trouble.stamp) if trouble else stamp, outcome)
+        return trouble
+
+    def _true_error(self, plan: Plan, evidence: Evidence, start: int, shift: float, crossing: int) -> float:
+        """Largest distance (m) of the true end effector from the reference, around one crossing."""
+        half = round(SPREAD * NANOSECONDS)
+        near = (evidence.stamps >= crossing - half) & (evidence.stamps <= crossing + half)
+        if not near.any():
+            return float("nan")
+        times = (evidence.stamps[near] - start) / NANOSECONDS - shift
+        wanted = plan.trajectory.table(np.clip(times, 0.0, plan.certificate.duration))[0]
+        actual = judgement.true_position(self.robot, evidence.joints[near])
+        return float(np.hypot(*(actual - wanted).T).max())
+
+    def _check(self, evidence: Evidence, tally: Tally, action: Action) -> None:
+        operator, limit = self.operator, self.robot.max_torque
+        tally.count(Check.TORQUE_AFTER_DEATH, *judgement.torque_after_death(evidence))
+        tally.count(Check.TORQUE_LIMIT, *judgement.torque_beyond(evidence, limit))
+        stamps, rows = operator.commands.table(2)
+        bad = operator.injector.bad_stamps if operator.injector is not None else []
+        tally.count(Check.NOT_FINITE, *judgement.not_finite(stamps, rows, bad, limit))
+        for path in action.bags():
+            tally.count(Check.BAG, 1, bag_check.unreadable(path))
+        tally.count(Check.BAG, 0, action.broken_bags())
+
+    def close(self) -> Tally:
+        """End the nodes; the check of what was recorded meanwhile."""
+        tally = Tally()
+        self.processes.stop_all()
+        self.operator.close()
+        if self.request.record and self.bags:
+            path = self.folder / f"run-{self.bags}.mcap"
+            if path.exists():
+                tally.count(Check.BAG, 1, bag_check.unreadable(path))
+        return tally
+
+
+def say(**event: Any) -> None:
+    """One event on the standard output."""
+    print(json.dumps(event), flush=True)
+
+
+def main() -> int:
+    """The exit code: 0 when every case was tried to its end."""
+    request = Request(**json.loads(sys.stdin.readline()))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    code = 0
+    session: Session | None = None
+    try:
+        session = Session(request)
+        session.begin()
+        for name, count in request.cases.items():
+            say(event="start", case=name)
+            try:
+                for event in session.run_case(name, count):
+                    say(**event)
+            except FaultsError as error:
+                code = 1
+                say(event="failed", case=name, text=str(error))
+                return code
+    except DextarError as error:
+        say(event="failed", case="", text=str(error))
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    finally:
+        if session is not None:
+            tally = session.close()
+            say(event="checks", case="", looked=tally.looked, violations=tally.violations)
+    return code
+
+
+if __name__ == "__main__":
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    os._exit(main())  # rclpy's executor may outlive the nodes

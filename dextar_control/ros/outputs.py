@@ -1,0 +1,111 @@
+"""What the controller sends: commands, and what it thought of the state that they answer."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+from dextar_control.contract.cdr import NANOSECONDS, canonical
+from dextar_control.contract.node import DextarNode, qos
+from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, EFFORT_COMMANDS, JOINT_COMMANDS
+from dextar_control.core.law import CONFIDENCE, ERROR, FINITE, MODE_HAT, Q_HAT, Q_REF, SCALARS
+from dextar_control.core.loop import Tick
+from dextar_control.ros import messages
+
+
+class EffortArray:
+    """effort_commands as CDR bytes; where the two numbers lie is found, not assumed."""
+
+    def __init__(self) -> None:
+        sentinels = struct.pack("<2d", 7.123456789e5, 8.123456789e5)
+        raw = canonical(Float64MultiArray(data=struct.unpack("<2d", sentinels)))
+        self._head, _, self._tail = raw.partition(sentinels)
+
+    def pack(self, effort: Sequence[float]) -> bytes:
+        """CDR bytes of these torques (2), N m."""
+        return self._head + struct.pack("<2d", *effort) + self._tail
+
+
+class Outputs:
+    """The publishers of one configured controller; all of a tick in one burst, commands first.
+
+    Args:
+        node: that publishes.
+        array: whether the torques go out as ``effort_commands`` too.
+
+    Attributes:
+        stamp: of the state answered last, ns; negative before the first.
+    """
+
+    def __init__(self, node: DextarNode, *, array: bool) -> None:
+        self._node = node
+        self._commands_out = messages.joint_commands_template()
+        self._state_out = messages.controller_state_template()
+        self._criterion_out = messages.criterion_template()
+        self._commands = node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
+        self._states = node.create_publisher(JointTrajectory, CONTROLLER_STATE.name, qos(CONTROLLER_STATE))
+        self._criterion = node.create_publisher(JointState, CRITERION.name, qos(CRITERION))
+        self._array_out = EffortArray() if array else None
+        self._efforts = node.create_publisher(Float64MultiArray, EFFORT_COMMANDS.name, qos(EFFORT_COMMANDS)) if array else None
+        self._command_topics = [p.topic_name for p in (self._commands, self._efforts) if p is not None]
+        self._last = (b"", b"")
+        self.stamp = -1
+
+    @property
+    def answered(self) -> bool:
+        """Whether there is a command to repeat."""
+        return bool(self._last[0])
+
+    def answer(self, stamp: int, tau: np.ndarray, tick: Tick, verdict: float) -> None:
+        """Everything about one tick; stamp of the state, ns."""
+        self._command(stamp, tau.tolist())
+        reference, estimate, output = tick.rows
+        values = [*reference[:Q_REF].tolist(), *estimate[:Q_HAT].tolist(), *output[ERROR:SCALARS].tolist()]
+        self._states.publish(self._state_out.pack(stamp, values, round(tick.reference_time * NANOSECONDS)))
+        mode, confidence = estimate[MODE_HAT : CONFIDENCE + 1].tolist()
+        criterion = [*output[SCALARS:FINITE].tolist(), mode, float(tick.phase), confidence, verdict]
+        self._criterion.publish(self._criterion_out.pack(stamp, criterion))
+
+    def repeat(self) -> None:
+        """The last command once more."""
+        self._send(*self._last)
+
+    def release(self) -> None:
+        """No torque, in answer to the last state once more; nothing before the first."""
+        if self.stamp >= 0:
+            self._command(self.stamp, [0.0, 0.0])
+
+    def forget(self) -> None:
+        """As before the first state."""
+        self._last, self.stamp = (b"", b""), -1
+
+    def _command(self, stamp: int, tau: list[float]) -> None:
+        self.stamp = stamp
+        self._send(self._commands_out.pack(stamp, tau), self._array_out.pack(tau) if self._array_out is not None else b"")
+
+    def _send(self, command: bytes, array: bytes) -> None:
+        self._last = (command, array)
+        self._commands.publish(command)
+        if self._efforts is not None:
+            self._efforts.publish(array)
+
+    def others(self) -> str:
+        """Who else publishes commands, in words; empty when nobody does. About 5 us for each topic."""
+        for name in self._command_topics:
+            count = self._node.count_publishers(name)
+            if count > 1:
+                return f"{count} publishers on {name}; the limit is 1"
+        return ""
+
+    def close(self) -> None:
+        """Destroy the publishers."""
+        publishers: list[Any] = [self._commands, self._states, self._criterion, self._efforts]
+        for publisher in publishers:
+            if publisher is not None:
+                self._node.destroy_publisher(publisher)

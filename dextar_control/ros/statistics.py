@@ -1,0 +1,102 @@
+"""How a controller's states come and what its ticks cost, for /diagnostics."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+
+from dextar_control.contract.cdr import NANOSECONDS
+from dextar_control.core.timing import Window
+
+WINDOW = 1000  # states, a second of them
+LATELY = 5  # reports over which a missed state is told as a warning: one second
+SETTLED = 200  # intervals below which a rate says nothing
+RATE_TOLERANCE = 0.05  # of the nominal rate: what ros2_control tells of its own loop (5 Hz at 100 Hz)
+JITTER_TOLERANCE = 0.5  # standard deviation of the intervals over the period: states come in pairs from there on
+SAME_CLOCK = 10.0  # s between a stamp and its arrival beyond which it is of another clock, as in simulated time
+
+
+class Statistics:
+    """Counters since the node's start, and windows over the last second.
+
+    Attributes:
+        counts: states answered, missed (by their stamps), refused, repeated; stalls on the steady clock.
+    """
+
+    def __init__(self) -> None:
+        self.counts = dict.fromkeys(("states", "missed_states", "refused_states", "repeated_states", "stalls"), 0)
+        self._intervals, self._latencies, self._work = Window(WINDOW), Window(WINDOW), Window(WINDOW)
+        self._arrival = math.nan
+        self._missed: deque[int] = deque([0], maxlen=LATELY)
+        self._reported = (0, 0)
+
+    def restart(self) -> None:
+        """Another stream of states: what is missing until it begins is not late."""
+        self._arrival = math.nan
+        self._intervals.clear()
+        self._latencies.clear()
+        self._missed.clear()
+        self._missed.append(self.counts["missed_states"])
+
+    @property
+    def arrival(self) -> float:
+        """When the last state was taken, s of ``time.perf_counter``; nan before the first."""
+        return self._arrival
+
+    def arrived(self, stamp: int, now: float) -> None:
+        """A state that was answered; stamp in ns, now of ``time.perf_counter``, s."""
+        self.counts["states"] += 1
+        if not math.isnan(self._arrival):
+            self._intervals.add(now - self._arrival)
+        self._arrival = now
+        latency = (time.time_ns() - stamp) / NANOSECONDS
+        if abs(latency) < SAME_CLOCK:
+            self._latencies.add(latency)
+
+    def worked(self, duration: float) -> None:
+        """What one state cost, s."""
+        self._work.add(duration)
+
+    def warnings(self, period: float) -> list[str]:
+        """What is off in the states' arrival, against the nominal period, s."""
+        told = []
+        found = self._intervals.regularity()
+        if len(self._intervals.numbers) >= SETTLED:
+            if abs(found.rate * period - 1.0) > RATE_TOLERANCE:
+                told.append(f"states come at {found.rate:.1f} Hz; {1.0 / period:g} Hz are expected")
+            elif found.jitter > JITTER_TOLERANCE * period:
+                limit = JITTER_TOLERANCE * period
+                told.append(f"the states' period varies by {1e3 * found.jitter:.2f} ms; the limit is {1e3 * limit:.2f} ms")
+        return told + self.missed_lately()
+
+    def missed_lately(self) -> list[str]:
+        """Whether states were missed within the last LATELY reports."""
+        lately = self.counts["missed_states"] - self._missed[0]
+        return [f"{lately} states were missed lately"] if lately > 0 else []
+
+    def report(self, saturated: int) -> dict[str, object]:
+        """Values for /diagnostics.
+
+        Args:
+            saturated: ticks so far at a torque limit; begins again with each trajectory.
+        """
+        found = self._intervals.regularity()
+        saturated_before, states_before = self._reported
+        self._reported = (saturated, self.counts["states"])
+        more = saturated - saturated_before if saturated >= saturated_before else saturated
+        ticks = self.counts["states"] - states_before
+        self._missed.append(self.counts["missed_states"])
+        values: dict[str, object] = {
+            **self.counts, "rate": round(found.rate, 2), "jitter_us": _us(found.jitter), "interval_p99_us": _us(found.p99),
+            "interval_max_us": _us(found.longest), "state_age": round(time.perf_counter() - self._arrival, 4),
+            "saturated_ticks": saturated, "saturated_share": round(min(more / ticks, 1.0), 4) if ticks else 0.0,
+            "callback_p50_us": _us(self._work.percentile(50.0)), "callback_p99_us": _us(self._work.percentile(99.0)),
+        }  # fmt: skip
+        if len(self._latencies.numbers):
+            values |= {f"latency_p{percent}_us": _us(self._latencies.percentile(percent)) for percent in (50, 99)}
+        return values
+
+
+def _us(seconds: float) -> float:
+    return round(1e6 * seconds, 1)

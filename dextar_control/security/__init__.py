@@ -1,0 +1,1 @@
+"""Who may command: access rules for DDS security, made from the contract."""

@@ -1,0 +1,124 @@
+"""A headless Chromium spoken to over its DevTools pipe: what a page says on its console, asks for, and draws."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import select
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+PATIENCE = 60.0  # s for a browser on a busy machine
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage", "--window-size=1400,1200",
+    "--remote-debugging-pipe",
+)  # fmt: skip
+
+
+def find_chromium() -> str | None:
+    names = ("chromium", "chromium-browser", "google-chrome", "chrome")
+    return next((found for name in names if (found := shutil.which(name))), None)
+
+
+class Page:
+    """One page of a browser of its own.
+
+    Attributes:
+        errors: console errors, warnings of the log, uncaught exceptions.
+        requests: addresses asked for.
+    """
+
+    def __init__(self, program: str, url: str) -> None:
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        self._number, self._rest, self._loaded = 0, b"", False
+        self._profile = tempfile.mkdtemp(prefix="chromium_")
+        to_browser, self._in = os.pipe()
+        self._out, from_browser = os.pipe()
+        command = f'exec "$0" "$@" 3<&{to_browser} 4>&{from_browser}'
+        self._process = subprocess.Popen(
+            ["bash", "-c", command, program, *FLAGS, f"--user-data-dir={self._profile}", "about:blank"],
+            pass_fds=(to_browser, from_browser), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )  # fmt: skip
+        os.close(to_browser)
+        os.close(from_browser)
+        targets = self._call("Target.getTargets")["targetInfos"]
+        page = next(target["targetId"] for target in targets if target["type"] == "page")
+        self._session = self._call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
+        for domain in ("Runtime", "Log", "Network", "Page"):
+            self._call(f"{domain}.enable")
+        self._call("Page.navigate", url=url)
+        self._until(lambda: self._loaded)
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        os.close(self._in)
+        os.close(self._out)
+        shutil.rmtree(self._profile, ignore_errors=True)
+
+    def evaluate(self, script: str) -> Any:
+        """The value of an expression, promises awaited."""
+        answer = self._call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
+
+    def screenshot(self, file: Path) -> None:
+        file.write_bytes(base64.b64decode(self._call("Page.captureScreenshot", captureBeyondViewport=True)["data"]))
+
+    def wait(self, condition: str) -> None:
+        """Until an expression is true."""
+        deadline = time.monotonic() + PATIENCE
+        while not self.evaluate(condition):
+            assert time.monotonic() < deadline, f"never came true: {condition}; errors: {self.errors}"
+            time.sleep(0.05)
+
+    def _call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        self._number += 1
+        message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
+        if hasattr(self, "_session"):
+            message["sessionId"] = self._session
+        os.write(self._in, json.dumps(message).encode() + b"\0")
+        found: list[dict[str, Any]] = []
+        number = self._number
+        self._until(lambda: bool(found), lambda answer: found.append(answer) if answer.get("id") == number else None)
+        assert "error" not in found[0], found[0]
+        return found[0]["result"]
+
+    def _until(self, done: Any, see: Any = lambda answer: None) -> None:
+        deadline = time.monotonic() + PATIENCE
+        while not done():
+            left = deadline - time.monotonic()
+            assert left > 0 and select.select([self._out], [], [], left)[0], "the browser does not answer"
+            data = os.read(self._out, 1 << 20)
+            assert data, "the browser has gone"
+            *messages, self._rest = (self._rest + data).split(b"\0")
+            for text in messages:
+                answer = json.loads(text)
+                self._note(answer)
+                see(answer)
+
+    def _note(self, answer: dict[str, Any]) -> None:
+        method, parameters = answer.get("method"), answer.get("params", {})
+        if method == "Runtime.consoleAPICalled" and parameters["type"] in ("error", "warning", "assert"):
+            self.errors.append(str([entry.get("value", entry.get("description")) for entry in parameters["args"]]))
+        elif method == "Runtime.exceptionThrown":
+            details = parameters["exceptionDetails"]
+            self.errors.append(details.get("exception", {}).get("description", details["text"]))
+        elif method == "Log.entryAdded" and parameters["entry"]["level"] in ("error", "warning"):
+            self.errors.append(parameters["entry"]["text"])
+        elif method == "Network.requestWillBeSent":
+            self.requests.append(parameters["request"]["url"])
+        elif method == "Page.loadEventFired":
+            self._loaded = True

@@ -1,0 +1,88 @@
+"""A long bag out of a short one: one tracked trajectory that repeats the recorded one.
+
+    python test/long_run.py runs/latest/run.mcap long.mcap 600
+
+writes at least 600 s. For measuring what the analysis of a long recording takes.
+"""
+
+from __future__ import annotations
+
+import struct
+import sys
+from pathlib import Path
+
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from rosbags.typesys import Stores, get_typestore
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+STAMPED = {"/joint_states", "/joint_commands", "/controller_state", "/criterion", "/sim/end_effector", "/sim/joint_states"}
+SPACING = 0.02  # s between the points of the long trajectory, which has a most
+SECOND = 10**9
+
+
+def stamp_of(data: bytes) -> int:
+    """ns of a serialized message's header: after four bytes of encapsulation, seconds and nanoseconds."""
+    seconds, rest = struct.unpack_from("<iI", data, 4)
+    return seconds * SECOND + rest
+
+
+def stretched(trajectory: object, copies: int, period: int) -> bytes:
+    """The trajectory, ``copies`` times one after the other, with fewer points."""
+    points, last = [], -SECOND
+    for copy in range(copies):
+        for point in trajectory.points:
+            time = point.time_from_start.sec * SECOND + point.time_from_start.nanosec + copy * period
+            final = copy == copies - 1 and point is trajectory.points[-1]
+            if time - last >= SPACING * SECOND or final:
+                last = time
+                begun = type(point.time_from_start)(sec=time // SECOND, nanosec=time % SECOND)
+                points.append(type(point)(transforms=point.transforms, velocities=point.velocities,
+                                          accelerations=point.accelerations, time_from_start=begun))  # fmt: skip
+    long = type(trajectory)(header=trajectory.header, joint_names=trajectory.joint_names, points=points)
+    return bytes(TYPES.serialize_cdr(long, long.__msgtype__))
+
+
+def main(source: Path, target: Path, duration: float) -> None:
+    with source.open("rb") as stream:
+        reader = make_reader(stream)
+        summary = reader.get_summary()
+        rows = [(channel.topic, m) for _, channel, m in reader.iter_messages(log_time_order=False)]
+        records = list(reader.iter_metadata())
+    kinds = {channel.topic: summary.schemas[channel.schema_id] for channel in summary.channels.values()}
+    served = next(TYPES.deserialize_cdr(m.data, kinds[t].name) for t, m in rows if t == "/trajectory")
+    end = served.points[-1].time_from_start
+    period = end.sec * SECOND + end.nanosec
+    first = min(stamp_of(m.data) for topic, m in rows if topic == "/controller_state")
+    copies = max(1, -int(-duration * SECOND // period))
+    rows = [(topic, m) for topic, m in rows if topic in STAMPED and 0 <= stamp_of(m.data) - first < period]
+    span = max(m.log_time for _, m in rows) - min(m.log_time for _, m in rows) + 1_000_000
+    with target.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.ZSTD)
+        writer.start(profile="ros2", library="test")
+        channels = {topic: writer.register_channel(topic, "cdr", writer.register_schema(kind.name, "ros2msg", kind.data))
+                    for topic, kind in kinds.items()}  # fmt: skip
+        first_row = rows[0][1]
+        served_long = stretched(served, copies, period)
+        writer.add_message(channels["/trajectory"], first_row.log_time, served_long, first_row.publish_time)
+        for copy in range(copies):
+            for topic, message in rows:
+                stamp = stamp_of(message.data) + copy * period
+                data = bytearray(message.data)
+                struct.pack_into("<iI", data, 4, stamp // SECOND, stamp % SECOND)
+                if topic == "/controller_state":
+                    state = TYPES.deserialize_cdr(bytes(data), kinds[topic].name)
+                    for point in state.points:
+                        begun = point.time_from_start
+                        time = begun.sec * SECOND + begun.nanosec + copy * period
+                        begun.__dict__.update(sec=time // SECOND, nanosec=time % SECOND)
+                    data = TYPES.serialize_cdr(state, kinds[topic].name)
+                later = copy * span
+                writer.add_message(channels[topic], message.log_time + later, bytes(data), message.publish_time + later)
+        for record in records:
+            writer.add_metadata(record.name, record.metadata)
+        writer.finish()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3]))

@@ -1,0 +1,211 @@
+"""The report says what the metrics say, with units, offline, and honestly where a bag lacks something."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+import json
+import re
+import tempfile
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from recorded_run import lockstep_bag
+from synthetic_run import CROSSINGS, TRUE_OFFSET, robot, write_run
+
+from dextar_control import cli
+from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
+from dextar_control.analysis.curves import panels
+from dextar_control.analysis.page import render_report
+from dextar_control.analysis.report import analyze
+from dextar_control.analysis.web_figures import RUN_STYLES, STYLES
+
+SIZE_OF_A_DEMO = 3_000_000  # bytes; the figures' code alone is 1.3 million
+
+
+class Text(HTMLParser):
+    """What a reader reads: text outside scripts, tables as rows of cells."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.words: list[str] = []
+        self.rows: list[list[str]] = []
+        self._hidden = self._cell = False
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attributes: object) -> None:
+        self._hidden = self._hidden or tag in ("script", "style")
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self.rows[-1].append("")
+            self._cell = True
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag in ("script", "style"):
+            self._hidden = False
+        if tag in ("td", "th"):
+            self._cell = False
+
+    def handle_data(self, data: str) -> None:
+        if not self._hidden:
+            self.words.append(data)
+            if self._cell:
+                self.rows[-1][-1] += data
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+@functools.cache
+def made(**options: object) -> tuple[Run, Metrics, Text]:
+    """A run whose numbers are known, its metrics and its page; each kind is made once."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "run.mcap"
+        write_run(file, **options)  # type: ignore[arg-type]
+        run = load_run(file)
+    metrics = compute_metrics(run)
+    return run, metrics, Text(render_report(run, metrics))
+
+
+def test_the_verdict_stands_at_the_top_with_its_numbers() -> None:
+    _, _, page = made()
+    assert page.text.index("Success.") < page.text.index("Path, torques")
+    assert "Crossed 2 of 2 planned crossings; true error 0.100 mm at most and 0.100 mm at the end" in page.text
+
+
+def test_each_crossing_has_its_row_with_the_metrics_numbers() -> None:
+    _, metrics, page = made()
+    head = next(row for row in page.rows if row[:1] == ["no."])
+    rows = [dict(zip(head, row, strict=True)) for row in page.rows if row[:1] in (["1"], ["2"])]
+    assert len(rows) == 2
+    for row, crossing, moment in zip(rows, metrics.crossings, CROSSINGS, strict=True):
+        assert float(row["planneds"]) == pytest.approx(moment, abs=6e-5)
+        assert float(row["trues"]) == pytest.approx(crossing.true_time, abs=6e-5)
+        assert float(row["late byms"]) == pytest.approx(1e3 * (crossing.true_time - moment), abs=6e-3)
+        assert (row["outcome"], row["estimator says"], row["verdict is"]) == ("crossed", "crossed", "right")
+        assert float(row["smallest σ1"]) == 0.5
+        assert float(row["peak torqueN m"]) == crossing.peak_torque
+        assert float(row["error beforemm"]) == float(row["error aftermm"]) == pytest.approx(1e3 * TRUE_OFFSET)
+
+
+def test_every_column_with_numbers_has_a_unit() -> None:
+    _, _, page = made()
+    units = re.compile(r"(µs|ms|mm|m/s|N m|N|Hz|s|1)$")
+    counts = {"no.", "count", "messages", "lost", "dropped"}
+    tables = [row for row in page.rows if row[:1] in (["no."], ["topic"]) or row[1:2] == ["count"]]
+    assert len(tables) == 3
+    for head in tables:
+        for name in set(head) - counts - {"", "outcome", "estimator says", "verdict is", "topic", "type"}:
+            assert units.search(name), name
+
+
+def test_without_truth_it_says_what_needs_it() -> None:
+    _, metrics, page = made(truth=False)
+    assert metrics.success is None
+    assert "Not decidable." in page.text
+    assert "2 planned crossings, 2 crossed by the estimator's own verdict" in page.text
+    head = next(row for row in page.rows if row[:1] == ["no."])
+    row = dict(zip(head, next(row for row in page.rows if row[:1] == ["1"]), strict=True))
+    assert row["trues"] == row["outcome"] == row["verdict is"] == "needs truth"
+    assert float(row["error aftermm"]) == pytest.approx(0.02)  # the estimate's own
+    assert "the true error needs the true motion, which this bag does not hold" in page.text
+
+
+def test_a_bounce_is_called_one() -> None:
+    _, metrics, page = made(bounce=True, says=(1, 1))
+    assert metrics.crossings[0].outcome == "bounced"
+    assert "Failed." in page.text
+    assert "WRONG" in page.text
+
+
+def test_timing_is_measured_on_the_system_clock_and_misses_are_counted() -> None:
+    _, metrics, page = made()
+    timing = metrics.timing
+    assert timing.state_period.median == pytest.approx(6e-6)  # six messages a tick, written 1 us apart
+    assert timing.round_trip.median == pytest.approx(1e-6)
+    assert timing.round_trip.count == metrics.answered
+    assert timing.stamp_period == pytest.approx(1e-3)
+    assert (timing.missed_runs, timing.longest_miss) == ([3], 3)
+    assert timing.lockstep is None
+    assert "The bag does not say whether this was real time." in page.text
+    assert "3 of 1001 states have no command with their stamp; the longest gap is 3 states, in 1 gaps" in page.text
+
+
+def test_losses_phases_parameters_and_versions_are_there() -> None:
+    _, metrics, page = made(last_phase=5)
+    assert [(span.phase, span.ticks) for span in metrics.phases] == [("TRACK", 1000), ("SAFE_STOP", 1)]
+    assert next(row for row in page.rows if row[:1] == ["/joint_states"])[2:5] == ["1001", "2", "1"]
+    assert "working_mode [1, -1]" in page.text
+    assert "recorded with dextar 9.9" in page.text
+    assert "the controller ended in SAFE_STOP: no state for 20 ms" in page.text
+
+
+def test_the_page_of_a_real_run_is_light_and_loads_nothing(tmp_path: Path) -> None:
+    analyze(lockstep_bag(), tmp_path)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert len(page) < SIZE_OF_A_DEMO
+    outside = re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
+    assert re.findall(r"""(?:src|href)\s*=\s*["']?(?!#|data:)([^"'\s>]+)""", outside) == []
+    assert "Lockstep: the plant waited for each command" in Text(page).text
+    assert "Certificate recorded with the run" in outside
+
+
+def test_names_from_a_bag_are_text_not_code() -> None:
+    run, metrics, _ = made()
+    evil = "<script>alert(1)</script>"
+    run = dataclasses.replace(run, record={"name": evil, "notes": evil}, robot=run.robot.replace(name=evil), version=evil)
+    page = render_report(run, dataclasses.replace(metrics, robot=evil, law=evil))
+    assert "<script>alert" not in page
+    assert "alert(1)" in Text(page).text
+
+
+def test_curves_that_share_an_axis_differ_without_colour() -> None:
+    run, metrics, _ = made()
+    for panel in panels(run, metrics):
+        styles = [STYLES[curve.kind, curve.part] for curve in panel.curves]
+        for one, other in itertools.combinations(styles, 2):
+            assert one.dash != other.dash or abs(_lightness(one.color) - _lightness(other.color)) > 0.3, (panel.key, one, other)
+    for one, other in itertools.combinations(RUN_STYLES[:4], 2):
+        assert one.dash != other.dash
+
+
+def _lightness(color: str) -> float:
+    red, green, blue = (int(color[index : index + 2], 16) / 255.0 for index in (1, 3, 5))
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def test_a_figure_for_a_paper_is_a_column_wide_with_its_fonts_inside(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.mcap")
+    analyze(tmp_path / "run.mcap", formats=("pdf", "svg", "png"), width=88.0)
+    pdf = (tmp_path / "paper.pdf").read_bytes()
+    assert b"/FontFile2" in pdf and b"/Type3" not in pdf
+    width = float(re.search(rb"/MediaBox \[ *0 0 ([\d.]+)", pdf)[1])
+    assert width * 25.4 / 72.0 == pytest.approx(88.0, abs=0.1)
+    svg = (tmp_path / "paper.svg").read_text()
+    assert "<text" not in svg and "<path" in svg  # outlines, so that no font is needed
+    assert (tmp_path / "paper.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_several_bags_get_a_report_each_and_a_bad_one_stops_no_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        write_run(tmp_path / name / "run.mcap")
+    (tmp_path / "none.mcap").write_bytes(b"")
+    bags = [str(tmp_path / "a" / "run.mcap"), str(tmp_path / "none.mcap"), str(tmp_path / "b" / "run.mcap")]
+    assert cli.main(["analyze", *bags, "--output", str(tmp_path / "out")]) == 2
+    assert [line for line in capsys.readouterr().err.splitlines() if line] == [f"dextar analyze: {bags[1]} is empty"]
+    found = sorted(str(file.relative_to(tmp_path / "out")) for file in (tmp_path / "out").rglob("report.html"))
+    assert found == ["a-run/report.html", "b-run/report.html"]
+    assert json.loads((tmp_path / "out" / "a-run" / "metrics.json").read_text())["success"] is True
+
+
+def test_the_robot_is_printed_once() -> None:
+    run, metrics, _ = made()
+    own = {key: value for key, value in run.parameters["controller"].items()}
+    run = dataclasses.replace(run, parameters={"controller": own, "plant": {**own, "mode": "lockstep"}})
+    assert Text(render_report(run, metrics)).text.count("left.proximal_length") == 1
+    assert robot().left.proximal_length == run.robot.left.proximal_length

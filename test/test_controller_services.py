@@ -1,0 +1,157 @@
+"""The controller node in this process, never spun: what each watch period serves, and what a late reset clears."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from rcl_interfaces.srv import DescribeParameters, GetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+from rclpy.signals import SignalHandlerOptions
+from rig import PATIENCE
+from std_srvs.srv import SetBool, Trigger
+
+from dextar_control.contract.errors import TrajectoryError
+from dextar_control.core.certificate import Certificate
+from dextar_control.core.kinematics import inverse_model
+from dextar_control.core.loop import Phase
+from dextar_control.core.planner import Plan
+from dextar_control.core.trajectory import Trajectory
+from dextar_control.ros import messages
+from dextar_control.ros.controller_node import PARAMETERS, SERVED_PER_WATCH, ControllerNode
+
+SECOND = 1_000_000_000  # ns
+
+
+class _Unspun:
+    """A controller that does something only when it is told to, and a caller of its services."""
+
+    def __init__(self) -> None:
+        values = [part for value in ("lockstep:=true", "healthy_time:=0.0") for part in ("-p", f"controller:{value}")]
+        rclpy.init(args=["--ros-args", *values], signal_handler_options=SignalHandlerOptions.NO)
+        self.node = ControllerNode()
+        self._caller = Node("caller")
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._caller)
+        self._clients: dict[str, Any] = {}
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        client = self._clients.get(name) or self._caller.create_client(kind, f"controller/{name}")
+        self._clients[name] = client
+        assert client.wait_for_service(PATIENCE)
+        return client.call_async(request)
+
+    def arrive(self, name: str) -> None:
+        """Wait until a request lies at a service, without taking it."""
+        (service,) = (s for s in self.node._services if s.service_name.rpartition("/")[2] == name)
+        waits = rclpy_implementation.WaitSet(0, 0, 0, 0, 1, 0, self.node.context.handle)
+        with service.handle:
+            waits.clear_entities()
+            waits.add_service(service.handle)
+            waits.wait(round(PATIENCE * 1e9))
+            assert waits.get_ready_entities("service")
+
+    def finish(self, future: Any) -> Any:
+        deadline = time.monotonic() + PATIENCE
+        while not future.done():
+            self.node._watch()
+            self._executor.spin_once(timeout_sec=0.01)
+            assert time.monotonic() < deadline
+        return future.result()
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.close()
+        self.node.destroy_node()
+        self._caller.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture(scope="module")
+def controller() -> Iterator[_Unspun]:
+    unspun = _Unspun()
+    yield unspun
+    unspun.close()
+
+
+def test_a_watch_period_serves_a_bounded_number_of_requests_however_many_there_are(controller: _Unspun) -> None:
+    names = [spec.name for spec in PARAMETERS]
+    asked = {
+        "describe_parameters": (DescribeParameters, DescribeParameters.Request(names=names)),
+        "get_parameters": (GetParameters, GetParameters.Request(names=names)), "enable": (SetBool, SetBool.Request(data=True)),
+    }  # fmt: skip
+    futures = [controller.call(kind, name, request) for name, (kind, request) in asked.items() for _ in range(9)]
+    for name in asked:
+        controller.arrive(name)
+    served = []
+    deadline = time.monotonic() + PATIENCE
+    while sum(served) < len(futures):
+        before = controller.node.desk.served
+        controller.node._watch()
+        served.append(controller.node.desk.served - before)
+        assert time.monotonic() < deadline
+    assert max(served) == SERVED_PER_WATCH
+    for future in futures:
+        controller.finish(future)
+
+
+def test_a_reset_from_before_a_fault_does_not_clear_it(controller: _Unspun, trip: Plan) -> None:
+    node = controller.node
+    q_a = inverse_model(node._loop.model, trip.trajectory.at(0.0).x)
+    node._on_state(messages.joint_states_template().pack(SECOND, [*q_a.tolist(), 0.0, 0.0, 0.0, 0.0]))
+    late = controller.call(Trigger, "reset", Trigger.Request())
+    controller.arrive("reset")
+    node._loop.fault("the cause of this test")
+    node._say()
+    refused = controller.finish(late)
+    assert not refused.success
+    assert refused.message == "FAULT was latched after this call: the cause of this test; call again to clear it"
+    assert node._loop.phase is Phase.FAULT
+    assert controller.finish(controller.call(Trigger, "reset", Trigger.Request())).success
+    assert node._loop.phase is Phase.IDLE
+
+
+def test_a_trajectory_counts_as_old_by_the_time_on_its_way(controller: _Unspun, trip: Plan) -> None:
+    reader = controller.node._reference
+    raw = bytes(serialize_message(messages.stop_trajectory()))
+    now = time.time_ns() + 10 * SECOND
+
+    def check(trajectory: Trajectory) -> Certificate:
+        raise AssertionError
+
+    assert reader._read(check, raw, now, now + SECOND, 1.0) is None
+    with pytest.raises(TrajectoryError, match=r"it was served 1.5 s before it arrived; the limit is 1 s"):
+        reader._read(check, raw, now, now + 3 * SECOND // 2, 1.0)
+    with pytest.raises(TrajectoryError, match="before this controller began; serve it again"):
+        reader._read(check, raw, reader._since - 1, now, 100.0)
+
+
+def test_the_distance_to_the_locus_is_that_of_the_nearest_point_to_first_order(controller: _Unspun, trip: Plan) -> None:
+    """Against a search along the gradient's direction: close to the locus the first order is the distance."""
+    from dextar_control.core.kinematics import singularity_of_platform
+    from dextar_control.core.loop import ControlLoop
+    from dextar_control.core.warmup import default_settings
+    from dextar_control.ros.controller_report import distance_to_locus
+
+    model = controller.node._loop.model
+    time_near = float(trip.certificate.crossing_times[0]) - 0.01
+    x = trip.trajectory.at(time_near).x
+    loop = ControlLoop(controller.node.robot, default_settings(), int(np.sign(singularity_of_platform(model, x))), enabled=False)
+    loop.step(0.0, inverse_model(model, x))
+    angles = np.linspace(-np.pi, np.pi, 721)
+    reach = np.linspace(0.0, 0.02, 401)[1:]
+    inside = np.sign(singularity_of_platform(model, x))
+
+    def reached(angle: float) -> float:
+        rays = ((r, x + r * np.array([np.cos(angle), np.sin(angle)])) for r in reach)
+        return next((r for r, point in rays if inside * singularity_of_platform(model, point) <= 0.0), np.inf)
+
+    found = [reached(angle) for angle in angles]
+    assert distance_to_locus(loop) == pytest.approx(min(found), rel=0.1)

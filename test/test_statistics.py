@@ -1,0 +1,57 @@
+"""What /diagnostics says about the arrival of states, from arrivals made by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dextar_control.ros.statistics import LATELY, Statistics
+
+PERIOD = 1e-3  # s
+
+
+def _arrivals(intervals: np.ndarray) -> Statistics:
+    statistics = Statistics()
+    for now in np.concatenate([[0.0], np.cumsum(intervals)]):
+        statistics.arrived(0, float(now))
+    return statistics
+
+
+@pytest.mark.parametrize(
+    ("intervals", "words"),
+    [
+        (np.full(500, PERIOD), []),
+        (np.full(500, 1.04 * PERIOD), []),
+        (np.full(500, 1.1 * PERIOD), ["states come at 909.1 Hz; 1000 Hz are expected"]),
+        (np.tile([0.3 * PERIOD, 1.7 * PERIOD], 250), ["the states' period varies by 0.70 ms; the limit is 0.50 ms"]),
+        (np.full(50, 2.0 * PERIOD), []),  # too few to say
+    ],
+)
+def test_a_rate_or_a_jitter_that_is_off_is_told_with_the_limit(intervals: np.ndarray, words: list[str]) -> None:
+    assert _arrivals(intervals).warnings(PERIOD) == words
+
+
+def test_rate_and_jitter_are_those_of_the_last_second() -> None:
+    intervals = np.random.default_rng(5).uniform(0.5, 1.5, 1500) * PERIOD
+    told = _arrivals(intervals).report(0)
+    kept = intervals[-1000:]
+    assert told["rate"] == pytest.approx(1.0 / kept.mean(), abs=0.01)
+    assert told["jitter_us"] == pytest.approx(1e6 * kept.std(), abs=0.1)
+    assert told["interval_p99_us"] == pytest.approx(1e6 * np.percentile(kept, 99), abs=0.1)
+    assert "latency_p50_us" not in told  # stamps of another clock
+
+
+def test_missed_states_are_a_warning_for_a_while() -> None:
+    statistics = Statistics()
+    statistics.counts["missed_states"] += 3
+    for _ in range(LATELY):
+        assert statistics.missed_lately() == ["3 states were missed lately"]
+        statistics.report(0)
+    assert statistics.missed_lately() == []
+
+
+def test_the_saturated_share_is_of_the_ticks_since_the_last_report_also_over_a_new_trajectory() -> None:
+    statistics = Statistics()
+    for saturated, ticks, share in ((10, 100, 0.1), (60, 100, 0.5), (5, 50, 0.1), (5, 20, 0.0)):
+        statistics.counts["states"] += ticks
+        assert statistics.report(saturated)["saturated_share"] == pytest.approx(share)

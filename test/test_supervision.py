@@ -1,0 +1,211 @@
+"""When the controller gives torque and when it refuses it, over real DDS, with this process as the rig."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from rig import Rig, controlled, matched
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+from dextar_control.contract.cdr import from_time
+from dextar_control.contract.node import qos
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.topics import CRITERION, CRITERION_NAMES, EFFORT_COMMANDS, JOINT_COMMANDS
+from dextar_control.core.kinematics import inverse_model
+from dextar_control.core.loop import Phase
+from dextar_control.core.model import make_model
+from dextar_control.core.planner import Plan
+from dextar_control.ros import messages
+from dextar_control.ros.trajectory_server import served_times
+
+MS = 1_000_000  # ns
+HEALTHY = 50  # ms
+PHASE = CRITERION_NAMES.index("phase")
+
+
+@pytest.fixture(scope="module")
+def q_a(robot: RobotParameters, trip: Plan) -> np.ndarray:
+    return inverse_model(make_model(robot), trip.trajectory.at(0.0).x)
+
+
+@pytest.fixture(scope="module")
+def process() -> Iterator[Rig]:
+    with controlled("autostart:=false") as rig:
+        yield rig
+
+
+@pytest.fixture
+def rig(process: Rig) -> Iterator[Rig]:
+    """A controller anew that enables itself after HEALTHY."""
+    values = {"healthy_time": 1e-3 * HEALTHY, "reference_timeout": 30.0, "publish_effort_array": False}
+    assert not any(process.put("controller", **values))
+    assert process.change("configure")
+    assert process.change("activate")
+    matched(process)
+    process.until(lambda: process.controller("enabling") == "waiting", "not waiting")
+    yield process
+    assert process.change("deactivate")
+    assert process.change("cleanup")
+    process.until(lambda: process.node.count_publishers("joint_commands") == 0, "the publisher is still there")
+    process.commands.clear()
+    process.status.clear()
+
+
+def _enable(rig: Rig, data: bool = True) -> SetBool.Response:
+    return rig.call(SetBool, "controller/enable", SetBool.Request(data=data))
+
+
+def _reset(rig: Rig) -> Trigger.Response:
+    return rig.call(Trigger, "controller/reset", Trigger.Request())
+
+
+def _serve(rig: Rig, trip: Plan, start: int = 0) -> None:
+    times = served_times(trip.trajectory, trip.certificate, 1e-3)
+    rig.trajectories.publish(messages.from_trajectory(trip.trajectory, times, start))
+
+
+def test_it_enables_itself_with_the_first_state_that_makes_them_healthy_and_only_once(rig: Rig, q_a: np.ndarray) -> None:
+    early = _enable(rig)
+    assert not early.success
+    assert "healthy states for 0.00 s; 0.05 s are needed" in early.message
+    rig.hold((k * MS for k in range(20)), q_a)
+    refused = _enable(rig)
+    assert (refused.success, refused.message) == (False, "healthy states for 0.02 s; 0.05 s are needed")
+    push = q_a + [1e-4, 0.0]
+    for k in range(20, HEALTHY):
+        assert list(rig.answer(k * MS, push).effort) == [0.0, 0.0]
+    rig.answer(HEALTHY * MS, push)
+    assert rig.answer((HEALTHY + 1) * MS, push + [1e-4, 0.0]).effort[0] < 0.0
+    rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+    assert rig.controller("enabling") == "done"
+    assert _enable(rig, False).success
+    for k in range(1, 3 * HEALTHY):
+        assert list(rig.answer((HEALTHY + 1 + k) * MS, push).effort) == [0.0, 0.0]
+    assert _enable(rig).success
+
+
+@pytest.mark.parametrize("trouble", ["gap", "refused", "backwards"])
+def test_trouble_begins_the_healthy_time_anew(rig: Rig, q_a: np.ndarray, trouble: str) -> None:
+    rig.hold((k * MS for k in range(HEALTHY - 1)), q_a)
+    first = HEALTHY - 1
+    if trouble == "gap":
+        first += 30
+    else:
+        count = rig.controller("refused_states")
+        rig.send(first * MS if trouble == "refused" else 3 * MS, q_a * (np.nan if trouble == "refused" else 1.0))
+        rig.until(lambda: rig.controller("refused_states") not in ("", count), "not refused")
+    for k in range(HEALTHY):
+        assert list(rig.answer((first + k) * MS, q_a + [1e-4 * (k % 2), 0.0]).effort) == [0.0, 0.0]
+    rig.answer((first + HEALTHY) * MS, q_a)
+    rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+
+
+def test_a_trajectory_that_comes_early_begins_with_the_first_held_state(rig: Rig, q_a: np.ndarray, trip: Plan) -> None:
+    rig.answer(0, q_a)
+    _serve(rig, trip)
+    rig.until(lambda: rig.controller("trajectory") == "accepted", "not accepted")
+    assert (rig.controller("phase"), rig.controller("waiting_for")) == ("IDLE", "the enabling")
+    seen: list[tuple[int, float]] = []
+    rig.node.create_subscription(
+        JointState, CRITERION.name, lambda m: seen.append((from_time(m.header.stamp), m.position[PHASE])), qos(CRITERION)
+    )
+    rig.until(lambda: rig.node.count_publishers("criterion"), "no criterion")
+    rig.hold((k * MS for k in range(1, HEALTHY + 3)), q_a)
+    rig.until(lambda: seen and seen[-1][0] == (HEALTHY + 2) * MS, "the phases are not told")
+    phases = dict(seen)
+    assert {phase for stamp, phase in phases.items() if stamp < HEALTHY * MS} == {float(Phase.IDLE)}
+    assert {phase for stamp, phase in phases.items() if stamp >= HEALTHY * MS} == {float(Phase.TRACK)}
+
+
+def test_a_trajectory_waits_for_its_enabling_no_longer_than_its_time(rig: Rig, q_a: np.ndarray, trip: Plan) -> None:
+    assert rig.put("controller", reference_timeout=0.03) == [""]
+    rig.answer(0, q_a)
+    _serve(rig, trip)
+    rig.until(lambda: rig.controller("waiting_for") == "the enabling", "not kept")
+    tick = 0
+    while not rig.controller("trajectory").startswith("refused"):
+        tick += 1
+        if tick % 40 == 0:
+            tick += 25  # never healthy for long enough
+        rig.answer(tick * MS, q_a)
+        assert tick < 5000
+    assert "to begin; the limit is 0.03 s" in rig.controller("trajectory")
+    for k in range(1, HEALTHY + 30):
+        rig.answer((tick + k) * MS, q_a)
+    rig.until(lambda: rig.controller("phase") == "HOLD", "it moves")
+
+
+def test_a_start_too_far_ahead_is_refused_and_one_that_is_missed_dropped(rig: Rig, q_a: np.ndarray, trip: Plan) -> None:
+    rig.hold((k * MS for k in range(HEALTHY + 5)), q_a)
+    _serve(rig, trip, 40_000 * MS)
+    rig.until(lambda: "the limit is 30 s" in rig.controller("trajectory"), "not refused")
+    _serve(rig, trip, 20_000 * MS)
+    rig.until(lambda: rig.controller("waiting_for") == "its start", "not accepted")
+    assert rig.put("controller", reference_timeout=0.01) == [""]
+    for k in range(1, 60):
+        rig.answer((HEALTHY + 4 + k) * MS, q_a)
+    rig.until(lambda: "to begin; the limit is 0.01 s" in rig.controller("trajectory"), "not dropped")
+    assert rig.controller("phase") == "HOLD"
+
+
+def test_a_reset_is_refused_while_the_cause_lasts(rig: Rig, q_a: np.ndarray) -> None:
+    rig.hold((k * MS for k in range(HEALTHY + 2)), q_a)
+    other = rig.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
+    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    refused = _reset(rig)
+    assert (refused.success, refused.message) == (False, "2 publishers on /joint_commands; the limit is 1")
+    rig.node.destroy_publisher(other)
+    rig.until(lambda: rig.controller("other_commanders") == "", "the other is still counted")
+    assert _reset(rig).success
+    assert _enable(rig).success
+    rig.answer((HEALTHY + 32) * MS, q_a)
+    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    refused = _reset(rig)
+    assert not refused.success
+    assert "healthy states for 0.00 s; 0.05 s are needed (last: no state for" in refused.message
+    rig.hold(((HEALTHY + 32 + k) * MS for k in range(1, HEALTHY + 1)), q_a)
+    assert _reset(rig).success
+    assert _reset(rig).success  # nothing to clear
+
+
+def test_a_second_commander_is_told_before_torque_and_refuses_it(rig: Rig, q_a: np.ndarray) -> None:
+    other = rig.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
+    rig.until(lambda: rig.controller("other_commanders"), "not seen")
+    assert rig.status["controller"]["level"] == "1"
+    rig.hold((k * MS for k in range(HEALTHY + 5)), q_a)
+    rig.until(lambda: rig.controller("enabling").startswith("refused"), "not refused")
+    assert "2 publishers on /joint_commands" in rig.controller("enabling")
+    assert rig.controller("phase") == "IDLE"
+    assert "2 publishers" in _enable(rig).message
+    rig.node.destroy_publisher(other)
+    rig.until(lambda: rig.controller("other_commanders") == "", "still counted")
+    assert _enable(rig).success
+
+
+def test_the_effort_array_carries_the_commands_torques_and_is_watched_too(rig: Rig, q_a: np.ndarray) -> None:
+    assert rig.change("deactivate")
+    assert rig.change("cleanup")
+    assert not any(rig.put("controller", publish_effort_array=True))
+    assert rig.change("configure")
+    assert rig.change("activate")
+    arrays: list[list[float]] = []
+    reader = rig.node.create_subscription(
+        Float64MultiArray, EFFORT_COMMANDS.name, lambda m: arrays.append(list(m.data)), qos(EFFORT_COMMANDS)
+    )
+    matched(rig)
+    rig.until(lambda: rig.node.count_publishers(EFFORT_COMMANDS.name), "no array")
+    for k in range(HEALTHY + 10):
+        rig.answer(k * MS, q_a + [1e-4 * (k % 3), -2e-4 * (k % 2)])
+    rig.until(lambda: len(arrays) == HEALTHY + 10, "arrays are missing")
+    assert arrays == [list(command.effort) for command in rig.commands]
+    assert arrays[-1] != [0.0, 0.0]
+    other = rig.node.create_publisher(Float64MultiArray, EFFORT_COMMANDS.name, qos(EFFORT_COMMANDS))
+    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    assert "2 publishers on /effort_commands" in rig.controller("reason")
+    rig.until(lambda: arrays[-1] == [0.0, 0.0], "the array keeps its torque")
+    rig.node.destroy_publisher(other)
+    rig.node.destroy_subscription(reader)
