@@ -20,7 +20,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS
@@ -31,6 +31,7 @@ from dextar_control.contract.topics import (
     EXTERNAL_POSE,
     JOINT_COMMANDS,
     JOINT_STATES,
+    ROBOT_DESCRIPTION,
     SIM_END_EFFECTOR,
     SIM_JOINT_STATES,
 )
@@ -39,6 +40,7 @@ from dextar_sim.pace import Schedule, spin
 from dextar_sim.parameters import PARAMETERS
 from dextar_sim.plant import Plant
 from dextar_sim.sensors import Acknowledgement, Command, CommandDelay, CommandHold, Encoder, PoseSensor
+from dextar_sim.urdf import five_bar
 
 REPEAT_AFTER = 0.5
 """s without an answer after which lockstep publishes a state again."""
@@ -102,6 +104,8 @@ class PlantNode(DextarNode):
         self._true_platform = self.create_publisher(Odometry, SIM_END_EFFECTOR.name, qos(SIM_END_EFFECTOR))
         self._true_joints = self.create_publisher(JointState, SIM_JOINT_STATES.name, qos(SIM_JOINT_STATES))
         self._poses = self.create_publisher(PoseStamped, EXTERNAL_POSE.name, qos(EXTERNAL_POSE)) if values["pose_rate"] else None
+        self._description = self.create_publisher(String, ROBOT_DESCRIPTION.name, qos(ROBOT_DESCRIPTION))
+        self._description.publish(String(data=five_bar(self.robot, visual=True)))
         topic, kind = (EFFORT_COMMANDS, Float64MultiArray) if self._arrays else (JOINT_COMMANDS, JointState)
         self._command_name = topic.name
         profile = qos(topic, reliable=self.lockstep)

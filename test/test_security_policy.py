@@ -48,7 +48,7 @@ MODULES = {
 }
 # What every ROS node may have besides the contract.
 EVERYWHERE = {"/rosout", "/parameter_events"}
-LOOKERS_ON = {"/clock", "/tf", "/tf_static", "/robot_description"}
+LOOKERS_ON = {"/clock", "/tf", "/tf_static"}
 
 
 class Grant(NamedTuple):

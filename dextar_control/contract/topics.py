@@ -171,6 +171,11 @@ SIM_JOINT_STATES = Topic(
     "applied effort (N m, 0 on passive joints); stamp of the state",
     subscriber="analysis only", unit="rad, rad/s, N m", joints=SIM_JOINT_NAMES, stamp="of the state",
 )  # fmt: skip
+ROBOT_DESCRIPTION = Topic(
+    "robot_description", "std_msgs/msg/String", "plant", 1, True, 0.0,
+    "URDF of both legs with joints q11, q12, q21, q22, as robot_state_publisher and RViz read it; the loop is not closed in it",
+    unit="SI, in the text", stamp="none", joints=SIM_JOINT_NAMES,
+)  # fmt: skip
 MARKERS = Topic(
     "markers", "visualization_msgs/msg/MarkerArray", "markers", 10, False, 25.0,
     "linkage, end effector, reference, trail, t_s and text at the rate of the display; base, locus, path and crossings once a"
@@ -184,7 +189,8 @@ DIAGNOSTICS = Topic(
 
 TOPICS = (
     JOINT_STATES, JOINT_COMMANDS, EFFORT_COMMANDS, EXTERNAL_POSE, TRAJECTORY, CONTROLLER_STATE, CRITERION,
-    SIM_END_EFFECTOR, SIM_JOINT_STATES, MARKERS, DIAGNOSTICS,
+    SIM_END_EFFECTOR, SIM_JOINT_STATES, ROBOT_DESCRIPTION, MARKERS,
+    DIAGNOSTICS,
 )  # fmt: skip
 
 SERVICES = (

@@ -194,7 +194,6 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     values["plant"] += ["window:=true"] if arguments.window else []
     values["controller"] += [f"law:={arguments.law}", f"lockstep:={str(arguments.lockstep).lower()}"]
     values["trajectory_server"] += ["autostart:=true"]
-    values["recorder"] += [f"reliable:={str(arguments.lockstep).lower()}"]
     if arguments.estimator is not None:
         values["controller"].append(f"estimator:={arguments.estimator}")
     if arguments.estimator == "external":

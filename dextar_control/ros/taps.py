@@ -24,7 +24,6 @@ PARAMETER_EVENTS = Topic(
 ALONGSIDE = (
     PARAMETER_EVENTS,
     Topic("/rosout", "rcl_interfaces/msg/Log", "all nodes", HISTORY, True, 0.0, "what the nodes log"),
-    Topic("robot_description", "std_msgs/msg/String", "whoever has it", 1, True, 0.0, "URDF"),
 )
 """Recorded beside the contract's topics."""
 

@@ -23,6 +23,7 @@ from dextar_control.contract.topics import (
     JOINT_COMMANDS,
     JOINT_STATES,
     MARKERS,
+    ROBOT_DESCRIPTION,
     SERVICES,
     SIM_END_EFFECTOR,
     SIM_JOINT_STATES,
@@ -40,7 +41,7 @@ PARAMETER_SERVICES = (
 )  # fmt: skip
 EVERY_NODE_OFFERS = ("get_type_description", *PARAMETER_SERVICES)
 # What rclcpp's nodes and RViz read besides what they show.
-VIEWERS_READ = ("/clock", "/parameter_events", "/robot_description", "/rosout", "/tf", "/tf_static")
+VIEWERS_READ = ("/clock", "/parameter_events", "/rosout", "/tf", "/tf_static")
 COMMAND_LINE = "_ros2cli_*"  # the nodes of `ros2 ...`, each with its process id in its name
 PARAMETERS_OF = ("controller", "plant", "trajectory_server")  # that the recorder asks for
 NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+|/")
@@ -99,7 +100,8 @@ OBSERVES = _names(*TOPICS)
 
 ENCLAVES = (
     Enclave("plant", "the simulated rig, the only one that knows the truth", (
-        Profile("plant", _names(*STATES, EXTERNAL_POSE, *TRUTH, DIAGNOSTICS), _names(*COMMANDS), _offered_by("plant")),
+        Profile("plant", _names(*STATES, EXTERNAL_POSE, *TRUTH, ROBOT_DESCRIPTION, DIAGNOSTICS), _names(*COMMANDS),
+                _offered_by("plant")),
     )),
     Enclave("rig", "the driver of a real robot; its node is called rig", (
         Profile("rig", _names(*STATES, DIAGNOSTICS), _names(*COMMANDS)),
