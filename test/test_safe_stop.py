@@ -26,7 +26,7 @@ from dextar_control.core.warmup import default_settings
 from dextar_sim.rig import Rig
 
 SETTINGS = default_settings()
-BRAKE = Brake(SETTINGS.brake_gain, SETTINGS.brake_constant, SETTINGS.stop_s)
+BRAKE = Brake(SETTINGS.brake_gain, SETTINGS.brake_constant, SETTINGS.coast_s, SETTINGS.stop_s)
 LEAST = 200  # instants
 PERIOD = 1e-3  # s
 PUSHED = 0.02  # of the energy taken, that the lag of the joint filter may give back
@@ -71,7 +71,7 @@ def test_only_a_request_finishes_a_crossing(stops: list[SimpleNamespace]) -> Non
     assert not [row for row in stops if row.trigger == "watch" and row.finished]
     finished = [row for row in stops if row.finished]
     assert {row.trip for row in finished} == {"fast", "slow"}
-    assert all(row.finished for row in stops if row.trigger == "stop" and abs(row.s) < SETTINGS.stop_s)
+    assert all(row.finished for row in stops if row.trigger == "stop" and abs(row.s) < SETTINGS.coast_s)
     assert not [row for row in finished if abs(row.s) > 0.6]
 
 

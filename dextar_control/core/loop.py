@@ -527,7 +527,8 @@ class ControlLoop:
     def _comes_to_rest(self) -> bool:
         """Whether a robot that is braked from now on stops clear of the locus."""
         row, limit = self.estimator.row, self._crossing_limit
-        q_a, q_a_dot, mode = row[Q_HAT : Q_HAT + 2], row[Q_HAT + 2 : Q_HAT + 4], float(row[MODE_HAT])
+        q_a, q_a_dot = row[Q_HAT : Q_HAT + 2], row[Q_HAT + 2 : Q_HAT + 4]
+        mode = float(row[MODE_HAT]) if self.mode_known else 0.0
         return bool(clear_rest(self.model, self._stop.brake, q_a, q_a_dot, mode, limit))
 
     def _follow(self) -> None:

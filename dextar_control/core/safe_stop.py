@@ -5,10 +5,10 @@ both sides of the locus, and a torque -K q_a_dot with a positive definite K take
 
     where the robot is                          torque
     ------------------------------------------  ------------------------------------------------------------------------
-    |s| < stop_s                                none, it coasts through: no torque acts along t_s there, and slowed in
+    |s| < coast_s                               none, it coasts through: no torque acts along t_s there, and slowed in
                                                 the other direction alone it might be left standing on the locus
-    farther, but on its way there and too       none: it coasts through, with all its speed
-    fast to come to rest before
+    farther, but braked from now on it would    none: it coasts through, or farther away, with all its speed
+    come to rest at |s| < stop_s
     elsewhere, side known                       braking, every direction alike: -M_q q_a_dot / brake_constant with
                                                 M_q = J_inv^-T M J_inv^-1, scaled into the limit
     elsewhere, side not known                   braking, damping in the joints: -brake_gain q_a_dot, scaled into the limit
@@ -57,6 +57,7 @@ class Brake(NamedTuple):
 
     gain: float  # N m s/rad
     constant: float  # s
+    coast_s: float
     stop_s: float
 
 
@@ -93,33 +94,36 @@ def singularity_of_joints(model: Model, q_a: Array, q_a_dot: Array) -> tuple[flo
 
 @njit
 def braking(model: Model, brake: Brake, q_a: Array, q_a_dot: Array, mode: float, limit: float) -> tuple[Array, float]:
-    """Braking torque (2,), N m, and the time, s, over which the present velocity lasts until rest.
+    """Braking torque (2,), N m, and for how long the present velocity would have to last to lead as far as rest, s.
 
     Args:
         mode: sign of s; 0 where it is not known.
         limit: of each torque, N m.
     """
-    tau = -brake.gain * q_a_dot
+    x = direct_geometric_model(model, q_a, mode if mode != 0.0 else 1.0)
+    J = inverse(kinematics(model, q_a, x, np.zeros(2)).J_inv)
+    kin = kinematics(model, q_a, x, apply(J, q_a_dot))
+    mass, _ = platform_dynamics(model, kin)
+    momentum = apply(J.T, apply(mass, kin.x_dot))
     if mode != 0.0:
-        x = direct_geometric_model(model, q_a, mode)
-        J = inverse(kinematics(model, q_a, x, np.zeros(2)).J_inv)
-        kin = kinematics(model, q_a, x, apply(J, q_a_dot))
-        mass, _ = platform_dynamics(model, kin)
-        tau = apply(J.T, apply(mass, kin.x_dot)) * (-1.0 / brake.constant)
+        tau, constant = momentum * (-1.0 / brake.constant), brake.constant
+    else:
+        tau = -brake.gain * q_a_dot
+        constant = np.hypot(momentum[0], momentum[1]) / max(np.hypot(tau[0], tau[1]), 1e-12)
     tau = tau * smooth_step(max(abs(q_a_dot[0]), abs(q_a_dot[1])), FADE[0], FADE[1])
     peak = max(abs(tau[0]), abs(tau[1]))
     share = limit / peak if peak > limit else 1.0
-    return share * tau, 0.5 * brake.constant * (share + 1.0 / share) if share > 0.0 else np.inf
+    return share * tau, 0.5 * constant * (share + 1.0 / share) if share > 0.0 else np.inf
 
 
 @njit
 def clear_rest(model: Model, brake: Brake, q_a: Array, q_a_dot: Array, mode: float, limit: float) -> bool:
     """Whether a robot that brakes from now on comes to rest clear of the locus."""
     s, rate = singularity_of_joints(model, q_a, q_a_dot)
-    if s < brake.stop_s:
+    if s < brake.coast_s:
         return False
     _, lasting = braking(model, brake, q_a, q_a_dot, mode, limit)
-    return bool(rate >= 0.0 or s + rate * lasting >= brake.stop_s)
+    return bool(s + rate * lasting >= brake.stop_s)
 
 
 @njit
@@ -174,7 +178,7 @@ class SafeStop:
 
     def configure(self, settings: Settings) -> None:
         """Take the settings that concern it, also while it lasts."""
-        self.brake = Brake(settings.brake_gain, settings.brake_constant, settings.stop_s)
+        self.brake = Brake(settings.brake_gain, settings.brake_constant, settings.coast_s, settings.stop_s)
         self._time, self._coast_time, self._rest_time = settings.brake_time, settings.coast_time, settings.rest_time
 
     def begin(self, time: float, limit: float, *, trusted: bool, over: bool) -> None:

@@ -66,7 +66,8 @@ class Settings:
         brake_gain: of the safe stop where the side is not known, N m s/rad.
         brake_time: after which the safe stop's torque is gone, s.
         brake_constant: of the safe stop where it is known: in which the velocity falls to its e-th part, s.
-        stop_s: |s| within which the safe stop coasts, and clear of which it comes to rest.
+        coast_s: |s| within which the safe stop coasts.
+        stop_s: |s| clear of which it comes to rest.
         coast_time: of coasting, after which it gives no torque any more, s.
         rest_time: for which the joints rest until it counts as over, s.
         speed_margin, speed_time: times the robot's speed limits beyond which a motion is stopped, and after how long, s.
@@ -117,6 +118,7 @@ class Settings:
     brake_gain: float
     brake_time: float
     brake_constant: float
+    coast_s: float
     stop_s: float
     coast_time: float
     rest_time: float
