@@ -118,7 +118,7 @@ ENCLAVES = (
         Profile("trajectory_server", _names(TRAJECTORY, DIAGNOSTICS), _names(DIAGNOSTICS), _offered_by("trajectory_server")),
     )),
     Enclave("recorder", "reads everything and asks for parameters", (
-        Profile("recorder", _names(DIAGNOSTICS), _names(*TOPICS), _offered_by("recorder"),
+        Profile("recorder", _names(DIAGNOSTICS), (*_names(*TOPICS), *EVERY_NODE_PUBLISHES), _offered_by("recorder"),
                 tuple(f"{node}/{name}" for node in PARAMETERS_OF for name in ("get_parameters", "list_parameters"))),
     )),
     Enclave("markers", "draws what happens", (
