@@ -172,3 +172,20 @@ def test_a_stop_is_reset_when_it_is_over_and_not_before(robot: RobotParameters, 
     assert np.abs(loop.step(sample.time, sample.q_a)).max() < 0.02
     assert loop.phase is Phase.HOLD
     rig.close()
+
+
+def test_disabling_takes_the_torque_of_a_safe_stop_away_and_keeps_it_latched(robot: RobotParameters, trip: Plan) -> None:
+    rig, loop = _tripped(robot, trip, 0.28)
+    torque, before = np.zeros(2), loop.reason
+    while not np.abs(torque).max() > 0.0:
+        sample = rig.read()
+        torque = loop.step(sample.time, sample.q_a)
+        rig.write(torque)
+    loop.disable()
+    for _ in range(100):
+        sample = rig.read()
+        torque = loop.step(sample.time, sample.q_a)
+        rig.write(torque)
+        assert not torque.any()
+    assert (loop.phase, loop.reason) == (Phase.SAFE_STOP, f"{before}; let go on request")
+    rig.close()

@@ -310,8 +310,12 @@ class ControlLoop:
         self.phase, self.reason, self.tripped = Phase.HOLD, "", ""
 
     def disable(self) -> None:
-        """No torque from the next sample on, whatever goes on."""
-        if self.phase not in (Phase.FAULT, Phase.SAFE_STOP):
+        """No torque from the next sample on, whatever goes on; a safe stop stays latched, but brakes no longer."""
+        if self.phase is Phase.SAFE_STOP:
+            if self._stop.stage is not Stage.OVER:
+                self._stop.abandon()
+                self.reason = f"{self.reason}; let go on request"
+        elif self.phase is not Phase.FAULT:
             self._go_limp(Phase.IDLE, "disabled on request")
 
     def stop(self, reason: str = "stop requested") -> None:
@@ -516,7 +520,7 @@ class ControlLoop:
         near = self.phase is Phase.CROSSING
         problem = self.supervisor.check(self.estimator.row, self._out, self._q_a, dt, limit, near)
         self.saturated_ticks += self.supervisor.saturated
-        if self._stop_wanted and self._comes_to_rest():
+        if self._stop_wanted and not problem and self._comes_to_rest():
             self._go_limp(Phase.SAFE_STOP, self.reason)
             return
         bounced = self._judge.compare(self._time, s_ref, self.estimator, self.phase in MOVING)

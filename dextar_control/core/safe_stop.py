@@ -164,7 +164,7 @@ class SafeStop:
     Attributes:
         began: time of the last one's begin, s.
         stage: of it.
-        ended: how it ended; None while it lasts.
+        ended: how it ended; None while it lasts, and where it was abandoned.
     """
 
     def __init__(self, model: Model) -> None:
@@ -193,6 +193,10 @@ class SafeStop:
         self.began, self._limit, self._trusted = time, limit, trusted
         self.stage, self.ended = (Stage.OVER if over else Stage.BRAKE), None
         self._coasted = self._rested = self._peak = 0.0
+
+    def abandon(self) -> None:
+        """No torque any more, wherever the robot is."""
+        self.stage = Stage.OVER
 
     def step(self, time: float, dt: float, estimate: Array, mode_known: bool, out: Array) -> str:
         """One sample, its torque written into ``out``; how the stop ended, in words, at the sample where it does.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import signal
 import sys
@@ -195,10 +196,10 @@ def run_check(arguments: argparse.Namespace) -> int:
     """Check the rig of parsed arguments (see ``dextar check-rig --help``); 0 all passed, 1 something failed."""
     robot = load_robot(arguments.robot or config_file(ROBOT_FILE))
     limits = limits_of(arguments, robot)
-    if arguments.duration * limits.rate < 100:
+    if not 100 <= arguments.duration * limits.rate < math.inf:
         raise ParameterError(f"duration = {arguments.duration} s at {limits.rate:g} Hz; it must be >= {100 / limits.rate:g} s")
-    if not arguments.wait >= 0.0:
-        raise ParameterError(f"wait = {arguments.wait} s; it must be >= 0")
+    if not 0.0 <= arguments.wait < math.inf:
+        raise ParameterError(f"wait = {arguments.wait} s; it must be >= 0 and finite")
     if arguments.json is not None and not arguments.json.parent.is_dir():
         raise ParameterError(f"report {arguments.json} cannot be written: no folder {arguments.json.parent}")
     console = Console()
@@ -250,10 +251,10 @@ def _look(
                     samples += taken
                 progress.update(bar, completed=done + elapsed)
                 time.sleep(20 * POLL)
-        return _settled(node, begun + DISCOVERY), samples
+        return _settled(node, begun + DISCOVERY, stop), samples
 
 
-def _settled(node: RigWatch, earliest: float) -> Graph:
+def _settled(node: RigWatch, earliest: float, stop: StopSignal | None = None) -> Graph:
     """The graph once everybody has a name: a node's endpoints are often found before it."""
     latest = max(earliest, time.monotonic()) + DISCOVERY
     while True:
@@ -261,6 +262,8 @@ def _settled(node: RigWatch, earliest: float) -> Graph:
         unknown = any("UNKNOWN" in end.node for end in (*graph.drivers, *graph.readers, *graph.commanders))
         if now >= latest or (now >= earliest and not unknown):
             return graph
+        if stop is not None:
+            _check(stop)
         time.sleep(20 * POLL)
 
 

@@ -243,7 +243,17 @@ class ControllerNode(ManagedNode):
         if "assembly_mode" in changes:
             _check_mode(changes)
         if self._loop is not None and not changes.keys().isdisjoint(Settings.__dataclass_fields__):
+            before = self._loop.settings
             self._loop.configure(Settings.from_values(self.values))
+            try:
+                self._tell_mode(changes)
+            except StateError:  # all of the changes are refused together
+                self._loop.configure(before)
+                raise
+        else:
+            self._tell_mode(changes)
+
+    def _tell_mode(self, changes: Mapping[str, Any]) -> None:
         if "assembly_mode" in changes:
             if self._loop is not None:
                 self._loop.set_assembly_mode(changes["assembly_mode"])
