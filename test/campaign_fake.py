@@ -66,6 +66,7 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: Any) -> dict[str, Any]:
 if __name__ == "__main__":
     from dextar_control import cli
     from dextar_control.campaign.command import run_command
+    from dextar_control.commands import campaign
 
-    cli._campaign = lambda arguments: run_command(arguments, MODULE)
+    campaign.run = lambda arguments: run_command(arguments, MODULE)
     sys.exit(cli.main(["campaign", *sys.argv[1:]]))

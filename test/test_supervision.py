@@ -39,7 +39,7 @@ def process() -> Iterator[Rig]:
 
 
 @pytest.fixture
-def rig(process: Rig) -> Iterator[Rig]:
+def rig(process: Rig, q_a: np.ndarray) -> Iterator[Rig]:
     """A controller anew that enables itself after HEALTHY."""
     values = {"healthy_time": 1e-3 * HEALTHY, "reference_timeout": 30.0, "publish_effort_array": False}
     assert not any(process.put("controller", **values))
@@ -49,10 +49,23 @@ def rig(process: Rig) -> Iterator[Rig]:
     process.until(lambda: process.controller("enabling") == "waiting", "not waiting")
     yield process
     assert process.change("deactivate")
+    _clear(process, q_a)
     assert process.change("cleanup")
     process.until(lambda: process.node.count_publishers("joint_commands") == 0, "the publisher is still there")
     process.commands.clear()
     process.status.clear()
+
+
+def _clear(rig: Rig, q_a: np.ndarray) -> None:
+    """Of an inactive controller: what a test latched."""
+    assert not any(rig.put("controller", assembly_mode=1, healthy_time=0.0))
+    assert rig.change("activate")
+    matched(rig)
+    rig.answer(MS, q_a)
+    assert not any(rig.put("controller", assembly_mode=1))
+    answer = _reset(rig)
+    assert answer.success, answer.message
+    assert rig.change("deactivate")
 
 
 def _enable(rig: Rig, data: bool = True) -> SetBool.Response:
@@ -209,3 +222,23 @@ def test_the_effort_array_carries_the_commands_torques_and_is_watched_too(rig: R
     rig.until(lambda: arrays[-1] == [0.0, 0.0], "the array keeps its torque")
     rig.node.destroy_publisher(other)
     rig.node.destroy_subscription(reader)
+
+
+def test_a_fault_outlives_cleanup_and_nothing_is_enabled_by_itself_after_it(rig: Rig, q_a: np.ndarray) -> None:
+    for k in range(HEALTHY + 5):
+        rig.answer(k * MS, q_a)
+    rig.until(lambda: rig.controller("phase") == "HOLD", "not held")
+    rig.answer((HEALTHY + 1000) * MS, q_a)
+    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    reason = rig.controller("reason")
+    for transition in ("deactivate", "cleanup", "configure", "activate"):
+        assert rig.change(transition)
+    matched(rig)
+    rig.until(lambda: rig.controller("phase") == "FAULT" and rig.controller("reason") == reason, "the fault is gone")
+    for k in range(2 * HEALTHY):
+        assert not any(rig.answer((HEALTHY + 2000 + k) * MS, q_a).effort)
+    assert _reset(rig).success
+    rig.until(lambda: rig.controller("phase") == "IDLE", "not reset")
+    assert not any(rig.answer((3 * HEALTHY + 2000) * MS, q_a).effort)
+    assert rig.controller("enabling") == "off"
+    assert _enable(rig).success

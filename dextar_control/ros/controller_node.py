@@ -181,7 +181,7 @@ class ControllerNode(ManagedNode):
             JointState, JOINT_STATES.name, self._on_state, qos(JOINT_STATES, reliable=self._lockstep), raw=True
         )
         self._closers.append(lambda: self.destroy_subscription(states))
-        self._automatic = values["enabled"]
+        self._automatic = values["enabled"] and not self._latched[0]  # after a fault somebody has to ask
         self._enabling = "waiting" if self._automatic else "off"
         self._loop = loop
         self.get_logger().info(f"law {values['law']}, estimator {values['estimator']}")
@@ -225,8 +225,8 @@ class ControllerNode(ManagedNode):
         self._side_unknown = tick is not None and not loop.mode_known
 
     def cleanup(self) -> None:
-        """Drop the loop and everything on the network but services and diagnostics; a latched fault is forgotten."""
-        self._loop, self._latched, self._others = None, ("", 0), ""
+        """Drop the loop and everything on the network but services and diagnostics; a latched fault still is."""
+        self._loop, self._others = None, ""
         while self._closers:
             self._closers.pop()()
 
