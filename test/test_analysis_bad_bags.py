@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from recorded_run import rewrite
+from mcap.writer import Writer
+from recorded_run import lockstep_bag, rewrite
 from synthetic_run import START, TICKS, message, write_run
 
 from dextar_control import cli
@@ -164,7 +165,7 @@ def test_a_truncated_bag_is_analysed_and_says_so(good: Path, tmp_path: Path, cap
     file.write_bytes(content[: int(0.6 * len(content))])
     assert cli.main(["analyze", str(file)]) == 1  # the trajectory's end is not in it
     metrics = json.loads((tmp_path / "metrics.json").read_text())
-    assert "ends before its end record" in capsys.readouterr().err
+    assert "breaks off or is damaged" in capsys.readouterr().err
     assert metrics["truncated"] is True
     assert "tracking ended at" in metrics["reasons"][0]
     assert "The bag breaks off" in (tmp_path / "report.html").read_text()
@@ -192,3 +193,20 @@ def test_a_bag_of_two_robots_is_analysed_by_namespace(
     code = cli.main(["analyze", bag, "--output", str(tmp_path / "out"), "--namespace", "left"])
     assert code in (0, 1)
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["states"] == TICKS
+
+
+def test_a_time_that_is_none_is_damage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "run.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
+        writer.add_message(writer.register_channel("/joint_states", "cdr", schema), 2**63, b"\0\1\0\0", 0)
+        writer.finish()
+    assert cli.main(["analyze", str(file)]) == 2
+    assert "has the time 9223372036854775808 ns: the file is damaged" in capsys.readouterr().err
+
+
+def test_a_recorded_robot_is_not_taken_for_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["analyze", str(lockstep_bag()), "--output", str(tmp_path), "--namespace", "/left"]) == 2
+    assert "is of the robot in namespace '/', not '/left'" in capsys.readouterr().err

@@ -11,6 +11,7 @@ import yaml
 from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 from synthetic_run import write_run
 from test_mcap_writer import numbers_in, write_numbers
@@ -112,7 +113,30 @@ def test_a_folder_that_only_misses_its_metadata_gets_a_copy_with_it(tmp_path: Pa
     writer = BagWriter(folder / "run.mcap")
     write_numbers(writer, 10)
     writer.close()
-    assert numbers_in(recover(folder).folder) == list(range(10))
+    result = recover(folder)
+    assert numbers_in(result.folder) == list(range(10))
+    assert (result.lost_bytes, result.damaged) == (0, 0)
+
+
+def test_different_bags_in_one_folder_are_not_made_one(bag: Path, tmp_path: Path) -> None:
+    for name in ("monday", "tuesday"):
+        (tmp_path / f"{name}.mcap").write_bytes(bag.read_bytes())
+    with pytest.raises(BagError, match=r"holds 2 .mcap files of different bags; name one of them"):
+        recover(tmp_path)
+    assert not tmp_path.with_name(f"{tmp_path.name}-recovered").exists()
+
+
+def test_a_message_of_a_channel_that_nobody_described_is_one_sentence(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start(profile="ros2")
+        writer.add_message(7, 0, b"\0\1\0\0", 0)
+        writer.finish()
+    file.write_bytes(file.read_bytes()[:-20])
+    for read in (recover, load_run):
+        with pytest.raises(BagError, match="of channel 7, which"):
+            read(file)
 
 
 def test_what_need_not_or_cannot_be_recovered_is_refused_in_one_sentence(bag: Path, tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ SQLITE = b"SQLite format 3\0"
 MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_CUT = (EndOfFile, McapError, struct.error, ZstdError, ValueError, MemoryError)
+_CUT = (EndOfFile, McapError, struct.error, ZstdError, ValueError, OverflowError, MemoryError)
 
 
 @dataclass
@@ -40,7 +40,7 @@ class Bag:
         path: of the file.
         messages: per topic name.
         metadata: per record name, the last record's texts.
-        truncated: the file that ends before its end record, or None; every complete chunk of it was read.
+        truncated: the file that breaks off or is damaged, or None; every chunk of it up to there was read.
     """
 
     path: Path
@@ -107,7 +107,8 @@ def read_bag(path: str | Path) -> Bag:
     except OSError as error:
         raise BagError(f"cannot read {path}: {error.strerror or error}") from error
     if bag.truncated:
-        warnings.warn(f"{bag.truncated} ends before its end record: read up to its last complete chunk", stacklevel=2)
+        text = f"{bag.truncated} breaks off or is damaged: read up to its last complete chunk; dextar recover saves what can be"
+        warnings.warn(text, stacklevel=2)
     if not any(len(series) for series in bag.messages.values()):
         raise BagError(f"{path} holds no ROS 2 message" + (" before it breaks off" if bag.truncated else ""))
     return bag
@@ -126,7 +127,7 @@ def _files(folder: Path) -> list[Path]:
         files = [folder / Path(name).name for name in document["relative_file_paths"]]
         compressed = bool(document.get("compression_mode"))
     except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise BagError(f"{listing} is no {METADATA_FILE} of rosbag2: {error!r}") from error
+        raise BagError(f"{listing} is no {METADATA_FILE} of rosbag2; the .mcap file beside it may be given instead") from error
     for file in files:
         if not file.is_file():
             raise BagError(f"{listing} lists {file.name}, which is not there")
@@ -173,6 +174,8 @@ def _collect(bag: Bag, path: Path, reader: StreamReader) -> None:
         elif isinstance(record, Metadata):
             bag.metadata[record.name] = dict(record.metadata)
         elif isinstance(record, Message):
+            if record.channel_id not in series:
+                raise BagError(f"{path} is damaged: a message is of channel {record.channel_id}, which no record describes")
             found = series[record.channel_id]
             if found is not None:
                 try:

@@ -71,7 +71,7 @@ QUANTITIES = (
     Quantity("saturated commands", "", "d", lambda m: m.saturated),
     Quantity("duration of the trajectory", "s", ".3f", lambda m: m.duration),
     Quantity("states without a command", "", "d", lambda m: m.missed),
-    Quantity("longest gap in states", "", "d", lambda m: m.timing.longest_miss),
+    Quantity("longest run of such states", "", "d", lambda m: m.timing.longest_miss),
     Quantity("rate of the states, median", "Hz", ".0f", lambda m: m.loop_rate),
     Quantity("period of the states, 99 %", "µs", ".0f", lambda m: 1e6 * m.timing.state_period.p99),
     Quantity("round trip, median", "µs", ".0f", lambda m: 1e6 * m.timing.round_trip.median),
@@ -230,7 +230,10 @@ def render_comparison(comparison: Comparison) -> str:
         title=f"{first} against {', '.join(others)}",
         heading=f"{first} against {', '.join(others)}",
         bags=[
-            {"name": name, "path": run.path.name, "verdict": line, "kind": {True: "good", False: "bad", None: ""}[one.success]}
+            {
+                "name": name, "path": f"{run.path.absolute().parent.name}/{run.path.name}", "verdict": line,
+                "kind": {True: "good", False: "bad", None: ""}[one.success],
+            }
             for name, run, one, line in zip(
                 comparison.names, comparison.runs, comparison.metrics, comparison.lines[0].values, strict=True
             )

@@ -101,7 +101,8 @@ def _path(axes: Any, run: Run, metrics: Metrics, track: Tracked | None) -> None:
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
     axes.set_title("(a) path, linkage at a planned crossing, Type 2 locus", fontsize=9)
-    axes.legend(loc="lower right", fontsize=7)
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(loc="lower right", fontsize=7)
 
 
 def _path_limits(axes: Any, run: Run) -> None:

@@ -33,10 +33,10 @@ def load_run(path: str | Path, namespace: str | None = None) -> Run:
 
     Args:
         path: of the bag: a file, or a folder in rosbag2's layout.
-        namespace: of the robot, where a bag of another recorder holds several.
+        namespace: of the robot, where a bag of another recorder holds several; where it holds one, it must be that one's.
 
     Raises:
-        BagError: the file is missing, empty, foreign or holds no joint states of one robot.
+        BagError: the file is missing, empty, foreign or holds no joint states of one robot, or of another than was named.
     """
     bag = read_bag(path)
     record = bag.metadata.get("dextar", {})
@@ -50,6 +50,10 @@ def load_run(path: str | Path, namespace: str | None = None) -> Run:
         }
     except (ValueError, yaml.YAMLError) as error:
         raise BagError(f"{bag.path}: its metadata record 'dextar' cannot be read: {error}") from error
+
+    recorded = _namespace(resolved)
+    if namespace is not None and recorded is not None and namespace.strip("/") != recorded.strip("/"):
+        raise BagError(f"{bag.path} is of the robot in namespace '{recorded or '/'}', not '{namespace}'")
 
     def of(topic: topics.Topic) -> Series:
         return bag.of(topic.name, resolved, namespace)

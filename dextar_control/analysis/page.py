@@ -307,7 +307,7 @@ def _short(time: str) -> str:
 
 def _subheading(run: Run) -> str:
     parts = [run.record["name"]] if run.record.get("name") else []
-    parts += [run.path.name, _short(run.record.get("started", ""))]
+    parts += [f"{run.path.absolute().parent.name}/{run.path.name}", _short(run.record.get("started", ""))]
     simulated = run.truth is not None
     parts.append("simulation: the true motion is in the bag" if simulated else "no true motion in the bag, as from a rig")
     parts += [run.record[key] for key in ("notes", "tags") if run.record.get(key)]

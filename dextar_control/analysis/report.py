@@ -77,7 +77,7 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
     lines = [
         ("crossed", known),
         ("estimator says", _verdicts(metrics)),
-        ("true error", f"{_mm(metrics.max_true_error)} max, {_mm(metrics.final_true_error)} at the end"),
+        ("true error", _true_error(metrics)),
         ("estimated error", f"{_mm(metrics.max_estimated_error)} max"),
         ("peak torque", f"{_torque(metrics.peak_torque)}, {_times(metrics.torque_ratio)} the plan's"),
         ("peak near the locus", f"{_torque(metrics.peak_torque_near)}, {_times(metrics.torque_ratio_near)} the plan's peak"),
@@ -115,6 +115,12 @@ def _late(metrics: Metrics) -> str:
     if metrics.late_ticks is None:
         return "not counted"
     return f"{metrics.late_ticks} of {metrics.plant_steps}; {metrics.late_commands} commands came later"
+
+
+def _true_error(metrics: Metrics) -> str:
+    if metrics.truth_share == 0.0:
+        return "unknown without truth"
+    return f"{_mm(metrics.max_true_error)} max, {_mm(metrics.final_true_error)} at the end"
 
 
 def _number(value: float, form: str) -> str:

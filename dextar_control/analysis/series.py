@@ -21,6 +21,7 @@ from rosbags.typesys import Stores, get_typestore
 from dextar_control.analysis.run import Floats, Stamps
 from dextar_control.contract.errors import BagError
 
+LATEST = 2**63 - 1  # ns since the epoch
 BLOCK = 4096  # messages made into columns at a time
 FIRST_MARK = 0x5A5A0001  # of the integers
 MARK = 7.25e211  # of the floats, times 1 + their number
@@ -61,8 +62,10 @@ class Series:
         """Take one serialized message.
 
         Raises:
-            BagError: a block holds bytes that are no message of the type.
+            BagError: a block holds bytes that are no message of the type, or a time is none.
         """
+        if max(log_time, publish_time) > LATEST:
+            raise BagError(f"a message on {self.topic} has the time {max(log_time, publish_time)} ns: the file is damaged")
         self._logged.append(log_time)
         self._published.append(publish_time)
         self._raw.append(data)

@@ -68,6 +68,8 @@ def run(arguments: argparse.Namespace) -> int:
         if len(arguments.bag) > 1:
             console.print(f"{bag}", highlight=False)
         console.print(summary_table(metrics))
+        names = ["metrics.json", "figure.png", "report.html", *(f"paper.{name}" for name in dict.fromkeys(arguments.formats))]
+        console.print(f"{folder or Path(metrics.bag).parent}: {' '.join(names)}", highlight=False, soft_wrap=True)
         code = code or (EXIT_FAILED if metrics.success is False else 0)
     return code
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import struct
 from collections.abc import Callable, Iterator, Mapping
@@ -12,7 +13,7 @@ from typing import Any
 
 import yaml
 from mcap.exceptions import EndOfFile, McapError
-from mcap.records import Attachment, Channel, Chunk, Footer, Header, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from zstandard import ZstdError
 
@@ -23,7 +24,8 @@ from dextar_control.ros.mcap_file import McapFile, Sample
 MAGIC = b"\x89MCAP0\r\n"
 RECOVERY_NAME = "dextar_recovery"  # of the metadata record that tells of it
 SUFFIX = "-recovered"
-_BROKEN = (EndOfFile, McapError, struct.error, ValueError, MemoryError)
+_SPLIT = re.compile(r"_\d+$")  # the number of a split bag's file
+_BROKEN = (EndOfFile, McapError, struct.error, ValueError, OverflowError, MemoryError)
 _DAMAGED = (ZstdError, RuntimeError, *_BROKEN)  # lz4 raises RuntimeError
 
 Progress = Callable[[int, int], None]  # bytes done, bytes in all
@@ -128,6 +130,8 @@ def _files(path: Path) -> list[Path]:
         files = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
         if not files:
             raise BagError(f"folder {path} holds no .mcap file")
+        if len(files) > 1 and len({_SPLIT.sub("", file.stem) for file in files}) > 1:
+            raise BagError(f"folder {path} holds {len(files)} .mcap files of different bags; name one of them")
         for file in files:
             _check(file)
         return files
@@ -177,6 +181,8 @@ def _copy(scan: _Scan, target: McapFile, topics: dict[str, TopicDescription], pr
     channels: dict[int, str] = {}
     for record in scan.records(progress):
         if isinstance(record, Message):
+            if record.channel_id not in channels:
+                raise BagError(f"{scan.path} is damaged: a message is of channel {record.channel_id}, which no record describes")
             name = channels[record.channel_id]
             target.write([Sample(record.log_time, name, record.publish_time, record.sequence, record.data)])
         elif isinstance(record, Schema):
@@ -193,8 +199,6 @@ def _copy(scan: _Scan, target: McapFile, topics: dict[str, TopicDescription], pr
             target.attach(record)
         elif isinstance(record, Header) and record.profile != "ros2":
             raise BagError(f"{scan.path} is no ROS 2 recording: its profile is '{record.profile}'")
-        elif isinstance(record, Footer):
-            return
 
 
 def _topic(path: Path, channel: Channel, schema: Schema | None) -> TopicDescription:
