@@ -231,12 +231,15 @@ def test_a_fault_outlives_cleanup_and_nothing_is_enabled_by_itself_after_it(rig:
     rig.answer((HEALTHY + 1000) * MS, q_a)
     rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
     reason = rig.controller("reason")
-    for transition in ("deactivate", "cleanup", "configure", "activate"):
+    for transition in ("deactivate", "cleanup", "configure"):
         assert rig.change(transition)
+    assert not any(rig.put("controller", assembly_mode=1))
+    assert rig.change("activate")
     matched(rig)
     rig.until(lambda: rig.controller("phase") == "FAULT" and rig.controller("reason") == reason, "the fault is gone")
     for k in range(2 * HEALTHY):
         assert not any(rig.answer((HEALTHY + 2000 + k) * MS, q_a).effort)
+    assert not any(rig.put("controller", assembly_mode=1))
     assert _reset(rig).success
     rig.until(lambda: rig.controller("phase") == "IDLE", "not reset")
     assert not any(rig.answer((3 * HEALTHY + 2000) * MS, q_a).effort)
