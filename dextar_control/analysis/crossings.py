@@ -28,10 +28,10 @@ class CrossingMetrics:
         true_time: where the true s, a straight line between its stamps, is zero, nearest to the plan; None when it is nowhere
             zero between the sides. s = r_1 x r_2 / (l_1 l_2) with r_i from elbow i, by the true active joints, to the true
             end effector and l_i the distal lengths.
-        outcome: crossed, bounced (it has not crossed by the time the plan is clear of the locus) or not reached (tracking
-            ended before); None without truth.
+        outcome: crossed, bounced (it has not crossed by the time the plan is clear of the locus), not reached (tracking
+            ended before) or not recorded (the bag breaks off before); None without truth.
         crossed: the true s has the other sign before and the planned sign after, where the plan is clear of the
-            locus; None without truth.
+            locus; None without truth, or where the bag breaks off before that.
         estimated_mode: assembly mode that the controller took there afterwards; None when not recorded.
         verdict: the estimator's last one: crossed, bounced or undecided; None when not recorded.
         verdict_time, verdict_confidence: when it fell, and in the assembly mode that it rests on; nan while undecided.
@@ -86,6 +86,8 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
         sides = at(track.true_time, track.true_s, before) * sign, at(track.true_time, track.true_s, after) * sign
         crossed = bool(sides[0] < 0.0 < sides[1] and planned <= track.time[-1])
         outcome = "crossed" if crossed else "not reached" if planned > track.time[-1] else "bounced"
+        if run.truncated and after > track.time[-1]:
+            crossed, outcome = None, "not recorded"
     moment = _true_instant(track, planned, before, after)
     criterion_time = (run.criterion.stamps - track.start) * 1e-9
     mode = at(criterion_time, run.criterion.assembly_mode, after)

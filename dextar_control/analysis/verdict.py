@@ -35,13 +35,19 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
     if not tracked:
         reasons.append("no trajectory was tracked")
         return Verdict(False, reasons)
-    if values["tracked_until"] < values["duration"] - END_MARGIN:
+    short = values["tracked_until"] < values["duration"] - END_MARGIN
+    cut = short and values["truncated"] and not stopped  # the bag ends there, the run may have gone on
+    if short and not cut:
         reasons.append(f"tracking ended at {values['tracked_until']:.3f} s of {values['duration']:.3f} s")
     if values["saturated"]:
         reasons.append(f"{values['saturated']} commands were saturated; the limit is 0")
     if values["drive_saturated"]:
         reasons.append(f"the drives saturated in {values['drive_saturated']} steps; the limit is 0")
     broken = bool(reasons)
+    if cut:
+        reasons.append(
+            f"the bag breaks off at {values['tracked_until']:.3f} s of {values['duration']:.3f} s: what came then is not known"
+        )
     for index, crossing in enumerate(values["crossings"], start=1):
         if crossing.crossed is False:
             reasons.append(
@@ -57,7 +63,7 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
         ("max_true_error", MAX_ERROR, "the largest true error"),
         ("final_true_error", FINAL_ERROR, "the true error at the end"),
     ):
-        if has_truth and not values[key] < limit:
+        if has_truth and not values[key] < limit and not (cut and key == "final_true_error"):
             found = f"{1e3 * values[key]:.3f} mm" if math.isfinite(values[key]) else "unknown"
             reasons.append(f"{name} is {found}; the limit is {1e3 * limit:g} mm")
     if has_truth and values["truth_share"] < LEAST_TRUTH:
@@ -71,4 +77,6 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
     if not has_truth:
         reasons.append("the bag holds no true motion: encoders alone cannot tell a crossing from a bounce")
         return Verdict(False if broken else None, reasons)
+    if cut and len(reasons) == 1:
+        return Verdict(None, reasons)
     return Verdict(not reasons, reasons)

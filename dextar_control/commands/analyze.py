@@ -14,8 +14,8 @@ from dextar_control.contract.errors import DextarError
 SUMMARY = "metrics, figures and a report from recorded runs"
 DESCRIPTION = (
     "Reads each bag and writes metrics.json, figure.png and report.html, one page that opens offline, beside it (or into"
-    " --output). Exit code 0 when every run was a success or has no truth to judge by, 1 when one was not, 2 for a bad file;"
-    " the others are analysed all the same."
+    " --output). Exit code 0 when every run was a success or has no truth to judge by, 1 when one was not or its bag breaks"
+    " off, 2 for a bad file; the others are analysed all the same."
 )
 FORMATS = ("png", "svg", "pdf")
 WIDTHS = (40.0, 400.0)  # mm
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(summary_table(metrics))
         names = ["metrics.json", "figure.png", "report.html", *(f"paper.{name}" for name in dict.fromkeys(arguments.formats))]
         console.print(f"{folder or Path(metrics.bag).parent}: {' '.join(names)}", highlight=False, soft_wrap=True)
-        code = code or (EXIT_FAILED if metrics.success is False else 0)
+        code = code or (EXIT_FAILED if metrics.success is False or metrics.truncated else 0)
     return code
 
 

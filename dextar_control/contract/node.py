@@ -328,6 +328,13 @@ def run_node(
         return EXIT_USAGE
     except KeyboardInterrupt:
         return 0
+    except Exception as error:
+        if stop and stop.starting:  # what the compiler makes of an interrupt
+            return 0
+        if node is None and type(error).__name__ == "RCLError":  # e.g. security is asked for and not there
+            print(f"error: {str(error).splitlines()[0]}", file=sys.stderr)
+            return EXIT_USAGE
+        raise
     finally:
         if node is not None:
             node.destroy_node()
