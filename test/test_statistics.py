@@ -55,3 +55,11 @@ def test_the_saturated_share_is_of_the_ticks_since_the_last_report_also_over_a_n
     for saturated, ticks, share in ((10, 100, 0.1), (60, 100, 0.5), (5, 50, 0.1), (5, 20, 0.0)):
         statistics.counts["states"] += ticks
         assert statistics.report(saturated)["saturated_share"] == pytest.approx(share)
+
+
+def test_stamps_off_the_period_are_counted_and_told_and_gaps_of_whole_periods_are_not() -> None:
+    statistics = Statistics()
+    for gap in (1.0e-3, 3.0e-3, 1.1e-3, 0.1e-3, 1.5e-3, 1.0e-3):
+        statistics.spaced(gap, 1e-3)
+    assert (statistics.counts["missed_states"], statistics.counts["irregular_stamps"]) == (3, 2)
+    assert statistics.missed_lately() == ["3 states were missed lately", "2 stamps were off the period lately"]

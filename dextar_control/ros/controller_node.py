@@ -329,7 +329,7 @@ class ControllerNode(ManagedNode):
         if self._stamp < 0:
             return
         gap = (stamp - self._stamp) / NANOSECONDS
-        self._statistics.counts["missed_states"] += max(round(gap / self._period) - 1, 0)
+        self._statistics.spaced(gap, self._period)
         if gap > self.values["state_timeout"] and loop.phase not in (Phase.IDLE, Phase.FAULT):
             loop.fault(f"no state for {1e3 * gap:.1f} ms; the limit is {1e3 * self.values['state_timeout']:.1f} ms")
 

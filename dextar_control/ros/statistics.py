@@ -13,6 +13,7 @@ WINDOW = 1000  # states, a second of them
 LATELY = 5  # reports over which a missed state is told as a warning: one second
 SETTLED = 200  # intervals below which a rate says nothing
 RATE_TOLERANCE = 0.05  # of the nominal rate: what ros2_control tells of its own loop (5 Hz at 100 Hz)
+STAMP_TOLERANCE = 0.2  # of the period, by which a stamp may lie off it: at full speed that is 3 mrad of a joint
 JITTER_TOLERANCE = 0.5  # standard deviation of the intervals over the period: states come in pairs from there on
 SAME_CLOCK = 10.0  # s between a stamp and its arrival beyond which it is of another clock, as in simulated time
 
@@ -21,14 +22,16 @@ class Statistics:
     """Counters since the node's start, and windows over the last second.
 
     Attributes:
-        counts: states answered, missed (by their stamps), refused, repeated; stalls on the steady clock.
+        counts: states answered, missed (by their stamps), refused, repeated; stamps off the period; stalls on the steady
+            clock.
     """
 
     def __init__(self) -> None:
-        self.counts = dict.fromkeys(("states", "missed_states", "refused_states", "repeated_states", "stalls"), 0)
+        names = ("states", "missed_states", "refused_states", "repeated_states", "irregular_stamps", "stalls")
+        self.counts = dict.fromkeys(names, 0)
         self._intervals, self._latencies, self._work = Window(WINDOW), Window(WINDOW), Window(WINDOW)
         self._arrival = math.nan
-        self._missed: deque[int] = deque([0], maxlen=LATELY)
+        self._before: deque[dict[str, int]] = deque([dict(self.counts)], maxlen=LATELY)
         self._reported = (0, 0)
 
     def restart(self) -> None:
@@ -36,13 +39,19 @@ class Statistics:
         self._arrival = math.nan
         self._intervals.clear()
         self._latencies.clear()
-        self._missed.clear()
-        self._missed.append(self.counts["missed_states"])
+        self._before.clear()
+        self._before.append(dict(self.counts))
 
     @property
     def arrival(self) -> float:
         """When the last state was taken, s of ``time.perf_counter``; nan before the first."""
         return self._arrival
+
+    def spaced(self, gap: float, period: float) -> None:
+        """The stamps of two states lie ``gap`` apart, s; ``period`` is the nominal one."""
+        periods = round(gap / period)
+        self.counts["missed_states"] += max(periods - 1, 0)
+        self.counts["irregular_stamps"] += abs(gap - max(periods, 1) * period) > STAMP_TOLERANCE * period
 
     def arrived(self, stamp: int, now: float) -> None:
         """A state that was answered; stamp in ns, now of ``time.perf_counter``, s."""
@@ -71,9 +80,10 @@ class Statistics:
         return told + self.missed_lately()
 
     def missed_lately(self) -> list[str]:
-        """Whether states were missed within the last LATELY reports."""
-        lately = self.counts["missed_states"] - self._missed[0]
-        return [f"{lately} states were missed lately"] if lately > 0 else []
+        """Whether states were missed, or stamps were off the period, within the last LATELY reports."""
+        lately = {name: self.counts[name] - self._before[0][name] for name in ("missed_states", "irregular_stamps")}
+        words = ("states were missed", "stamps were off the period")
+        return [f"{count} {what} lately" for count, what in zip(lately.values(), words, strict=True) if count > 0]
 
     def report(self, saturated: int) -> dict[str, object]:
         """Values for /diagnostics.
@@ -86,7 +96,7 @@ class Statistics:
         self._reported = (saturated, self.counts["states"])
         more = saturated - saturated_before if saturated >= saturated_before else saturated
         ticks = self.counts["states"] - states_before
-        self._missed.append(self.counts["missed_states"])
+        self._before.append(dict(self.counts))
         values: dict[str, object] = {
             **self.counts, "rate": round(found.rate, 2), "jitter_us": _us(found.jitter), "interval_p99_us": _us(found.p99),
             "interval_max_us": _us(found.longest), "state_age": round(time.perf_counter() - self._arrival, 4),
