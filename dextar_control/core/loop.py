@@ -6,7 +6,6 @@ It knows no ROS and no simulator; a rig, a node or a plain ``for`` calls it alik
 from __future__ import annotations
 
 import math
-from enum import IntEnum
 
 import numpy as np
 
@@ -18,9 +17,6 @@ from dextar_control.core.dgm import wrap
 from dextar_control.core.estimator import Pose, make_estimator
 from dextar_control.core.kinematics import direct_model, singularity, state_of_platform
 from dextar_control.core.law import (
-    CONFIDENCE,
-    ERROR,
-    FORCE,
     LAMBDA_REF,
     MODE_HAT,
     OUTPUT,
@@ -28,83 +24,31 @@ from dextar_control.core.law import (
     Q_REF,
     REFERENCE,
     S_REF,
-    SCALARS,
     TAU,
     X_HAT,
     X_REF,
     Gains,
     Law,
-    U,
     control,
 )
 from dextar_control.core.model import Array, make_model, pack, unpack
 from dextar_control.core.safe_stop import SafeStop, Stage, Stopped, clear_rest, singularity_of_joints
 from dextar_control.core.settings import Settings
 from dextar_control.core.supervisor import Supervisor
+from dextar_control.core.tick import LIMP as LIMP
+from dextar_control.core.tick import MOVING, Tick
+from dextar_control.core.tick import Phase as Phase
 from dextar_control.core.trajectory import Trajectory, evaluate, hold
 from dextar_control.core.verdicts import OPEN_BEFORE as OPEN_BEFORE
 from dextar_control.core.verdicts import CrossingJudge, Passed
 from dextar_control.core.verdicts import Verdict as Verdict
 
-
-class Phase(IntEnum):
-    """What the controller does."""
-
-    IDLE = 0  # no torque, by request
-    APPROACH = 1  # tracks a trajectory without a crossing
-    HOLD = 2  # holds a point
-    TRACK = 3  # tracks a crossing trajectory, away from the locus
-    CROSSING = 4  # tracks it near the locus
-    SAFE_STOP = 5  # coasts, brakes, then no torque: ``core.safe_stop``
-    FAULT = 6  # no torque
-
-
-LIMP = (Phase.IDLE, Phase.FAULT, Phase.SAFE_STOP)  # where the law gives no torque
 REST_ZONE, REST_WIDTH = 0.05, 0.05  # |s| of the estimator's hold while holding a point: the direct model serves nearer
 HOLD_MARGIN = 0.05  # in |s|, over what holding a point needs
 ENABLE_SPEED = 0.5  # rad/s of a joint, at which a robot is still taken for one at rest
 FIRST_PERIOD = 1e-3  # s taken for the first sample
 START_MARGIN = 2e-3  # s by which a trajectory's start may have passed when it begins
 UNKNOWN_SIDE = "the estimator cannot tell on which side of the locus the robot stands:"
-MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
-
-
-class Tick:
-    """Everything about one sample; arrays are (2,), copies of their own.
-
-    Attributes:
-        time: of the state, s.
-        reference_time: since the trajectory's start, s.
-        phase: of the loop.
-    """
-
-    __slots__ = ("_estimate", "_output", "_reference", "phase", "reference_time", "time")
-
-    def __init__(
-        self, time: float, reference_time: float, phase: Phase, reference: Array, estimate: Array, output: Array
-    ) -> None:
-        self.time, self.reference_time, self.phase = time, reference_time, phase
-        self._reference, self._estimate, self._output = reference, estimate, output
-
-    tau = property(lambda self: self._output[TAU : TAU + 2], doc="N m.")
-    x_ref = property(lambda self: self._reference[X_REF : X_REF + 2], doc="m.")
-    x_ref_dot = property(lambda self: self._reference[X_REF + 2 : X_REF + 4], doc="m/s.")
-    x_ref_ddot = property(lambda self: self._reference[X_REF + 4 : X_REF + 6], doc="m/s^2.")
-    x_hat = property(lambda self: self._estimate[X_HAT : X_HAT + 2], doc="m.")
-    x_hat_dot = property(lambda self: self._estimate[X_HAT + 2 : X_HAT + 4], doc="m/s.")
-    error = property(lambda self: self._output[ERROR : ERROR + 2], doc="x_ref - x_hat, m.")
-    error_dot = property(lambda self: self._output[ERROR + 2 : ERROR + 4], doc="m/s.")
-    u = property(lambda self: self._output[U : U + 2], doc="Auxiliary acceleration, m/s^2.")
-    force = property(lambda self: self._output[FORCE : FORCE + 2], doc="J_inv^T tau, N.")
-    residual = property(lambda self: float(self._output[SCALARS]), doc="t_s.w_d that u asks for, N.")
-    s = property(lambda self: float(self._output[SCALARS + 1]), doc="Singularity measure at the model's state.")
-    sigma_min = property(lambda self: float(self._output[SCALARS + 2]), doc="Of A_r over the distal length.")
-    weight = property(lambda self: float(self._output[SCALARS + 3]), doc="Of the feedback along the weak direction.")
-    assembly_mode = property(lambda self: int(self._estimate[MODE_HAT]), doc="Believed sign of s.")
-    confidence = property(lambda self: float(self._estimate[CONFIDENCE]), doc="In the assembly mode, 0.5 to 1.")
-    rows = property(
-        lambda self: (self._reference, self._estimate, self._output), doc="Reference, estimate, output; see ``law``."
-    )
 
 
 @njit
