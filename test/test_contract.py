@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 from pathlib import Path
 
 import numpy as np
@@ -230,3 +231,9 @@ def test_a_foreign_trajectory_is_refused(trip: Plan) -> None:
     message.points[1].velocities = []
     with pytest.raises(TrajectoryError, match="point 1 has 0 velocities; expected 1"):
         messages.to_trajectory(message)
+
+
+def test_a_description_without_joint_ranges_has_none(robot: RobotParameters) -> None:
+    flat = {key: value for key, value in flatten(robot).items() if not key.endswith("_angle")}
+    legs = from_flat(flat).legs
+    assert {(leg.min_angle, leg.max_angle) for leg in legs} == {(-math.pi, math.pi)}

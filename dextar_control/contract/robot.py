@@ -111,6 +111,7 @@ _POSITIVE = {"base_distance", "proximal_length", "distal_length", "coulomb_speed
              "max_joint_speed", "max_platform_speed"}  # fmt: skip
 _FRACTION = {"proximal_center", "distal_center", "min_type1_distance"}
 _FREE = {"gravity", "min_angle", "max_angle"}
+_UNBOUND = {f"{side}.{bound}_angle": sign * math.pi for side in ("left", "right") for bound, sign in (("min", -1), ("max", 1))}
 
 
 def _check(key: str, value: Any) -> None:
@@ -177,11 +178,12 @@ def from_flat(flat: Mapping[str, Any]) -> RobotParameters:
     """A robot from dotted keys.
 
     Raises:
-        ParameterError: a key is unknown or missing, a value is out of its range.
+        ParameterError: a key is unknown or missing (a joint's range may be: then it has none), a value out of its range.
     """
     unknown = sorted(set(flat) - set(ROBOT_KEYS))
     if unknown:
         raise ParameterError(f"unknown robot parameter '{unknown[0]}'; known are: {', '.join(ROBOT_KEYS)}")
+    flat = {**_UNBOUND, **flat}
     missing = [key for key in ROBOT_KEYS if key not in flat]
     if missing:
         raise ParameterError(f"robot parameter '{missing[0]}' is missing")
