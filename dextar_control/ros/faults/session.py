@@ -123,13 +123,18 @@ class Session:
         }
 
     def bag(self) -> Path:
-        """Path of the next recording."""
+        """Path of the next recording, in a folder of its own: a bag's metadata belong to it alone."""
         self.bags += 1
-        return self.folder / f"run-{self.bags}.mcap"
+        path = self._bag_path()
+        path.parent.mkdir()
+        return path
+
+    def _bag_path(self) -> Path:
+        return self.folder / f"bag-{self.bags}" / "run.mcap"
 
     def current_bag(self) -> Path | None:
         """Path of the recording under way."""
-        return self.folder / f"run-{self.bags}.mcap" if self.bags else None
+        return self._bag_path() if self.bags else None
 
     def start_recorder(self, *, wrap: Sequence[str] = (), path: Path | None = None, limit: Any = None, **more: str) -> Path:
         """Start the recorder; its bag."""
@@ -463,7 +468,7 @@ class Session:
         self.processes.stop_all()
         self.operator.close()
         if self.request.record and self.bags:
-            path = self.folder / f"run-{self.bags}.mcap"
+            path = self._bag_path()
             if path.exists():
                 tally.count(Check.BAG, 1, bag_check.unreadable(path))
         return tally
