@@ -7,12 +7,10 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from dextar_control.campaign.ranges import BARS, PERTURBATIONS, Range
-from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.validation import load_yaml, problem, validate
 from dextar_control.core.settings import Settings
 
 Numbers = dict[str, Annotated[float, Field(allow_inf_nan=False)]]
@@ -25,10 +23,10 @@ class _Section(BaseModel):
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
         if not isinstance(data, Mapping):
-            raise _problem(f"it must be a mapping with some of: {', '.join(cls.model_fields)}")
+            raise problem(f"it must be a mapping with some of: {', '.join(cls.model_fields)}")
         for key in data:
             if key not in cls.model_fields:
-                raise _problem(f"unknown key '{key}'; known are: {', '.join(cls.model_fields)}")
+                raise problem(f"unknown key '{key}'; known are: {', '.join(cls.model_fields)}")
         return data
 
 
@@ -41,7 +39,7 @@ class Points(_Section):
     @model_validator(mode="after")
     def _folded_among_all(self) -> Points:
         if self.folded > self.count:
-            raise _problem(f"folded = {self.folded} of count = {self.count}; it must be <= count")
+            raise problem(f"folded = {self.folded} of count = {self.count}; it must be <= count")
         return self
 
 
@@ -112,7 +110,7 @@ class CampaignConfig(_Section):
     def _signs(cls, directions: list[int]) -> list[int]:
         for direction in directions:
             if direction not in (1, -1):
-                raise _problem(f"direction {direction}; it must be 1 or -1, the sign of s after the first crossing")
+                raise problem(f"direction {direction}; it must be 1 or -1, the sign of s after the first crossing")
         return _each_once(directions, "direction")
 
     @field_validator("plants")
@@ -149,13 +147,7 @@ def load_config(path: str | Path) -> CampaignConfig:
     Raises:
         ParameterError: the file cannot be read, or something in it is unknown, missing or out of its range.
     """
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ParameterError(f"campaign file {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterError(f"campaign file {path}: {' '.join(str(error).split())}") from error
-    return validated(document, f"campaign file {path}")
+    return load_yaml(CampaignConfig, path, "campaign file")
 
 
 def validated(data: Any, source: str) -> CampaignConfig:
@@ -164,22 +156,7 @@ def validated(data: Any, source: str) -> CampaignConfig:
     Raises:
         ParameterError: something in it is unknown, missing or out of its range; it names the source.
     """
-    try:
-        return CampaignConfig.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"] if part not in ("float", "str"))
-        if first["type"] == "dextar":
-            said = first["msg"]
-        elif first["type"] == "missing":
-            said = "it is missing"
-        else:
-            said = f"{first['input']!r} is not valid: {first['msg'][0].lower()}{first['msg'][1:]}"
-        raise ParameterError(f"{source}: {where}: {said}" if where else f"{source}: {said}") from error
-
-
-def _problem(text: str) -> PydanticCustomError:
-    return PydanticCustomError("dextar", "{text}", {"text": text})
+    return validate(CampaignConfig, data, source)
 
 
 def _within(numbers: Numbers, ranges: Mapping[str, Range], what: str, where: str = "") -> Numbers:
@@ -187,13 +164,13 @@ def _within(numbers: Numbers, ranges: Mapping[str, Range], what: str, where: str
         _known(key, ranges, what, where)
         low, high, _ = ranges[key]
         if not low <= value <= high:
-            raise _problem(f"{where}{what} {key} = {value:g}; it must lie in [{low:g}, {high:g}]")
+            raise problem(f"{where}{what} {key} = {value:g}; it must lie in [{low:g}, {high:g}]")
     return numbers
 
 
 def _known(name: str, known: Collection[str], what: str, where: str = "") -> None:
     if name not in known:
-        raise _problem(f"{where}{unknown(name, known, what)}")
+        raise problem(f"{where}{unknown(name, known, what)}")
 
 
 def unknown(name: str, known: Collection[str], what: str) -> str:
@@ -204,5 +181,5 @@ def unknown(name: str, known: Collection[str], what: str) -> str:
 def _each_once(items: list[Any], what: str) -> list[Any]:
     for item in items:
         if items.count(item) > 1:
-            raise _problem(f"{what} {item} stands there {items.count(item)} times; it must be there once")
+            raise problem(f"{what} {item} stands there {items.count(item)} times; it must be there once")
     return items

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.errors import DextarError
+from dextar_control.contract.validation import load_yaml, problem, validate
 from dextar_control.faults.frames import LinkQuality
 from dextar_control.faults.judgement import Outcome
 from dextar_control.faults.link import Shape, Transport
@@ -28,10 +27,10 @@ class _Section(BaseModel):
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
         if not isinstance(data, Mapping):
-            raise _problem(f"it must be a mapping with some of: {', '.join(cls.model_fields)}")
+            raise problem(f"it must be a mapping with some of: {', '.join(cls.model_fields)}")
         for key in data:
             if key not in cls.model_fields:
-                raise _problem(f"unknown key '{key}'; known are: {', '.join(cls.model_fields)}")
+                raise problem(f"unknown key '{key}'; known are: {', '.join(cls.model_fields)}")
         return data
 
 
@@ -53,7 +52,7 @@ class Window(_Section):
     def _known_shape(cls, shape: str) -> str:
         known = [item.value for item in Shape]
         if shape not in known:
-            raise _problem(f"unknown shape '{shape}'; known are: {', '.join(known)}")
+            raise problem(f"unknown shape '{shape}'; known are: {', '.join(known)}")
         return shape
 
 
@@ -94,21 +93,21 @@ class Case(_Section):
     def _known_outcomes(cls, expect: list[str]) -> list[str]:
         for outcome in expect:
             if outcome not in list(Outcome):
-                raise _problem(f"unknown outcome '{outcome}'; known are: {', '.join(Outcome)}")
+                raise problem(f"unknown outcome '{outcome}'; known are: {', '.join(Outcome)}")
         return expect
 
     @model_validator(mode="after")
     def _one_fault(self) -> Case:
         kinds = [kind for kind in KINDS if getattr(self, kind)]
         if len(kinds) != 1:
-            raise _problem(f"it has {' and '.join(kinds) or 'no fault'}; it must have exactly one of: {', '.join(KINDS)}")
+            raise problem(f"it has {' and '.join(kinds) or 'no fault'}; it must have exactly one of: {', '.join(KINDS)}")
         if self.kind not in ("transport", "window") and self.clock == "lockstep" and self.kind != "parameters":
-            raise _problem(f"{self.kind} needs the clock realtime")
+            raise problem(f"{self.kind} needs the clock realtime")
         try:
             Transport(**(self.transport or {}))
             LinkQuality(**(self.network or {}))
         except (DextarError, TypeError) as error:
-            raise _problem(str(error)) from error
+            raise problem(str(error)) from error
         return self
 
 
@@ -133,13 +132,7 @@ def load_cases(path: str | Path) -> FaultConfig:
     Raises:
         ParameterError: the file cannot be read, or something in it is unknown, missing or out of its range.
     """
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ParameterError(f"fault file {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterError(f"fault file {path}: {' '.join(str(error).split())}") from error
-    return validated(document, f"fault file {path}")
+    return load_yaml(FaultConfig, path, "fault file")
 
 
 def validated(data: Any, source: str) -> FaultConfig:
@@ -148,19 +141,4 @@ def validated(data: Any, source: str) -> FaultConfig:
     Raises:
         ParameterError: something in it is unknown, missing or out of its range; it names the source.
     """
-    try:
-        return FaultConfig.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"] if part not in ("float", "str"))
-        if first["type"] == "dextar":
-            said = first["msg"]
-        elif first["type"] == "missing":
-            said = "it is missing"
-        else:
-            said = f"{first['input']!r} is not valid: {first['msg'][0].lower()}{first['msg'][1:]}"
-        raise ParameterError(f"{source}: {where}: {said}" if where else f"{source}: {said}") from error
-
-
-def _problem(text: str) -> PydanticCustomError:
-    return PydanticCustomError("dextar", "{text}", {"text": text})
+    return validate(FaultConfig, data, source)

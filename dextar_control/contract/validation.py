@@ -1,0 +1,54 @@
+"""YAML files checked against pydantic models: one sentence for what is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+from pydantic_core import PydanticCustomError
+
+from dextar_control.contract.errors import ParameterError
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def load_yaml(model: type[M], path: str | Path, what: str) -> M:
+    """A model from a YAML file; ``what`` names the kind of file in messages.
+
+    Raises:
+        ParameterError: the file cannot be read, or something in it is unknown, missing or out of its range.
+    """
+    try:
+        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"{what} {path}: {error.strerror or error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ParameterError(f"{what} {path}: {' '.join(str(error).split())}") from error
+    return validate(model, document, f"{what} {path}")
+
+
+def validate(model: type[M], data: Any, source: str) -> M:
+    """A model from plain data.
+
+    Raises:
+        ParameterError: something in it is unknown, missing or out of its range; it names the source.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"] if part not in ("float", "str"))
+        if first["type"] == "dextar":
+            said = first["msg"]
+        elif first["type"] == "missing":
+            said = "it is missing"
+        else:
+            said = f"{first['input']!r} is not valid: {first['msg'][0].lower()}{first['msg'][1:]}"
+        raise ParameterError(f"{source}: {where}: {said}" if where else f"{source}: {said}") from error
+
+
+def problem(text: str) -> PydanticCustomError:
+    """What a validator raises, in its own words."""
+    return PydanticCustomError("dextar", "{text}", {"text": text})
