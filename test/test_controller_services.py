@@ -70,8 +70,10 @@ class _Unspun:
         self._executor.shutdown()
         self.node.close()
         self.node.destroy_node()
+        left = [name for name in self._caller.get_node_names() if name == "controller"]
         self._caller.destroy_node()
         rclpy.try_shutdown()
+        assert left == [], "a destroyed node stays in the graph"
 
 
 @pytest.fixture(scope="module")

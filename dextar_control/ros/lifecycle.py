@@ -116,6 +116,11 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
         self._try("deactivate")
         return self._try("cleanup")
 
+    def destroy_node(self) -> None:
+        """As any node's; the state machine, which rclpy leaves out, would keep the node in the graph."""
+        self._state_machine.destroy_when_not_in_use()
+        super().destroy_node()
+
     def configure(self) -> None:
         """Build everything from the parameters; raise a DextarError to stay unconfigured."""
 
