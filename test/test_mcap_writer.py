@@ -236,6 +236,28 @@ def test_a_split_bag_is_one_bag_and_each_file_stands_alone(tmp_path: Path, limit
     assert next_number == 1000
 
 
+def test_each_file_of_a_split_bag_begins_with_what_holds(tmp_path: Path) -> None:
+    """Said once, before and during the second file: the first file has the first of them, the second both."""
+    writer = BagWriter(tmp_path / "run.mcap", "none", max_duration=1.0)
+    for topic, standing in (("/plan", True), ("/silent", True), ("/steps", False)):
+        writer.add_topic(topic, "std_msgs/msg/String", [], standing=standing)
+    second = 1_000_000_000
+    samples = [(0.1, "/plan", b"A"), (0.1, "/steps", b"1"), (1.2, "/steps", b"2"), (1.5, "/plan", b"B"), (2.3, "/steps", b"3")]
+    for number, (when, topic, data) in enumerate(samples):
+        writer.add(Sample(round(when * second), topic, round(when * second), number, data))
+    writer.close()
+    found = []
+    for path in writer.paths:
+        with path.open("rb") as stream:
+            found.append([(channel.topic, message.log_time / second, message.publish_time / second, message.data)
+                          for _, channel, message in make_reader(stream).iter_messages()])  # fmt: skip
+    assert found == [
+        [("/plan", 0.1, 0.1, b"A"), ("/steps", 0.1, 0.1, b"1")],
+        [("/plan", 1.2, 0.1, b"A"), ("/steps", 1.2, 1.2, b"2"), ("/plan", 1.5, 1.5, b"B")],
+        [("/plan", 2.3, 1.5, b"B"), ("/steps", 2.3, 2.3, b"3")],
+    ]
+
+
 def test_what_was_handed_over_a_sync_period_ago_survives_a_power_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The cut is simulated: of the file, only what the disk had confirmed is left."""
     confirmed = 0

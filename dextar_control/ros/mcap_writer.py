@@ -61,6 +61,7 @@ class BagWriter:
         self._bytes_in = self._bytes_out = 0
         self._stop = threading.Event()
         self._topics: dict[str, TopicDescription] = {}
+        self._standing: dict[str, Sample | None] = {}  # last sample of what is said once
         self._metadata: dict[str, dict[str, str]] = {}
         self._custom: dict[str, str] = {}
         self._done: list[FileSummary] = []
@@ -101,14 +102,23 @@ class BagWriter:
         """Whether the topic was added."""
         return topic in self._topics
 
-    def add_topic(self, topic: str, type_name: str, qos: Sequence[Qos]) -> None:
+    def add_topic(self, topic: str, type_name: str, qos: Sequence[Qos], *, standing: bool = False) -> None:
         """Describe a topic; before its first sample.
+
+        Args:
+            topic: its name.
+            type_name: of its messages.
+            qos: as each publisher offers it.
+            standing: its last sample holds until the next one comes: each file of a split bag begins with it, logged at
+                the time of the split.
 
         Raises:
             BagError: no definition of the type is installed.
         """
         description = TopicDescription(topic, type_name, list(qos), definition(type_name), type_hash(type_name))
         self._topics[topic] = description
+        if standing:
+            self._standing[topic] = None
         self._pending.append(lambda: self._file.register(description))
 
     def add(self, sample: Sample) -> None:
@@ -204,10 +214,11 @@ class BagWriter:
         start = 0
         while start < len(batch):
             if self._is_due(batch[start].log_time):
-                self._split()
+                self._split(batch[start].log_time)
             end = self._slice_end(batch, start)
             part = batch[start:end]
             self._file.write(part)
+            self._standing.update({sample.topic: sample for sample in part if sample.topic in self._standing})
             self._bytes_out += sum(len(sample.data) for sample in part)
             start = end
 
@@ -227,7 +238,7 @@ class BagWriter:
             end = min(end, max(start + 1, bisect.bisect_left(batch, limit, key=_log_time)))
         return end
 
-    def _split(self) -> None:
+    def _split(self, log_time: int) -> None:
         self._finish()
         earlier = self._earlier + self._file.stream.complete
         self._file = self._open()
@@ -236,6 +247,7 @@ class BagWriter:
             self._file.register(description)
         for name, data in self._metadata.items():
             self._file.add_metadata(name, data)
+        self._file.write([sample._replace(log_time=log_time) for sample in self._standing.values() if sample is not None])
 
     def _finish(self) -> None:
         self._file.finish(self._custom)

@@ -66,7 +66,8 @@ class Recording:
     def describe(self, tap: Tap) -> None:
         """Add a topic to the bag as its publishers offer it, at its first sample."""
         offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(tap.name)]
-        self.writer.add_topic(tap.name, tap.type, [describe(profile) for profile in offered])
+        profiles = [describe(profile) for profile in offered]
+        self.writer.add_topic(tap.name, tap.type, profiles, standing=tap.kept is not None)
 
     def hear_diagnostics(self, data: bytes) -> None:
         """The plan's certificate is told there."""
