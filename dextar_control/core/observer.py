@@ -52,7 +52,7 @@ class Noise(NamedTuple):
 
     encoder: float  # of a sample, rad
     bias: float  # of b at the start, rad
-    bias_walk: float  # of b's random walk, rad/sqrt(s)
+    bias_walk: float  # of b's random walk as the joints move, rad/sqrt(rad)
     torque: float  # of a sample: friction and motors, N m
     acceleration: float  # of a sample: masses, m/s^2
     shock_gate: float  # squared normalised innovation that only a blow explains
@@ -153,8 +153,10 @@ def begin_again(model: Model, noise: Noise, bank: Bank, belief: Array, q_meas: A
 def predict(model: Model, noise: Noise, state: Gauss, tau: Array, dt: float) -> None:
     """One step under tau (2,), N m: x_ddot by the forward dynamics in its middle, and the covariance with it.
 
-    The covariance takes x_ddot for independent of the state, which over a sample it nearly is. The torque's
-    noise acts through M^-1 J_inv^T: not along t_s on the locus.
+    b changes with the configuration: it walks as the joints move and stands still with them. A walk in time would let a
+    robot that is held drift away, for at rest the joints cannot tell x from b. The covariance takes x_ddot for
+    independent of the state, which over a sample it nearly is. The torque's noise acts through M^-1 J_inv^T: not along
+    t_s on the locus.
     """
     mean, P = state.mean, state.covariance
     x, x_dot = mean[0:2].copy(), mean[2:4].copy()
@@ -179,7 +181,7 @@ def predict(model: Model, noise: Noise, state: Gauss, tau: Array, dt: float) -> 
         for j in range(2):
             P[2 + i, 2 + j] += (dt * noise.torque) ** 2 * (G[i, 0] * G[j, 0] + G[i, 1] * G[j, 1])
         P[2 + i, 2 + i] += (dt * noise.acceleration) ** 2
-        P[4 + i, 4 + i] += dt * noise.bias_walk**2
+        P[4 + i, 4 + i] += dt * abs(kin.q_a_dot[i]) * noise.bias_walk**2
 
 
 @njit

@@ -40,7 +40,7 @@ class Settings:
         return_time: over which ``dgm`` takes the direct model again after a crossing, s.
         encoder_deviation: of a joint sample, rad, as the observer is told.
         bias_deviation: of the joint angles that a wrong geometry explains, rad.
-        bias_walk: of their random walk, rad/sqrt(s).
+        bias_walk: of their random walk as the joints move, rad/sqrt(rad).
         torque_deviation: of a sample's torque (friction, motors), N m.
         acceleration_deviation: of a sample's platform acceleration (masses), m/s^2.
         shock_gate: innovation of the joints, in standard deviations, from which on the observer allows for a blow ...
