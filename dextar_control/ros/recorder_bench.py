@@ -1,8 +1,8 @@
 """Does the recorder keep up beside the running stack? ``python -m dextar_control.ros.recorder_bench 600``.
 
 Runs plant (with a camera at the loop's rate), controller, trajectory server and recorder in real time as processes of their
-own, serves a trip now and then, and counts afterwards from the bag alone, by the numbers that the publishers gave their
-samples, what is missing.
+own, has a tour of ten return trips served every half minute, and counts afterwards from the bag alone, by the numbers that
+the publishers gave their samples, what is missing.
 """
 
 from __future__ import annotations
@@ -20,10 +20,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+import rclpy
 from mcap.reader import make_reader
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from std_srvs.srv import Trigger
 
 from dextar_control.commands import EXIT_FAILED
 from dextar_control.contract.errors import BagError
@@ -36,6 +40,8 @@ MODULES = {
     "trajectory_server": "dextar_control.ros.trajectory_server",
 }
 CAMERA_RATE = 1000.0  # Hz
+TOUR_PERIOD = 30  # s between two tours
+ANSWER = 5.0  # s
 STARTING = 240.0  # s until the nodes have to be there; the first start compiles
 STOPPING = 30.0  # s
 
@@ -79,16 +85,19 @@ def run(seconds: float, output: Path, reliable: bool) -> int:
         "recorder": [f"output:={output / 'run.mcap'}", f"reliable:={str(reliable).lower()}", "compression:=zstd"],
         "plant": [f"pose_rate:={CAMERA_RATE}"],
         "controller": [],
-        "trajectory_server": ["autostart:=true", "repeat:=20"],
+        "trajectory_server": ["autostart:=true", "repeat:=10"],
     }
     processes = {name: _start(name, output, values) for name, values in settings.items()}
+    operator = _Operator()
     try:
         with console.status("starting the nodes"):
             _wait_for_all(output, processes)
         before = {name: _cpu(process.pid) for name, process in processes.items()}
         begin = time.monotonic()
-        for _ in track(range(round(seconds)), description="recording", console=console):
-            time.sleep(1.0)
+        for second in track(range(round(seconds)), description="recording", console=console):
+            if second % TOUR_PERIOD == TOUR_PERIOD - 1:
+                operator.start_tour()
+            time.sleep(max(0.0, begin + second + 1.0 - time.monotonic()))
             ended = [name for name, process in processes.items() if process.poll() is not None]
             if ended:
                 raise BagError(f"{ended[0]} ended: see {output / ended[0]}.log")
@@ -96,6 +105,7 @@ def run(seconds: float, output: Path, reliable: bool) -> int:
         load = {name: (_cpu(process.pid) - before[name]) / elapsed for name, process in processes.items()}
         memory = {name: _memory(process.pid) for name, process in processes.items()}
     finally:
+        operator.close()
         _stop(processes[name] for name in ("trajectory_server", "controller", "plant", "recorder"))
     found = streams(output / "run.mcap")
     table = Table("topic", "messages", "missing", "told by the recorder", title=f"{elapsed:.0f} s in real time")
@@ -103,8 +113,32 @@ def run(seconds: float, output: Path, reliable: bool) -> int:
         table.add_row(row.topic, str(row.messages), str(row.missing), str(row.dropped))
     console.print(table)
     console.print("; ".join(f"{name} {load[name]:.2f} cores, {memory[name]:.0f} MB" for name in load), highlight=False)
+    console.print(f"tours asked for: {1 + operator.asked}; refused or not answered: {operator.refused}", highlight=False)
     console.print(f"load average {os.getloadavg()[1]:.1f} on {os.cpu_count()} cores; bag {output}", highlight=False)
     return EXIT_FAILED if any(row.missing or row.dropped for row in found) else 0
+
+
+class _Operator:
+    """Asks the trajectory server for another tour."""
+
+    def __init__(self) -> None:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node("recorder_bench", enable_rosout=False, start_parameter_services=False)
+        self._client = self._node.create_client(Trigger, "trajectory_server/start")
+        self.asked = self.refused = 0
+
+    def start_tour(self) -> None:
+        """Ask, and count what is not granted."""
+        self.asked += 1
+        future = self._client.call_async(Trigger.Request())
+        rclpy.spin_until_future_complete(self._node, future, timeout_sec=ANSWER)
+        answer = future.result() if future.done() else None
+        self.refused += answer is None or not answer.success
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._node.destroy_node()
+        rclpy.try_shutdown()
 
 
 def _start(name: str, output: Path, values: list[str]) -> subprocess.Popen[bytes]:
