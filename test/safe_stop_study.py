@@ -222,6 +222,14 @@ def draw(rows: list[Row], path: Path) -> None:
     figure.savefig(path, dpi=120)
 
 
+def _value(text: str) -> float | str:
+    """A number, or the name of a law or an estimator."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 def main() -> int:
     """Console entry."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -236,7 +244,7 @@ def main() -> int:
         parser.add_argument(f"--{name}", action="append", default=[], metavar="NAME=VALUE", help=what)
     chosen = parser.parse_args()
     changes, built = (
-        {name: float(value) for name, _, value in (item.partition("=") for item in items)} for items in (chosen.set, chosen.built)
+        {name: _value(text) for name, _, text in (item.partition("=") for item in items)} for items in (chosen.set, chosen.built)
     )
     unknown = sorted(set(changes) - set(Settings.__dataclass_fields__))
     if unknown:
