@@ -68,8 +68,9 @@ class Player:
         x, along = self.x[frame], T_S_LENGTH * self._t_s[frame]
         self._mark = p.addUserDebugLine([*(x - along), HEIGHT], [*(x + along), HEIGHT], RED, 5.0,
                                         replaceItemUniqueId=self._mark, physicsClientId=self.client)  # fmt: skip
+        moment, s = (round(float(value), 3) + 0.0 for value in (self.time[frame], self._s[frame]))  # no -0.000
         text = "  ".join(
-            [f"{self.time[frame]:.3f} s", str(self._phase[frame]), f"s {self._s[frame]:+.3f}",
+            [f"{moment:.3f} s", str(self._phase[frame]), f"s {s:+.3f}",
              *(f"tau{index + 1} {torque:+.3f} N m" for index, torque in enumerate(self._torque[frame]) if math.isfinite(torque))]
         )  # fmt: skip
         self._words = p.addUserDebugText(text, [-0.12, -0.05, HEIGHT], BLACK, 1.2, replaceItemUniqueId=self._words,

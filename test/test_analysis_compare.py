@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_run import TRUE_OFFSET, write_run
+from synthetic_run import CROSSINGS, TRUE_OFFSET, path, write_run
 
 from dextar_control import cli
 from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
 from dextar_control.analysis.compare import QUANTITIES, Comparison, compare_runs, overlaid
 
+ESTIMATED_ERROR = 0.02  # mm
 FARTHER = 3.0e-4  # m, added to the true y of the second run
 
 
@@ -74,12 +75,31 @@ def test_crossings_are_compared_one_by_one(comparison: Comparison) -> None:
     assert outcome.values == ["crossed", "crossed", None]
 
 
-def test_curves_over_each_other_are_those_of_the_runs(comparison: Comparison) -> None:
-    panels = overlaid(comparison)
+def test_curves_over_each_other_are_the_true_ones_where_every_run_has_them(comparison: Comparison) -> None:
+    both = compare_runs(comparison.runs[:2], comparison.metrics[:2], comparison.names[:2])
+    panels = overlaid(both)
     assert [panel.key for panel in panels] == ["torque0", "torque1", "error", "residual", "s"]
     error = panels[2]
-    assert [curve.name for curve in error.curves] == ["good", "worse", "rig, estimated"]
+    assert (error.label, panels[4].label) == ("true error (mm)", "true s (1), 0 on the locus")
+    assert [curve.name for curve in error.curves] == ["good", "worse"]
     assert np.nanmax(error.curves[1].values) == pytest.approx(1e3 * (TRUE_OFFSET + FARTHER), rel=1e-9)
+
+
+def test_beside_a_run_without_truth_the_estimated_curves_of_all_are_drawn(comparison: Comparison) -> None:
+    error, s = (panel for panel in overlaid(comparison) if panel.key in ("error", "s"))
+    assert (error.label, s.label) == ("estimated error (mm)", "estimated s (1), 0 on the locus")
+    assert [curve.name for curve in error.curves] == ["good", "worse", "rig"]
+    for curve in error.curves:
+        assert np.nanmax(curve.values) == pytest.approx(ESTIMATED_ERROR, rel=1e-9)
+    assert any("drawn as estimated for all runs" in remark for remark in comparison.remarks)
+
+
+def test_true_and_estimated_speed_are_different_lines(comparison: Comparison) -> None:
+    lines = {entry.name: entry for entry in comparison.crossings[0]}
+    assert lines["true speed"].values[:2] == pytest.approx([abs(path(CROSSINGS[0])[1])] * 2, rel=1e-2)
+    assert lines["true speed"].values[2] is None and lines["true speed"].differences[1] is None
+    assert lines["estimated speed"].values == pytest.approx([abs(path(CROSSINGS[0])[1])] * 3, rel=1e-2)
+    assert "speed" not in lines
 
 
 def test_other_plans_and_robots_are_remarked(good: Run) -> None:
@@ -88,7 +108,7 @@ def test_other_plans_and_robots_are_remarked(good: Run) -> None:
     other = dataclasses.replace(good, robot=good.robot.replace(end_effector_mass=0.06))  # type: ignore[union-attr]
     found = compare_runs([good, other], [metrics, shorter])
     assert "The runs have different robots." in found.remarks
-    assert any("cross 2, 1 times" in remark for remark in found.remarks)
+    assert any("the first 1 one by one" in remark for remark in found.remarks)
     assert len(found.crossings) == 1
 
 
@@ -107,7 +127,7 @@ def test_the_command_writes_page_text_and_numbers(tmp_path: Path) -> None:
 def test_one_bag_is_no_comparison(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_run(tmp_path / "a.mcap")
     assert cli.main(["compare", str(tmp_path / "a.mcap")]) == 2
-    assert capsys.readouterr().err == "dextar compare: 1 runs; a comparison needs at least two\n"
+    assert capsys.readouterr().err == "dextar compare: 1 run; a comparison needs at least two\n"
 
 
 def test_metrics_are_what_is_compared(good: Run) -> None:

@@ -6,16 +6,18 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 import pytest
 from scipy.io import loadmat
-from synthetic_run import MISSED, START, TICKS, TRUE_OFFSET, effort_at, joints_of, path, write_run
+from synthetic_run import CROSSINGS, DECIDED, MISSED, START, TICKS, TRUE_OFFSET, effort_at, joints_of, path, write_run
 
 from dextar_control import cli
 from dextar_control.analysis import load_run
 from dextar_control.analysis.table import state_table, topic_tables
 
+WORDS = ("phase", "verdict")
 UNITS = {"ns", "s", "m", "m/s", "m/s^2", "rad", "rad/s", "N m", "N", "1"}
 
 
@@ -41,6 +43,8 @@ def test_each_state_has_a_row_with_everything_of_its_stamp(folder: Path) -> None
         assert columns["reference_y"][tick] == y
         assert columns["true_y"][tick] == y + TRUE_OFFSET
         assert columns["phase"][tick] == "TRACK"
+        decided = any(crossing + DECIDED <= tick * 1e-3 < crossing + 0.4 for crossing in CROSSINGS)
+        assert columns["verdict"][tick] == ("crossed" if decided else "undecided")
 
 
 def test_what_was_not_recorded_is_null_not_a_number(folder: Path) -> None:
@@ -54,20 +58,36 @@ def test_every_column_has_a_unit_and_a_meaning(folder: Path) -> None:
     schema = pyarrow.parquet.read_schema(folder / "run.parquet")
     for field in schema:
         assert field.metadata[b"meaning"]
-        assert field.name == "phase" or field.metadata[b"unit"].decode() in UNITS, field.name
+        assert field.name in WORDS or field.metadata[b"unit"].decode() in UNITS, field.name
     assert json.loads(schema.metadata[b"robot"])["base_distance"] == 0.118
     assert json.loads(schema.metadata[b"parameters"])["controller"]["law"] == "consistent"
+
+
+def test_words_are_categories_whose_meaning_stands_with_the_column(folder: Path) -> None:
+    frame = pyarrow.parquet.read_table(folder / "run.parquet")
+    for name, words in (("verdict", ("undecided", "crossed", "bounced")), ("phase", ("TRACK", "SAFE_STOP"))):
+        assert pa.types.is_dictionary(frame.schema.field(name).type)
+        assert all(word in frame.schema.field(name).metadata[b"meaning"].decode() for word in words)
+
+
+def test_a_verdict_that_was_not_recorded_is_null(tmp_path: Path) -> None:
+    write_run(tmp_path / "old.mcap", says=None)
+    assert set(state_table(load_run(tmp_path / "old.mcap")).column("verdict").to_pylist()) == {None}
 
 
 def test_csv_holds_the_same_numbers_under_names_with_units(folder: Path) -> None:
     table, parquet = pyarrow.csv.read_csv(folder / "run.csv"), pyarrow.parquet.read_table(folder / "run.parquet")
     assert "true_x [m]" in table.column_names and "phase" in table.column_names
     for name, column in zip(parquet.column_names, table.columns, strict=True):
-        if name != "phase":
+        if name in WORDS:
+            assert column.to_pylist() == parquet.column(name).to_pylist()
+        else:
             ours = parquet.column(name).to_numpy(zero_copy_only=False).astype(float)
             theirs = column.to_numpy(zero_copy_only=False).astype(float)
             assert np.array_equal(ours, theirs, equal_nan=True), name
-    assert json.loads((folder / "columns.json").read_text())["run"]["residual"] == {"unit": "N", "meaning": "t_s.w_d"}
+    assert json.loads((folder / "columns.json").read_text())["run"]["command_q11_effort"] == {
+        "unit": "N m", "meaning": "commanded torque"
+    }  # fmt: skip
 
 
 def test_matlab_gets_a_struct_of_columns(folder: Path) -> None:
@@ -78,6 +98,7 @@ def test_matlab_gets_a_struct_of_columns(folder: Path) -> None:
     assert run.stamp.dtype == np.int64 and run.stamp[5] == START + 5_000_000
     assert np.flatnonzero(np.isnan(run.command_q11_effort)).tolist() == list(MISSED)
     assert run.phase[0] == "TRACK"
+    assert (run.verdict[0], run.verdict[-1]) == ("undecided", "crossed")
     assert content["units"].true_y == "m"
 
 

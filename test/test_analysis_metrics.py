@@ -205,7 +205,7 @@ def test_a_saturated_command_is_a_failure_with_its_count(good: Run) -> None:
     metrics = compute_metrics(dataclasses.replace(good, commands=dataclasses.replace(good.commands, effort=effort)))
     assert metrics.saturated == 1
     assert metrics.success is False
-    assert metrics.reasons == ["1 commands were saturated; the limit is 0"]
+    assert metrics.reasons == ["saturated commands: 1; the limit is 0"]
 
 
 @pytest.mark.parametrize(("offset", "words"), [(6.0e-3, "largest true error"), (2.0e-3, "at the end")])

@@ -10,11 +10,11 @@ import numpy as np
 import pybullet as p
 import pytest
 from PIL import Image
-from synthetic_run import START, TRUE_OFFSET, effort_at, joints_of, path, robot, write_run
+from synthetic_run import NEAR_TORQUE, START, TRUE_OFFSET, effort_at, joints_of, path, robot, write_run
 
 from dextar_control import cli
 from dextar_control.analysis import Run, load_run
-from dextar_control.analysis.animate import animate, find_ffmpeg
+from dextar_control.analysis.animate import _Scene, animate, find_ffmpeg
 from dextar_control.analysis.motion import motion_of
 from dextar_control.contract.errors import ParameterError
 from dextar_sim.replay import Player, read_motion
@@ -49,6 +49,13 @@ def test_frames_are_the_recorded_motion_at_their_times(run: Run) -> None:
         assert motion.q_a[frame] == pytest.approx(joints_of(y), abs=ROUNDING)
         assert tuple(motion.torque[frame]) == effort_at(round(1e3 * time))
     assert motion.phase == ["TRACK"] * 21
+
+
+def test_a_peak_between_two_frames_is_in_the_torques_course(run: Run) -> None:
+    motion = motion_of(run, 0.01, 0.2, 0.4)
+    assert np.abs(motion.torque).max() < NEAR_TORQUE  # the frames pass over it
+    assert np.abs(motion.course).max() == NEAR_TORQUE
+    assert (motion.course_time[0], motion.course_time[-1]) == pytest.approx((0.2, 0.4))
 
 
 def test_the_drawn_linkage_has_the_robots_lengths(run: Run) -> None:
@@ -91,6 +98,27 @@ def test_a_gif_has_every_frame_in_its_time(bag: Path, tmp_path: Path) -> None:
     assert all((frame < 128).mean() > 0.01 for frame in frames)
 
 
+def test_no_time_is_minus_nought(run: Run) -> None:
+    motion = motion_of(run, 0.1, 0.0, 0.1)
+    scene = _Scene(motion._replace(time=motion.time - 4e-4, s=motion.s * 0.0 - 1e-5), 1.0)
+    scene.show(0)
+    assert scene._title.get_text().split()[0] == "0.000"
+    assert "-0.000" not in scene._title.get_text()
+
+
+def test_an_animation_that_breaks_off_leaves_the_file_that_was_there(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "replay.gif"
+    file.write_text("before")
+
+    def stop(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        animate(motion_of(run, 0.1), file, 1.0, 10, stop)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["replay.gif"]
+    assert file.read_text() == "before"
+
+
 def test_an_mp4_has_every_frame(run: Run, tmp_path: Path) -> None:
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     motion = motion_of(run, 0.02, 0.2, 0.3)
@@ -110,7 +138,7 @@ def test_an_mp4_without_ffmpeg_is_refused_with_the_remedy(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--output", "x.avi"], "must end in .gif or .mp4"),
+        (["--output", "x.avi"], "whose name ends in .gif or .mp4"),
         (["--output", "x.gif", "--speed", "0.001"], "a .gif may have 1500: raise --speed"),
         (["--from", "7", "--to", "8"], "its motion is from 0.000 to 1.000 s"),
         (["--window"], "needs a display, and DISPLAY is not set"),
@@ -121,9 +149,10 @@ def test_what_cannot_be_shown_is_refused_in_one_sentence(
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     assert cli.main(["replay", str(bag), *arguments]) == 2
-    error = capsys.readouterr().err
+    said, error = capsys.readouterr()
     assert words in error
     assert error.count("\n") == 1
+    assert said == ""  # no progress before a refusal
 
 
 def test_pybullet_shows_the_end_effector_where_it_was(run: Run, tmp_path: Path) -> None:

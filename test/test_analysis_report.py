@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import itertools
 import json
+import math
 import re
 import tempfile
 from html.parser import HTMLParser
@@ -19,8 +20,10 @@ from dextar_control import cli
 from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
 from dextar_control.analysis.curves import panels
 from dextar_control.analysis.page import render_report
-from dextar_control.analysis.report import analyze
-from dextar_control.analysis.web_figures import RUN_STYLES, STYLES
+from dextar_control.analysis.plane import plane_of
+from dextar_control.analysis.report import analyze, summary_lines
+from dextar_control.analysis.run import RecordedTopic
+from dextar_control.analysis.web_figures import RUN_STYLES, STYLES, VERDICT_MARKS, in_plane, log_ticks
 
 SIZE_OF_A_DEMO = 3_000_000  # bytes; the figures' code alone is 1.3 million
 
@@ -89,7 +92,7 @@ def test_each_crossing_has_its_row_with_the_metrics_numbers() -> None:
         assert (row["outcome"], row["estimator says"], row["verdict is"]) == ("crossed", "crossed", "right")
         assert float(row["smallest σ1"]) == 0.5
         assert float(row["peak torqueN m"]) == crossing.peak_torque
-        assert float(row["error beforemm"]) == float(row["error aftermm"]) == pytest.approx(1e3 * TRUE_OFFSET)
+        assert float(row["true error beforemm"]) == float(row["true error aftermm"]) == pytest.approx(1e3 * TRUE_OFFSET)
 
 
 def test_every_column_with_numbers_has_a_unit() -> None:
@@ -111,7 +114,7 @@ def test_without_truth_it_says_what_needs_it() -> None:
     head = next(row for row in page.rows if row[:1] == ["no."])
     row = dict(zip(head, next(row for row in page.rows if row[:1] == ["1"]), strict=True))
     assert row["trues"] == row["outcome"] == row["verdict is"] == "needs truth"
-    assert float(row["error aftermm"]) == pytest.approx(0.02)  # the estimate's own
+    assert float(row["estimated error aftermm"]) == pytest.approx(0.02)  # the estimate's own
     assert "the true error needs the true motion, which this bag does not hold" in page.text
 
 
@@ -132,7 +135,7 @@ def test_timing_is_measured_on_the_system_clock_and_misses_are_counted() -> None
     assert (timing.missed_runs, timing.longest_miss) == ([3], 3)
     assert timing.lockstep is None
     assert "The bag does not say whether this was real time." in page.text
-    assert "3 of 1001 states have no command with their stamp; the longest gap is 3 states, in 1 gaps" in page.text
+    assert "States without a command of their stamp: 3 of 1001, in 1 gap, the longest of 3 states" in page.text
 
 
 def test_losses_phases_parameters_and_versions_are_there() -> None:
@@ -142,6 +145,19 @@ def test_losses_phases_parameters_and_versions_are_there() -> None:
     assert "working_mode [1, -1]" in page.text
     assert "recorded with dextar 9.9" in page.text
     assert "the controller ended in SAFE_STOP: no state for 20 ms" in page.text
+
+
+def test_only_a_topic_with_a_rate_of_its_own_has_a_mean_rate() -> None:
+    run, metrics, _ = made()
+    burst = RecordedTopic("rcl_interfaces/msg/ParameterEvent", 150, 1_000, 50_001_000)
+    other = RecordedTopic("sensor_msgs/msg/Image", 150, 1_000, 50_001_000)  # of another type than the contract's
+    topics = {"/parameter_events": burst, "/left/joint_states": run.topics["/joint_states"], "/camera/criterion": other}
+    run = dataclasses.replace(run, topics=run.topics | topics)
+    rows = {row[0]: row[5:] for row in Text(render_report(run, metrics)).rows if row and row[0].startswith("/")}
+    assert rows["/joint_states"][0] == rows["/sim/joint_states"][0] == "1000"
+    assert float(rows["/joint_states"][1]) == pytest.approx(1e6 / 6.0, rel=1e-2)  # six messages a tick, written 1 us apart
+    assert rows["/left/joint_states"] == rows["/joint_states"]
+    assert rows["/parameter_events"] == rows["/camera/criterion"] == rows["/trajectory"] == rows["/diagnostics"] == ["", ""]
 
 
 def test_the_page_of_a_real_run_is_light_and_loads_nothing(tmp_path: Path) -> None:
@@ -209,3 +225,48 @@ def test_the_robot_is_printed_once() -> None:
     run = dataclasses.replace(run, parameters={"controller": own, "plant": {**own, "mode": "lockstep"}})
     assert Text(render_report(run, metrics)).text.count("left.proximal_length") == 1
     assert robot().left.proximal_length == run.robot.left.proximal_length
+
+
+@pytest.mark.parametrize(("low", "high"), [(300.0, 533.0), (1.0, 10.0), (172.0, 17_800.0), (100.0, 99_000.0), (0.1, 1e7)])
+def test_a_logarithmic_axis_has_ticks_that_do_not_collide(low: float, high: float) -> None:
+    ticks = log_ticks(low, high)
+    assert 2 <= len(ticks) <= 10
+    assert all(low <= tick <= high for tick in ticks)
+    gaps = [math.log(two / one) / math.log(high / low) for one, two in itertools.pairwise(ticks)]
+    assert min(gaps) > 0.07  # of the axis; a number takes 6 % of 500 px
+
+
+def test_a_curve_that_leaves_its_axis_is_told() -> None:
+    _, metrics, page = made(bounce=True, says=(1, 1))
+    assert f"curves that leave the axis: true from 0.1 to {1e3 * metrics.max_true_error:.3g}" in page.text
+
+
+def test_the_marks_of_crossings_tell_the_verdicts_apart() -> None:
+    labels = set()
+    for says in ((1, 1), (2, 1), (0, 1)):
+        run, metrics, _ = made(says=says)
+        plane = plane_of(run, metrics)
+        assert len(plane.places) == 1
+        drawn = [item.label.value for item in in_plane([plane]).legend[0].items]
+        labels |= {label for label in drawn if "estimator" in label}
+    assert labels == {"crossing, estimator: crossed", "crossing, estimator: bounced", "crossing, estimator: undecided"}
+    assert len({marker for marker, _ in VERDICT_MARKS.values()}) == len(VERDICT_MARKS)
+
+
+def test_a_bag_of_joint_states_alone_is_not_called_a_failure() -> None:
+    run, _, _ = made()
+    parts = {
+        name: dataclasses.replace(getattr(run, name), **{
+            field.name: getattr(getattr(run, name), field.name)[:0] for field in dataclasses.fields(getattr(run, name))
+        })
+        for name in ("control", "criterion", "commands")
+    }  # fmt: skip
+    bare = dataclasses.replace(run, **parts, truth=None, trajectory=None, robot=None, parameters={}, record={}, losses={})
+    metrics = compute_metrics(bare)
+    assert metrics.success is None
+    page = Text(render_report(bare, metrics))
+    assert "Not decidable." in page.text
+    assert "the bag holds no phase of the controller" in page.text
+    words = dict(summary_lines(metrics))
+    assert words["peak torque"] == words["estimated error"] == "nothing recorded"
+    assert words["crossed"] == "unknown without a plan"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import shutil
 from collections.abc import Callable
@@ -39,7 +40,7 @@ def animate(
 
     Args:
         motion: its frames lie speed / frames_per_second s apart.
-        file: ``.gif`` or ``.mp4``.
+        file: ``.gif`` or ``.mp4``; one that is there is replaced once the new one is whole.
         speed: s of the run in a second of the animation; printed.
         frames_per_second: of the animation.
         progress: told (frames done, frames in all).
@@ -48,31 +49,44 @@ def animate(
         ParameterError: another kind of file, too many frames, or an MP4 without ffmpeg.
         BagError: the file cannot be written.
     """
-    writer = _writer(file, len(motion.time), frames_per_second)
+    check_output(file, len(motion.time))
+    if file.suffix.lower() == ".gif":
+        writer: Any = PillowWriter(fps=frames_per_second)
+    else:
+        matplotlib.rcParams["animation.ffmpeg_path"] = find_ffmpeg()
+        writer = FFMpegWriter(fps=frames_per_second, codec="libx264", extra_args=["-pix_fmt", "yuv420p"])
     scene = _Scene(motion, speed)
+    partial = file.with_name(f".{file.stem}.partial{file.suffix}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with writer.saving(scene.figure, str(file), RESOLUTION):
+        with writer.saving(scene.figure, str(partial), RESOLUTION):
             for frame in range(len(motion.time)):
                 scene.show(frame)
                 writer.grab_frame()
                 progress(frame + 1, len(motion.time))
+        partial.replace(file)
     except OSError as error:
         raise BagError(f"cannot write {file}: {error.strerror or error}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink()
 
 
-def _writer(file: Path, frames: int, frames_per_second: int) -> Any:
+def check_output(file: Path, frames: int = 0) -> None:
+    """Refuse what cannot be written, before anything is done for it.
+
+    Raises:
+        ParameterError: as ``animate``.
+    """
     most = MOST_FRAMES.get(file.suffix.lower())
-    if most is None:
-        raise ParameterError(f"--output {file}: the file's name must end in {' or '.join(MOST_FRAMES)}")
+    if most is None or file.is_dir():
+        raise ParameterError(f"--output {file}: it must be a file whose name ends in {' or '.join(MOST_FRAMES)}")
     if frames > most:
         raise ParameterError(
             f"{frames} frames; a {file.suffix} may have {most}: raise --speed, lower --fps, or name a part with --from and --to"
         )
-    if file.suffix.lower() == ".gif":
-        return PillowWriter(fps=frames_per_second)
-    matplotlib.rcParams["animation.ffmpeg_path"] = find_ffmpeg()
-    return FFMpegWriter(fps=frames_per_second, codec="libx264", extra_args=["-pix_fmt", "yuv420p"])
+    if file.suffix.lower() == ".mp4":
+        find_ffmpeg()
 
 
 def find_ffmpeg() -> str:
@@ -108,7 +122,7 @@ class _Scene:
         plane = still.add_subplot(grid[:, 0])
         torque = still.add_subplot(grid[0, 1])
         measure = still.add_subplot(grid[1, 1], sharex=torque)
-        finite = np.abs(motion.torque[np.isfinite(motion.torque)])
+        finite = np.abs(motion.course[np.isfinite(motion.course)])
         self._limit = 1.15 * max(float(finite.max()) if finite.size else 0.0, 1e-3)
         self._draw_plane(plane)
         self._draw_time(torque, measure)
@@ -152,7 +166,8 @@ class _Scene:
             self._heads[self._arcs.index(arc)].set_data(*head[:, None])
         for cursor in self._cursors:
             cursor.set_xdata([motion.time[frame]] * 2)
-        self._title.set_text(f"{motion.time[frame]:8.3f} s   {motion.phase[frame]:<9}   s {motion.s[frame]:+.3f}   {self._words}")
+        time, s = (round(float(value), 3) + 0.0 for value in (motion.time[frame], motion.s[frame]))  # no -0.000
+        self._title.set_text(f"{time:8.3f} s   {motion.phase[frame]:<9}   s {s:+.3f}   {self._words}")
 
     def _draw_plane(self, axes: Any) -> None:
         motion = self._motion
@@ -179,8 +194,9 @@ class _Scene:
     def _draw_time(self, torque: Any, measure: Any) -> None:
         motion = self._motion
         for part, style in enumerate(("-", "--")):
-            rows = thin(motion.time, motion.torque[:, part])
-            torque.plot(motion.time[rows], motion.torque[rows, part], BLACK, linestyle=style, linewidth=1.0, label=f"τ{part + 1}")
+            rows = thin(motion.course_time, motion.course[:, part])
+            torque.plot(motion.course_time[rows], motion.course[rows, part], BLACK, linestyle=style, linewidth=1.0,
+                        label=f"τ{part + 1}")  # fmt: skip
         rows = thin(motion.time, motion.s)
         measure.plot(motion.time[rows], motion.s[rows], BLACK, linewidth=1.0)
         measure.axhline(0.0, color=GREY, linewidth=0.8, linestyle="--")
@@ -190,7 +206,7 @@ class _Scene:
         torque.set_ylabel("torque (N m)")
         measure.set_ylabel("s (1), 0 on the locus")
         measure.set_xlabel("time since the trajectory's start (s)")
-        torque.legend(loc="upper right", fontsize=7, ncols=2)
+        torque.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=7, ncols=2, frameon=False, borderaxespad=0.0)
         torque.tick_params(labelbottom=False)
         for axes in (torque, measure):
             axes.grid(color="#e6e6e6", linewidth=0.5)

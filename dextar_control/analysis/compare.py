@@ -10,19 +10,23 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bokeh.embed import components
+from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 
 from dextar_control.analysis.crossings import CrossingMetrics
-from dextar_control.analysis.curves import Curve, Panel, panels
+from dextar_control.analysis.curves import Curve, Panel, beyond, error_height, panels
 from dextar_control.analysis.load import load_run
 from dextar_control.analysis.metrics import Metrics, compute_metrics
-from dextar_control.analysis.page import NO_TRUTH, Cell, Column, number, render
+from dextar_control.analysis.page import NO_TRUTH, Cell, Column, number, render, saturated, signed
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import Run
-from dextar_control.analysis.web_figures import in_plane, over_time
+from dextar_control.analysis.web_figures import in_plane, over_time, run_keys
+from dextar_control.analysis.words import counted
 from dextar_control.contract.errors import BagError
 
 Value = float | int | str | None
+DECIDED = ("crossed", "bounced")  # verdicts
 
 
 class Quantity(NamedTuple):
@@ -55,10 +59,10 @@ QUANTITIES = (
     Quantity("verdict", "", "", lambda m: {True: "success", False: "failed", None: "not decidable"}[m.success]),
     Quantity("law", "", "", lambda m: m.law or "unknown"),
     Quantity("estimator", "", "", lambda m: m.estimator or "unknown"),
-    Quantity("crossed", "", "d", lambda m: _count([c.crossed for c in m.crossings]), truth=True),
-    Quantity("planned crossings", "", "d", lambda m: len(m.crossings)),
-    Quantity("estimator's verdicts right", "", "d", lambda m: _count(_checked(m)), truth=True),
-    Quantity("estimator's verdicts", "", "d", lambda m: sum(c.verdict in ("crossed", "bounced") for c in m.crossings)),
+    Quantity("planned crossings", "", "d", lambda m: _planned(m, len(m.crossings))),
+    Quantity("crossed", "", "d", lambda m: _planned(m, _count([c.crossed for c in m.crossings])), truth=True),
+    Quantity("estimator's verdicts", "", "d", lambda m: _planned(m, sum(c.verdict in DECIDED for c in m.crossings))),
+    Quantity("of these right", "", "d", lambda m: _planned(m, _count(_checked(m))), truth=True),
     Quantity("true error, largest", "mm", ".3f", lambda m: 1e3 * m.max_true_error, truth=True),
     Quantity("true error, RMS", "mm", ".4f", lambda m: 1e3 * m.rms_true_error, truth=True),
     Quantity("true error at the end", "mm", ".3f", lambda m: 1e3 * m.final_true_error, truth=True),
@@ -68,7 +72,7 @@ QUANTITIES = (
     Quantity("peak torque over the plan's", "1", ".3f", lambda m: m.torque_ratio),
     Quantity("peak torque within |s| < 0.1", "N m", ".4f", lambda m: m.peak_torque_near),
     Quantity("the same over the plan's peak", "1", ".3f", lambda m: m.torque_ratio_near),
-    Quantity("saturated commands", "", "d", lambda m: m.saturated),
+    Quantity("saturated commands", "", "d", lambda m: m.saturated if saturated(m).isdigit() else None),
     Quantity("duration of the trajectory", "s", ".3f", lambda m: m.duration),
     Quantity("states without a command", "", "d", lambda m: m.missed),
     Quantity("longest run of such states", "", "d", lambda m: m.timing.longest_miss),
@@ -83,15 +87,19 @@ CROSSING_QUANTITIES = (
     CrossingQuantity("estimator says", "", "", lambda c: c.verdict or "not recorded"),
     CrossingQuantity("planned instant", "s", ".4f", lambda c: c.planned_time),
     CrossingQuantity("true instant", "s", ".4f", lambda c: c.true_time, truth=True),
-    CrossingQuantity("speed", "m/s", ".3f", lambda c: c.speed),
+    CrossingQuantity("true speed", "m/s", ".3f", lambda c: None if c.outcome is None else c.speed, truth=True),
+    CrossingQuantity("estimated speed", "m/s", ".3f", lambda c: c.estimated_speed),
     CrossingQuantity("|t_s·w_d| seen", "N", ".4f", lambda c: c.residual),
     CrossingQuantity("smallest σ", "1", ".4f", lambda c: c.sigma_min),
     CrossingQuantity("peak torque", "N m", ".4f", lambda c: c.peak_torque),
     CrossingQuantity("torque step", "N m", ".4f", lambda c: c.torque_step),
     CrossingQuantity("true error before", "mm", ".3f", lambda c: 1e3 * c.error_before, truth=True),
     CrossingQuantity("true error after", "mm", ".3f", lambda c: 1e3 * c.error_after, truth=True),
+    CrossingQuantity("estimated error before", "mm", ".3f", lambda c: 1e3 * c.estimated_error_before),
     CrossingQuantity("estimated error after", "mm", ".3f", lambda c: 1e3 * c.estimated_error_after),
 )
+TRUE_OR_ESTIMATED = {"error": "{} error (mm)", "s": "{} s (1), 0 on the locus"}  # labels of the panels that can be either
+MOST_HEADING = 80  # characters
 MOST_CROSSINGS = 24  # written out one by one; the JSON has them all
 
 
@@ -103,6 +111,7 @@ class Line(NamedTuple):
         values: per run; None where the bag does not tell.
         differences: of each further run to the first; None where one of the two is not a number.
         truth: whether it needs the true motion.
+        missing: per run, what stands for a value that is not there.
     """
 
     name: str
@@ -111,6 +120,7 @@ class Line(NamedTuple):
     values: list[Value]
     differences: list[float | None]
     truth: bool
+    missing: list[str]
 
 
 @dataclass(frozen=True)
@@ -164,11 +174,12 @@ def compare_runs(runs: Sequence[Run], metrics: Sequence[Metrics], names: Sequenc
         BagError: fewer than two runs.
     """
     if len(runs) < 2:
-        raise BagError(f"{len(runs)} runs; a comparison needs at least two")
-    lines = [_line(quantity, list(metrics)) for quantity in QUANTITIES]
+        raise BagError(f"{counted(len(runs), 'run')}; a comparison needs at least two")
+    truths = [run.truth is not None for run in runs]
+    lines = [_line(quantity, list(metrics), truths) for quantity in QUANTITIES]
     common = min(len(one.crossings) for one in metrics)
     crossings = [
-        [_line(quantity, [one.crossings[index] for one in metrics]) for quantity in CROSSING_QUANTITIES]
+        [_line(quantity, [one.crossings[index] for one in metrics], truths) for quantity in CROSSING_QUANTITIES]
         for index in range(common)
     ]
     names = list(names) if names is not None else name_runs(runs, metrics)
@@ -218,17 +229,22 @@ def render_comparison(comparison: Comparison) -> str:
         for index, axes in enumerate(over_time(over, instants, duration, comparison.names)):
             drawn[f"time{index}"] = axes
     planes = [plane_of(run, one) for run, one in zip(comparison.runs, comparison.metrics, strict=True)]
-    drawn["plane"] = in_plane(planes, comparison.names)
+    if not planes[0].empty:
+        drawn["plane"] = in_plane(planes, comparison.names)
     script, places = components(drawn, wrap_script=False)
     first, *others = comparison.names
     columns = [Column("", text=True), Column("unit", text=True), Column(first)]
     for name in others:
-        columns += [Column(name), Column("Δ", f"to {first}")]
+        columns += [Column(name), Column("Δ", "to the first")]
     shown = comparison.crossings[:MOST_CROSSINGS]
+    heading = f"{first} against {', '.join(others)}"
+    if len(heading) > MOST_HEADING:
+        heading = f"{first} against {counted(len(others), 'other run')}"
     return render(
         "comparison.html", script,
-        title=f"{first} against {', '.join(others)}",
-        heading=f"{first} against {', '.join(others)}",
+        title=heading,
+        heading=heading,
+        notes=[f"{panel.label}: {panel.note}" for panel in over if panel.note],
         bags=[
             {
                 "name": name, "path": f"{run.path.absolute().parent.name}/{run.path.name}", "verdict": line,
@@ -239,7 +255,8 @@ def render_comparison(comparison: Comparison) -> str:
             )
         ],
         remarks=comparison.remarks,
-        figures={"plane": places["plane"], "time": [div for name, div in places.items() if name.startswith("time")]},
+        figures={"plane": places.get("plane", ""), "time": [div for name, div in places.items() if name.startswith("time")]},
+        keys=run_keys(comparison.names),
         columns=columns,
         lines=[_cells(line) for line in comparison.lines],
         crossings=[[_cells(line) for line in lines] for lines in shown],
@@ -249,45 +266,63 @@ def render_comparison(comparison: Comparison) -> str:
 
 
 def overlaid(comparison: Comparison) -> list[Panel]:
-    """The runs' measured curves over each other: each motor's torque, error, residual and s; a curve's kind is its run."""
+    """The runs' measured curves over each other: each motor's torque, error, residual and s; a curve's kind is its run.
+
+    Error and s are the true ones where every run holds them, else the estimated ones of all; the label says which.
+    """
+    shown = [panels(run, one) for run, one in zip(comparison.runs, comparison.metrics, strict=True)]
     found: dict[str, Panel] = {}
-    for index, (name, run, one) in enumerate(zip(comparison.names, comparison.runs, comparison.metrics, strict=True)):
-        for panel in panels(run, one):
-            for curve in _measured(panel):
-                key, label = panel.key, panel.label
-                if panel.key == "torque":
+    for index, (name, own) in enumerate(zip(comparison.names, shown, strict=True)):
+        for panel in own:
+            kind = _kind(panel.key, shown)
+            for curve in (curve for curve in panel.curves if curve.kind == kind):
+                key, label = panel.key, TRUE_OR_ESTIMATED.get(panel.key, panel.label).format(kind)
+                if key == "torque":
                     key, label = f"torque{curve.part}", f"τ{curve.part + 1} (N m)"
-                suffix = ", estimated" if curve.kind == "estimated" else ""
-                entry = Curve(f"{name}{suffix}", curve.time, curve.values, str(index))
                 before = found.get(key, Panel(key, label, [], panel.low, panel.high))
                 found[key] = before._replace(
-                    curves=[*before.curves, entry], low=_widest(min, before.low, panel.low),
-                    high=_widest(max, before.high, panel.high),
+                    curves=[*before.curves, Curve(name, curve.time, curve.values, str(index))],
+                    low=_widest(min, before.low, panel.low), high=_widest(max, before.high, panel.high),
                 )  # fmt: skip
-    return [found[key] for key in ("torque0", "torque1", "error", "residual", "s") if key in found]
+    if "error" in found:
+        found["error"] = found["error"]._replace(high=error_height(found["error"].curves))
+    ordered = [found[key] for key in ("torque0", "torque1", "error", "residual", "s") if key in found]
+    return [panel._replace(note=beyond(panel)) for panel in ordered]
 
 
-def summary_table(comparison: Comparison) -> Table:
-    """The comparison for a terminal."""
-    table = Table(title="differences are to the first run", title_justify="left")
-    table.add_column("")
-    for index, name in enumerate(comparison.names):
-        table.add_column(name, justify="right", overflow="fold")
-        if index:
-            table.add_column("Δ", justify="right")
+def summary_table(comparison: Comparison, width: int = 80) -> Table:
+    """The comparison for a terminal of so many columns: with the differences where there is room for them."""
+    table = _table(comparison, differences=True)
+    console = Console(width=10 * width)
+    return table if Measurement.get(console, console.options, table).maximum <= width else _table(comparison, differences=False)
+
+
+def _table(comparison: Comparison, differences: bool) -> Table:
+    keys = [f"{number}: {name}" for number, name in enumerate(comparison.names, start=1)]
+    table = Table(title="\n".join([*keys, *(["Δ: difference to 1"] if differences else [])]), title_justify="left")
+    table.add_column("", no_wrap=True)
+    for index in range(len(comparison.names)):
+        table.add_column(str(index + 1), justify="right", overflow="fold")
+        if index and differences:
+            table.add_column("Δ", justify="right", no_wrap=True)
+    step = 1 if differences else 2
     for line in comparison.lines:
-        table.add_row(f"{line.name}{f' ({line.unit})' if line.unit else ''}", *(cell.text for cell in _cells(line)[2:]))
+        unit = f" ({line.unit})" if line.unit not in ("", "1") else ""
+        first, *others = (cell.text for cell in _cells(line)[2:])
+        table.add_row(f"{line.name}{unit}", first, *others[::step])
     return table
 
 
 def name_runs(runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[str]:
     """Short names that differ: by law and estimator, then by whether the truth is known, then by folder, then by number."""
     ways: list[list[str]] = [
-        [run.record.get("name", "") or f"{one.law or 'unknown'} / {one.estimator or 'unknown'}"
+        [run.record.get("name", "") or (f"{one.law or 'law unknown'} / {one.estimator or 'estimator unknown'}"
+                                        if one.law or one.estimator else run.path.absolute().parent.name)
          for run, one in zip(runs, metrics, strict=True)],
     ]  # fmt: skip
     ways.append([f"{name}, {'simulation' if run.truth else 'no truth'}" for name, run in zip(ways[0], runs, strict=True)])
-    ways.append([f"{name}, {run.path.parent.name}" for name, run in zip(ways[0], runs, strict=True)])
+    folders = [run.path.absolute().parent.name for run in runs]
+    ways.append([name if name == folder else f"{name}, {folder}" for name, folder in zip(ways[0], folders, strict=True)])
     ways.append([f"{name}, {index}" for index, name in enumerate(ways[0], start=1)])
     return next(names for names in ways if len(set(names)) == len(names))
 
@@ -295,12 +330,18 @@ def name_runs(runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[str]:
 def _remarks(names: Sequence[str], runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[str]:
     remarks = [f"{name}: no true motion in the bag; what needs it is marked." for name, run in zip(names, runs, strict=True)
                if run.truth is None]  # fmt: skip
-    if len({run.robot for run in runs}) > 1:
+    if remarks and len(remarks) < len(runs):
+        remarks.append("Error, s and path are drawn as estimated for all runs, for not every bag holds the true ones. |s| < 0.1"
+                       " goes by the true s where the bag holds it, else by the estimated one.")  # fmt: skip
+    remarks += [f"{name}: no trajectory was tracked; it has no curves." for name, one in zip(names, metrics, strict=True)
+                if one.start_stamp is None]  # fmt: skip
+    if len({run.robot for run in runs if run.robot is not None}) > 1:
         remarks.append("The runs have different robots.")
     counts = [len(one.crossings) for one in metrics]
     if len(set(counts)) > 1:
-        times = ", ".join(map(str, counts))
-        remarks.append(f"The plans cross {times} times: only the first {min(counts)} are compared one by one.")
+        planned = ", ".join(f"{name}: {count}" for name, count in zip(names, counts, strict=True))
+        first = f"the first {min(counts)} one by one" if min(counts) else "none one by one"
+        remarks.append(f"The numbers of planned crossings differ ({planned}); compared are {first}.")
     elif any(
         abs(a.planned_time - b.planned_time) > 1e-3
         for other in metrics[1:] for a, b in zip(metrics[0].crossings, other.crossings, strict=True)
@@ -311,20 +352,26 @@ def _remarks(names: Sequence[str], runs: Sequence[Run], metrics: Sequence[Metric
 
 def _checked(metrics: Metrics) -> list[bool | None]:
     """Whether each verdict is right; undecided ones are none."""
-    return [crossing.verdict_correct for crossing in metrics.crossings if crossing.verdict in ("crossed", "bounced")]
+    return [crossing.verdict_correct for crossing in metrics.crossings if crossing.verdict in DECIDED]
+
+
+def _planned(metrics: Metrics, count: int | None) -> int | None:
+    """A count over the planned crossings; None where no plan is known."""
+    return count if math.isfinite(metrics.planned_peak_torque) else None
 
 
 def _count(values: Sequence[bool | None]) -> int | None:
     return None if None in values else sum(map(bool, values))
 
 
-def _line(quantity: Quantity | CrossingQuantity, of: Sequence[Any]) -> Line:
+def _line(quantity: Quantity | CrossingQuantity, of: Sequence[Any], truths: Sequence[bool]) -> Line:
     values = [_known(quantity.of(one)) for one in of]
     first = values[0]
     differences = [
         value - first if isinstance(value, (int, float)) and isinstance(first, (int, float)) else None for value in values[1:]
     ]
-    return Line(quantity.name, quantity.unit, quantity.form, values, differences, quantity.truth)
+    missing = [NO_TRUTH if quantity.truth and not known else "-" for known in truths]
+    return Line(quantity.name, quantity.unit, quantity.form, values, differences, quantity.truth, missing)
 
 
 def _known(value: Value) -> Value:
@@ -333,18 +380,18 @@ def _known(value: Value) -> Value:
 
 def _entry(line: Line) -> dict[str, Any]:
     entry = line._asdict()
-    del entry["form"]
+    del entry["form"], entry["missing"]
     return entry
 
 
 def _cells(line: Line) -> list[Cell]:
-    missing = NO_TRUTH if line.truth else "-"
     cells = [Cell(line.name), Cell(line.unit)]
     for index, value in enumerate(line.values):
-        cells.append(Cell(missing if value is None else value if isinstance(value, str) else number(value, line.form)))
+        known = value if isinstance(value, str) else number(value, line.form, line.missing[index])
+        cells.append(Cell(known))
         if index:
             difference = line.differences[index - 1]
-            cells.append(Cell("" if difference is None else format(difference, f"+{line.form}")))
+            cells.append(Cell("" if difference is None else signed(difference, line.form)))
     return cells
 
 
@@ -356,11 +403,12 @@ def _markdown(comparison: Comparison, lines: Sequence[Line]) -> list[str]:
     return [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows]
 
 
-def _measured(panel: Panel) -> list[Curve]:
-    """A run's own curves: commanded torques; the true error and s, or where there is no truth the estimated."""
-    kinds = {curve.kind for curve in panel.curves}
-    wanted = {"torque": "commanded", "residual": "seen"}.get(panel.key, "true" if "true" in kinds else "estimated")
-    return [curve for curve in panel.curves if curve.kind == wanted]
+def _kind(key: str, shown: Sequence[Sequence[Panel]]) -> str:
+    """Of a panel's curves, the one that every run with this panel holds."""
+    if key not in TRUE_OR_ESTIMATED:
+        return {"torque": "commanded", "residual": "seen"}[key]
+    own = [panel for run in shown for panel in run if panel.key == key]
+    return "true" if all(any(curve.kind == "true" for curve in panel.curves) for panel in own) else "estimated"
 
 
 def _widest(pick: Callable[[float, float], float], one: float, other: float) -> float:

@@ -37,6 +37,7 @@ class CrossingMetrics:
         verdict_time, verdict_confidence: when it fell, and in the assembly mode that it rests on; nan while undecided.
         verdict_correct: against the true side at that time; None without truth or verdict.
         speed: true speed at the crossing (estimated without truth), m/s.
+        estimated_speed: at the planned instant, m/s.
         residual: |t_s.w_d| that the controller saw at the planned instant, N.
         planned_residual: |t_s.w_d| of the plan there, N.
         sigma_min: smallest singular value of A_r over the distal length that the controller saw while the plan was not
@@ -61,6 +62,7 @@ class CrossingMetrics:
     verdict_confidence: float
     verdict_correct: bool | None
     speed: float
+    estimated_speed: float
     residual: float
     planned_residual: float
     sigma_min: float
@@ -91,10 +93,11 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
     moment = _true_instant(track, planned, before, after)
     criterion_time = (run.criterion.stamps - track.start) * 1e-9
     mode = at(criterion_time, run.criterion.assembly_mode, after)
+    moving = ((run.control.stamps - track.start) * 1e-9, np.hypot(*run.control.estimate_dot.T))
     if run.truth is not None:
         speed_time, speeds = (run.truth.stamps - track.start) * 1e-9, np.hypot(*run.truth.x_dot.T)
     else:
-        speed_time, speeds = (run.control.stamps - track.start) * 1e-9, np.hypot(*run.control.estimate_dot.T)
+        speed_time, speeds = moving
     mine = _own_part(plan, track.torque_time, index)
     torque, distance = track.torque[mine], np.abs(track.torque_s[mine])
     zone = distance < STEP_ZONE
@@ -113,6 +116,7 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
         verdict_confidence=confidence,
         verdict_correct=_correct(track, verdict, verdict_time, sign),
         speed=at(speed_time, speeds, planned if moment is None else moment),
+        estimated_speed=at(*moving, planned),
         residual=abs(at(criterion_time, run.criterion.residual, planned)),
         planned_residual=float(abs(plan.residuals[index])),
         sigma_min=-peak_between(criterion_time, -np.abs(run.criterion.sigma_min), before, after),

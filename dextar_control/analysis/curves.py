@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -84,7 +85,7 @@ def _torque(metrics: Metrics, track: Tracked, plan: Certificate | None) -> Panel
     planned, found = metrics.planned_peak_torque, metrics.peak_torque
     if math.isfinite(planned) and math.isfinite(found):
         high = HEADROOM * min(max(planned, found), max(MOST_TORQUE * planned, 1e-6))
-    return Panel("torque", "torque (N m)", curves, -high, high, "" if plan else "no plan to compare with")
+    return _noted(Panel("torque", "torque (N m)", curves, -high, high, "" if plan else "no plan to compare with"))
 
 
 def _error(run: Run, track: Tracked) -> Panel:
@@ -92,11 +93,31 @@ def _error(run: Run, track: Tracked) -> Panel:
     if len(track.true_error):
         shown = _inside(track.true_time, track)
         curves.append(Curve("true", track.true_time[shown], 1e3 * track.true_error[shown], "true"))
+    note = "" if run.truth is not None else "the true error needs the true motion, which this bag does not hold"
+    return _noted(Panel("error", "tracking error (mm)", curves, 0.0, error_height(curves), note))
+
+
+def error_height(curves: Sequence[Curve]) -> float:
+    """Upper end of an axis of errors, mm."""
     together = np.concatenate([curve.values for curve in curves])
     finite = together[np.isfinite(together)]
-    high = 1.15 * min(max(float(finite.max()) if finite.size else 0.0, 1e-2), ERROR_CEILING)
-    note = "" if run.truth is not None else "the true error needs the true motion, which this bag does not hold"
-    return Panel("error", "tracking error (mm)", curves, 0.0, high, note)
+    return 1.15 * min(max(float(finite.max()) if finite.size else 0.0, 1e-2), ERROR_CEILING)
+
+
+def beyond(panel: Panel) -> str:
+    """How far measured curves go where the axis does not follow them; "" where all is shown."""
+    if not math.isfinite(panel.high):
+        return ""
+    found = []
+    for curve in panel.curves:
+        finite = curve.values[np.isfinite(curve.values)]
+        if finite.size and (finite.min() < panel.low or finite.max() > panel.high):
+            found.append(f"{curve.name} from {finite.min():.3g} to {finite.max():.3g}")
+    return f"curves that leave the axis: {', '.join(found)}" if found else ""
+
+
+def _noted(panel: Panel) -> Panel:
+    return panel._replace(note="; ".join(note for note in (panel.note, beyond(panel)) if note))
 
 
 def _time(stamps: Stamps, track: Tracked) -> Floats:
@@ -118,7 +139,7 @@ def _residual(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
         ceiling = MOST_RESIDUAL * max(float(np.nanmax(np.abs(plan.profile.residual))), 1e-3)
         finite = np.concatenate([seen[np.isfinite(seen)], plan.profile.residual])
         low, high = 1.1 * max(float(finite.min()), -ceiling), 1.1 * min(float(finite.max()), ceiling)
-    return Panel("residual", "t_s·w_d (N)", curves, low, high)
+    return _noted(Panel("residual", "t_s·w_d (N)", curves, low, high))
 
 
 def _singularity(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
@@ -130,7 +151,8 @@ def _singularity(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
     if plan is not None:
         curves.append(Curve("planned", plan.profile.time, plan.profile.s, "planned"))
     curves.append(Curve("estimated", time[inside], run.criterion.s[inside], "estimated"))
-    note = "the true s needs the true motion, which this bag does not hold"
+    lacking = "robot description" if run.truth is not None else "true motion"
+    note = f"the true s needs the {lacking}, which this bag does not hold"
     if len(track.true_s):
         shown = _inside(track.true_time, track)
         curves.append(Curve("true", track.true_time[shown], track.true_s[shown], "true"))

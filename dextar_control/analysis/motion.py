@@ -32,6 +32,7 @@ class Motion(NamedTuple):
         t_s: (n, 2) unit weak direction there: t_s on the locus.
         phase: (n,) of the controller, by name.
         planned: (m, 2) the served path, m.
+        course_time, course: (k,), (k, 2) every command between the first frame and the last, s, N m: frames pass over peaks.
     """
 
     robot: RobotParameters
@@ -44,6 +45,8 @@ class Motion(NamedTuple):
     t_s: Floats
     phase: list[str]
     planned: Floats
+    course_time: Floats
+    course: Floats
 
     def chain(self, frame: int) -> Floats:
         """(5, 2) motor, elbow, end effector, elbow, motor of a frame, m."""
@@ -92,16 +95,18 @@ def motion_of(run: Run, period: float, begin: float | None = None, end: float | 
         )
     times = np.arange(first, last + 1e-9, period)
     rows = _last(clock, times)
-    told = _last(np.asarray(run.commands.stamps - zero, dtype=np.float64) * 1e-9, times)
+    commands = np.asarray(run.commands.stamps - zero, dtype=np.float64) * 1e-9
+    told = _last(commands, times)
     torque = np.full((len(times), 2), np.nan)
     torque[told >= 0] = run.commands.effort[told[told >= 0]]
     seen = _last(np.asarray(run.criterion.stamps - zero, dtype=np.float64) * 1e-9, times)
     names = [phase_name(int(run.criterion.phase[row])) if row >= 0 else "" for row in seen]
-    robot = run.robot
+    robot, shown = run.robot, slice(*np.searchsorted(commands, (times[0], times[-1] + 1e-9)).tolist())
     return Motion(
         robot=robot, true=run.truth is not None, time=times, x=x[rows], q_a=q_a[rows], torque=torque,
         s=singularity_measure(robot, x[rows], q_a[rows]), t_s=np.array([t_s_at(robot, point) for point in x[rows]]),
         phase=names, planned=run.trajectory.x if run.trajectory is not None else np.zeros((0, 2)),
+        course_time=commands[shown], course=run.commands.effort[shown],
     )  # fmt: skip
 
 

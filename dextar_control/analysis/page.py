@@ -19,12 +19,14 @@ from dextar_control.analysis.crossings import CrossingMetrics
 from dextar_control.analysis.curves import checked_plan, panels
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.plane import plane_of
-from dextar_control.analysis.run import Run
+from dextar_control.analysis.run import RecordedTopic, Run
 from dextar_control.analysis.thin import POINTS
-from dextar_control.analysis.timing import Spread, periods, round_trips, within
+from dextar_control.analysis.timing import Spread, lockstep, periods, round_trips, within
 from dextar_control.analysis.tracking import tracked
 from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band
-from dextar_control.core.certificate import Certificate
+from dextar_control.analysis.words import counted
+from dextar_control.contract.topics import TOPICS
+from dextar_control.core.certificate import NEAR_LOCUS, Certificate
 
 NO_TRUTH = "needs truth"
 MOST_PLAN_LINES = 40
@@ -53,9 +55,16 @@ def number(value: float | None, form: str, missing: str = "-") -> str:
     return missing if value is None or not math.isfinite(value) else format(value, form)
 
 
+def signed(value: float, form: str) -> str:
+    """A number with its sign, but for what rounds to nothing."""
+    text = format(value, f"+{form}")
+    return text if text.strip("+-0.") else text[1:]
+
+
 def render_report(run: Run, metrics: Metrics) -> str:
     """The page of one run."""
-    drawn: dict[str, Any] = {"plane": in_plane([plane_of(run, metrics)])}
+    plane = plane_of(run, metrics)
+    drawn: dict[str, Any] = {"plane": in_plane([plane])} if not plane.empty else {}
     shown = panels(run, metrics)
     duration = metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until
     instants = [crossing.planned_time for crossing in metrics.crossings]
@@ -76,7 +85,7 @@ def render_report(run: Run, metrics: Metrics) -> str:
         verdict=verdict(metrics),
         tiles=_tiles(metrics),
         figures={
-            "plane": places["plane"],
+            "plane": places.get("plane", ""),
             "time": [div for name, div in places.items() if name.startswith("time") and name[4:].isdigit()],
             "timing": [div for name, div in places.items() if name.startswith("timing")],
             "phases": places.get("phases", ""),
@@ -116,10 +125,10 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
     known = [crossing.crossed for crossing in metrics.crossings]
     parts = []
     if planned and None not in known:
-        parts.append(f"Crossed {sum(map(bool, known))} of {planned} planned crossings")
+        parts.append(f"Crossed {sum(map(bool, known))} of {counted(planned, 'planned crossing')}")
     elif planned:
         said = sum(crossing.verdict == "crossed" for crossing in metrics.crossings)
-        parts.append(f"{planned} planned crossings, {said} crossed by the estimator's own verdict")
+        parts.append(f"{counted(planned, 'planned crossing')}, {said} crossed by the estimator's own verdict")
     if math.isfinite(metrics.max_true_error):
         largest, last = 1e3 * metrics.max_true_error, 1e3 * metrics.final_true_error
         parts.append(f"true error {largest:.3f} mm at most and {last:.3f} mm at the end")
@@ -128,49 +137,71 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
     if math.isfinite(metrics.peak_torque):
         of_plan = f", {metrics.torque_ratio:.2f} × the plan's" if math.isfinite(metrics.torque_ratio) else ""
         parts.append(f"peak torque {metrics.peak_torque:.4f} N m{of_plan}")
-    parts.append(f"{metrics.saturated} commands saturated" if metrics.saturated else "no command saturated")
+    if saturated(metrics).isdigit():
+        parts.append(f"{counted(metrics.saturated, 'command')} saturated" if metrics.saturated else "no command saturated")
     reasons = list(metrics.reasons)
     if metrics.truncated:
         reasons.append("The bag breaks off: it was read up to its last complete chunk.")
     sentence = "; ".join(parts)
-    return {"kind": kind, "word": word, "sentence": f"{sentence[:1].upper()}{sentence[1:]}.", "reasons": reasons}
+    sentence = f"{sentence[:1].upper()}{sentence[1:]}." if parts else ""
+    return {"kind": kind, "word": word, "sentence": sentence, "reasons": reasons}
+
+
+def saturated(metrics: Metrics) -> str:
+    """How many commands were, or why that is not known."""
+    if math.isnan(metrics.peak_torque):
+        return "no command while tracking"
+    return str(metrics.saturated) if metrics.robot or metrics.saturated else "unknown without a limit"
 
 
 def _tiles(metrics: Metrics) -> list[dict[str, str]]:
     crossed = [crossing.crossed for crossing in metrics.crossings]
     verdicts = [crossing.verdict_correct for crossing in metrics.crossings if crossing.verdict in ("crossed", "bounced")]
+    unknown = sum(crossing.outcome is None for crossing in metrics.crossings)
+    recorded = [one for one in crossed if one is not None]
+    happened = f"{sum(recorded)} of {len(recorded)}{' recorded' if len(recorded) < len(crossed) else ''}"
+    if unknown or not crossed:
+        happened = NO_TRUTH if unknown else "none" if math.isfinite(metrics.planned_peak_torque) else "no plan"
     right = NO_TRUTH if None in verdicts else f"{sum(map(bool, verdicts))} of {len(verdicts)} right"
     lost = sum(count or 0 for count in metrics.lost.values())
     pairs = [
-        ("planned crossings crossed", f"{sum(map(bool, crossed))} of {len(crossed)}" if None not in crossed else NO_TRUTH),
+        ("planned crossings crossed", happened),
         ("estimator's verdicts", right if verdicts else "none"),
-        ("true error, largest", f"{number(1e3 * metrics.max_true_error, '.3f')} mm"),
-        ("true error, RMS", f"{number(1e3 * metrics.rms_true_error, '.3f')} mm"),
-        ("true error at the end", f"{number(1e3 * metrics.final_true_error, '.3f')} mm"),
-        ("estimated error, largest", f"{number(1e3 * metrics.max_estimated_error, '.3f')} mm"),
-        ("peak torque", f"{number(metrics.peak_torque, '.4f')} N m"),
-        ("of the plan's peak", f"{number(metrics.torque_ratio, '.2f')} ×"),
-        ("near the locus, of the plan's peak", f"{number(metrics.torque_ratio_near, '.2f')} ×"),
+        ("true error, largest", _measured(1e3 * metrics.max_true_error, ".3f", "mm")),
+        ("true error, RMS", _measured(1e3 * metrics.rms_true_error, ".3f", "mm")),
+        ("true error at the end", _measured(1e3 * metrics.final_true_error, ".3f", "mm")),
+        ("estimated error, largest", _measured(1e3 * metrics.max_estimated_error, ".3f", "mm")),
+        ("peak torque", _measured(metrics.peak_torque, ".4f", "N m")),
+        ("of the plan's peak", _measured(metrics.torque_ratio, ".2f", "×", "no plan")),
+        ("near the locus, of the plan's peak", _measured(metrics.torque_ratio_near, ".2f", "×", "no plan")),
         ("states without a command", f"{metrics.missed} of {metrics.states}"),
         ("samples lost in recording", str(lost) if metrics.lost else "not counted"),
-        ("duration of the trajectory", f"{number(metrics.duration, '.2f')} s"),
+        ("duration of the trajectory", _measured(metrics.duration, ".2f", "s", "no plan")),
     ]
     if math.isnan(metrics.max_true_error):
         pairs = [(name, NO_TRUTH if name.startswith("true error") else value) for name, value in pairs]
     return [{"name": name, "value": value} for name, value in pairs]
 
 
-CROSSING_COLUMNS = (
-    Column("no."), Column("planned", "s"), Column("true", "s"), Column("late by", "ms"), Column("outcome"),
-    Column("estimator says"), Column("at", "s"), Column("confidence", "1"), Column("verdict is"), Column("speed", "m/s"),
-    Column("|t_s·w_d| seen", "N"), Column("smallest σ", "1"), Column("peak torque", "N m"), Column("torque step", "N m"),
-    Column("error before", "mm"), Column("error after", "mm"),
-)  # fmt: skip
+def _measured(value: float, form: str, unit: str, missing: str = "not recorded") -> str:
+    return f"{value:{form}} {unit}" if math.isfinite(value) else missing
+
+
+def _crossing_columns(has_truth: bool) -> tuple[Column, ...]:
+    kind = "true" if has_truth else "estimated"
+    return (
+        Column("no."), Column("planned", "s"), Column("true", "s"), Column("late by", "ms"), Column("outcome"),
+        Column("estimator says"), Column("at", "s"), Column("confidence", "1"), Column("verdict is"),
+        Column(f"{kind} speed", "m/s"), Column("|t_s·w_d| seen", "N"), Column("smallest σ", "1"),
+        Column("peak torque", "N m"), Column("torque step", "N m"),
+        Column(f"{kind} error before", "mm"), Column(f"{kind} error after", "mm"),
+    )  # fmt: skip
 
 
 def _crossings(run: Run, metrics: Metrics) -> dict[str, Any]:
     has_truth = run.truth is not None
-    rows = [_crossing_row(index, crossing, has_truth) for index, crossing in enumerate(metrics.crossings, start=1)]
+    rows = [_crossing_row(index, crossing, has_truth, crossing.planned_time <= metrics.tracked_until)
+            for index, crossing in enumerate(metrics.crossings, start=1)]  # fmt: skip
     notes = [
         "Speed at the crossing; residual at the planned instant; smallest singular value of A_r over the distal length as the"
         " controller saw it; peak torque within |s| < 0.1; torque step from one tick to the next within |s| < 0.15; largest"
@@ -179,15 +210,16 @@ def _crossings(run: Run, metrics: Metrics) -> dict[str, Any]:
     if not has_truth:
         notes.insert(0, "This bag holds no true motion: instant, outcome and the check of the verdict need it; errors and speed"
                      " are the estimator's.")  # fmt: skip
-    return {"columns": CROSSING_COLUMNS, "rows": rows, "notes": notes, "empty": _no_crossings(metrics)}
+    return {"columns": _crossing_columns(has_truth), "rows": rows, "notes": notes, "empty": _no_crossings(metrics)}
 
 
 def _no_crossings(metrics: Metrics) -> str:
-    return next((f"None: {reason}." for reason in metrics.reasons if "no trajectory" in reason or "plan" in reason),
+    return next((f"Not known: {reason}." for reason in metrics.reasons if math.isnan(metrics.planned_peak_torque)),
                 "The trajectory crosses no singularity.")  # fmt: skip
 
 
-def _crossing_row(index: int, crossing: CrossingMetrics, has_truth: bool) -> list[Cell]:
+def _crossing_row(index: int, crossing: CrossingMetrics, has_truth: bool, reached: bool) -> list[Cell]:
+    """What the controller saw and did there is the crossing's only where tracking went on until it was reached."""
     missing = "-" if has_truth else NO_TRUTH
     late = None if crossing.true_time is None else 1e3 * (crossing.true_time - crossing.planned_time)
     unknown = "-" if has_truth or not crossing.verdict else NO_TRUTH
@@ -201,25 +233,24 @@ def _crossing_row(index: int, crossing: CrossingMetrics, has_truth: bool) -> lis
         Cell(str(index)),
         Cell(f"{crossing.planned_time:.4f}"),
         Cell(number(crossing.true_time, ".4f", missing)),
-        Cell(number(late, "+.2f", missing)),
+        Cell(missing if late is None else signed(late, ".2f")),
         Cell(crossing.outcome or missing, crossing.outcome in ("bounced", "not reached")),
         Cell(crossing.verdict or "not recorded"),
         Cell(number(crossing.verdict_time, ".4f")),
         Cell(number(crossing.verdict_confidence, ".4f")),
         Cell(right, right == "WRONG"),
-        Cell(number(crossing.speed, ".3f")),
-        Cell(number(crossing.residual, ".4f")),
-        Cell(number(crossing.sigma_min, ".4f")),
+        *(Cell(number(value if reached else None, form))
+          for value, form in ((crossing.speed, ".3f"), (crossing.residual, ".4f"), (crossing.sigma_min, ".4f"))),
         Cell(number(crossing.peak_torque, ".4f")),
         Cell(number(crossing.torque_step, ".4f")),
         Cell(number(1e3 * before, ".3f")),
         Cell(number(1e3 * after, ".3f")),
-    ]
+    ]  # fmt: skip
 
 
 TIMING_COLUMNS = (
-    Column("", text=True), Column("count"), Column("median", "µs"), Column("95 %", "µs"), Column("99 %", "µs"),
-    Column("largest", "µs"), Column("deviation", "µs"), Column("rate", "Hz"),
+    Column("", text=True), Column("count"), Column("median", "µs"), Column("95\u00a0%", "µs"), Column("99\u00a0%", "µs"),
+    Column("largest", "µs"), Column("standard deviation", "µs"), Column("rate, of the median", "Hz"),
 )  # fmt: skip
 
 
@@ -238,13 +269,14 @@ def _timing(metrics: Metrics) -> dict[str, Any]:
         None: "The bag does not say whether this was real time.",
     }[timing.lockstep]
     sampled = number(1e3 * timing.stamp_period, ".3f")
-    share = f"{metrics.missed} of {metrics.states} states have no command with their stamp"
-    runs = f"; the longest gap is {timing.longest_miss} states, in {len(timing.missed_runs)} gaps" if metrics.missed else ""
-    counted = (
-        f" The plant counted {metrics.late_ticks} of {metrics.plant_steps} steps without their command in time and"
-        f" {metrics.late_commands} commands that came later, over its whole run."
+    misses = f"States without a command of their stamp: {metrics.missed} of {metrics.states}"
+    if metrics.missed:
+        misses += f", in {counted(len(timing.missed_runs), 'gap')}, the longest of {counted(timing.longest_miss, 'state')}"
+    late = (
+        f"As the plant counted over its whole run: steps without their command in time: {metrics.late_ticks} of"
+        f" {metrics.plant_steps}; commands that came later: {metrics.late_commands}."
         if metrics.late_ticks is not None
-        else " No count of late commands by the plant is in the bag."
+        else "No count of late commands by the plant is in the bag."
     )
     return {
         "sentence": f"{how} By the system clock at publishing, not by the stamps, which are {sampled} ms apart.",
@@ -254,7 +286,7 @@ def _timing(metrics: Metrics) -> dict[str, Any]:
             row("period of the commands", timing.command_period, True),
             row("round trip, state published → its command published", timing.round_trip, False),
         ],
-        "misses": f"{share}{runs}.{counted}",
+        "misses": f"{misses}. {late}",
     }
 
 
@@ -264,7 +296,7 @@ def _timing_figures(run: Run) -> list[Any]:
     drawn = []
     for values, label in (
         (periods(run.states, asked), "period of the states (µs)"),
-        (round_trips(run, asked)[1], "round trip, state to command (µs)"),
+        (round_trips(run, asked)[1], "round trip (µs)"),
     ):
         if (values > 0.0).any():
             drawn.append(histogram(values, label))
@@ -277,11 +309,9 @@ def _recording(run: Run) -> dict[str, Any]:
         count = run.losses.get(name)
         lost = "not counted" if count is None else "unknown" if count.get("lost") is None else str(count["lost"])
         dropped = "not counted" if count is None else str(count.get("dropped") or 0)
-        span = (topic.last - topic.first) * 1e-9
-        rate = number((topic.count - 1) / span, ".0f") if topic.count > 1 and span > 0.0 else "-"
         rows.append([
             Cell(name), Cell(topic.type), Cell(str(topic.count)), Cell(lost, lost not in ("0", "not counted", "unknown")),
-            Cell(dropped, dropped not in ("0", "not counted")), Cell(rate),
+            Cell(dropped, dropped not in ("0", "not counted")), *(Cell(number(rate, ".0f", "")) for rate in _rates(name, topic)),
         ])  # fmt: skip
     began, ended = run.record.get("started", ""), run.record.get("ended", "")
     sentence = f"Recorded from {_short(began)} to {_short(ended)} (UTC). " if began and ended else ""
@@ -291,11 +321,23 @@ def _recording(run: Run) -> dict[str, Any]:
         sentence += "The bag was not written by this package's recorder: nobody counted its losses."
     else:
         sentence += "Lost: by the middleware's sequence numbers. Dropped: before the disk."
+    if lockstep(run):
+        sentence += " In lockstep the mean rates are the simulation's own."
     columns = (
         Column("topic"), Column("type", text=True), Column("messages"), Column("lost"), Column("dropped"),
-        Column("mean rate", "Hz"),
+        Column("by contract", "Hz"), Column("mean, system clock", "Hz"),
     )  # fmt: skip
     return {"columns": columns, "rows": rows, "sentence": sentence}
+
+
+def _rates(name: str, topic: RecordedTopic) -> tuple[float | None, float | None]:
+    """(nominal, mean by the recorder's clock) of a topic to which the contract gives one rate; else None: it comes in bursts."""
+    longest = max((own for own in TOPICS if f"/{name}".endswith(f"/{own.name.lstrip('/')}")), key=lambda own: len(own.name),
+                  default=None)  # fmt: skip
+    if longest is None or longest.type != topic.type or longest.rate == 0.0 or longest.rate_text:
+        return None, None
+    span = (topic.last - topic.first) * 1e-9
+    return longest.rate, (topic.count - 1) / span if topic.count > 1 and span > 0.0 else None
 
 
 def _short(time: str) -> str:
@@ -355,18 +397,22 @@ def _certificate(run: Run, plan: Certificate | None) -> list[str]:
         return []
     crossings = recorded.get("crossings") or []
     lines = [
-        f"{name.replace('_', ' ')} {number(recorded[name], '.6g')} {unit}"
-        for name, unit in (("duration", "s"), ("peak_torque", "N m"), ("peak_torque_near", "N m"), ("peak_joint_speed", "rad/s"),
-                           ("peak_platform_speed", "m/s"), ("least_type1", "(distance to Type 1)"))
+        f"{words} {number(recorded[name], '.6g')}{unit}"
+        for name, words, unit in (
+            ("duration", "duration", " s"), ("peak_torque", "peak torque", " N m"),
+            ("peak_torque_near", f"peak torque within |s| < {NEAR_LOCUS}", " N m"),
+            ("peak_joint_speed", "peak joint speed", " rad/s"),
+            ("peak_platform_speed", "peak platform speed", " m/s"), ("least_type1", "least distance to Type 1", ""),
+        )
         if isinstance(recorded.get(name), (int, float))
     ]  # fmt: skip
-    lines.append(f"{len(crossings)} crossings listed")
+    lines.append(f"{counted(len(crossings), 'crossing')} listed")
     if plan is not None and isinstance(recorded.get("peak_torque"), (int, float)):
         torque = abs(plan.peak_torque - recorded["peak_torque"])
         instants = [abs(one["time"] - time) for one, time in zip(crossings, plan.crossing_times, strict=False)]
         lines.append(
-            f"the plan computed anew differs by {torque:.1e} N m in peak torque"
-            + (f" and by at most {max(instants):.1e} s in the instants of these crossings" if instants else "")
+            f"the plan computed anew differs by {torque:.2g} N m in peak torque"
+            + (f" and by at most {max(instants):.2g} s in the instants of the crossings" if instants else "")
         )
     return lines
 

@@ -17,6 +17,7 @@ from dextar_control.core.model import make_model
 T_S_LENGTH = 6.0e-3  # m, half of what is drawn of t_s
 MARGIN = 0.02  # m around everything
 SAME_PLACE = 1e-3  # m, crossings nearer than this share their marks
+WORST_FIRST = ("bounced", "undecided", "", "crossed")  # verdicts
 
 
 class Place(NamedTuple):
@@ -25,7 +26,7 @@ class Place(NamedTuple):
     numbers: list[int]  # from 1
     x: Floats  # (2,) m
     t_s: Floats  # (2, 2) ends of a segment along t_s, m; nan without a robot
-    verdict: str  # the estimator's, of the first; "" where none is recorded
+    verdict: str  # the estimator's; of several that differ the worst; "" where none is recorded
 
 
 class Plane(NamedTuple):
@@ -48,6 +49,11 @@ class Plane(NamedTuple):
     linkage: Floats
     low: Floats
     high: Floats
+
+    @property
+    def empty(self) -> bool:
+        """There is nothing to draw."""
+        return not (self.locus or len(self.planned) or len(self.true) or len(self.estimated) or len(self.linkage))
 
 
 def plane_of(run: Run, metrics: Metrics) -> Plane:
@@ -100,14 +106,16 @@ def _places(robot: RobotParameters | None, metrics: Metrics) -> list[Place]:
     places: list[Place] = []
     for number, crossing in enumerate(metrics.crossings, start=1):
         x = np.array(crossing.point)
-        for place in places:
+        verdict = crossing.verdict or ""
+        for row, place in enumerate(places):
             if np.hypot(*(place.x - x)) < SAME_PLACE:
                 place.numbers.append(number)
+                places[row] = place._replace(verdict=min(place.verdict, verdict, key=WORST_FIRST.index))
                 break
         else:
             ends = np.full((2, 2), np.nan)
             if robot is not None:
                 along = T_S_LENGTH * t_s_at(robot, x)
                 ends = np.stack([x - along, x + along])
-            places.append(Place([number], x, ends, crossing.verdict or ""))
+            places.append(Place([number], x, ends, verdict))
     return places

@@ -11,11 +11,13 @@ from rich.table import Table
 from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.load import load_run
 from dextar_control.analysis.metrics import Metrics, compute_metrics
-from dextar_control.analysis.page import render_report
+from dextar_control.analysis.page import render_report, saturated
 from dextar_control.analysis.paper_figure import COLUMN, write_paper
+from dextar_control.analysis.words import counted
 from dextar_control.contract.errors import BagError
 
 RESOLUTION = 150  # dots per inch
+NOTHING = "nothing recorded"
 
 
 def analyze(
@@ -71,17 +73,15 @@ def summary_table(metrics: Metrics) -> Table:
 def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
     """(what, value) pairs of the summary."""
     verdict = {True: "success", False: "FAILED", None: "not decidable"}[metrics.success]
-    crossed = [crossing.crossed for crossing in metrics.crossings]
-    known = f"{sum(map(bool, crossed))} of {len(crossed)} planned" if None not in crossed else "unknown without truth"
     lost = {topic: count for topic, count in metrics.lost.items() if count != 0}
     lines = [
-        ("crossed", known),
+        ("crossed", _crossed(metrics)),
         ("estimator says", _verdicts(metrics)),
         ("true error", _true_error(metrics)),
-        ("estimated error", f"{_mm(metrics.max_estimated_error)} max"),
-        ("peak torque", f"{_torque(metrics.peak_torque)}, {_times(metrics.torque_ratio)} the plan's"),
-        ("peak near the locus", f"{_torque(metrics.peak_torque_near)}, {_times(metrics.torque_ratio_near)} the plan's peak"),
-        ("saturated commands", str(metrics.saturated)),
+        ("estimated error", f"{_mm(metrics.max_estimated_error)} max" if math.isfinite(metrics.max_estimated_error) else NOTHING),
+        ("peak torque", _torque(metrics.peak_torque, metrics.torque_ratio, "the plan's")),
+        ("peak near the locus", _torque(metrics.peak_torque_near, metrics.torque_ratio_near, "the plan's peak")),
+        ("saturated commands", saturated(metrics)),
         (
             "loop rate (system clock)",
             f"{_number(metrics.loop_rate, '.0f')} Hz median, {_number(metrics.mean_rate, '.0f')} Hz mean",
@@ -97,11 +97,21 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
     return lines + [("", reason) for reason in metrics.reasons]
 
 
+def _crossed(metrics: Metrics) -> str:
+    crossed = [crossing.crossed for crossing in metrics.crossings]
+    if not crossed:
+        return "no crossing is planned" if math.isfinite(metrics.planned_peak_torque) else "unknown without a plan"
+    lost = sum(crossing.outcome == "not recorded" for crossing in metrics.crossings)
+    if crossed.count(None) > lost:
+        return "unknown without truth"
+    return f"{sum(map(bool, crossed))} of {len(crossed)} planned" + (f", {lost} not recorded" if lost else "")
+
+
 def _verdicts(metrics: Metrics) -> str:
     """What the estimator said of the crossings, and whether that is true."""
     verdicts = [crossing.verdict for crossing in metrics.crossings]
     if not verdicts or None in verdicts:
-        return "nothing recorded"
+        return NOTHING
     text = ", ".join(f"{verdicts.count(word)} {word}" for word in ("crossed", "bounced", "undecided"))
     wrong = [str(row) for row, crossing in enumerate(metrics.crossings, 1) if crossing.verdict_correct is False]
     if wrong:
@@ -114,7 +124,7 @@ def _verdicts(metrics: Metrics) -> str:
 def _late(metrics: Metrics) -> str:
     if metrics.late_ticks is None:
         return "not counted"
-    return f"{metrics.late_ticks} of {metrics.plant_steps}; {metrics.late_commands} commands came later"
+    return f"{metrics.late_ticks} of {metrics.plant_steps}; {counted(metrics.late_commands or 0, 'command')} came later"
 
 
 def _true_error(metrics: Metrics) -> str:
@@ -131,9 +141,7 @@ def _mm(value: float) -> str:
     return f"{_number(1e3 * value, '.3f')} mm"
 
 
-def _torque(value: float) -> str:
-    return f"{_number(value, '.4f')} N m"
-
-
-def _times(value: float) -> str:
-    return f"{_number(value, '.2f')} x"
+def _torque(value: float, ratio: float, of: str) -> str:
+    if not math.isfinite(value):
+        return NOTHING
+    return f"{value:.4f} N m" + (f", {ratio:.2f} × {of}" if math.isfinite(ratio) else "")

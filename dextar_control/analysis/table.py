@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,12 +21,28 @@ from dextar_control.analysis.timing import phase_name
 from dextar_control.analysis.tracking import tracked
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.robot import JOINT_NAMES, flatten
+from dextar_control.contract.topics import PHASES
+from dextar_control.core.verdicts import Verdict
 
 FORMATS = ("parquet", "csv", "mat")
 MAT_LIMIT = 2**31 - 1  # bytes of one variable in MATLAB's format 5
 NS, SECOND, METRE, SPEED, ACCELERATION, ANGLE, RATE, TORQUE, FORCE, ONE = (
     "ns", "s", "m", "m/s", "m/s^2", "rad", "rad/s", "N m", "N", "1"
 )  # fmt: skip
+STAMP = "of the state: when it was sampled, on the rig's clock"
+CONTROL_MEANINGS = {
+    "reference": "reference of the end effector", "estimate": "estimated end effector", "error": "reference less estimate",
+    "output": "auxiliary acceleration that the feedback asks for", "wrench": "J_inv^T tau of the commanded torques",
+}  # fmt: skip
+DERIVATIVES = {"dot": ", velocity", "ddot": ", acceleration"}
+CRITERION_MEANINGS = {
+    "residual": "t_s.w_d, the criterion that a crossing meets with 0",
+    "s": "singularity measure of the estimate, -1 to 1; 0 on the Type 2 locus",
+    "sigma_min": "smallest singular value of A_r over the distal length, of the estimate",
+    "projection_weight": "of the law's feedback along the weak direction, 1 to 0; 0 on the locus",
+    "assembly_mode": "of the estimate: the sign of its s, +1 or -1",
+    "mode_confidence": "in that assembly mode, 0.5 to 1",
+}
 
 
 class Field(NamedTuple):
@@ -34,7 +50,7 @@ class Field(NamedTuple):
 
     Attributes:
         name: of the column.
-        unit: "" for words.
+        unit: "" for words: a dictionary column in Parquet (a categorical in pandas), text elsewhere.
         meaning: in a few words.
         values: (n,).
     """
@@ -54,12 +70,11 @@ def state_table(run: Run) -> pa.Table:
     track = tracked(run)
     zero = track.start if track else int(stamps[0])
     fields = [
-        Field("stamp", NS, "of the state", stamps),
+        Field("stamp", NS, STAMP, stamps),
         Field("time", SECOND, "since the trajectory's start" if track else "since the first state",
               np.asarray(stamps - zero, dtype=np.float64) * 1e-9),
         Field("published", NS, "system clock when the state was published", run.states.published),
-        *_joints(run.states, "", ("position", "velocity", "effort"), stamps),
-        *_joints(run.commands, "command_", ("effort",), stamps),
+        *_measured(run.states, stamps), *_commanded(run.commands, stamps),
         Field("command_published", NS, "system clock when the command was published",
               _joined(run.commands.stamps, run.commands.published, stamps)),
         *_control(run, stamps), *_criterion(run, stamps), *_truth(run, stamps),
@@ -70,17 +85,19 @@ def state_table(run: Run) -> pa.Table:
 def topic_tables(run: Run) -> dict[str, pa.Table]:
     """Each topic in its own rows, by rising stamp: states, commands, controller_state, criterion, truth, trajectory."""
     found: dict[str, list[Field]] = {}
-    kinds = ("position", "velocity", "effort")
-    for name, joints in (("states", run.states), ("commands", run.commands)):
+    for name, joints, fields in (
+        ("states", run.states, _measured(run.states, run.states.stamps)),
+        ("commands", run.commands, _commanded(run.commands, run.commands.stamps)),
+    ):
         found[name] = [
-            Field("stamp", NS, "of the state", joints.stamps), *_joints(joints, "", kinds, joints.stamps),
+            Field("stamp", NS, STAMP, joints.stamps), *fields,
             Field("published", NS, "system clock of the publisher", joints.published),
             Field("logged", NS, "system clock of the recorder", joints.logged),
         ]  # fmt: skip
-    found["controller_state"] = [Field("stamp", NS, "of the state", run.control.stamps), *_control(run, run.control.stamps)]
-    found["criterion"] = [Field("stamp", NS, "of the state", run.criterion.stamps), *_criterion(run, run.criterion.stamps)]
+    found["controller_state"] = [Field("stamp", NS, STAMP, run.control.stamps), *_control(run, run.control.stamps)]
+    found["criterion"] = [Field("stamp", NS, STAMP, run.criterion.stamps), *_criterion(run, run.criterion.stamps)]
     if run.truth is not None:
-        found["truth"] = [Field("stamp", NS, "of the state", run.truth.stamps), *_truth(run, run.truth.stamps)]
+        found["truth"] = [Field("stamp", NS, STAMP, run.truth.stamps), *_truth(run, run.truth.stamps)]
     if run.trajectory is not None:
         served = run.trajectory
         found["trajectory"] = [Field("time", SECOND, "since the trajectory's start", served.time)]
@@ -132,14 +149,21 @@ def _pair(name: str, unit: str, meaning: str, values: Any) -> list[Field]:
     return [Field(f"{name}_{axis}", unit, meaning, values[:, column]) for column, axis in enumerate("xy")]
 
 
-def _joints(joints: Joints, prefix: str, kinds: tuple[str, ...], stamps: Stamps) -> list[Field]:
-    units = {"position": ANGLE, "velocity": RATE, "effort": TORQUE}
-    fields = []
-    for kind in kinds:
-        values = _joined(joints.stamps, getattr(joints, kind), stamps)
-        fields += [Field(f"{prefix}{name}_{kind}", units[kind], f"{prefix.rstrip('_') or 'measured'} {kind}", values[:, column])
-                   for column, name in enumerate(JOINT_NAMES)]  # fmt: skip
-    return fields
+def _joints(name: str, unit: str, meaning: str, values: Any) -> list[Field]:
+    return [Field(name.format(joint), unit, meaning, values[:, column]) for column, joint in enumerate(JOINT_NAMES)]
+
+
+def _measured(joints: Joints, stamps: Stamps) -> list[Field]:
+    own = joints.stamps
+    return [
+        *_joints("{}_position", ANGLE, "measured angle", _joined(own, joints.position, stamps)),
+        *_joints("{}_velocity", RATE, "measured angular velocity", _joined(own, joints.velocity, stamps)),
+        *_joints("{}_effort", TORQUE, "torque applied since the last state", _joined(own, joints.effort, stamps)),
+    ]
+
+
+def _commanded(joints: Joints, stamps: Stamps) -> list[Field]:
+    return _joints("command_{}_effort", TORQUE, "commanded torque", _joined(joints.stamps, joints.effort, stamps))
 
 
 def _control(run: Run, stamps: Stamps) -> list[Field]:
@@ -150,8 +174,13 @@ def _control(run: Run, stamps: Stamps) -> list[Field]:
         ("reference", METRE), ("reference_dot", SPEED), ("reference_ddot", ACCELERATION), ("estimate", METRE),
         ("estimate_dot", SPEED), ("error", METRE), ("error_dot", SPEED), ("output", ACCELERATION), ("wrench", FORCE),
     ):  # fmt: skip
-        fields += _pair(name, unit, f"controller's {name.replace('_', ' ')}", _joined(own, getattr(run.control, name), stamps))
+        fields += _pair(name, unit, _control_meaning(name), _joined(own, getattr(run.control, name), stamps))
     return fields
+
+
+def _control_meaning(name: str) -> str:
+    quantity, _, derivative = name.partition("_")
+    return CONTROL_MEANINGS[quantity] + DERIVATIVES.get(derivative, "")
 
 
 def _criterion(run: Run, stamps: Stamps) -> list[Field]:
@@ -159,16 +188,18 @@ def _criterion(run: Run, stamps: Stamps) -> list[Field]:
     units = {"residual": FORCE}
     fields = []
     for field in dataclasses.fields(run.criterion):
-        if field.name in ("stamps", "phase"):
-            continue
-        meaning = "t_s.w_d" if field.name == "residual" else f"controller's {field.name.replace('_', ' ')}"
-        fields.append(
-            Field(field.name, units.get(field.name, ONE), meaning, _joined(own, getattr(run.criterion, field.name), stamps))
-        )
-    numbers = _joined(own, run.criterion.phase, stamps)
-    known = {int(number): phase_name(int(number)) for number in np.unique(run.criterion.phase)}
-    names = [None if number is np.ma.masked else known[int(number)] for number in numbers]
-    return [*fields, Field("phase", "", "of the controller", names)]
+        if field.name not in ("stamps", "phase", "verdict"):
+            values = _joined(own, getattr(run.criterion, field.name), stamps)
+            fields.append(Field(field.name, units.get(field.name, ONE), CRITERION_MEANINGS[field.name], values))
+    phases = {int(number): phase_name(int(number)) for number in np.unique(run.criterion.phase) if number >= 0}
+    verdicts = {verdict.value: verdict.name.lower() for verdict in Verdict}
+    told = "; ".join(f"{name.upper()}: {meaning}" for name, meaning in PHASES.items())
+    return [
+        *fields,
+        Field("verdict", "", f"estimator's, of the planned crossing that began last: {', '.join(verdicts.values())}",
+              _words(_joined(own, run.criterion.verdict, stamps), verdicts)),
+        Field("phase", "", f"controller's. {told}", _words(_joined(own, run.criterion.phase, stamps), phases)),
+    ]  # fmt: skip
 
 
 def _truth(run: Run, stamps: Stamps) -> list[Field]:
@@ -179,8 +210,7 @@ def _truth(run: Run, stamps: Stamps) -> list[Field]:
         *_pair("true", METRE, "true end effector", _joined(truth.stamps, truth.x, stamps)),
         *_pair("true_dot", SPEED, "true end effector velocity", _joined(truth.stamps, truth.x_dot, stamps)),
     ]
-    q_a = _joined(truth.stamps, truth.q_a, stamps)
-    fields += [Field(f"true_{name}", ANGLE, "true joint angle", q_a[:, column]) for column, name in enumerate(JOINT_NAMES)]
+    fields += _joints("true_{}", ANGLE, "true joint angle", _joined(truth.stamps, truth.q_a, stamps))
     if run.robot is not None:
         s = singularity_measure(run.robot, truth.x, truth.q_a)
         fields.append(Field("true_s", ONE, "singularity measure of the true state", _joined(truth.stamps, s, stamps)))
@@ -200,10 +230,17 @@ def _table(fields: list[Field], run: Run, extra: dict[str, str]) -> pa.Table:
     return pa.Table.from_arrays(arrays, schema=pa.schema(schema, metadata=about))
 
 
+def _words(numbers: Any, names: Mapping[int, str]) -> pa.DictionaryArray:
+    """The names of numbers (n,); null where one is masked, not a number, or has no name."""
+    codes = {number: row for row, number in enumerate(names)}
+    rows = [codes.get(int(number)) if number is not np.ma.masked and number == number else None for number in numbers]
+    return pa.DictionaryArray.from_arrays(pa.array(rows, type=pa.int8()), pa.array(list(names.values()), type=pa.string()))
+
+
 def _array(values: Any) -> pa.Array:
     """Without a value where it is masked or not a number."""
-    if isinstance(values, list):
-        return pa.array(values, type=pa.string())
+    if isinstance(values, pa.Array):
+        return values
     mask = np.ma.getmaskarray(values)
     data = np.ma.getdata(values)
     if data.dtype.kind == "f":
@@ -228,14 +265,15 @@ def _write_parquet(table: pa.Table, file: Path) -> None:
 
 
 def _write_csv(table: pa.Table, file: Path) -> None:
-    pyarrow.csv.write_csv(table.rename_columns(_titles(table)), file)
+    plain = [column.cast(pa.string()) if pa.types.is_dictionary(column.type) else column for column in table.columns]
+    pyarrow.csv.write_csv(pa.table(plain, names=_titles(table)), file)
 
 
 def _write_mat(table: pa.Table, file: Path) -> None:
     columns: dict[str, Any] = {}
     for name in table.column_names:
         column = table.column(name)
-        if pa.types.is_string(column.type):
+        if pa.types.is_dictionary(column.type):
             columns[name] = np.array([text or "" for text in column.to_pylist()], dtype=object)
         elif pa.types.is_integer(column.type):
             columns[name] = column.fill_null(-1).to_numpy().astype(np.int64)

@@ -32,6 +32,9 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
     stopped = values["phase"] in ("SAFE_STOP", "FAULT")
     if stopped:
         reasons.append(f"the controller ended in {values['phase']}: {values['reason'] or 'no reason recorded'}")
+    if not tracked and not values["phase"]:
+        reasons.append("the bag holds no phase of the controller: whether a trajectory was tracked is not known")
+        return Verdict(None, reasons)
     if not tracked:
         reasons.append("no trajectory was tracked")
         return Verdict(False, reasons)
@@ -40,9 +43,9 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
     if short and not cut:
         reasons.append(f"tracking ended at {values['tracked_until']:.3f} s of {values['duration']:.3f} s")
     if values["saturated"]:
-        reasons.append(f"{values['saturated']} commands were saturated; the limit is 0")
+        reasons.append(f"saturated commands: {values['saturated']}; the limit is 0")
     if values["drive_saturated"]:
-        reasons.append(f"the drives saturated in {values['drive_saturated']} steps; the limit is 0")
+        reasons.append(f"steps in which the drives saturated: {values['drive_saturated']}; the limit is 0")
     broken = bool(reasons)
     if cut:
         reasons.append(

@@ -17,6 +17,7 @@ from bokeh.models import (
     CrosshairTool,
     DataRange1d,
     FactorRange,
+    FixedTicker,
     HoverTool,
     PanTool,
     Range1d,
@@ -35,11 +36,13 @@ from dextar_control.analysis.thin import thin, thin_path
 from dextar_control.analysis.timing import PhaseSpan
 
 BLACK, GREY, LIGHT, ACCENT, BLUE = "#111111", "#767676", "#c4c4c4", "#b3260f", "#2f6fb5"
+BAND = "#e8bfb7"  # what was planned lies as a wide light band under what was measured
 FONT = "system-ui, -apple-system, 'Segoe UI', Helvetica, Arial, sans-serif"
 HEIGHT = 200  # px, of a panel over time
 LAST = 40  # px more for the one with the axis
 PLANE_WIDTH, PLANE_REST = 450, 170  # px, of the frame in the plane, and beside its height for axis and legend
-VERDICT_MARKS = {"crossed": "circle", "bounced": "x"}
+VERDICT_MARKS = {"crossed": ("circle", 10), "bounced": ("x", 13), "undecided": ("square", 10), "": ("diamond", 12)}
+DASHES = {"solid": "", "dashed": "6", "dotted": "2 4", "dotdash": "2 4 6 4"}  # as Bokeh draws them
 BINS = 80  # of a histogram
 
 
@@ -54,17 +57,31 @@ class Style(NamedTuple):
 STYLES = {
     ("commanded", 0): Style(BLACK, "solid", 1.8),
     ("commanded", 1): Style(BLACK, "dashed", 1.8),
-    ("planned", 0): Style(ACCENT, "dotted", 1.4),
-    ("planned", 1): Style(ACCENT, "dotdash", 1.2),
+    ("planned", 0): Style(BAND, "solid", 5.0),
+    ("planned", 1): Style(BAND, "dashed", 5.0),
     ("true", 0): Style(BLACK, "solid", 1.8),
     ("estimated", 0): Style(BLUE, "dashed", 1.4),
     ("seen", 0): Style(BLACK, "solid", 1.6),
-    ("confidence", 0): Style(LIGHT, "solid", 2.5),
+    ("confidence", 0): Style(GREY, "dotdash", 1.4),
 }
 RUN_STYLES = (
     Style(BLACK, "solid", 1.8), Style(ACCENT, "dashed", 1.6), Style(BLUE, "dotdash", 1.6), Style(GREY, "dotted", 2.0),
     Style("#1b7f5c", "solid", 1.0), Style("#7a4fa3", "dashed", 1.0),
 )  # fmt: skip
+
+
+def run_tag(index: int) -> str:
+    """What all curves of one of several runs carry, so that the page's key can show and hide them together."""
+    return f"run {index}"
+
+
+def run_keys(names: Sequence[str]) -> list[dict[str, Any]]:
+    """One key of several runs for all their figures: name, tag of the curves, and how they are drawn."""
+    styles = [RUN_STYLES[index % len(RUN_STYLES)] for index in range(len(names))]
+    return [
+        {"name": name, "tag": run_tag(index), "color": style.color, "dash": DASHES[style.dash], "width": style.width}
+        for index, (name, style) in enumerate(zip(names, styles, strict=True))
+    ]
 
 
 def over_time(panels: Sequence[Panel], instants: Sequence[float], duration: float, names: Sequence[str] = ()) -> list[Any]:
@@ -88,7 +105,7 @@ def over_time(panels: Sequence[Panel], instants: Sequence[float], duration: floa
             axes.add_layout(Span(location=instant, dimension="height", line_color=GREY, line_dash="dotted", line_width=1))
         for curve in panel.curves:
             style = RUN_STYLES[int(curve.kind) % len(RUN_STYLES)] if names else STYLES[curve.kind, curve.part]
-            _line(axes, curve, style, instants)
+            _line(axes, curve, style, instants, legend=not names)
         axes.xaxis.visible = last
         if last:
             axes.xaxis.axis_label = "time since the trajectory's start (s)"
@@ -117,19 +134,22 @@ def in_plane(planes: Sequence[Plane], names: Sequence[str] = ()) -> Any:
     if len(plane.linkage):
         axes.scatter(*plane.linkage[[0, 4]].T, marker="triangle", size=13, color=BLACK)
         axes.scatter(*plane.linkage[1:4].T, marker="circle", size=6, color=GREY)
-    _trace(axes, plane.planned, Style(ACCENT, "solid", 5.0), "planned", alpha=0.3)
+    _trace(axes, plane.planned, STYLES["planned", 0], "planned, first run" if names else "planned")
     if names:
-        for index, (name, other) in enumerate(zip(names, planes, strict=True)):
-            path = other.true if len(other.true) else other.estimated
-            _trace(axes, path, RUN_STYLES[index % len(RUN_STYLES)], f"{name}{'' if len(other.true) else ', estimated'}")
+        true = all(len(other.true) or not len(other.estimated) for other in planes)
+        for index, other in enumerate(planes):
+            path = other.true if true else other.estimated
+            _trace(axes, path, RUN_STYLES[index % len(RUN_STYLES)], tag=run_tag(index))
     elif len(plane.true):
         _trace(axes, plane.true, Style(BLACK, "solid", 1.6), "true")
     else:
         _trace(axes, plane.estimated, Style(BLUE, "dashed", 1.6), "estimated (no truth in this bag)")
     for place in plane.places:
         axes.line(*place.t_s.T, color=BLACK, line_width=3.0, legend_label="t_s at a crossing")
-        axes.scatter([place.x[0]], [place.x[1]], marker=VERDICT_MARKS.get(place.verdict, "square"), size=10,
-                     fill_color="white", line_color=BLACK, line_width=1.5, legend_label="planned crossing")  # fmt: skip
+        verdict = "" if names else place.verdict
+        marker, size = VERDICT_MARKS[verdict]
+        axes.scatter([place.x[0]], [place.x[1]], marker=marker, size=size, fill_color="white", line_color=BLACK, line_width=1.5,
+                     legend_label=f"crossing, estimator: {verdict}" if verdict else "planned crossing")  # fmt: skip
         text = ", ".join(map(str, place.numbers[:6])) + (" ..." if len(place.numbers) > 6 else "")
         axes.text([place.x[0]], [place.x[1]], text=[text], x_offset=10, y_offset=-6, text_font_size="12px", text_font=value(FONT))
     if len(plane.planned):
@@ -144,16 +164,29 @@ def histogram(values: Floats, label: str, unit: float = 1e6) -> Any:
     good = values[np.isfinite(values) & (values > 0.0)] * unit
     low, high = math.floor(math.log10(max(good.min(), 1e-3)) * 4) / 4, math.ceil(math.log10(good.max()) * 4) / 4
     counts, edges = np.histogram(np.log10(good), bins=BINS, range=(low, max(high, low + 0.25)))
+    top = max(2.0 * counts.max(), 2.0)
     axes = figure(height=HEIGHT, sizing_mode="stretch_width", x_axis_type="log", y_axis_type="log", toolbar_location=None,
-                  tools="", y_range=Range1d(start=0.7, end=max(2.0 * counts.max(), 2.0)))  # fmt: skip
+                  tools="", y_range=Range1d(start=0.7, end=top))  # fmt: skip
     _dress(axes, "count")
     axes.xaxis.axis_label = label
+    for axis, first, last in ((axes.xaxis, 10.0 ** edges[0], 10.0 ** edges[-1]), (axes.yaxis, 1.0, top)):
+        ticks = log_ticks(first, last)
+        axis.ticker = FixedTicker(ticks=ticks)
+        axis.major_label_overrides = {tick: f"{tick:,.9g}".replace(",", "\u2009") for tick in ticks}
     axes.quad(top=np.maximum(counts, 0.7), bottom=0.7, left=10.0 ** edges[:-1], right=10.0 ** edges[1:], fill_color=LIGHT,
               line_color=GREY, line_width=0.5)  # fmt: skip
     for percent, dash in ((50.0, "solid"), (99.0, "dashed")):
         place = float(np.percentile(good, percent))
         axes.add_layout(Span(location=place, dimension="height", line_color=BLACK, line_dash=dash, line_width=1.5))
     return axes
+
+
+def log_ticks(low: float, high: float) -> list[float]:
+    """Round numbers for a logarithmic axis, as many as there is room for: about nine in three decades, one a decade beyond."""
+    decades = math.log10(high / low)
+    steps = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0) if decades <= 1.0 else (1.0, 2.0, 5.0) if decades <= 3.0 else (1.0,)
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    return [tick for power in powers for step in steps if low <= (tick := round(step * 10.0**power, 9)) <= high]
 
 
 def phase_band(spans: Sequence[PhaseSpan], metrics: Metrics) -> Any:
@@ -165,6 +198,7 @@ def phase_band(spans: Sequence[PhaseSpan], metrics: Metrics) -> Any:
                   x_axis_label="time since the trajectory's start (s)")  # fmt: skip
     _dress(axes, "")
     axes.toolbar.logo = None
+    axes.toolbar.autohide = True
     shades = {"TRACK": GREY, "CROSSING": BLACK, "SAFE_STOP": ACCENT, "FAULT": ACCENT}
     source = ColumnDataSource(
         {
@@ -225,16 +259,19 @@ def _legend(axes: Any, side: str = "above", columns: int = 0) -> None:
     axes.legend.border_line_color = None
 
 
-def _line(axes: Any, curve: Curve, style: Style, instants: Sequence[float]) -> None:
+def _line(axes: Any, curve: Curve, style: Style, instants: Sequence[float], legend: bool) -> None:
     rows = thin(curve.time, curve.values, instants)
     source = ColumnDataSource({"x": curve.time[rows].astype(np.float32), "y": curve.values[rows].astype(np.float32)})
-    axes.line("x", "y", source=source, name=curve.name, legend_label=curve.name, color=style.color, line_dash=style.dash,
-              line_width=style.width)  # fmt: skip
+    drawn = axes.line("x", "y", source=source, name=curve.name, color=style.color, line_dash=style.dash, line_width=style.width,
+                      **({"legend_label": curve.name} if legend else {}))  # fmt: skip
+    if not legend:
+        drawn.tags = [run_tag(int(curve.kind))]
 
 
-def _trace(axes: Any, x: Floats, style: Style, name: str, alpha: float = 1.0) -> None:
+def _trace(axes: Any, x: Floats, style: Style, name: str = "", tag: str = "") -> None:
     if len(x) == 0:
         return
     shown = x[thin_path(x)].astype(np.float32)
-    axes.line(shown[:, 0], shown[:, 1], legend_label=name, color=style.color, line_dash=style.dash, line_width=style.width,
-              line_alpha=alpha)  # fmt: skip
+    drawn = axes.line(shown[:, 0], shown[:, 1], color=style.color, line_dash=style.dash, line_width=style.width,
+                      **({"legend_label": name} if name else {}))  # fmt: skip
+    drawn.tags = [tag] if tag else []

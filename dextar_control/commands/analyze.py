@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
             code = EXIT_USAGE
             continue
         if len(arguments.bag) > 1:
-            console.print(f"{bag}", highlight=False)
+            console.print(f"{bag}", highlight=False, soft_wrap=True)
         console.print(summary_table(metrics))
         names = ["metrics.json", "figure.png", "report.html", *(f"paper.{name}" for name in dict.fromkeys(arguments.formats))]
         console.print(f"{folder or Path(metrics.bag).parent}: {' '.join(names)}", highlight=False, soft_wrap=True)

@@ -32,8 +32,8 @@ def run(arguments: argparse.Namespace) -> int:
         comparison = compare_bags(arguments.bag, status.update, arguments.namespace)
         status.update(f"writing to {arguments.output}")
         write_comparison(comparison, arguments.output)
-    console.print(summary_table(comparison))
+    console.print(summary_table(comparison, console.width))
     for remark in comparison.remarks:
         console.print(remark, highlight=False)
-    console.print(f"{arguments.output}: comparison.html comparison.md comparison.json", highlight=False)
+    console.print(f"{arguments.output}: comparison.html comparison.md comparison.json", highlight=False, soft_wrap=True)
     return 0

@@ -45,5 +45,5 @@ def run(arguments: argparse.Namespace) -> int:
         recorded = load_run(arguments.bag, arguments.namespace)
         folder = arguments.output or recorded.path.parent / "export"
         files = export(recorded, folder, arguments.formats or ["parquet", "csv"], arguments.topics, status.update)
-    console.print(f"{folder}: {' '.join(file.name for file in files)}", highlight=False)
+    console.print(f"{folder}: {' '.join(file.name for file in files)}", highlight=False, soft_wrap=True)
     return 0

@@ -53,12 +53,14 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from dextar_control.analysis.animate import animate
+    from dextar_control.analysis.animate import animate, check_output
     from dextar_control.analysis.load import load_run
     from dextar_control.analysis.motion import motion_of
 
     if arguments.window and not os.environ.get("DISPLAY"):
         raise ParameterError("--window needs a display, and DISPLAY is not set; write a file instead: --output replay.gif")
+    if not arguments.window and arguments.output is not None:
+        check_output(arguments.output)
     console = Console()
     with console.status(f"reading {arguments.bag}"), spoken_warnings("replay"):
         recorded = load_run(arguments.bag, arguments.namespace)
@@ -69,9 +71,10 @@ def run(arguments: argparse.Namespace) -> int:
             motion.write(file, arguments.speed)
             return subprocess.run([sys.executable, "-m", WINDOW_MODULE, str(file)], check=False).returncode
     output = arguments.output or recorded.path.parent / "replay.gif"
+    check_output(output, len(motion.time))
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
         bar = progress.add_task("frames", total=len(motion.time))
         animate(motion, output, arguments.speed, arguments.fps, lambda done, total: progress.update(bar, completed=done))
-    console.print(f"{output}", highlight=False)
+    console.print(f"{output}", highlight=False, soft_wrap=True)
     return 0

@@ -158,7 +158,8 @@ def run_demo(arguments: argparse.Namespace) -> int:
     mode = "lockstep" if arguments.lockstep else "real time"
     estimator = f", estimator {arguments.estimator}" if arguments.estimator else ""
     domain = os.environ["ROS_DOMAIN_ID"]
-    console.print(f"law {arguments.law}{estimator}, {mode}, ROS_DOMAIN_ID={domain}, into {folder}", highlight=False)
+    said = f"law {arguments.law}{estimator}, {mode}, ROS_DOMAIN_ID={domain}, into {folder}"
+    console.print(said, highlight=False, soft_wrap=True)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _interrupt)
     troubles: list[str] = []
@@ -183,7 +184,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
     console.print(summary_table(metrics))
     for line in dict.fromkeys(troubles):
         console.print(line, style="bold", highlight=False)
-    console.print(f"{folder}: plan.png run.mcap metrics.json figure.png report.html", highlight=False)
+    console.print(f"{folder}: plan.png run.mcap metrics.json figure.png report.html", highlight=False, soft_wrap=True)
     return 0 if metrics.success and not troubles else 1
 
 
