@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.core.planner import Plan, plan_return_trip
+from dextar_control.ros.domain import own_domain
+
+os.environ["ROS_DOMAIN_ID"] = str(own_domain())
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -27,6 +26,7 @@ from dextar_control.core.kinematics import inverse_model
 from dextar_control.core.loop import ControlLoop, Phase
 from dextar_control.core.planner import plan_return_trip
 from dextar_control.core.warmup import default_settings
+from dextar_control.ros.domain import own_domain
 from dextar_control.ros.echo import STAMP
 from dextar_control.ros.messages import joint_states_template
 
@@ -153,7 +153,7 @@ def bench_round_trip(seconds: float) -> dict[str, tuple[float, float, int]]:
 def run_bench(seconds: float) -> int:
     """Measure and print; the exit code."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().randrange(1, 100))
+    os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     console = Console()
     table = Table("what", "p50 us", "p99 us", "beside", "p50 us", "p99 us", "ratio p50", title="cost on this machine, now")
 

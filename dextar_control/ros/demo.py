@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import ctypes
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -29,6 +28,7 @@ from dextar_control.contract.node import check_value, qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.contract.topics import DIAGNOSTICS
+from dextar_control.ros.domain import choose_domain
 from dextar_control.ros.task import PARAMETERS as TASK_PARAMETERS
 from dextar_control.ros.task import Task
 
@@ -154,10 +154,9 @@ def run_demo(arguments: argparse.Namespace) -> int:
     values["trajectory_server"].append(f"drawing:={folder / 'plan.png'}")
     settings = _node_arguments(values, robot_file, arguments)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(1, 100)))
+    domain = choose_domain()
     mode = "lockstep" if arguments.lockstep else "real time"
     estimator = f", estimator {arguments.estimator}" if arguments.estimator else ""
-    domain = os.environ["ROS_DOMAIN_ID"]
     said = f"law {arguments.law}{estimator}, {mode}, ROS_DOMAIN_ID={domain}, into {folder}"
     console.print(said, highlight=False, soft_wrap=True)
     for number in (signal.SIGTERM, signal.SIGHUP):

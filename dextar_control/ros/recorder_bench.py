@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -32,6 +31,7 @@ from std_srvs.srv import Trigger
 from dextar_control.commands import EXIT_FAILED
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
+from dextar_control.ros.domain import choose_domain
 
 MODULES = {
     "recorder": "dextar_control.ros.recorder_node",
@@ -80,7 +80,7 @@ def run(seconds: float, output: Path, reliable: bool) -> int:
     """Measure and print; 0 when nothing is missing."""
     console = Console()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(1, 100)))
+    choose_domain()
     settings = {
         "recorder": [f"output:={output / 'run.mcap'}", f"reliable:={str(reliable).lower()}", "compression:=zstd"],
         "plant": [f"pose_rate:={CAMERA_RATE}"],
