@@ -1,6 +1,7 @@
 """Keeping step: with the commander in lockstep, with the steady clock in real time.
 
-Deadlines lie one period apart; a late one moves those after it and is never made up for.
+Deadlines lie one period apart on the steady clock. What is late is made up for by shorter periods, so that simulated
+time keeps up with the clock; only a machine that was away for longer than ``MOST_BEHIND`` loses that time.
 """
 
 from __future__ import annotations
@@ -10,6 +11,11 @@ import time
 from typing import Any, Protocol
 
 _IDLE_WAIT = 0.05
+
+SHORTEST = 0.75
+"""Share of the period below which two samples never come together, however late they are."""
+MOST_BEHIND = 50_000_000
+"""ns up to which lateness is made up for."""
 
 
 class Paced(Protocol):
@@ -45,34 +51,49 @@ class Paced(Protocol):
 class Schedule:
     """Deadlines of a periodic task, ns of the steady clock.
 
-    A deadline missed by less than half a period is jitter and moves nothing. Missed by more, the
-    whole schedule moves by as much, so that no two samples come closer than half a period.
+    The due times of the samples lie whole periods apart. A sample that is late does not move the later ones: they follow
+    each other by ``SHORTEST`` periods at least until one is on time again. Lateness beyond ``MOST_BEHIND`` (and beyond a
+    period) is dropped: the due times move by all of it.
 
     Args:
         period: ns.
 
     Attributes:
-        deadline: of the coming sample, None while stopped.
-        overruns: deadlines that moved the schedule.
-        longest: the longest of them, ns.
-        slip: all of them together, ns.
+        deadline: of the coming sample, None while stopped: when it is due, or ``SHORTEST`` periods after the last one.
+        overruns: deadlines missed by more than half a period.
+        longest: the largest of these misses, ns.
+        behind: how long after it was due the last sample came, ns.
+        slip: lateness that was dropped, ns: so much simulated time has fallen behind the clock.
     """
 
     def __init__(self, period: int) -> None:
         self._period = period
+        self._shortest = round(SHORTEST * period)
+        self._most_behind = max(MOST_BEHIND, period)
+        self._due = 0
+        self._begun = 0
+        self._ran = 0
         self.deadline: int | None = None
         self.overruns = 0
         self.longest = 0
+        self.behind = 0
         self.slip = 0
         self._work = 0.0
 
-    def start(self, deadline: int) -> None:
-        """First deadline after a stop."""
-        self.deadline = deadline
+    def start(self, now: int, wait: int) -> None:
+        """Run again; the first deadline is in ``wait`` ns."""
+        self._begun = now
+        self.deadline = self._due = now + wait
 
-    def stop(self) -> None:
-        """No deadline, as during a pause; the time until ``start`` is no overrun."""
+    def stop(self, now: int) -> None:
+        """No deadline, as during a pause; the time until ``start`` is no overrun and does not count as run."""
+        self._ran = self.ran(now)
         self.deadline = None
+        self.behind = 0
+
+    def ran(self, now: int) -> int:
+        """The steady clock without the pauses, ns since the first ``start``."""
+        return self._ran if self.deadline is None else self._ran + now - self._begun
 
     def left(self, now: int) -> float:
         """Seconds until the deadline, 0 when it has passed or there is none."""
@@ -91,13 +112,15 @@ class Schedule:
         """The sample of this deadline is out; set the next one."""
         if self.deadline is None:
             return
-        lateness = now - self.deadline
-        if 2 * lateness > self._period:
+        missed, self.behind = now - self.deadline, max(0, now - self._due)
+        if 2 * missed > self._period:
             self.overruns += 1
-            self.longest = max(self.longest, lateness)
-            self.slip += lateness
-            self.deadline = now
-        self.deadline += self._period
+            self.longest = max(self.longest, missed)
+        if self.behind > self._most_behind:
+            self.slip += self.behind
+            self._due, self.behind = now, 0
+        self._due += self._period
+        self.deadline = max(self._due, now + self._shortest)
 
 
 def lockstep_cycle(node: Paced, executor: Any) -> None:
@@ -116,7 +139,7 @@ def realtime_cycle(node: Paced, executor: Any) -> None:
     """Physics as soon as the answer is there or time presses, then the state at its deadline."""
     schedule = node.schedule
     if schedule.deadline is None:
-        schedule.start(time.monotonic_ns() + (0 if node.sample_ready else node.period_ns))
+        schedule.start(time.monotonic_ns(), 0 if node.sample_ready else node.period_ns)
     pressing = node.sample_ready
     while not node.sample_ready:
         if node.paused:
@@ -143,7 +166,7 @@ def spin(node: Paced, executor: Any, stop: Any) -> None:
     gc.freeze()
     while not stop and not node.finished:
         if node.paused:
-            node.schedule.stop()
+            node.schedule.stop(time.monotonic_ns())
             executor.spin_once(timeout_sec=_IDLE_WAIT)
         else:
             node.begin()
