@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from dextar_sim import pace
-from dextar_sim.pace import MOST_BEHIND, SHORTEST, Schedule
+from dextar_sim.pace import MOST_BEHIND, PATIENT, SHORTEST, Schedule
 
 PERIOD = 1_000_000
 CLOSEST = round(SHORTEST * PERIOD)
@@ -20,13 +20,12 @@ def started(period: int = PERIOD) -> Schedule:
     return schedule
 
 
-def run(schedule: Schedule, delays: list[int]) -> list[int]:
+def run(schedule: Schedule, delays: list[int], *, answered: bool = True) -> list[int]:
     """When each sample came, so long after its deadline, ns."""
     times = []
     for delay in delays:
-        assert schedule.deadline is not None
-        times.append(schedule.deadline + delay)
-        schedule.met(times[-1])
+        times.append(schedule.deadline(answered=answered) + delay)
+        schedule.met(times[-1], answered=answered)
     return times
 
 
@@ -46,6 +45,14 @@ def test_a_late_sample_is_made_up_for_and_none_comes_closer_than_the_shortest_pe
     assert min(gaps) == CLOSEST
     assert times[15:] == [PERIOD * index for index in range(15, 22)]
     assert (schedule.overruns, schedule.longest, schedule.behind, schedule.slip) == (1, late, 0, 0)
+
+
+def test_a_sample_without_its_command_is_given_nearly_a_whole_period() -> None:
+    schedule = started()
+    times = run(schedule, [0, round(0.2 * PERIOD), *[0] * 10], answered=False)
+    gaps = [after - before for before, after in zip(times, times[1:], strict=False)]
+    assert gaps[1:4] == [round(PATIENT * PERIOD)] * 3
+    assert times[-1] == 11 * PERIOD
 
 
 def test_what_is_behind_is_told_while_it_is_made_up_for() -> None:
@@ -76,7 +83,7 @@ def test_a_noisy_machine_does_not_slip() -> None:
     assert max(time - PERIOD * index for index, time in enumerate(times)) <= MOST_BEHIND
     assert schedule.slip == 0
     run(schedule, [0] * 200)
-    assert schedule.deadline == PERIOD * 20_200
+    assert schedule.deadline(answered=True) == PERIOD * 20_200
 
 
 def test_a_stalled_machine_loses_its_time_once() -> None:
@@ -105,7 +112,7 @@ def test_a_pause_is_neither_late_nor_run() -> None:
     schedule = started()
     run(schedule, [0, 3 * PERIOD])
     schedule.stop(10 * PERIOD)
-    assert (schedule.ran(500 * PERIOD), schedule.left(500 * PERIOD), schedule.behind) == (10 * PERIOD, 0.0, 0)
+    assert (schedule.ran(500 * PERIOD), schedule.behind, schedule.running) == (10 * PERIOD, 0, False)
     schedule.stop(600 * PERIOD)
     schedule.start(1000 * PERIOD, PERIOD)
     assert run(schedule, [0, 0]) == [1001 * PERIOD, 1002 * PERIOD]
@@ -125,12 +132,14 @@ class MadeUp:
         self.schedule = Schedule(PERIOD)
         self.published: list[int] = []
         self.stalls: dict[int, int] = {}
+        self.answers = True
 
     def monotonic_ns(self) -> int:
         return self.now
 
     def spin_once(self, timeout_sec: float) -> None:
-        self.now += 1 + int(1.0e9 * timeout_sec)
+        self.now += min(1 + int(1.0e9 * timeout_sec), PERIOD // 10)
+        self.answered = self.answers
 
     def begin(self) -> None:
         self.sample_ready = True
@@ -140,7 +149,7 @@ class MadeUp:
         self.sample_ready = True
 
     def publish(self) -> None:
-        self.sample_ready = False
+        self.sample_ready = self.answered = False
         self.published.append(self.now)
         self.now += PERIOD // 50 + self.stalls.get(len(self.published), 0)
 
@@ -148,15 +157,17 @@ class MadeUp:
         raise AssertionError("not in real time")
 
 
+@pytest.mark.parametrize(("answers", "closest"), [(True, CLOSEST), (False, round(PATIENT * PERIOD))])
 @pytest.mark.parametrize("stall", [0, 4 * PERIOD, MOST_BEHIND - PERIOD])
-def test_the_rigs_clock_keeps_up_with_the_steady_one(monkeypatch: Any, stall: int) -> None:
+def test_the_rigs_clock_keeps_up_with_the_steady_one(monkeypatch: Any, stall: int, answers: bool, closest: int) -> None:
     rig = MadeUp()
+    rig.answers = answers
     monkeypatch.setattr(pace, "time", rig)
     rig.stalls = {100: stall}
     rig.begin()
-    for _ in range(400):
+    for _ in range(1400):
         pace.realtime_cycle(rig, rig)
-    assert rig.published[-1] - rig.published[0] == pytest.approx(399 * PERIOD, abs=PERIOD // 100)
+    assert rig.published[-1] - rig.published[0] == pytest.approx(1399 * PERIOD, abs=PERIOD // 100)
     gaps = [after - before for before, after in zip(rig.published, rig.published[1:], strict=False)]
-    assert min(gaps) >= CLOSEST - 1
+    assert min(gaps) >= closest
     assert rig.schedule.overruns == bool(stall)
