@@ -136,6 +136,8 @@ def test_a_starting_second_speaker_is_told_by_its_first_message_before_anybody_l
     assert topic.speakers.several
     topic.appear(1)
     assert topic.clear and all(topic.talk(first, 10))
+    topic.appear(2)  # one that is silent
+    assert topic.talk(first, 400).count(True) == 400 - WINDOW + 1
 
 
 def test_a_slow_second_speaker_does_not_switch_the_torque_on_and_off() -> None:
