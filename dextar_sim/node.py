@@ -12,7 +12,9 @@ state is taken as in real time (the newest stamp wins) and does not let time go 
 
 from __future__ import annotations
 
+import inspect
 import time
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -40,6 +42,7 @@ from dextar_sim.pace import Schedule, spin
 from dextar_sim.parameters import PARAMETERS
 from dextar_sim.plant import Plant
 from dextar_sim.sensors import Acknowledgement, Command, CommandDelay, CommandHold, Encoder, PoseSensor
+from dextar_sim.speakers import SPEAKING, Speakers
 from dextar_sim.urdf import five_bar
 
 REPEAT_AFTER = 0.5
@@ -48,6 +51,23 @@ REPEAT_AFTER = 0.5
 
 COMMANDER_PERIOD = 0.1
 """s between two looks at who publishes commands."""
+
+
+class WithInfo:
+    """A subscription's callback that wants the MessageInfo too, for both kinds of executor.
+
+    rclpy's events executor (7.1) hands message and info over as one tuple, the others as two arguments.
+    """
+
+    __signature__ = inspect.signature(lambda message, info: None)  # noqa: ARG005  by which rclpy tells what is wanted
+
+    def __init__(self, take: Callable[[bytes, Mapping[str, int]], None]) -> None:
+        self._take = take
+
+    def __call__(self, *given: Any) -> None:
+        """One message."""
+        message, info = given if len(given) == 2 else given[0]
+        self._take(message, info)
 
 
 class PlantNode(DextarNode):
@@ -96,7 +116,6 @@ class PlantNode(DextarNode):
         self.counts = dict.fromkeys(
             ("commands_received", "commands_refused", "late_ticks", "late_commands", "repeated_states", "acknowledgements"), 0
         )
-        self._commanders = 0
         self._max_loop_gap = 0.0
         self._reported = (time.monotonic(), 0, 0)
         self._warned_at = -1.0
@@ -109,7 +128,8 @@ class PlantNode(DextarNode):
         topic, kind = (EFFORT_COMMANDS, Float64MultiArray) if self._arrays else (JOINT_COMMANDS, JointState)
         self._command_name = topic.name
         profile = qos(topic, reliable=self.lockstep)
-        self._commands = self.create_subscription(kind, topic.name, self._on_command, profile, raw=True)
+        self._commands = self.create_subscription(kind, topic.name, WithInfo(self._on_command), profile, raw=True)
+        self._speakers = Speakers(lambda: int(self.count_publishers(self._commands.topic_name)), lossless=self.lockstep)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -141,10 +161,16 @@ class PlantNode(DextarNode):
             self.counts["late_ticks"] += 1
         delayed = self._delay.shift(self._newest)
         if delayed is not None:
-            self._hold.receive(delayed._replace(stamp=delayed.stamp + self._delay.periods * self.period_ns))
-        applied = self.plant.step(self._hold.torque(self._stamp()))
+            later = self._delay.periods * self.period_ns
+            arrival = None if delayed.arrival is None else delayed.arrival + later
+            self._hold.receive(delayed._replace(stamp=delayed.stamp + later, arrival=arrival))
+        applied = self.plant.step(self._hold.torque(self._stamp(), self._ran()))
         self._index += 1
         self._prepare(applied)
+
+    def _ran(self) -> int | None:
+        """The drives' steady clock, ns, which a pause stops; None in lockstep, where simulated time alone counts."""
+        return None if self.lockstep else self.schedule.ran(time.monotonic_ns())
 
     def _stamp(self) -> int:
         return self._first_stamp + self._index * self.period_ns
@@ -186,10 +212,11 @@ class PlantNode(DextarNode):
         for publisher, raw in self._sent:
             publisher.publish(raw)
 
-    def _on_command(self, raw: bytes) -> None:
+    def _on_command(self, raw: bytes, info: Mapping[str, int]) -> None:
         try:
-            if self._commanders > 1:
-                raise StateError(f"{self._commanders} publishers on {self._command_name}; the limit is 1: no torque")
+            if not self._speakers.hear(info.get("publication_sequence_number"), self._index, time.monotonic_ns()):
+                self._let_go()
+                raise StateError(f"{self._complaint()}: no torque")
             command = self._read_command(raw)
         except StateError as error:
             self.counts["commands_refused"] += 1
@@ -208,7 +235,7 @@ class PlantNode(DextarNode):
         if command.stamp < self._oldest or (self.lockstep and answers and self.answered):
             return
         if self._newest is None or command.stamp >= self._newest.stamp:
-            self._newest = command
+            self._newest = command._replace(arrival=self._ran())
         self.answered = self.answered or answers
         self._commanded = self._commanded or answers
 
@@ -233,11 +260,24 @@ class PlantNode(DextarNode):
         return command._replace(stamp=self._published)
 
     def _count_commanders(self) -> None:
-        self._commanders = self.count_publishers(self._commands.topic_name)
-        if self._commanders > 1:
-            self._newest = None
-            self._delay.reset()
-            self._hold.reset()
+        now = time.monotonic_ns()
+        self._speakers.look(now)
+        if not self._speakers.clear(now):
+            self._let_go()
+
+    def _let_go(self) -> None:
+        self._newest = None
+        self._delay.reset()
+        self._hold.reset()
+
+    def _complaint(self) -> str:
+        """What is wrong with who commands."""
+        count, name = self._speakers.count, self._command_name
+        if count <= 1:
+            return f"a message on {name} is numbered as another publisher's"
+        if self._speakers.several:
+            return f"{count} publishers on {name}, more than one speaks; the limit is 1"
+        return f"{count} publishers on {name}; one must have spoken alone for {1.0e-9 * SPEAKING:g} s"
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._budget = 0 if request.data else None
@@ -274,10 +314,11 @@ class PlantNode(DextarNode):
         before, steps_before, refused_before = self._reported
         self._reported = (now, steps, self.counts["commands_refused"])
         factor = (steps - steps_before) * 1.0e-9 * self.period_ns / max(now - before, 1.0e-9)
-        commanders = self._commanders
+        commanders, taken = self._speakers.count, self._speakers.clear(time.monotonic_ns())
         level, message = DiagnosticStatus.OK, "paused" if self.paused else "running"
         if commanders > 1:
-            level, message = DiagnosticStatus.WARN, f"{commanders} publishers on {self._command_name}; no torque"
+            words = f"{commanders} publishers on {self._command_name}"
+            level, message = DiagnosticStatus.WARN, f"{words}, one speaks" if taken else f"{words}; no torque"
         elif self.counts["commands_refused"] > refused_before:
             level, message = DiagnosticStatus.WARN, f"commands on {self._command_name} were refused"
         self.publish_diagnostics(level, message, {
@@ -285,8 +326,10 @@ class PlantNode(DextarNode):
             "steps": steps,
             **self.counts,
             "command_publishers": commanders,
+            "commands_taken": taken,
             "overruns": self.schedule.overruns,
             "longest_overrun": 1.0e-9 * self.schedule.longest,
+            "behind": 1.0e-9 * self.schedule.behind,
             "slip": 1.0e-9 * self.schedule.slip,
             "real_time_factor": round(factor, 4),
             "max_loop_gap": self._max_loop_gap,

@@ -1,6 +1,7 @@
 """Keeping step: with the commander in lockstep, with the steady clock in real time.
 
-Deadlines lie one period apart; a late one moves those after it and is never made up for.
+Deadlines lie one period apart on the steady clock. What is late is made up for by shorter periods, so that simulated
+time keeps up with the clock; only a machine that was away for longer than ``MOST_BEHIND`` loses that time.
 """
 
 from __future__ import annotations
@@ -10,6 +11,13 @@ import time
 from typing import Any, Protocol
 
 _IDLE_WAIT = 0.05
+
+SHORTEST = 0.75
+"""Share of the period below which two samples never come together, however late they are."""
+PATIENT = 0.95
+"""The same for a sample whose command is not there yet: making up must not make commands late."""
+MOST_BEHIND = 50_000_000
+"""ns up to which lateness is made up for."""
 
 
 class Paced(Protocol):
@@ -43,61 +51,82 @@ class Paced(Protocol):
 
 
 class Schedule:
-    """Deadlines of a periodic task, ns of the steady clock.
+    """When the samples of a periodic task are due, ns of the steady clock.
 
-    A deadline missed by less than half a period is jitter and moves nothing. Missed by more, the
-    whole schedule moves by as much, so that no two samples come closer than half a period.
+    The due times lie whole periods apart. A sample that is late does not move the later ones: they follow each other by
+    ``SHORTEST`` periods at least, by ``PATIENT`` ones where the last one is not answered, until one is on time again. Lateness
+    beyond ``MOST_BEHIND`` (and beyond a period) is dropped: the due times move by all of it.
 
     Args:
         period: ns.
 
     Attributes:
-        deadline: of the coming sample, None while stopped.
-        overruns: deadlines that moved the schedule.
-        longest: the longest of them, ns.
-        slip: all of them together, ns.
+        running: between ``start`` and ``stop``.
+        overruns: samples out by more than half a period after they might have been.
+        longest: the largest of these delays, ns.
+        behind: how long after it was due the last sample came, ns.
+        slip: lateness that was dropped, ns: so much simulated time has fallen behind the clock.
     """
 
     def __init__(self, period: int) -> None:
         self._period = period
-        self.deadline: int | None = None
+        self._shortest, self._patient = round(SHORTEST * period), round(PATIENT * period)
+        self._most_behind = max(MOST_BEHIND, period)
+        self._due = 0
+        self._last = 0
+        self._begun = 0
+        self._ran = 0
+        self.running = False
         self.overruns = 0
         self.longest = 0
+        self.behind = 0
         self.slip = 0
         self._work = 0.0
 
-    def start(self, deadline: int) -> None:
-        """First deadline after a stop."""
-        self.deadline = deadline
+    def start(self, now: int, wait: int) -> None:
+        """Run again; the first sample is due in ``wait`` ns."""
+        self.running = True
+        self._begun, self._due = now, now + wait
+        self._last = self._due - self._period
 
-    def stop(self) -> None:
-        """No deadline, as during a pause; the time until ``start`` is no overrun."""
-        self.deadline = None
+    def stop(self, now: int) -> None:
+        """Nothing is due, as during a pause; the time until ``start`` is no overrun and does not count as run."""
+        self._ran = self.ran(now)
+        self.running = False
+        self.behind = 0
 
-    def left(self, now: int) -> float:
-        """Seconds until the deadline, 0 when it has passed or there is none."""
-        return 0.0 if self.deadline is None else max(0.0, 1.0e-9 * (self.deadline - now))
+    def ran(self, now: int) -> int:
+        """The steady clock without the pauses, ns since the first ``start``."""
+        return self._ran + now - self._begun if self.running else self._ran
+
+    def deadline(self, *, answered: bool) -> int:
+        """Of the coming sample: when it is due, or some time after the last one, which is answered or not."""
+        return max(self._due, self._last + (self._shortest if answered else self._patient))
+
+    def left(self, now: int, *, answered: bool) -> float:
+        """Seconds until the deadline, 0 when it has passed."""
+        return max(0.0, 1.0e-9 * (self.deadline(answered=answered) - now))
 
     def left_to_work(self, now: int) -> float:
-        """Seconds until the work for the deadline must begin, 0 when that has passed."""
+        """Seconds until the work for an unanswered sample's deadline must begin, 0 when that has passed."""
         reserve = min(self._work, 0.6e-9 * self._period)
-        return max(0.0, self.left(now) - reserve)
+        return max(0.0, self.left(now, answered=False) - reserve)
 
     def worked(self, duration: int) -> None:
         """Take one measured duration of the work, ns, into the running mean."""
         self._work += 0.05 * (1.0e-9 * duration - self._work)
 
-    def met(self, now: int) -> None:
-        """The sample of this deadline is out; set the next one."""
-        if self.deadline is None:
-            return
-        lateness = now - self.deadline
-        if 2 * lateness > self._period:
+    def met(self, now: int, *, answered: bool) -> None:
+        """The sample that was due is out; the one before it was answered or not."""
+        missed, self.behind = now - self.deadline(answered=answered), max(0, now - self._due)
+        if 2 * missed > self._period:
             self.overruns += 1
-            self.longest = max(self.longest, lateness)
-            self.slip += lateness
-            self.deadline = now
-        self.deadline += self._period
+            self.longest = max(self.longest, missed)
+        if self.behind > self._most_behind:
+            self.slip += self.behind
+            self._due, self.behind = now, 0
+        self._due += self._period
+        self._last = now
 
 
 def lockstep_cycle(node: Paced, executor: Any) -> None:
@@ -115,8 +144,8 @@ def lockstep_cycle(node: Paced, executor: Any) -> None:
 def realtime_cycle(node: Paced, executor: Any) -> None:
     """Physics as soon as the answer is there or time presses, then the state at its deadline."""
     schedule = node.schedule
-    if schedule.deadline is None:
-        schedule.start(time.monotonic_ns() + (0 if node.sample_ready else node.period_ns))
+    if not schedule.running:
+        schedule.start(time.monotonic_ns(), 0 if node.sample_ready else node.period_ns)
     pressing = node.sample_ready
     while not node.sample_ready:
         if node.paused:
@@ -129,10 +158,10 @@ def realtime_cycle(node: Paced, executor: Any) -> None:
             left = schedule.left_to_work(time.monotonic_ns())
             executor.spin_once(timeout_sec=left)
             pressing = left <= 0.0
-    while (left := schedule.left(time.monotonic_ns())) > 0.0:
+    while (left := schedule.left(time.monotonic_ns(), answered=node.answered)) > 0.0:
         executor.spin_once(timeout_sec=left)
     if not node.paused:
-        schedule.met(time.monotonic_ns())
+        schedule.met(time.monotonic_ns(), answered=node.answered)
         node.publish()
 
 
@@ -143,7 +172,7 @@ def spin(node: Paced, executor: Any, stop: Any) -> None:
     gc.freeze()
     while not stop and not node.finished:
         if node.paused:
-            node.schedule.stop()
+            node.schedule.stop(time.monotonic_ns())
             executor.spin_once(timeout_sec=_IDLE_WAIT)
         else:
             node.begin()

@@ -228,10 +228,12 @@ class Command(NamedTuple):
     Attributes:
         stamp: of the state it answers, ns.
         torque: of the motors q11, q21, N m.
+        arrival: when it came, ns of a steady clock; None where simulated time alone counts.
     """
 
     stamp: int
     torque: tuple[float, float]
+    arrival: int | None = None
 
 
 class Acknowledgement(NamedTuple):
@@ -248,10 +250,11 @@ class CommandHold:
     """The drive: holds the last command, saturates it, and lets go when it has grown old.
 
     A command's age is counted from the stamp of the state it answers, in simulated time, so that
-    a controller that answers old states is caught like one that fell silent.
+    a controller that answers old states is caught like one that fell silent. Where commands tell their arrival, the steady
+    clock since then counts too: simulated time stands still while the machine does.
 
     Args:
-        timeout: age beyond which there is no torque, ns.
+        timeout: age beyond which there is no torque, by either clock, ns.
         max_torque: saturation, N m.
 
     Attributes:
@@ -289,12 +292,18 @@ class CommandHold:
         self._held = command
         return True
 
-    def torque(self, stamp: int) -> tuple[float, float]:
-        """Motor torque (N m) at a simulated time (ns); zero without a fresh command."""
+    def torque(self, stamp: int, now: int | None = None) -> tuple[float, float]:
+        """Motor torque (N m); zero without a fresh command.
+
+        Args:
+            stamp: simulated time, ns.
+            now: of the commands' arrivals' clock, ns; None counts simulated time alone.
+        """
         held = self._held
         if held is None:
             return 0.0, 0.0
-        if stamp - held.stamp > self._timeout:
+        silent = now is not None and held.arrival is not None and now - held.arrival > self._timeout
+        if silent or stamp - held.stamp > self._timeout:
             self.trips += not self._tripped
             self._tripped = True
             return 0.0, 0.0

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import importlib
 import math
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -237,3 +240,26 @@ def test_a_description_without_joint_ranges_has_none(robot: RobotParameters) -> 
     flat = {key: value for key, value in flatten(robot).items() if not key.endswith("_angle")}
     legs = from_flat(flat).legs
     assert {(leg.min_angle, leg.max_angle) for leg in legs} == {(-math.pi, math.pi)}
+
+
+SWALLOWED = """
+import sys, time
+from dextar_control.contract.node import StopSignal
+stop = StopSignal()
+print("ready", flush=True)
+while True:
+    try:
+        time.sleep(0.01)
+    except KeyboardInterrupt:
+        pass
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_node_that_is_being_made_ends_although_the_compiler_swallows_the_interrupt(number: int) -> None:
+    process = subprocess.Popen([sys.executable, "-c", SWALLOWED], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(number)
+    output, _ = process.communicate(timeout=60.0)
+    assert (process.returncode, output) == (0, "")

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import queue
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,7 +16,9 @@ from typing import Any
 import yaml
 
 from dextar_control.contract.resources import config_file
+from dextar_control.faults.cases import validated
 from dextar_control.faults.judgement import Check
+from dextar_control.ros.faults import run
 from dextar_control.ros.faults.session import Request
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -75,3 +80,60 @@ def test_a_drive_without_its_timeout_and_a_controller_that_answers_bad_states_in
     assert not any(check == limit for check, _ in seen)
     records = [event for event in events if event["event"] == "record" and event["case"] == "states_nan"]
     assert [record["expected"] for record in records] == [False]
+
+
+def test_a_session_that_is_being_started_while_the_run_is_stopped_is_ended_too(tmp_path: Path, monkeypatch: Any) -> None:
+    """The signal comes between the start of the process and the moment it is known."""
+    config = validated(CASES, "cases")
+    worker = run.Worker(run.Plan("lockstep", {"states_nan": 1}), tmp_path, config, 1, queue.Queue(), "lockstep-1")
+    started: list[subprocess.Popen[str]] = []
+
+    def popen(command: list[str], **options: Any) -> subprocess.Popen[str]:
+        started.append(real([sys.executable, "-c", "import time; time.sleep(600)"], **options))
+        worker.stop()
+        return started[-1]
+
+    real = subprocess.Popen
+    monkeypatch.setattr(run.subprocess, "Popen", popen)
+    worker.start()
+    worker.join(PATIENCE)
+    assert not worker.is_alive()
+    assert [process.poll() for process in started] == [-signal.SIGTERM]
+
+
+def test_a_session_ends_its_nodes_however_often_it_is_told_to(tmp_path: Path) -> None:
+    request = Request(str(tmp_path), "lockstep", {"states_nan": 1}, CASES, seed=5, injector=True, record=False)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dextar_control.ros.faults.session"], cwd=ROOT, text=True, stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={**os.environ, "ROS_DOMAIN_ID": str(101 + os.getpid() % 100)},
+    )  # fmt: skip
+    assert process.stdin is not None
+    process.stdin.write(json.dumps(asdict(request)) + "\n")
+    process.stdin.flush()
+    nodes: set[int] = set()
+    while len(nodes) < 3:  # plant, controller, trajectory server
+        assert process.poll() is None
+        nodes |= {child for child in map(int, children(process.pid)) if "--ros-args" in command_line(child)}
+        time.sleep(0.02)
+    while process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        time.sleep(0.02)
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    assert not any(command_line(node) for node in nodes)
+
+
+def children(pid: int) -> list[str]:
+    try:
+        return [child for task in Path(f"/proc/{pid}/task").iterdir() for child in (task / "children").read_text().split()]
+    except OSError:
+        return []
+
+
+def command_line(pid: int) -> str:
+    """Empty for a process that is gone."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text().replace("\0", " ")
+    except OSError:
+        return ""

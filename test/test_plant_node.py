@@ -414,15 +414,77 @@ def test_realtime_applies_answers_and_falls_silent_with_the_commander(start: Cal
     assert int(commander.health["late_ticks"]) >= 1
 
 
-def test_two_commanders_get_no_torque_and_are_reported(start: Callable[..., Commander]) -> None:
+def test_two_speaking_commanders_get_no_torque_and_are_reported(start: Callable[..., Commander]) -> None:
+    """The second one's first number steps back: what it says is never taken, not even before the graph is looked at."""
     commander = start(mode="realtime", command_delay="0.003")
     commander.answer = lambda state: command(state, [1.0e-4, -1.0e-4])
     commander.until(lambda: any(list(state.effort) == [1.0e-4, -1.0e-4] for state in commander.states))
     second = commander.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
+
+    def both(state: JointState) -> JointState:
+        second.publish(command(state, [2.0e-4, 2.0e-4]))
+        return command(state, [1.0e-4, -1.0e-4])
+
+    commander.answer = both
     commander.until(lambda: commander.health.get("command_publishers") == "2")
     assert "2 publishers" in commander.health["message"]
+    assert "no torque" in commander.health["message"]
+    assert commander.health["commands_taken"] == "False"
     seen = len(commander.states)
-    commander.until(lambda: len(commander.states) > seen + 50)
+    commander.until(lambda: len(commander.states) > seen + 500)
     assert {tuple(state.effort) for state in commander.states[seen:]} == {(0.0, 0.0)}
+    assert {tuple(state.effort) for state in commander.states} == {(0.0, 0.0), (1.0e-4, -1.0e-4)}
     commander.until(lambda: int(commander.health["commands_refused"]) > 0)
-    assert second is not None
+
+
+def test_a_silent_second_commander_is_reported_and_waited_for(start: Callable[..., Commander]) -> None:
+    commander = start(mode="realtime")
+    commander.answer = lambda state: command(state, [1.0e-4, -1.0e-4])
+    commander.until(lambda: any(list(state.effort) == [1.0e-4, -1.0e-4] for state in commander.states))
+    second = commander.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
+    commander.until(lambda: commander.health.get("message") == "2 publishers on joint_commands, one speaks")
+    assert commander.health["commands_taken"] == "True"
+    commander.until(lambda: list(commander.states[-1].effort) == [1.0e-4, -1.0e-4])
+    second.publish(command(commander.states[-1], [2.0e-4, 2.0e-4]))
+    commander.until(lambda: commander.health["message"] == "2 publishers on joint_commands; no torque")
+    seen = len(commander.states)
+    commander.until(lambda: len(commander.states) > seen + 500)
+    assert {tuple(state.effort) for state in commander.states[seen:]} == {(0.0, 0.0)}
+    assert not any(list(state.effort) == [2.0e-4, 2.0e-4] for state in commander.states)
+    commander.node.destroy_publisher(second)
+    commander.until(lambda: list(commander.states[-1].effort) == [1.0e-4, -1.0e-4])
+
+
+KILLED_COMMANDER = """
+import rclpy
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+rclpy.init()
+node = Node("killed")
+commands = node.create_publisher(JointState, "joint_commands", 10)
+def answer(state):
+    state.effort = [3.0e-4, 3.0e-4]
+    state.position = state.velocity = []
+    commands.publish(state)
+node.create_subscription(JointState, "joint_states", answer, 10)
+rclpy.spin(node)
+"""
+
+
+@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
+def test_after_sigkill_of_a_commander_its_successor_moves_the_robot_at_once(start: Callable[..., Commander], mode: str) -> None:
+    """The middleware keeps the dead publisher in the graph for its lease; the drives tell it by its silence."""
+    commander = start(mode=mode)
+    killed = subprocess.Popen([sys.executable, "-c", KILLED_COMMANDER], env=os.environ)
+    try:
+        commander.until(lambda: bool(commander.states) and list(commander.states[-1].effort) == [3.0e-4, 3.0e-4])
+    finally:
+        killed.kill()
+        killed.wait()
+    if mode == "realtime":
+        commander.until(lambda: list(commander.states[-1].effort) == [0.0, 0.0])
+    commander.linger(0.5)
+    commander.health = {}
+    commander.answer = lambda state: command(state, [1.0e-4, -1.0e-4])
+    commander.until(lambda: list(commander.states[-1].effort) == [1.0e-4, -1.0e-4])
+    commander.until(lambda: commander.health.get("message") == "2 publishers on joint_commands, one speaks")

@@ -106,6 +106,26 @@ def test_one_silence_is_one_trip_and_a_fresh_command_ends_it() -> None:
     assert hold.trips == 2
 
 
+def test_silence_counts_by_the_steady_clock_too_whichever_is_first() -> None:
+    """The machine stalls with a command held: simulated time stands still, the drives' own clock does not."""
+    hold = CommandHold(20 * MILLISECOND, 0.3)
+    hold.receive(Command(0, (0.1, -0.2), arrival=1000 * MILLISECOND))
+    assert hold.torque(MILLISECOND, 1020 * MILLISECOND) == (0.1, -0.2)
+    assert hold.torque(MILLISECOND, 1020 * MILLISECOND + 1) == (0.0, 0.0)
+    assert hold.torque(20 * MILLISECOND + 1, 1001 * MILLISECOND) == (0.0, 0.0)
+    assert hold.trips == 1
+    hold.receive(Command(2 * MILLISECOND, (0.2, 0.0), arrival=3000 * MILLISECOND))
+    assert hold.torque(2 * MILLISECOND, 3001 * MILLISECOND) == (0.2, 0.0)
+
+
+def test_in_lockstep_only_simulated_time_counts() -> None:
+    hold = CommandHold(20 * MILLISECOND, 0.3)
+    hold.receive(Command(0, (0.1, -0.2)))
+    assert hold.torque(MILLISECOND, 10**15) == (0.1, -0.2)
+    hold.receive(Command(0, (0.1, -0.2), arrival=0))
+    assert hold.torque(MILLISECOND) == (0.1, -0.2)
+
+
 def test_answers_to_old_states_trip_the_watchdog_too() -> None:
     hold = CommandHold(20 * MILLISECOND, 0.3)
     hold.receive(Command(0, (0.1, 0.1)))

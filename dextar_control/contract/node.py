@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -24,6 +25,7 @@ from dextar_control.contract.services import ServiceDesk
 from dextar_control.contract.topics import DIAGNOSTICS, Topic
 
 EXIT_USAGE = 2
+START_GRACE = 3.0  # s from a signal during a node's start to its end
 COMPLAINT_PERIOD = 1.0  # s between two lines about services that failed
 
 
@@ -273,8 +275,11 @@ def make_executor(kind: str = "events") -> Any:
 class StopSignal:
     """SIGINT and SIGTERM as an event: a node finishes what it holds before it goes.
 
+    A node that is still being made holds nothing yet, and the signal interrupts it. The compiler's callbacks may swallow or
+    print that interrupt: it is not printed, and where nothing comes of it within ``START_GRACE`` the process ends.
+
     Attributes:
-        starting: a node that is still being made holds nothing yet; the signal interrupts it.
+        starting: the node is still being made.
     """
 
     def __init__(self) -> None:
@@ -286,7 +291,15 @@ class StopSignal:
     def _on_signal(self, *_: Any) -> None:
         self._event.set()
         if self.starting:
+            sys.unraisablehook = lambda _: None
+            timer = threading.Timer(START_GRACE, self._give_up)
+            timer.daemon = True
+            timer.start()
             raise KeyboardInterrupt
+
+    def _give_up(self) -> None:
+        if self.starting:
+            os._exit(0)
 
     def __bool__(self) -> bool:
         return self._event.is_set()

@@ -26,7 +26,7 @@ class FaultsError(DextarError):
     """The nodes could not be brought to where a fault can be tried; the message says which and why."""
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Have the kernel send SIGTERM to this process when its parent dies, however it dies."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
@@ -70,7 +70,7 @@ class Processes:
         """
 
         def prepare() -> None:
-            _end_with_parent()
+            end_with_parent()
             if limit is not None:
                 limit()
 

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
@@ -30,7 +30,7 @@ from dextar_control.faults.figure import draw
 from dextar_control.faults.frames import LinkError
 from dextar_control.faults.netns import FaultyLink
 from dextar_control.faults.table import Summary
-from dextar_control.ros.faults.processes import FaultsError
+from dextar_control.ros.faults.processes import FaultsError, end_with_parent
 from dextar_control.ros.faults.session import Request
 
 CONFIG_NAME = "faults.yaml"
@@ -123,9 +123,16 @@ class Worker(threading.Thread):
             options: dict[str, Any] = {
                 "stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": log, "text": True,
                 "env": {**environment, "ROS_DOMAIN_ID": domain},
+                "start_new_session": True,  # signals to this process's group would reach it twice
             }  # fmt: skip
-            self._process = link.popen("a", command, **options) if link is not None else subprocess.Popen(command, **options)
-            self._write(json.dumps(asdict(request)))
+            if link is not None:
+                self._process = link.popen("a", command, **options)
+            else:
+                self._process = subprocess.Popen(command, preexec_fn=end_with_parent, **options)
+            if self._stopped:  # while it was being started
+                self.stop()
+            with contextlib.suppress(BrokenPipeError):  # it ended at once
+                self._write(json.dumps(asdict(request)))
             assert self._process.stdout is not None
             failed = ""
             for line in self._process.stdout:
@@ -237,10 +244,11 @@ def run_faults(
         whole = progress.add_task("faulted crossings", total=sum(counts.values()))
         try:
             for index, group in enumerate(plans(config, counts, jobs)):
-                for event in _run_group(group, folder, config, seed, index, progress):
-                    record.write(json.dumps(event) + "\n")
-                    summary.take(event)
-                    progress.update(whole, completed=summary.count)
+                with contextlib.closing(_run_group(group, folder, config, seed, index, progress)) as events:
+                    for event in events:
+                        record.write(json.dumps(event) + "\n")
+                        summary.take(event)
+                        progress.update(whole, completed=summary.count)
         except KeyboardInterrupt:
             interrupted = True
     summary.seconds = time.monotonic() - begun
@@ -257,7 +265,7 @@ def run_faults(
 
 def _run_group(
     group: list[Plan], folder: Path, config: FaultConfig, seed: int, index: int, progress: Progress
-) -> Iterator[dict[str, Any]]:
+) -> Generator[dict[str, Any], None, None]:
     events: queue.Queue[dict[str, Any] | None] = queue.Queue()
     workers = [
         Worker(plan, folder, config, seed + 100_000 * (10 * index + place), events, f"{plan.kind}-{place + 1}")
@@ -267,10 +275,10 @@ def _run_group(
     for plan in group:
         bar = progress.add_task(f"  {plan.kind}: starting the nodes", total=sum(plan.cases.values()))
         bars.update(dict.fromkeys(plan.cases, (plan.kind, bar)))
-    for worker in workers:
-        worker.start()
     running = len(workers)
     try:
+        for worker in workers:
+            worker.start()
         while running:
             event = events.get()
             if event is None:
@@ -287,7 +295,8 @@ def _run_group(
         for worker in workers:
             worker.stop()
         for worker in workers:
-            worker.join(timeout=STOP_TIMEOUT)
+            if worker.ident is not None:
+                worker.join(timeout=STOP_TIMEOUT)
         for bar in {bar for _, bar in bars.values()}:
             progress.remove_task(bar)
 

@@ -13,6 +13,7 @@ import random
 import signal
 import sys
 import time
+import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -55,6 +56,7 @@ JUDGED_AFTER = 0.12  # s after the planned crossing, where the reference is clea
 NEAR = 0.4  # |s| of the reference below which a fault is at the locus
 SETTLE = 0.3  # s of the rig's time that a robot without control is watched
 FIRST_FAULT = 0.02  # s after the start before which no window opens
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 PHASE = CRITERION_NAMES.index("phase")
 
 
@@ -180,8 +182,8 @@ class Session:
     def recover(self, *, disable: bool = False) -> bool:
         """What an operator does: side told, reset, the robot back to its start, enable; whether it then holds.
 
-        A commander that was killed counts as a second one until its lease with the middleware is over, and the drives
-        take no commands so long: that is waited for.
+        The drives take commands again once one commander alone has spoken for a while, whoever the middleware still
+        counts as publisher: that is waited for.
 
         Args:
             disable: also a robot that holds, because its controller does not know the side.
@@ -191,7 +193,7 @@ class Session:
             operator.injector.clear()
             for link in (operator.injector.states, operator.injector.commands):
                 link.configure(Transport(), 0)
-        operator.until(lambda: operator.get("plant", "command_publishers") in ("", "0", "1"), LEASE_PATIENCE)
+        operator.until(lambda: operator.get("plant", "commands_taken") != "False", LEASE_PATIENCE)
         if disable:
             operator.call(SetBool, "controller/enable", data=False)
             operator.until(lambda: not self.holding(), 1.0)
@@ -479,10 +481,22 @@ def say(**event: Any) -> None:
     print(json.dumps(event), flush=True)
 
 
+def _ignore_signals() -> None:
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _interrupt(*_: Any) -> None:
+    """The first signal; a second one would keep the nodes from being ended."""
+    _ignore_signals()
+    raise KeyboardInterrupt
+
+
 def main() -> int:
     """The exit code: 0 when every case was tried to its end."""
     request = Request(**json.loads(sys.stdin.readline()))
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in STOP_SIGNALS:
+        signal.signal(number, _interrupt)
     code = 0
     session: Session | None = None
     try:
@@ -503,6 +517,7 @@ def main() -> int:
     except KeyboardInterrupt:
         return 130
     finally:
+        _ignore_signals()
         if session is not None:
             tally = session.close()
             say(event="checks", case="", looked=tally.looked, violations=tally.violations)
@@ -511,4 +526,10 @@ def main() -> int:
 
 if __name__ == "__main__":
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
-    os._exit(main())  # rclpy's executor may outlive the nodes
+    exit_code = 1
+    try:
+        exit_code = main()
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        os._exit(exit_code)  # rclpy's executor may outlive the nodes

@@ -1,0 +1,173 @@
+"""Real-time pace on made-up clocks: what is late is made up for gently, what is hopeless is dropped and counted."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import pytest
+
+from dextar_sim import pace
+from dextar_sim.pace import MOST_BEHIND, PATIENT, SHORTEST, Schedule
+
+PERIOD = 1_000_000
+CLOSEST = round(SHORTEST * PERIOD)
+
+
+def started(period: int = PERIOD) -> Schedule:
+    schedule = Schedule(period)
+    schedule.start(0, 0)
+    return schedule
+
+
+def run(schedule: Schedule, delays: list[int], *, answered: bool = True) -> list[int]:
+    """When each sample came, so long after its deadline, ns."""
+    times = []
+    for delay in delays:
+        times.append(schedule.deadline(answered=answered) + delay)
+        schedule.met(times[-1], answered=answered)
+    return times
+
+
+def test_samples_on_time_lie_a_period_apart() -> None:
+    schedule = started()
+    assert run(schedule, [0] * 5) == [PERIOD * index for index in range(5)]
+    assert (schedule.overruns, schedule.longest, schedule.behind, schedule.slip) == (0, 0, 0, 0)
+
+
+def test_a_late_sample_is_made_up_for_and_none_comes_closer_than_the_shortest_period() -> None:
+    """3.4 periods late; each of the next gains a quarter of a period: after 14 the schedule is back."""
+    schedule = started()
+    late = round(3.4 * PERIOD)
+    times = run(schedule, [0, late] + [0] * 20)
+    gaps = [after - before for before, after in zip(times, times[1:], strict=False)]
+    assert gaps[1:14] == [CLOSEST] * 13
+    assert min(gaps) == CLOSEST
+    assert times[15:] == [PERIOD * index for index in range(15, 22)]
+    assert (schedule.overruns, schedule.longest, schedule.behind, schedule.slip) == (1, late, 0, 0)
+
+
+def test_a_sample_without_its_command_is_given_nearly_a_whole_period() -> None:
+    schedule = started()
+    times = run(schedule, [0, round(0.2 * PERIOD), *[0] * 10], answered=False)
+    gaps = [after - before for before, after in zip(times, times[1:], strict=False)]
+    assert gaps[1:4] == [round(PATIENT * PERIOD)] * 3
+    assert times[-1] == 11 * PERIOD
+
+
+def test_what_is_behind_is_told_while_it_is_made_up_for() -> None:
+    schedule = started()
+    run(schedule, [0, 2 * PERIOD])
+    behind = []
+    for _ in range(10):
+        behind.append(schedule.behind)
+        run(schedule, [0])
+    assert behind == [max(0, 2 * PERIOD - (PERIOD - CLOSEST) * index) for index in range(10)]
+    assert schedule.overruns == 1
+
+
+def test_small_lateness_moves_nothing() -> None:
+    schedule = started()
+    times = run(schedule, [PERIOD // 5] * 100)
+    assert times[-1] == 99 * PERIOD + PERIOD // 5
+    assert schedule.overruns == 0
+
+
+def test_a_noisy_machine_does_not_slip() -> None:
+    """Delays of up to 0.15 periods, and each hundredth sample up to 15 periods late."""
+    chance = random.Random(3)
+    delays = [chance.randrange(0, 3 * PERIOD // 20) if index % 100 else chance.randrange(15 * PERIOD) for index in range(20_000)]
+    schedule = started()
+    times = run(schedule, delays)
+    assert min(after - before for before, after in zip(times, times[1:], strict=False)) >= CLOSEST
+    assert max(time - PERIOD * index for index, time in enumerate(times)) <= MOST_BEHIND
+    assert schedule.slip == 0
+    run(schedule, [0] * 200)
+    assert schedule.deadline(answered=True) == PERIOD * 20_200
+
+
+def test_a_stalled_machine_loses_its_time_once() -> None:
+    schedule = started()
+    stall = MOST_BEHIND + PERIOD
+    times = run(schedule, [0, stall, 0, 0])
+    assert times[1:] == [PERIOD + stall, 2 * PERIOD + stall, 3 * PERIOD + stall]
+    assert (schedule.overruns, schedule.longest, schedule.behind, schedule.slip) == (1, stall, 0, stall)
+
+
+def test_lateness_that_adds_up_beyond_the_bound_is_dropped_too() -> None:
+    schedule = started()
+    run(schedule, [PERIOD] * 500)
+    assert schedule.slip > MOST_BEHIND
+    assert schedule.behind <= MOST_BEHIND
+
+
+def test_a_slow_rig_may_be_a_period_late() -> None:
+    schedule = started(100 * PERIOD)
+    times = run(schedule, [0, 70 * PERIOD, 0, 0, 0])
+    assert schedule.slip == 0
+    assert times[-1] == 4 * 100 * PERIOD
+
+
+def test_a_pause_is_neither_late_nor_run() -> None:
+    schedule = started()
+    run(schedule, [0, 3 * PERIOD])
+    schedule.stop(10 * PERIOD)
+    assert (schedule.ran(500 * PERIOD), schedule.behind, schedule.running) == (10 * PERIOD, 0, False)
+    schedule.stop(600 * PERIOD)
+    schedule.start(1000 * PERIOD, PERIOD)
+    assert run(schedule, [0, 0]) == [1001 * PERIOD, 1002 * PERIOD]
+    assert schedule.ran(1002 * PERIOD) == 12 * PERIOD
+    assert (schedule.overruns, schedule.slip) == (1, 0)
+
+
+class MadeUp:
+    """A clock, an executor whose waits let it go on, and a rig that keeps when it published."""
+
+    lockstep = finished = paused = False
+    answered = sample_ready = False
+    period_ns = PERIOD
+
+    def __init__(self) -> None:
+        self.now = 0
+        self.schedule = Schedule(PERIOD)
+        self.published: list[int] = []
+        self.stalls: dict[int, int] = {}
+        self.answers = True
+
+    def monotonic_ns(self) -> int:
+        return self.now
+
+    def spin_once(self, timeout_sec: float) -> None:
+        self.now += min(1 + int(1.0e9 * timeout_sec), PERIOD // 10)
+        self.answered = self.answers
+
+    def begin(self) -> None:
+        self.sample_ready = True
+
+    def advance(self) -> None:
+        self.now += PERIOD // 10
+        self.sample_ready = True
+
+    def publish(self) -> None:
+        self.sample_ready = self.answered = False
+        self.published.append(self.now)
+        self.now += PERIOD // 50 + self.stalls.get(len(self.published), 0)
+
+    def repeat_unanswered(self) -> None:
+        raise AssertionError("not in real time")
+
+
+@pytest.mark.parametrize(("answers", "closest"), [(True, CLOSEST), (False, round(PATIENT * PERIOD))])
+@pytest.mark.parametrize("stall", [0, 4 * PERIOD, MOST_BEHIND - PERIOD])
+def test_the_rigs_clock_keeps_up_with_the_steady_one(monkeypatch: Any, stall: int, answers: bool, closest: int) -> None:
+    rig = MadeUp()
+    rig.answers = answers
+    monkeypatch.setattr(pace, "time", rig)
+    rig.stalls = {100: stall}
+    rig.begin()
+    for _ in range(1400):
+        pace.realtime_cycle(rig, rig)
+    assert rig.published[-1] - rig.published[0] == pytest.approx(1399 * PERIOD, abs=PERIOD // 100)
+    gaps = [after - before for before, after in zip(rig.published, rig.published[1:], strict=False)]
+    assert min(gaps) >= closest
+    assert rig.schedule.overruns == bool(stall)
