@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dextar_control.analysis.run import Floats, Run
+from dextar_control.analysis.timing import recorded
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.core.certificate import NEAR_LOCUS, Certificate, clear_times
 from dextar_control.core.loop import OPEN_BEFORE, Verdict
 
 STEP_ZONE = 0.15  # |s| within which torque steps are looked for
+_MEASURED = ("speed", "residual", "sigma_min", "peak_torque", "torque_step", "error_before", "error_after",
+             "estimated_error_before", "estimated_error_after")  # about the crossing, and thus not where the bag has a hole
 FRESH = 2e-3  # s after a crossing has begun from which on a verdict is its own
 
 
@@ -29,12 +32,13 @@ class CrossingMetrics:
             zero between the sides. s = r_1 x r_2 / (l_1 l_2) with r_i from elbow i, by the true active joints, to the true
             end effector and l_i the distal lengths.
         outcome: crossed, bounced (it has not crossed by the time the plan is clear of the locus), not reached (tracking
-            ended before) or not recorded (the bag breaks off before); None without truth.
+            ended before) or not recorded (the bag breaks off before, or has a hole there); None without truth.
         crossed: the true s has the other sign before and the planned sign after, where the plan is clear of the
-            locus; None without truth, or where the bag breaks off before that.
+            locus; None without truth, or where it is not recorded.
         estimated_mode: assembly mode that the controller took there afterwards; None when not recorded.
         verdict: the estimator's last one: crossed, bounced or undecided; None when not recorded.
-        verdict_time, verdict_confidence: when it fell, and in the assembly mode that it rests on; nan while undecided.
+        verdict_time, verdict_confidence: when it fell, and in the assembly mode that it rests on; nan while undecided, the time
+            also where the bag has a hole before the verdict.
         verdict_correct: against the true side at that time; None without truth or verdict.
         speed: true speed at the crossing (estimated without truth), m/s.
         residual: |t_s.w_d| that the controller saw at the planned instant, N.
@@ -82,13 +86,14 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
     sign = int(plan.crossing_signs[index])
     before, after = clear_times(plan, index)
     crossed = outcome = None
+    lost = any(hole.meets(*_stamps(track, before, after)) for hole in run.holes)
     if len(track.true_s):
         sides = at(track.true_time, track.true_s, before) * sign, at(track.true_time, track.true_s, after) * sign
         crossed = bool(sides[0] < 0.0 < sides[1] and planned <= track.time[-1])
         outcome = "crossed" if crossed else "not reached" if planned > track.time[-1] else "bounced"
-        if run.truncated and after > track.time[-1]:
+        if lost or (run.truncated and after > track.time[-1]):
             crossed, outcome = None, "not recorded"
-    moment = _true_instant(track, planned, before, after)
+    moment = None if lost else _true_instant(track, planned, before, after)
     criterion_time = (run.criterion.stamps - track.start) * 1e-9
     mode = at(criterion_time, run.criterion.assembly_mode, after)
     if run.truth is not None:
@@ -99,7 +104,7 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
     torque, distance = track.torque[mine], np.abs(track.torque_s[mine])
     zone = distance < STEP_ZONE
     verdict, verdict_time, confidence = _verdict(run, plan, track, criterion_time, index)
-    return CrossingMetrics(
+    found = CrossingMetrics(
         planned_time=planned,
         planned_stamp=track.start + round(planned * 1e9),
         point=(float(plan.crossing_points[index][0]), float(plan.crossing_points[index][1])),
@@ -123,6 +128,12 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
         estimated_error_before=peak_between(track.time, track.estimated_error, before, planned),
         estimated_error_after=peak_between(track.time, track.estimated_error, planned, after),
     )
+    return replace(found, **dict.fromkeys(_MEASURED, math.nan)) if lost else found
+
+
+def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:
+    """Times since the trajectory's start as stamps, ns."""
+    return track.start + 1e9 * first, track.start + 1e9 * last
 
 
 def _verdict(
@@ -137,12 +148,16 @@ def _verdict(
         return Verdict.UNDECIDED, math.nan, math.nan
     end = begun[index + 1] if begun[index + 1] <= track.time[-1] else np.inf
     first, last = np.searchsorted(time, (begun[index] + FRESH, end))
+    until = time[-1] if math.isinf(end) else end
+    lost = any(hole.meets(*_stamps(track, begun[index], until)) for hole in run.holes)
     said = np.flatnonzero(verdicts[first:last] > 0.0)
     if len(said) == 0:
-        return Verdict.UNDECIDED, math.nan, math.nan
+        return None if lost else Verdict.UNDECIDED, math.nan, math.nan
     final = verdicts[first + said[-1]]
     before = np.flatnonzero(verdicts[first : first + said[-1]] != final)
     row = first + (int(before[-1]) + 1 if len(before) else 0)
+    if lost and not recorded(run.criterion.stamps[[max(row - 1, 0)]], run.holes, run.criterion.stamps[[row]])[0]:
+        return Verdict(int(verdicts[row])), math.nan, float(run.criterion.mode_confidence[row])
     return Verdict(int(verdicts[row])), float(time[row]), float(run.criterion.mode_confidence[row])
 
 

@@ -23,6 +23,7 @@ from dextar_control.analysis.run import Run
 from dextar_control.analysis.thin import POINTS
 from dextar_control.analysis.timing import Spread, periods, round_trips, within
 from dextar_control.analysis.tracking import tracked
+from dextar_control.analysis.verdict import in_words
 from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band
 from dextar_control.core.certificate import Certificate
 
@@ -130,8 +131,9 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
         parts.append(f"peak torque {metrics.peak_torque:.4f} N m{of_plan}")
     parts.append(f"{metrics.saturated} commands saturated" if metrics.saturated else "no command saturated")
     reasons = list(metrics.reasons)
+    reasons += [in_words(hole) for hole in metrics.holes if not any(in_words(hole) in reason for reason in reasons)]
     if metrics.truncated:
-        reasons.append("The bag breaks off: it was read up to its last complete chunk.")
+        reasons.append("The end of the bag is missing: it was read up to its last complete chunk.")
     sentence = "; ".join(parts)
     return {"kind": kind, "word": word, "sentence": f"{sentence[:1].upper()}{sentence[1:]}.", "reasons": reasons}
 
@@ -152,7 +154,7 @@ def _tiles(metrics: Metrics) -> list[dict[str, str]]:
         ("of the plan's peak", f"{number(metrics.torque_ratio, '.2f')} ×"),
         ("near the locus, of the plan's peak", f"{number(metrics.torque_ratio_near, '.2f')} ×"),
         ("states without a command", f"{metrics.missed} of {metrics.states}"),
-        ("samples lost in recording", str(lost) if metrics.lost else "not counted"),
+        ("samples lost in recording", f"{lost}{', end unknown' * metrics.truncated}" if metrics.lost else "not counted"),
         ("duration of the trajectory", f"{number(metrics.duration, '.2f')} s"),
     ]
     if math.isnan(metrics.max_true_error):
@@ -263,7 +265,7 @@ def _timing_figures(run: Run) -> list[Any]:
     asked = run.states.stamps if track is None else within(run.states.stamps, track)
     drawn = []
     for values, label in (
-        (periods(run.states, asked), "period of the states (µs)"),
+        (periods(run.states, asked, run.holes), "period of the states (µs)"),
         (round_trips(run, asked)[1], "round trip, state to command (µs)"),
     ):
         if (values > 0.0).any():
@@ -285,8 +287,9 @@ def _recording(run: Run) -> dict[str, Any]:
         ])  # fmt: skip
     began, ended = run.record.get("started", ""), run.record.get("ended", "")
     sentence = f"Recorded from {_short(began)} to {_short(ended)} (UTC). " if began and ended else ""
+    sentence += "".join(f"{text[:1].upper()}{text[1:]}. " for text in map(in_words, run.holes))
     if run.truncated:
-        sentence += "The file breaks off; everything up to its last complete chunk is here. "
+        sentence += "The end is missing: everything up to the last complete chunk is here, and what was lost after it is unknown. "
     if not run.losses:
         sentence += "The bag was not written by this package's recorder: nobody counted its losses."
     else:

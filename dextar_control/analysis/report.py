@@ -13,6 +13,7 @@ from dextar_control.analysis.load import load_run
 from dextar_control.analysis.metrics import Metrics, compute_metrics
 from dextar_control.analysis.page import render_report
 from dextar_control.analysis.paper_figure import COLUMN, write_paper
+from dextar_control.analysis.verdict import in_words
 from dextar_control.contract.errors import BagError
 
 RESOLUTION = 150  # dots per inch
@@ -73,7 +74,6 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
     verdict = {True: "success", False: "FAILED", None: "not decidable"}[metrics.success]
     crossed = [crossing.crossed for crossing in metrics.crossings]
     known = f"{sum(map(bool, crossed))} of {len(crossed)} planned" if None not in crossed else "unknown without truth"
-    lost = {topic: count for topic, count in metrics.lost.items() if count != 0}
     lines = [
         ("crossed", known),
         ("estimator says", _verdicts(metrics)),
@@ -88,13 +88,28 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
         ),
         ("states without command", f"{metrics.missed} of {metrics.states}"),
         ("steps without it in time", _late(metrics)),
-        ("lost in recording", ", ".join(f"{topic}: {'unknown' if count is None else count}" for topic, count in lost.items())
-         or ("none" if metrics.lost else "not counted")),
+        ("lost in recording", _lost(metrics)),
         ("verdict", verdict),
     ]  # fmt: skip
-    if metrics.truncated:
-        lines.append(("bag", "breaks off; read up to its last complete chunk"))
+    lines += [("bag", text) for text in damage_lines(metrics)]
     return lines + [("", reason) for reason in metrics.reasons]
+
+
+def damage_lines(metrics: Metrics) -> list[str]:
+    """What is missing of a damaged or cut-off bag, each in a sentence without its stop."""
+    lines = [in_words(hole) for hole in metrics.holes]
+    if metrics.truncated:
+        lines.append("the end is missing: read up to the last complete chunk")
+    return lines
+
+
+def _lost(metrics: Metrics) -> str:
+    lost = {topic: count for topic, count in metrics.lost.items() if count != 0}
+    text = ", ".join(f"{topic}: {'unknown' if count is None else count}" for topic, count in lost.items())
+    text = text or ("none" if metrics.lost else "not counted")
+    if metrics.truncated and metrics.lost:
+        text += " by the last count; the end is missing, and what was lost there is unknown"
+    return text
 
 
 def _verdicts(metrics: Metrics) -> str:

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from dextar_control.analysis.run import Hole
+
 MAX_ERROR = 5.0e-3  # m, true, while tracking
 FINAL_ERROR = 1.0e-3  # m, true, at the end
 LEAST_TRUTH = 0.95  # share of the tracked ticks whose truth is recorded
@@ -44,6 +46,9 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
     if values["drive_saturated"]:
         reasons.append(f"the drives saturated in {values['drive_saturated']} steps; the limit is 0")
     broken = bool(reasons)
+    inside = [hole for hole in values["holes"] if hole.meets(values["start_stamp"], _last_stamp(values))]
+    for hole in inside:
+        reasons.append(f"{in_words(hole)}, while it was tracked: what happened then is not known")
     if cut:
         reasons.append(
             f"the bag breaks off at {values['tracked_until']:.3f} s of {values['duration']:.3f} s: what came then is not known"
@@ -77,6 +82,20 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
     if not has_truth:
         reasons.append("the bag holds no true motion: encoders alone cannot tell a crossing from a bounce")
         return Verdict(False if broken else None, reasons)
-    if cut and len(reasons) == 1:
+    if len(reasons) == len(inside) + cut > 0:
         return Verdict(None, reasons)
     return Verdict(not reasons, reasons)
+
+
+def in_words(hole: Hole) -> str:
+    """What a hole of a bag is, where and how long."""
+    what = f"{hole.chunks} damaged chunk{'s' * (hole.chunks != 1)}" if hole.chunks else "the end that is missing"
+    if hole.first is None or hole.last is None:
+        length = f"{'before' if hole.first is None else 'after'} all other messages"
+    else:
+        length = f"for {(hole.last - hole.first) * 1e-9:.3f} s"
+    return f"no message is left of {what} of {hole.file}, {length}"
+
+
+def _last_stamp(values: Mapping[str, Any]) -> float:
+    return float(values["start_stamp"] + 1e9 * values["tracked_until"])

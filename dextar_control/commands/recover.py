@@ -46,6 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
     until = datetime.fromtimestamp(result.last / 1e9, timezone.utc).isoformat(timespec="milliseconds")
     span = (result.last - result.first) / 1e9
     lines = [f"{sum(result.counts.values())} messages over {span:.3f} s, until {until}"]
+    if result.metadata:
+        lines.append(f"{result.metadata}; a new one was written")
     if result.lost_bytes:
         lines.append(f"{result.lost_bytes} bytes at the end are no complete record")
     if result.damaged:
