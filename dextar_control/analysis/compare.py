@@ -19,7 +19,9 @@ from dextar_control.analysis.metrics import Metrics, compute_metrics
 from dextar_control.analysis.page import NO_TRUTH, Cell, Column, number, render
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import Run
+from dextar_control.analysis.verdict import damage_lines
 from dextar_control.analysis.web_figures import in_plane, over_time
+from dextar_control.bags.records import Progress
 from dextar_control.contract.errors import BagError
 
 Value = float | int | str | None
@@ -176,9 +178,10 @@ def compare_runs(runs: Sequence[Run], metrics: Sequence[Metrics], names: Sequenc
 
 
 def compare_bags(
-    paths: Sequence[str | Path], progress: Callable[[str], None] = lambda stage: None, namespace: str | None = None
-) -> Comparison:
-    """Load the bags and put them side by side; ``namespace`` as in ``load_run``.
+    paths: Sequence[str | Path], progress: Callable[[str], None] = lambda stage: None, namespace: str | None = None,
+    reading: Progress | None = None,
+) -> Comparison:  # fmt: skip
+    """Load the bags and put them side by side; ``namespace`` and ``reading`` as in ``load_run``.
 
     Raises:
         BagError: a bag cannot be read, or there are fewer than two.
@@ -186,7 +189,7 @@ def compare_bags(
     runs, metrics = [], []
     for path in paths:
         progress(f"reading {path}")
-        runs.append(load_run(path, namespace))
+        runs.append(load_run(path, namespace, reading))
         progress(f"computing the metrics of {path}")
         metrics.append(compute_metrics(runs[-1]))
     return compare_runs(runs, metrics)
@@ -295,6 +298,7 @@ def name_runs(runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[str]:
 def _remarks(names: Sequence[str], runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[str]:
     remarks = [f"{name}: no true motion in the bag; what needs it is marked." for name, run in zip(names, runs, strict=True)
                if run.truth is None]  # fmt: skip
+    remarks += [f"{name}: {text}." for name, one in zip(names, metrics, strict=True) for text in damage_lines(one.holes, one.truncated)]
     if len({run.robot for run in runs}) > 1:
         remarks.append("The runs have different robots.")
     counts = [len(one.crossings) for one in metrics]

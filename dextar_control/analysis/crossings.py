@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -128,7 +129,8 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
         estimated_error_before=peak_between(track.time, track.estimated_error, before, planned),
         estimated_error_after=peak_between(track.time, track.estimated_error, planned, after),
     )
-    return replace(found, **dict.fromkeys(_MEASURED, math.nan)) if lost else found
+    unknown: dict[str, Any] = dict.fromkeys(_MEASURED, math.nan)
+    return replace(found, **unknown) if lost else found
 
 
 def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:

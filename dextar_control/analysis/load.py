@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import yaml
 
 from dextar_control.analysis.bag import Bag, read_bag
 from dextar_control.analysis.coherence import check_order, check_run
-from dextar_control.analysis.run import Control, Criterion, Floats, Hole, Joints, RecordedTopic, Run, Served, Truth
+from dextar_control.analysis.run import Control, Criterion, Floats, Hole, Joints, RecordedTopic, Run, Served, Stamps, Truth
 from dextar_control.analysis.series import Columns, Select, Series
 from dextar_control.bags.records import Progress
 from dextar_control.contract import topics
@@ -22,7 +22,7 @@ from dextar_control.contract.robot import JOINT_NAMES, ROBOT_KEYS, RobotParamete
 
 NANOSECONDS = 1_000_000_000
 PARAMETER_PREFIX = "parameters."
-ANSWERED = 20_000_000  # ns after a state within which its answers are in the bag too: what a hole may cost before it
+ANSWERED = 100_000_000  # ns beside a hole within which a stream that has no stamp lacks it because of the hole
 _KINDS = ("position", "velocity", "effort")
 _POINT_FIELDS = (
     ("positions", "velocities", "accelerations"),
@@ -61,8 +61,12 @@ def load_run(path: str | Path, namespace: str | None = None, progress: Progress 
             for key, text in record.items()
             if key.startswith(PARAMETER_PREFIX)
         }
-    except (ValueError, yaml.YAMLError) as error:
-        raise BagError(f"{bag.path}: its metadata record 'dextar' cannot be read: {error}") from error
+        for table in (resolved, losses, *losses.values(), *parameters.values()):
+            if not isinstance(table, dict):
+                raise ValueError(f"{table!r} is no table")
+    except (ValueError, AttributeError, yaml.YAMLError) as error:
+        why = " ".join(str(error).split())
+        raise BagError(f"{bag.path}: its metadata record 'dextar' cannot be read: {why}") from error
 
     recorded = _namespace(resolved)
     if namespace is not None and recorded is not None and namespace.strip("/") != recorded.strip("/"):
@@ -90,13 +94,17 @@ def _run(
         raise BagError(f"{bag.path} holds no message of {topics.JOINT_STATES.name}: not a run of this robot")
     if np.isnan(states.position).all():
         raise BagError(f"{bag.path}: {topics.JOINT_STATES.name} never holds the joints {', '.join(JOINT_NAMES)} of this robot")
+    commands, control = _joints(of(topics.JOINT_COMMANDS)), _control(of(topics.CONTROLLER_STATE))
+    criterion, truth = _criterion(of(topics.CRITERION)), _truth(of(topics.SIM_END_EFFECTOR), of(topics.SIM_JOINT_STATES))
+    answers = [commands.stamps, control.stamps, criterion.stamps, *([] if truth is None else [truth.stamps])]
     run = Run(
         path=bag.path,
         states=states,
-        commands=_joints(of(topics.JOINT_COMMANDS)),
-        control=_control(of(topics.CONTROLLER_STATE)),
-        criterion=_criterion(of(topics.CRITERION)),
-        truth=_truth(of(topics.SIM_END_EFFECTOR), of(topics.SIM_JOINT_STATES)),
+        commands=commands,
+        control=control,
+        criterion=criterion,
+        truth=truth,
+        holes=_holes(bag, states, answers),
         trajectory=_trajectory(of(topics.TRAJECTORY)),
         diagnostics=_diagnostics(of(topics.DIAGNOSTICS), _namespace(resolved)),
         parameters=parameters,
@@ -109,7 +117,6 @@ def _run(
         },
         topics={name: _topic(series) for name, series in bag.messages.items()},
         truncated=bag.truncated is not None,
-        holes=_holes(bag, states),
     )
     check_run(run)
     return run
@@ -164,17 +171,21 @@ COLUMNS: dict[str, Columns] = {
 SELECT: dict[str, Select] = {topics.TRAJECTORY.type: _served, topics.DIAGNOSTICS.type: _last_statuses}
 
 
-def _holes(bag: Bag, states: Joints) -> list[Hole]:
-    """The bag's holes by the states' stamps."""
+def _holes(bag: Bag, states: Joints, answers: Sequence[Stamps]) -> list[Hole]:
+    """The bag's holes by stamps: from the last state that has all its answers to the first one that has them again."""
     found = []
     for hole in bag.holes:
         begin = end = None
-        if hole.first is not None:
-            before = states.stamps[states.logged <= hole.first - ANSWERED]
-            begin = int(before.max()) if len(before) else None
-        if hole.last is not None:
-            after = states.stamps[states.logged >= hole.last]
-            end = int(after.min()) if len(after) else None
+        before = states.stamps[states.logged <= hole.first] if hole.first is not None else states.stamps[:0]
+        after = states.stamps[states.logged >= hole.last] if hole.last is not None else states.stamps[:0]
+        if len(before):
+            begin = int(before.max())
+            rows = [stamps[int(np.searchsorted(stamps, begin, side="right")) - 1] for stamps in answers if len(stamps)]
+            begin = min([begin, *(int(stamp) for stamp in rows if begin - ANSWERED <= stamp <= begin)])
+        if len(after):
+            end = int(after.min())
+            rows = [stamps[min(int(np.searchsorted(stamps, end)), len(stamps) - 1)] for stamps in answers if len(stamps)]
+            end = max([end, *(int(stamp) for stamp in rows if end <= stamp <= end + ANSWERED)])
         found.append(Hole(hole.path.name, hole.chunks, hole.first, hole.last, begin, end))
     return found
 

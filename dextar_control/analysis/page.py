@@ -289,7 +289,7 @@ def _recording(run: Run) -> dict[str, Any]:
     sentence = f"Recorded from {_short(began)} to {_short(ended)} (UTC). " if began and ended else ""
     sentence += "".join(f"{text[:1].upper()}{text[1:]}. " for text in map(in_words, run.holes))
     if run.truncated:
-        sentence += "The end is missing: everything up to the last complete chunk is here, and what was lost after it is unknown. "
+        sentence += "The end is missing: all up to the last complete chunk is here, and what was lost after it is unknown. "
     if not run.losses:
         sentence += "The bag was not written by this package's recorder: nobody counted its losses."
     else:

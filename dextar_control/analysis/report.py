@@ -13,7 +13,8 @@ from dextar_control.analysis.load import load_run
 from dextar_control.analysis.metrics import Metrics, compute_metrics
 from dextar_control.analysis.page import render_report
 from dextar_control.analysis.paper_figure import COLUMN, write_paper
-from dextar_control.analysis.verdict import in_words
+from dextar_control.analysis.verdict import damage_lines
+from dextar_control.bags.records import Progress
 from dextar_control.contract.errors import BagError
 
 RESOLUTION = 150  # dots per inch
@@ -26,6 +27,7 @@ def analyze(
     width: float = COLUMN,
     progress: Callable[[str], None] = lambda stage: None,
     namespace: str | None = None,
+    reading: Progress | None = None,
 ) -> Metrics:
     """Write ``metrics.json``, ``figure.png`` and ``report.html`` of a bag, next to it or into a folder.
 
@@ -36,12 +38,13 @@ def analyze(
         width: of that figure, mm.
         progress: told what is being done.
         namespace: of the robot, where a bag of another recorder holds several.
+        reading: told the bytes read and those there are.
 
     Raises:
         BagError: the bag cannot be read, or the results cannot be written.
     """
     progress("reading the bag")
-    run = load_run(path, namespace)
+    run = load_run(path, namespace, reading)
     progress("computing the metrics")
     metrics = compute_metrics(run)
     folder = Path(output_dir) if output_dir is not None else run.path.parent
@@ -91,16 +94,8 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
         ("lost in recording", _lost(metrics)),
         ("verdict", verdict),
     ]  # fmt: skip
-    lines += [("bag", text) for text in damage_lines(metrics)]
+    lines += [("bag", text) for text in damage_lines(metrics.holes, metrics.truncated)]
     return lines + [("", reason) for reason in metrics.reasons]
-
-
-def damage_lines(metrics: Metrics) -> list[str]:
-    """What is missing of a damaged or cut-off bag, each in a sentence without its stop."""
-    lines = [in_words(hole) for hole in metrics.holes]
-    if metrics.truncated:
-        lines.append("the end is missing: read up to the last complete chunk")
-    return lines
 
 
 def _lost(metrics: Metrics) -> str:

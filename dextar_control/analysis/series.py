@@ -187,9 +187,9 @@ class Series:
             paths = self._columns(message) if self._columns is not None else {}
             layout_of_it = _Layout.of(message, raw, self.type, paths)
             if layout_of_it is None:  # its bytes are not those that the library writes
-                numbers = dict(_numbers(message))
-                stamp = int(numbers[SECONDS]) * 1_000_000_000 + int(numbers[NANOSECONDS])
-                found.append((left[:1], stamp, {name: numbers[path] for name, path in paths.items() if path in numbers}))
+                own = dict(_numbers(message))
+                stamp = int(own[SECONDS]) * 1_000_000_000 + int(own[NANOSECONDS])
+                found.append((left[:1], stamp, {name: own[path] for name, path in paths.items() if path in own}))
                 left = left[1:]
                 continue
             self._layouts.append(layout_of_it)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from dextar_control.analysis.run import Hole
@@ -95,6 +95,11 @@ def in_words(hole: Hole) -> str:
     else:
         length = f"for {(hole.last - hole.first) * 1e-9:.3f} s"
     return f"no message is left of {what} of {hole.file}, {length}"
+
+
+def damage_lines(holes: Sequence[Hole], truncated: bool) -> list[str]:
+    """What is missing of a damaged or cut-off bag, each in a sentence without its stop."""
+    return [*map(in_words, holes), *["the end is missing: read up to the last complete chunk"] * truncated]
 
 
 def _last_stamp(values: Mapping[str, Any]) -> float:

@@ -21,6 +21,7 @@ MAGIC = b"\x89MCAP0\r\n"
 PER_MESSAGE = 6  # numbers
 BATCH = 1 << 20  # bytes of messages outside chunks that are gathered
 BUFFER = 1 << 20  # bytes
+TOLD = 1 << 18  # bytes from one word of progress to the next
 _RECORD = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _FOOTER_SIZE = _RECORD.size + 20 + len(MAGIC)
@@ -126,10 +127,12 @@ class Scan:
 
     def _frames(self, stream: IO[bytes], size: int, progress: Progress | None) -> Iterator[tuple[int, bytes]]:
         """(opcode, content) of each record up to the footer; what only an index needs is passed over."""
+        told = 0
         while True:
             self.end = stream.tell()
-            if progress is not None:
+            if progress is not None and self.end >= told:
                 progress(self.end, size)
+                told = self.end + TOLD
             head = stream.read(_RECORD.size)
             if len(head) < _RECORD.size:
                 return

@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from dextar_control.commands.bags import add_namespace, spoken_warnings
+from dextar_control.commands.bags import add_namespace, shown_progress, spoken_warnings
 from dextar_control.contract.errors import ParameterError
 
 SUMMARY = "animate a recorded run"
@@ -60,8 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.window and not os.environ.get("DISPLAY"):
         raise ParameterError("--window needs a display, and DISPLAY is not set; write a file instead: --output replay.gif")
     console = Console()
-    with console.status(f"reading {arguments.bag}"), spoken_warnings("replay"):
-        recorded = load_run(arguments.bag, arguments.namespace)
+    with spoken_warnings("replay"), shown_progress(f"reading {arguments.bag}") as shown:
+        recorded = load_run(arguments.bag, arguments.namespace, shown.read)
         motion = motion_of(recorded, arguments.speed / arguments.fps, arguments.begin, arguments.end)
     if arguments.window:
         with tempfile.TemporaryDirectory() as folder:
