@@ -298,7 +298,8 @@ def name_runs(runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[str]:
 def _remarks(names: Sequence[str], runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[str]:
     remarks = [f"{name}: no true motion in the bag; what needs it is marked." for name, run in zip(names, runs, strict=True)
                if run.truth is None]  # fmt: skip
-    remarks += [f"{name}: {text}." for name, one in zip(names, metrics, strict=True) for text in damage_lines(one.holes, one.truncated)]
+    for name, one in zip(names, metrics, strict=True):
+        remarks += [f"{name}: {text}." for text in damage_lines(one.holes, one.truncated)]
     if len({run.robot for run in runs}) > 1:
         remarks.append("The runs have different robots.")
     counts = [len(one.crossings) for one in metrics]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from dextar_control.analysis.run import Floats, Run
+from dextar_control.analysis.run import Floats, Run, Stamps
 from dextar_control.analysis.timing import recorded
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.core.certificate import NEAR_LOCUS, Certificate, clear_times
@@ -79,10 +80,27 @@ class CrossingMetrics:
 
 def judge_crossings(run: Run, plan: Certificate, track: Tracked) -> list[CrossingMetrics]:
     """Every planned crossing in order."""
-    return [_crossing(run, plan, track, index) for index in range(len(plan.crossing_times))]
+    criterion_time = _since(track, run.criterion.stamps)
+    motion_time = _since(track, run.control.stamps if run.truth is None else run.truth.stamps)
+    return [_crossing(run, plan, track, index, criterion_time, motion_time) for index in range(len(plan.crossing_times))]
 
 
-def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> CrossingMetrics:
+def crossed_in_words(crossings: Sequence[CrossingMetrics], planned: str = "") -> str:
+    """How many of the planned ones were crossed, with a noun for these; "" without truth."""
+    if any(crossing.outcome is None for crossing in crossings):
+        return ""
+    missing = sum(crossing.crossed is None for crossing in crossings)
+    text = f"{sum(bool(crossing.crossed) for crossing in crossings)} of {len(crossings)}{planned and f' {planned}'}"
+    return f"{text}, {missing} not recorded" if missing else text
+
+
+def _since(track: Tracked, stamps: Stamps) -> Floats:
+    return np.asarray(stamps - track.start, dtype=np.float64) * 1e-9
+
+
+def _crossing(
+    run: Run, plan: Certificate, track: Tracked, index: int, criterion_time: Floats, motion_time: Floats
+) -> CrossingMetrics:
     planned = float(plan.crossing_times[index])
     sign = int(plan.crossing_signs[index])
     before, after = clear_times(plan, index)
@@ -95,12 +113,9 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
         if lost or (run.truncated and after > track.time[-1]):
             crossed, outcome = None, "not recorded"
     moment = None if lost else _true_instant(track, planned, before, after)
-    criterion_time = (run.criterion.stamps - track.start) * 1e-9
     mode = at(criterion_time, run.criterion.assembly_mode, after)
-    if run.truth is not None:
-        speed_time, speeds = (run.truth.stamps - track.start) * 1e-9, np.hypot(*run.truth.x_dot.T)
-    else:
-        speed_time, speeds = (run.control.stamps - track.start) * 1e-9, np.hypot(*run.control.estimate_dot.T)
+    velocity = run.control.estimate_dot if run.truth is None else run.truth.x_dot
+    instant = planned if moment is None else moment
     mine = _own_part(plan, track.torque_time, index)
     torque, distance = track.torque[mine], np.abs(track.torque_s[mine])
     zone = distance < STEP_ZONE
@@ -118,10 +133,10 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
         verdict_time=verdict_time,
         verdict_confidence=confidence,
         verdict_correct=_correct(track, verdict, verdict_time, sign),
-        speed=at(speed_time, speeds, planned if moment is None else moment),
+        speed=math.hypot(*(at(motion_time, axis, instant) for axis in velocity.T)),
         residual=abs(at(criterion_time, run.criterion.residual, planned)),
         planned_residual=float(abs(plan.residuals[index])),
-        sigma_min=-peak_between(criterion_time, -np.abs(run.criterion.sigma_min), before, after),
+        sigma_min=_least_between(criterion_time, run.criterion.sigma_min, before, after),
         peak_torque=peak(torque[distance < NEAR_LOCUS]),
         torque_step=peak(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
         error_before=peak_between(track.true_time, track.true_error, before, planned),
@@ -143,7 +158,7 @@ def _verdict(
 ) -> tuple[Verdict | None, float, float]:
     """(last verdict, when it fell, confidence) on one crossing; where the controller let go, until the run ends."""
     verdicts = run.criterion.verdict
-    if not np.isfinite(verdicts).any():
+    if np.isnan(verdicts).all():
         return None, math.nan, math.nan
     begun = np.append(plan.crossing_times - OPEN_BEFORE, np.inf)
     if begun[index] > track.time[-1]:
@@ -198,6 +213,13 @@ def peak_between(time: np.ndarray, values: np.ndarray, first: float, last: float
     inside = values[np.searchsorted(time, first, side="left") : np.searchsorted(time, last, side="right")]
     finite = inside[np.isfinite(inside)]
     return float(finite.max()) if finite.size else math.nan
+
+
+def _least_between(time: np.ndarray, values: np.ndarray, first: float, last: float) -> float:
+    """The least finite magnitude within [first, last], times rising; nan where there is none."""
+    inside = np.abs(values[np.searchsorted(time, first, side="left") : np.searchsorted(time, last, side="right")])
+    finite = inside[np.isfinite(inside)]
+    return float(finite.min()) if finite.size else math.nan
 
 
 def peak(values: Floats) -> float:

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from dextar_control.analysis.geometry import active_joints, singularity_measure
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.run import Run
+from dextar_control.analysis.thin import thin, thin_path
 from dextar_control.analysis.tracking import Tracked, plan_of, tracked
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import RobotParameters
@@ -46,7 +47,7 @@ def draw_run(run: Run, metrics: Metrics) -> Figure:
     _path(path, run, metrics, track)
     if track is not None:
         _torques(torque, run, metrics, track, plan)
-        _errors(error, run, track)
+        _errors(error, run, metrics, track)
         _criterion(residual, measure, run, metrics, track, plan)
         duration = metrics.duration if np.isfinite(metrics.duration) else track.time[-1]
         torque.set_xlim(0.0, duration)
@@ -89,10 +90,12 @@ def _path(axes: Any, run: Run, metrics: Metrics, track: Tracked | None) -> None:
             axes.annotate(name, point, xytext=(7, 4), textcoords="offset points", weight="bold")
     if run.truth is not None and track is not None:
         inside = (run.truth.stamps >= track.stamps[0]) & (run.truth.stamps <= track.stamps[-1])
-        axes.plot(*run.truth.x[inside].T, color=BLACK, linewidth=1.0, label="true")
+        path = run.truth.x[inside]
+        axes.plot(*path[thin_path(path)].T, color=BLACK, linewidth=1.0, label="true")
     elif track is not None:
         inside = np.isin(run.control.stamps, track.stamps)
-        axes.plot(*run.control.estimate[inside].T, color=BLACK, linewidth=1.0, linestyle="--", label="estimated")
+        path = run.control.estimate[inside]
+        axes.plot(*path[thin_path(path)].T, color=BLACK, linewidth=1.0, linestyle="--", label="estimated")
     for crossing in metrics.crossings:
         marker, color = VERDICT_MARKS.get(crossing.verdict or "", ("s", BLACK))
         axes.plot(*crossing.point, marker, color=color, markerfacecolor="white", markersize=6, zorder=5)
@@ -136,9 +139,16 @@ def _linkage(axes: Any, robot: RobotParameters, point: np.ndarray) -> None:
     axes.plot(*chain.T, color=LIGHT, linewidth=2.5, marker="o", markersize=4, zorder=1)
 
 
+def _curve(axes: Any, time: Any, values: Any, metrics: Metrics, color: str, **style: Any) -> None:
+    """A line through the rows that show it."""
+    rows = thin(time, values, [crossing.planned_time for crossing in metrics.crossings])
+    axes.plot(time[rows], values[rows], color, **style)
+
+
 def _torques(axes: Any, run: Run, metrics: Metrics, track: Tracked, plan: Any) -> None:
     for index, (name, line) in enumerate((("τ1", "-"), ("τ2", "--"))):
-        axes.plot(track.torque_time, track.torque[:, index], BLACK, linestyle=line, linewidth=1.0, label=f"{name} commanded")
+        _curve(axes, track.torque_time, track.torque[:, index], metrics, BLACK, linestyle=line, linewidth=1.0,
+               label=f"{name} commanded")  # fmt: skip
         if plan is not None:
             axes.plot(plan.profile.time, plan.profile.torque[:, index], ACCENT, linestyle=line, linewidth=0.6,
                       label=f"{name} planned")  # fmt: skip
@@ -153,13 +163,12 @@ def _torques(axes: Any, run: Run, metrics: Metrics, track: Tracked, plan: Any) -
     axes.set_title("(b) along the trajectory; dotted: planned crossings", fontsize=9)
 
 
-def _errors(axes: Any, run: Run, track: Tracked) -> None:
-    inside = np.isin(run.control.stamps, track.stamps)
-    estimated = np.hypot(*run.control.error[inside].T)
-    axes.plot(track.time, 1e3 * estimated, GREY, linestyle="--", linewidth=1.0, label="estimated")
+def _errors(axes: Any, run: Run, metrics: Metrics, track: Tracked) -> None:
+    estimated = track.estimated_error
+    _curve(axes, track.time, 1e3 * estimated, metrics, GREY, linestyle="--", linewidth=1.0, label="estimated")
     largest = estimated
     if len(track.true_error):
-        axes.plot(track.true_time, 1e3 * track.true_error, BLACK, linewidth=1.0, label="true")
+        _curve(axes, track.true_time, 1e3 * track.true_error, metrics, BLACK, linewidth=1.0, label="true")
         largest = np.concatenate([estimated, track.true_error])
     finite = largest[np.isfinite(largest)]
     axes.set_ylim(0.0, 1.15e3 * min(max(finite.max() if finite.size else 0.0, 1e-5), ERROR_CEILING))
@@ -168,7 +177,7 @@ def _errors(axes: Any, run: Run, track: Tracked) -> None:
 
 def _criterion(residual: Any, measure: Any, run: Run, metrics: Metrics, track: Tracked, plan: Any) -> None:
     time = (run.criterion.stamps - track.start) * 1e-9
-    residual.plot(time, run.criterion.residual, BLACK, linewidth=1.0, label="seen")
+    _curve(residual, time, run.criterion.residual, metrics, BLACK, linewidth=1.0, label="seen")
     if plan is not None:
         residual.plot(plan.profile.time, plan.profile.residual, ACCENT, linewidth=0.6, label="planned")
         ceiling = 3.0 * max(float(np.nanmax(np.abs(plan.profile.residual))), 1e-3)
@@ -176,11 +185,11 @@ def _criterion(residual: Any, measure: Any, run: Run, metrics: Metrics, track: T
         residual.set_ylim(max(low, -ceiling), min(high, ceiling))
         measure.plot(plan.profile.time, plan.profile.s, ACCENT, linewidth=0.6, label="planned")
     residual.set_ylabel(r"$t_s\cdot w_d$ (N)")
-    measure.plot(time, run.criterion.s, GREY, linestyle="--", linewidth=1.0, label="estimated")
+    _curve(measure, time, run.criterion.s, metrics, GREY, linestyle="--", linewidth=1.0, label="estimated")
     if len(track.true_s):
-        measure.plot(track.true_time, track.true_s, BLACK, linewidth=1.0, label="true")
+        _curve(measure, track.true_time, track.true_s, metrics, BLACK, linewidth=1.0, label="true")
     if np.isfinite(run.criterion.mode_confidence).any():
-        measure.plot(time, run.criterion.mode_confidence, LIGHT, linewidth=1.0, zorder=1, label="confidence")
+        _curve(measure, time, run.criterion.mode_confidence, metrics, LIGHT, linewidth=1.0, zorder=1, label="confidence")
     for verdict, (marker, color) in VERDICT_MARKS.items():
         times = [crossing.verdict_time for crossing in metrics.crossings if crossing.verdict == verdict]
         if times:

@@ -15,7 +15,7 @@ from bokeh.embed import components
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from dextar_control.analysis.crossings import CrossingMetrics
+from dextar_control.analysis.crossings import CrossingMetrics, crossed_in_words
 from dextar_control.analysis.curves import checked_plan, panels
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.plane import plane_of
@@ -114,10 +114,9 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
     """The run in a word, a sentence and the reasons."""
     kind, word = WORDS[metrics.success]
     planned = len(metrics.crossings)
-    known = [crossing.crossed for crossing in metrics.crossings]
     parts = []
-    if planned and None not in known:
-        parts.append(f"Crossed {sum(map(bool, known))} of {planned} planned crossings")
+    if planned and (crossed := crossed_in_words(metrics.crossings, "planned crossings")):
+        parts.append(f"Crossed {crossed}")
     elif planned:
         said = sum(crossing.verdict == "crossed" for crossing in metrics.crossings)
         parts.append(f"{planned} planned crossings, {said} crossed by the estimator's own verdict")
@@ -139,12 +138,12 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
 
 
 def _tiles(metrics: Metrics) -> list[dict[str, str]]:
-    crossed = [crossing.crossed for crossing in metrics.crossings]
     verdicts = [crossing.verdict_correct for crossing in metrics.crossings if crossing.verdict in ("crossed", "bounced")]
-    right = NO_TRUTH if None in verdicts else f"{sum(map(bool, verdicts))} of {len(verdicts)} right"
+    checked = [right for right in verdicts if right is not None]
+    right = f"{sum(checked)} of {len(checked)} right" if checked else NO_TRUTH
     lost = sum(count or 0 for count in metrics.lost.values())
     pairs = [
-        ("planned crossings crossed", f"{sum(map(bool, crossed))} of {len(crossed)}" if None not in crossed else NO_TRUTH),
+        ("planned crossings crossed", crossed_in_words(metrics.crossings) or NO_TRUTH),
         ("estimator's verdicts", right if verdicts else "none"),
         ("true error, largest", f"{number(1e3 * metrics.max_true_error, '.3f')} mm"),
         ("true error, RMS", f"{number(1e3 * metrics.rms_true_error, '.3f')} mm"),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from dextar_control.analysis.crossings import crossed_in_words
 from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.load import load_run
 from dextar_control.analysis.metrics import Metrics, compute_metrics
@@ -75,10 +76,8 @@ def summary_table(metrics: Metrics) -> Table:
 def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
     """(what, value) pairs of the summary."""
     verdict = {True: "success", False: "FAILED", None: "not decidable"}[metrics.success]
-    crossed = [crossing.crossed for crossing in metrics.crossings]
-    known = f"{sum(map(bool, crossed))} of {len(crossed)} planned" if None not in crossed else "unknown without truth"
     lines = [
-        ("crossed", known),
+        ("crossed", crossed_in_words(metrics.crossings, "planned") or "unknown without truth"),
         ("estimator says", _verdicts(metrics)),
         ("true error", _true_error(metrics)),
         ("estimated error", f"{_mm(metrics.max_estimated_error)} max"),
@@ -104,6 +103,8 @@ def _lost(metrics: Metrics) -> str:
     text = text or ("none" if metrics.lost else "not counted")
     if metrics.truncated and metrics.lost:
         text += " by the last count; the end is missing, and what was lost there is unknown"
+    if metrics.holes and metrics.lost:
+        text += "; what a damaged file no longer holds is not counted"
     return text
 
 
