@@ -22,6 +22,7 @@ from dextar_control.contract.robot import JOINT_NAMES, ROBOT_KEYS, RobotParamete
 
 NANOSECONDS = 1_000_000_000
 PARAMETER_PREFIX = "parameters."
+MEMORY = 250_000  # bytes of memory of its own for each recorded second at 1 kHz, at most: loaded and measured
 ANSWERED = 100_000_000  # ns beside a hole within which a stream that has no stamp lacks it because of the hole
 _KINDS = ("position", "velocity", "effort")
 _POINT_FIELDS = (
@@ -41,7 +42,8 @@ def load_run(path: str | Path, namespace: str | None = None, progress: Progress 
     """A recorded run; also one that ``ros2 bag record`` made, whose parameters are then unknown.
 
     The columns lie in temporary files without names (in TMPDIR, about 1 MB for each recorded second at 1 kHz) that are mapped
-    into memory, so that of memory of its own a run takes less than MEMORY for each recorded second at 1 kHz.
+    into memory, so that of memory of its own a run takes less than MEMORY for each recorded second, also while its metrics are
+    computed.
 
     Args:
         path: of the bag: a file, or a folder in rosbag2's layout.
@@ -215,6 +217,8 @@ def _criterion(series: Series) -> Criterion:
 
 def _truth(platform: Series, joints: Series) -> Truth | None:
     motion, active = platform.table(_MOTION_NAMES), _joints(joints)
+    if np.array_equal(motion.stamps, active.stamps):
+        return Truth(motion.stamps, motion.values[:, 0:2], motion.values[:, 2:4], active.position) if len(motion.stamps) else None
     common, rows, joint_rows = np.intersect1d(motion.stamps, active.stamps, assume_unique=True, return_indices=True)
     if len(common) == 0:
         if len(motion.stamps) and len(active.stamps):
