@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import struct
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -227,7 +228,7 @@ class _Filling:
                     found = series[connection.id]
                     if found is not None:
                         found.add(time, time, bytes(data))
-        except (ReaderError, sqlite3.Error, AssertionError, ValueError) as error:
+        except (ReaderError, sqlite3.Error, AssertionError, ValueError, LookupError, struct.error) as error:
             raise BagError(f"{path} cannot be read: {error}") from error
 
     def _series(self, topic: str, type_name: str) -> Series | None:
