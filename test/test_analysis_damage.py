@@ -15,7 +15,9 @@ from synthetic_run import TICKS, write_run
 
 from dextar_control import cli
 from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
+from dextar_control.analysis.run import Hole
 from dextar_control.analysis.tracking import plan_of
+from dextar_control.analysis.verdict import judge
 from dextar_control.core.certificate import clear_times
 from dextar_control.ros import mcap_file
 
@@ -74,6 +76,19 @@ def test_no_crossing_in_a_hole_is_judged_and_the_others_keep_their_numbers(
     assert any("no message is left of 2 damaged chunks of run.mcap" in reason for reason in metrics.reasons)
 
 
+def test_a_trajectory_whose_end_lies_in_a_hole_did_not_end_early(intact: tuple[Run, Metrics]) -> None:
+    _, expected = intact
+    values = vars(expected) | {"tracked_until": 0.9, "final_true_error": 1.0}
+
+    def judged(begin: float, end: float | None) -> tuple[bool | None, int]:
+        stamps = [None if time is None else expected.start_stamp + round(1e9 * time) for time in (begin, end)]
+        verdict = judge(values | {"holes": [Hole("run.mcap", 1, 0, 1, *stamps)]}, has_truth=True, tracked=True)
+        return verdict.success, len(verdict.reasons)
+
+    assert judged(0.9, 1.5) == judged(0.9, None) == (None, 1)
+    assert judged(1.2, 1.5) == (False, 2)  # the hole came later: it ended early, and far from the plan
+
+
 def test_a_hole_is_neither_a_long_period_nor_states_without_a_command(
     bag: Path, intact: tuple[Run, Metrics], tmp_path: Path
 ) -> None:
@@ -122,9 +137,7 @@ def test_the_command_says_what_is_missing_and_where(bag: Path, tmp_path: Path, c
     assert "No message is left of 1 damaged chunk of run.mcap" in (tmp_path / "report.html").read_text()
 
 
-def test_of_a_cut_bag_the_end_and_its_losses_are_not_known(
-    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_of_a_cut_bag_the_end_and_its_losses_are_not_known(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cut = tmp_path / "run.mcap"
     cut.write_bytes(bag.read_bytes()[: chunks(bag)[20][1]])
     assert cli.main(["analyze", str(cut)]) == 1

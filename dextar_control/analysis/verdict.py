@@ -38,15 +38,17 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
         reasons.append("no trajectory was tracked")
         return Verdict(False, reasons)
     short = values["tracked_until"] < values["duration"] - END_MARGIN
-    cut = short and values["truncated"] and not stopped  # the bag ends there, the run may have gone on
-    if short and not cut:
+    inside = [hole for hole in values["holes"] if hole.meets(values["start_stamp"], _stamp(values, "duration", "tracked_until"))]
+    gone = any(hole.meets(_stamp(values, "tracked_until"), _stamp(values, "duration")) for hole in inside)
+    unseen = short and (values["truncated"] or gone) and not stopped  # the run may have gone on
+    cut = unseen and values["truncated"]
+    if short and not unseen:
         reasons.append(f"tracking ended at {values['tracked_until']:.3f} s of {values['duration']:.3f} s")
     if values["saturated"]:
         reasons.append(f"{values['saturated']} commands were saturated; the limit is 0")
     if values["drive_saturated"]:
         reasons.append(f"the drives saturated in {values['drive_saturated']} steps; the limit is 0")
     broken = bool(reasons)
-    inside = [hole for hole in values["holes"] if hole.meets(values["start_stamp"], _last_stamp(values))]
     for hole in inside:
         reasons.append(f"{in_words(hole)}, while it was tracked: what happened then is not known")
     if cut:
@@ -68,7 +70,7 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
         ("max_true_error", MAX_ERROR, "the largest true error"),
         ("final_true_error", FINAL_ERROR, "the true error at the end"),
     ):
-        if has_truth and not values[key] < limit and not (cut and key == "final_true_error"):
+        if has_truth and not values[key] < limit and not (unseen and key == "final_true_error"):
             found = f"{1e3 * values[key]:.3f} mm" if math.isfinite(values[key]) else "unknown"
             reasons.append(f"{name} is {found}; the limit is {1e3 * limit:g} mm")
     if has_truth and values["truth_share"] < LEAST_TRUTH:
@@ -102,5 +104,7 @@ def damage_lines(holes: Sequence[Hole], truncated: bool) -> list[str]:
     return [*map(in_words, holes), *["the end is missing: read up to the last complete chunk"] * truncated]
 
 
-def _last_stamp(values: Mapping[str, Any]) -> float:
-    return float(values["start_stamp"] + 1e9 * values["tracked_until"])
+def _stamp(values: Mapping[str, Any], *names: str) -> float:
+    """Of the latest of some times since the trajectory's start, ns."""
+    times = [float(values[name]) for name in names if math.isfinite(values[name])]
+    return values["start_stamp"] + 1e9 * max(times, default=math.nan)
