@@ -307,6 +307,16 @@ def test_a_file_that_the_listing_misses_is_told(tmp_path: Path) -> None:
         assert len(load_run(folder).states.stamps) == 50
 
 
+def test_progress_is_told_in_bytes_over_all_files(tmp_path: Path) -> None:
+    folder = two_recordings(tmp_path / "one", ("monday", "monday"), 5.0)
+    size = sum(file.stat().st_size for file in folder.glob("*.mcap"))
+    told: list[tuple[int, int]] = []
+    load_run(folder, progress=lambda done, total: told.append((done, total)))
+    assert told == sorted(told)
+    assert {total for _, total in told} == {size}
+    assert told[0][0] < told[-1][0] == size
+
+
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="No such file"):
         load_run(tmp_path / "none.mcap")

@@ -22,6 +22,7 @@ from dextar_control.analysis.page import render_report
 from dextar_control.analysis.report import analyze
 from dextar_control.analysis.web_figures import RUN_STYLES, STYLES
 from dextar_control.commands.analyze import folders
+from dextar_control.commands.bags import shown_progress
 
 SIZE_OF_A_DEMO = 3_000_000  # bytes; the figures' code alone is 1.3 million
 
@@ -202,6 +203,13 @@ def test_several_bags_get_a_report_each_and_a_bad_one_stops_no_other(tmp_path: P
     found = sorted(str(file.relative_to(tmp_path / "out")) for file in (tmp_path / "out").rglob("report.html"))
     assert found == ["a-run/report.html", "b-run/report.html"]
     assert json.loads((tmp_path / "out" / "a-run" / "metrics.json").read_text())["success"] is True
+
+
+def test_nothing_is_under_way_on_an_error_output_that_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    with shown_progress("reading") as shown:
+        shown.read(1, 2)
+        shown.stage("drawing")
+    assert capsys.readouterr() == ("", "")
 
 
 def test_folders_do_not_depend_on_the_links_that_lead_to_the_bags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -128,6 +128,8 @@ class Scan:
                     yield record
             if loose:
                 yield self._counted(_joined(loose))
+        if progress is not None:
+            progress(size, size)
 
     def _frames(self, stream: IO[bytes], size: int, progress: Progress | None) -> Iterator[tuple[int, bytes]]:
         """(opcode, content) of each record up to the footer; what only an index needs is passed over."""
