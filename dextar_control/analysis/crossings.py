@@ -158,7 +158,7 @@ def _verdict(
 ) -> tuple[Verdict | None, float, float]:
     """(last verdict, when it fell, confidence) on one crossing; where the controller let go, until the run ends."""
     verdicts = run.criterion.verdict
-    if np.isnan(verdicts).all():
+    if len(verdicts) == 0 or (np.isnan(verdicts[-1]) and np.isnan(verdicts).all()):  # the last alone, as a rule
         return None, math.nan, math.nan
     begun = np.append(plan.crossing_times - OPEN_BEFORE, np.inf)
     if begun[index] > track.time[-1]:

@@ -43,7 +43,7 @@ def load_run(path: str | Path, namespace: str | None = None, progress: Progress 
 
     The columns lie in temporary files without names (in TMPDIR, about 1 MB for each recorded second at 1 kHz) that are mapped
     into memory, so that of memory of its own a run takes less than MEMORY for each recorded second, also while its metrics are
-    computed.
+    computed; the plan that they compute anew comes on top where the trajectory is as long as the recording.
 
     Args:
         path: of the bag: a file, or a folder in rosbag2's layout.
