@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from damaged import with_damaged_chunks
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -243,14 +244,77 @@ def test_an_unusable_folder_is_named_in_one_sentence(bag: Path, tmp_path: Path) 
     assert_same_run(load_run(folder("named", "run.mcap", "noise.mcap", listing=lists.format("run.mcap"))), load_run(bag))
 
 
-def test_a_damaged_chunk_ends_the_reading_and_is_told(bag: Path, tmp_path: Path) -> None:
-    content = bytearray(bag.read_bytes())
-    content[len(content) // 2] ^= 0xFF
-    (tmp_path / "damaged.mcap").write_bytes(content)
-    with pytest.warns(UserWarning, match="last complete chunk"):
-        run = load_run(tmp_path / "damaged.mcap")
-    assert run.truncated
-    assert len(run.states.stamps) < TICKS
+def test_a_damaged_chunk_costs_its_own_messages_and_is_told(bag: Path, tmp_path: Path) -> None:
+    damaged = with_damaged_chunks(bag, tmp_path / "damaged.mcap", 1)
+    with pytest.warns(UserWarning, match="no message is left of 1 damaged chunk of .*damaged.mcap, 0.00. s; dextar recover"):
+        run = load_run(damaged)
+    assert not run.truncated
+    assert [hole.chunks for hole in run.holes] == [1]
+    assert 0 < len(run.states.stamps) < TICKS
+    assert run.states.stamps[-1] == START + (TICKS - 1) * 1_000_000
+
+
+def two_recordings(folder: Path, started: tuple[str, str] | None, apart: float) -> Path:
+    """``run_0.mcap`` and ``run_1.mcap`` of two recordings that begin ``apart`` s from each other."""
+    for number in range(2):
+        writer = BagWriter(folder / f"run_{number}.mcap")
+        if started is not None:
+            writer.add_metadata("dextar", {"started": started[number]})
+        writer.add_topic("/joint_states", "sensor_msgs/msg/JointState", [])
+        for tick in range(50):
+            log_time = START + round(number * apart * 1e9) + tick * 100_000_000
+            stamp = START + (50 * number + tick) * 1_000_000
+            data = bytes(TYPES.serialize_cdr(joint_state(stamp, ["q11", "q21"], (1.0, 2.0)), "sensor_msgs/msg/JointState"))
+            writer.add(Sample(log_time, "/joint_states", log_time, tick, data))
+        writer.close()
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("started", "apart", "why"),
+    [(("monday", "tuesday"), 3600.0, "one began at monday, the other at tuesday"), (None, 2.0, "ends 2.900 s after")],
+)
+def test_two_recordings_named_like_one_split_bag_are_told_apart(
+    tmp_path: Path, started: tuple[str, str] | None, apart: float, why: str
+) -> None:
+    two_recordings(tmp_path / "both", started, apart)
+    for read in (load_run, recover):
+        with pytest.raises(BagError, match=rf"run_0.mcap and .*run_1.mcap are of different recordings: .*{why}"):
+            read(tmp_path / "both")
+
+
+def test_files_of_one_recording_are_read_as_one(tmp_path: Path) -> None:
+    two_recordings(tmp_path / "one", ("monday", "monday"), 5.0)
+    assert len(load_run(tmp_path / "one").states.stamps) == 100
+    assert recover(tmp_path / "one").counts == {"/joint_states": 100}
+
+
+def test_a_split_bag_whose_first_file_breaks_off_has_a_hole(tmp_path: Path) -> None:
+    folder = two_recordings(tmp_path / "one", ("monday", "monday"), 5.0)
+    first = folder / "run_0.mcap"
+    first.write_bytes(first.read_bytes()[:-20])
+    with pytest.warns(UserWarning, match="the missing end of .*run_0.mcap, 0.100 s"):
+        run = load_run(folder)
+    assert not run.truncated
+    (hole,) = run.holes
+    assert (hole.file, hole.chunks, hole.begin, hole.end) == ("run_0.mcap", 0, START + 49_000_000, START + 50_000_000)
+
+
+def test_a_file_that_the_listing_misses_is_told(tmp_path: Path) -> None:
+    folder = two_recordings(tmp_path / "one", ("monday", "monday"), 5.0)
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {relative_file_paths: [run_0.mcap]}")
+    with pytest.warns(UserWarning, match="does not list run_1.mcap beside it: not read"):
+        assert len(load_run(folder).states.stamps) == 50
+
+
+def test_progress_is_told_in_bytes_over_all_files(tmp_path: Path) -> None:
+    folder = two_recordings(tmp_path / "one", ("monday", "monday"), 5.0)
+    size = sum(file.stat().st_size for file in folder.glob("*.mcap"))
+    told: list[tuple[int, int]] = []
+    load_run(folder, progress=lambda done, total: told.append((done, total)))
+    assert told == sorted(told)
+    assert {total for _, total in told} == {size}
+    assert told[0][0] < told[-1][0] == size
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

@@ -24,6 +24,8 @@ from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.report import analyze, summary_lines
 from dextar_control.analysis.run import RecordedTopic
 from dextar_control.analysis.web_figures import RUN_STYLES, STYLES, VERDICT_MARKS, in_plane, log_ticks
+from dextar_control.commands.analyze import folders
+from dextar_control.commands.bags import shown_progress
 
 SIZE_OF_A_DEMO = 3_000_000  # bytes; the figures' code alone is 1.3 million
 
@@ -217,6 +219,39 @@ def test_several_bags_get_a_report_each_and_a_bad_one_stops_no_other(tmp_path: P
     found = sorted(str(file.relative_to(tmp_path / "out")) for file in (tmp_path / "out").rglob("report.html"))
     assert found == ["a-run/report.html", "b-run/report.html"]
     assert json.loads((tmp_path / "out" / "a-run" / "metrics.json").read_text())["success"] is True
+
+
+def test_nothing_is_under_way_on_an_error_output_that_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    with shown_progress("reading") as shown:
+        shown.read(1, 2)
+        shown.stage("drawing")
+    assert capsys.readouterr() == ("", "")
+
+
+def test_folders_do_not_depend_on_the_links_that_lead_to_the_bags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a", "b", "c"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.mcap").touch()
+    (tmp_path / "latest").symlink_to("b")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "a").mkdir()
+    monkeypatch.chdir(tmp_path)
+
+    def made(*bags: str, output: str | None = None) -> list[str | None]:
+        found = folders([Path(bag) for bag in bags], Path(output) if output else None)
+        return [None if folder is None else str(folder) for folder in found]
+
+    assert made("a", "b", "c") == [None] * 3
+    assert made("a", "latest", output="out") == ["out/a", "out/b"]
+    assert made("a/run.mcap", "latest/run.mcap", output="out") == ["out/a-run", "out/b-run"]
+    assert made("latest", "b", output="out") == ["out", "out"]  # one bag by two names
+    assert made("latest", "b") == [None, None]
+    assert made("a", "other/a", output="out") == ["out/a", "out/a-2"]
+    assert made("a", "other/a", "a", output="out") == ["out/a", "out/a-2", "out/a"]
+    assert made("a/run.mcap", "a", "c") == ["a/a-run", "a/a", None]
+    monkeypatch.chdir(tmp_path / "a")
+    assert made("run.mcap", "../latest", output="out") == ["out/a-run", "out/b"]
+    assert made(".", "../latest", output="out") == ["out/a", "out/b"]
 
 
 def test_the_robot_is_printed_once() -> None:

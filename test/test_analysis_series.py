@@ -9,7 +9,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 from synthetic_run import joint_state, message
 
-from dextar_control.analysis.series import BLOCK, Series
+from dextar_control.analysis.series import BLOCK, WAITING, Series
 from dextar_control.contract.errors import BagError
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -18,14 +18,14 @@ NAMES = ("q11", "q21")
 
 
 def filled(messages: list[Any], endings: bytes = b"") -> Series:
-    series = Series("/joint_states", messages[0].__msgtype__)
+    series = Series("/joint_states", messages[0].__msgtype__, by_name)
     for number, content in enumerate(messages):
         series.add(number, number + 7, bytes(TYPES.serialize_cdr(content, content.__msgtype__)) + endings)
     return series
 
 
-def by_name(content: Any) -> list[str]:
-    return [f"position.{content.name.index(name)}" if name in content.name else "" for name in NAMES]
+def by_name(content: Any) -> dict[str, str]:
+    return {name: f"position.{content.name.index(name)}" for name in NAMES if name in content.name}
 
 
 def expected(messages: list[Any]) -> np.ndarray:
@@ -45,7 +45,7 @@ def many(count: int) -> list[Any]:
 @pytest.mark.parametrize("count", [1, 7, BLOCK, 2 * BLOCK + 3])
 def test_columns_follow_names_whatever_the_structure(count: int) -> None:
     messages = many(count)
-    table = filled(messages).table(2, by_name)
+    table = filled(messages).table(NAMES)
     assert np.array_equal(table.values, expected(messages), equal_nan=True)
     assert table.stamps.tolist() == [3 * 10**9 + number * 10**6 for number in range(count)]
     assert table.published.tolist() == [number + 7 for number in range(count)]
@@ -53,20 +53,20 @@ def test_columns_follow_names_whatever_the_structure(count: int) -> None:
 
 def test_bytes_after_the_message_do_not_matter() -> None:
     messages = many(40)
-    assert np.array_equal(filled(messages, b"\0" * 3).table(2, by_name).values, expected(messages), equal_nan=True)
+    assert np.array_equal(filled(messages, b"\0" * 3).table(NAMES).values, expected(messages), equal_nan=True)
 
 
 def test_bytes_of_another_byte_order_are_read_by_the_library() -> None:
     messages = many(8)
-    series = Series("/joint_states", JOINT_STATE)
+    series = Series("/joint_states", JOINT_STATE, by_name)
     for number, content in enumerate(messages):
         series.add(number, number, bytes(TYPES.serialize_cdr(content, JOINT_STATE, little_endian=number % 2 == 0)))
-    assert np.array_equal(series.table(2, by_name).values, expected(messages), equal_nan=True)
+    assert np.array_equal(series.table(NAMES).values, expected(messages), equal_nan=True)
 
 
 def test_numbers_that_are_not_finite_come_through() -> None:
     messages = [joint_state(k, ["q11", "q21"], (np.nan, np.inf) if k % 2 else (-0.0, 1.0)) for k in range(6)]
-    values = filled(messages).table(2, by_name).values
+    values = filled(messages).table(NAMES).values
     assert np.isnan(values[1::2, 0]).all() and np.isinf(values[1::2, 1]).all()
     assert np.signbit(values[::2, 0]).all() and (values[::2, 1] == 1.0).all()
 
@@ -74,24 +74,27 @@ def test_numbers_that_are_not_finite_come_through() -> None:
 def test_the_first_message_of_a_stamp_counts() -> None:
     messages = [joint_state(10, ["q11", "q21"], (1.0, 2.0)), joint_state(5, ["q11", "q21"], (3.0, 4.0)),
                 joint_state(10, ["q11", "q21"], (5.0, 6.0))]  # fmt: skip
-    table = filled(messages).table(2, by_name)
+    table = filled(messages).table(NAMES)
     assert table.stamps.tolist() == [5, 10]
     assert table.values.tolist() == [[3.0, 4.0], [1.0, 2.0]]
 
 
 def test_bytes_that_are_no_message_are_named() -> None:
-    series = Series("/joint_states", JOINT_STATE)
+    series = Series("/joint_states", JOINT_STATE, by_name)
     series.add(0, 0, b"\0\1\0\0\xff\xff")
     with pytest.raises(BagError, match="/joint_states is not a sensor_msgs/msg/JointState"):
-        series.table(2, by_name)
+        series.table(NAMES)
 
 
 def test_an_empty_topic_has_an_empty_table() -> None:
-    table = Series("/joint_states", JOINT_STATE).table(2, by_name)
+    table = Series("/joint_states", JOINT_STATE, by_name).table(NAMES)
     assert table.values.shape == (0, 2)
     assert len(table.stamps) == 0
 
 
-def test_slow_topics_give_their_messages() -> None:
-    status = message("std_msgs/msg/String", data="words")
-    assert [content.data for content in filled([status, status]).messages()] == ["words"] * 2
+def test_slow_topics_give_the_selected_messages_in_order() -> None:
+    series = Series("/words", "std_msgs/msg/String", select=list)
+    for number in range(2 * WAITING + 1):
+        content = message("std_msgs/msg/String", data=str(number))
+        series.add(number, number, bytes(TYPES.serialize_cdr(content, content.__msgtype__)))
+    assert [content.data for content in series.messages()] == [str(number) for number in range(2 * WAITING + 1)]

@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 ALLOWED_OUTSIDE = {
     "dextar_control.core": {"numpy", "scipy", "numba"},
+    "dextar_control.bags": {"mcap", "yaml", "zstandard"},
     "dextar_control.campaign": {"numpy", "matplotlib", "rich", "yaml", "pydantic", "pydantic_core", "dask", "distributed",
                                 "pyarrow"},
     "dextar_control.rig_check": {"numpy"},
@@ -26,7 +27,9 @@ DOORS = {
     "dextar_control.contract": {"dextar_control.contract"},
     "dextar_control.core": {"dextar_control.core", "dextar_control.contract"},
     "dextar_control.rig_check": {"dextar_control.rig_check", "dextar_control.contract"},
-    "dextar_control.analysis": {"dextar_control.analysis", "dextar_control.core", "dextar_control.contract"},
+    "dextar_control.bags": {"dextar_control.bags", "dextar_control.contract"},
+    "dextar_control.analysis": {"dextar_control.analysis", "dextar_control.bags", "dextar_control.core",
+                                "dextar_control.contract"},
     "dextar_control.campaign": {"dextar_control.campaign", "dextar_control.core", "dextar_control.contract"},
     "dextar_control.faults": {"dextar_control.faults", "dextar_control.core", "dextar_control.contract"},
     "dextar_sim": {"dextar_sim", "dextar_control.contract"},

@@ -118,6 +118,48 @@ def test_a_folder_that_only_misses_its_metadata_gets_a_copy_with_it(tmp_path: Pa
     assert (result.lost_bytes, result.damaged) == (0, 0)
 
 
+BAD_LISTINGS = {
+    "torn": (lambda text: text[: len(text) // 2] + "\n  ]", "metadata.yaml could not be read"),
+    "foreign": (lambda text: "[1, 2]", "metadata.yaml could not be read"),
+    "lists a file that is not there": (
+        lambda text: text.replace("- run_1.mcap", "- run_1.mcap\n  - run_99.mcap"), "lists run_99.mcap, which is not there"),
+    "misses one": (lambda text: text.replace("  - run_1.mcap\n", ""), "does not list run_1.mcap"),
+    "lists none": (lambda text: "rosbag2_bagfile_information: {relative_file_paths: []}", "metadata.yaml lists no file"),
+    "counts wrongly": (
+        lambda text: text.replace("message_count: 1000", "message_count: 999"), "that the bag has 999 messages; there are 1000"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", BAD_LISTINGS)
+def test_a_wrong_metadata_file_is_rebuilt(kind: str, tmp_path: Path) -> None:
+    change, fault = BAD_LISTINGS[kind]
+    folder = tmp_path / "monday"
+    writer = BagWriter(folder / "run.mcap", "none", max_size=100_000, folder=True)
+    write_numbers(writer, 1000, size=300)
+    writer.close()
+    with pytest.raises(BagError, match="is whole: there is nothing to recover"):
+        recover(folder)
+    listing = folder / "metadata.yaml"
+    listing.write_text(changed := change(listing.read_text()))
+    result = recover(folder)
+    assert fault in result.metadata
+    assert listing.read_text() == changed
+    info = yaml.safe_load((result.folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (info["message_count"], info["relative_file_paths"]) == (1000, [path.name for path in writer.paths])
+    assert numbers_in(result.folder) == list(range(1000))
+
+
+def test_what_is_beside_a_listed_bag_is_not_taken_for_a_part_of_it(bag: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "monday"
+    writer = BagWriter(folder / "run.mcap", folder=True)
+    write_numbers(writer, 10)
+    writer.close()
+    (folder / "noise.mcap").write_bytes(bag.read_bytes())
+    with pytest.raises(BagError, match="is whole: there is nothing to recover"):
+        recover(folder)
+
+
 def test_different_bags_in_one_folder_are_not_made_one(bag: Path, tmp_path: Path) -> None:
     for name in ("monday", "tuesday"):
         (tmp_path / f"{name}.mcap").write_bytes(bag.read_bytes())

@@ -1,35 +1,33 @@
-"""A bag's messages and metadata, whole or cut off."""
+"""A bag's messages and metadata, whole, damaged or cut off."""
 
 from __future__ import annotations
 
 import sqlite3
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from io import BytesIO
 from pathlib import Path
-from typing import Any
 
-import yaml
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+import numpy as np
+from mcap.records import Channel, Metadata, Schema
 from rosbags.rosbag2 import Reader, ReaderError
-from zstandard import ZstdError
 
-from dextar_control.analysis.series import TYPES, Series
+from dextar_control.analysis.series import TYPES, Columns, Select, Series
+from dextar_control.bags.folder import (
+    METADATA_FILE,
+    check_one_recording,
+    holes_of,
+    in_order,
+    one_bag_by_name,
+    read_listing,
+    split_name,
+)
+from dextar_control.bags.records import MAGIC, PER_MESSAGE, Hole, Messages, Progress, Scan
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.topics import TOPICS
 
-METADATA_FILE = "metadata.yaml"
 SQLITE = b"SQLite format 3\0"
-MAGIC = b"\x89MCAP0\r\n"
-_RECORD = struct.Struct("<BQ")  # opcode, length
-_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_CUT = (EndOfFile, McapError, struct.error, ZstdError, ValueError, OverflowError, MemoryError)
 
 
 @dataclass
@@ -40,13 +38,28 @@ class Bag:
         path: of the file.
         messages: per topic name.
         metadata: per record name, the last record's texts.
-        truncated: the file that breaks off or is damaged, or None; every chunk of it up to there was read.
+        holes: what is missing in its middle.
+        truncated: the file whose end is missing, where nothing comes after it, or None.
     """
 
     path: Path
     messages: dict[str, Series] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    holes: list[Hole] = field(default_factory=list)
     truncated: Path | None = None
+
+    @property
+    def damage(self) -> str:
+        """What is missing, in one sentence; "" where nothing is known to be."""
+        parts = []
+        for hole in self.holes:
+            what = f"{hole.chunks} damaged chunk{'s' * (hole.chunks > 1)}" if hole.chunks else "the missing end"
+            parts.append(f"{what} of {hole.path}, {_span(hole)}")
+        text = f"no message is left of {'; '.join(parts)}" if parts else ""
+        if self.truncated:
+            cut = f"{self.truncated} breaks off or is damaged: read up to its last complete chunk"
+            text = f"{cut}; {text}" if text else cut
+        return f"{text}; dextar recover saves what can be" if text else ""
 
     def of(self, contract_name: str, resolved: dict[str, str], namespace: str | None = None) -> Series:
         """Messages of a contract topic, maybe none.
@@ -78,70 +91,65 @@ class Bag:
         return names[0] if names else ""
 
 
-class _Reader(StreamReader):
-    """Without the chunks' indexes, which took a quarter of the time: every message is read anyway."""
+def read_bag(
+    path: str | Path, columns: Mapping[str, Columns] | None = None, select: Mapping[str, Select] | None = None,
+    progress: Progress | None = None,
+) -> Bag:  # fmt: skip
+    """A bag: a file, MCAP or sqlite3, or a folder in rosbag2's layout, also a split one. Damaged chunks are passed over.
 
-    def _read_record(self, opcode: int, length: int) -> Any:
-        if opcode == Opcode.MESSAGE_INDEX:
-            self._stream.read(length)
-            return None
-        return super()._read_record(opcode, length)
+    Memory does not grow with its length: messages are made into columns in temporary files (``Series``), or only counted.
 
-
-def read_bag(path: str | Path) -> Bag:
-    """Every message of a bag: a file, MCAP or sqlite3, or a folder in rosbag2's layout, also a split one.
+    Args:
+        path: of the file or folder.
+        columns: per message type, what is kept of each message of a fast topic.
+        select: per message type, which messages of a slow topic are kept.
+        progress: told the bytes read and those there are; not for what only the library reads.
 
     Raises:
-        BagError: no such file, empty, no bag, or without a message of a known type.
+        BagError: no such file, empty, no bag, of several recordings, or without a message of a known type.
     """
     path = Path(path)
     try:
-        files = _files(path) if path.is_dir() else [path]
+        files, listed = _files(path) if path.is_dir() else ([path], True)
         bag = Bag(files[0] if files else path)
+        fill = _Filling(bag, columns or {}, select or {})
         if files and all(_storage(file) is MAGIC for file in files):
-            for file in files:
-                with file.open("rb") as stream:
-                    _collect(bag, file, _Reader(stream, emit_chunks=True))
+            fill.from_files(files, listed, progress)
         else:
-            _collect_with_library(bag, path)
+            fill.with_library(path)
     except OSError as error:
         raise BagError(f"cannot read {path}: {error.strerror or error}") from error
-    if bag.truncated:
-        text = f"{bag.truncated} breaks off or is damaged: read up to its last complete chunk; dextar recover saves what can be"
-        warnings.warn(text, stacklevel=2)
     if not any(len(series) for series in bag.messages.values()):
-        raise BagError(f"{path} holds no ROS 2 message" + (" before it breaks off" if bag.truncated else ""))
+        raise BagError(f"{path} holds no ROS 2 message" + (f": {bag.damage}" if bag.damage else ""))
+    if bag.damage:
+        warnings.warn(bag.damage, stacklevel=2)
     return bag
 
 
-def _files(folder: Path) -> list[Path]:
-    """The files of a bag folder in order; none where only the library reads them, because they are compressed as a whole."""
-    listing = folder / METADATA_FILE
-    if not listing.is_file():
-        files = sorted((*folder.glob("*.mcap"), *folder.glob("*.db3")), key=_number)
-        if len({_stem(file) for file in files}) != 1 or (len(files) > 1 and _number(files[0])[0] < 0):
+def _span(hole: Hole) -> str:
+    if hole.first is None or hole.last is None:
+        return "before all others" if hole.first is None else "after all others"
+    return f"{(hole.last - hole.first) * 1e-9:.3f} s"
+
+
+def _files(folder: Path) -> tuple[list[Path], bool]:
+    """(the files of a bag folder in order, whether ``metadata.yaml`` lists them); none where only the library reads them."""
+    if not (folder / METADATA_FILE).is_file():
+        files = in_order([*folder.glob("*.mcap"), *folder.glob("*.db3")])
+        if not files or not one_bag_by_name(files):
             raise BagError(f"folder {folder} has no {METADATA_FILE} and holds {len(files)} .mcap files; one is needed")
-        return files
-    try:
-        document = yaml.safe_load(listing.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-        files = [folder / Path(name).name for name in document["relative_file_paths"]]
-        compressed = bool(document.get("compression_mode"))
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise BagError(f"{listing} is no {METADATA_FILE} of rosbag2; the .mcap file beside it may be given instead") from error
+        return files, False
+    document = read_listing(folder)
+    files = [folder / name for name in document["relative_file_paths"]]
     for file in files:
         if not file.is_file():
-            raise BagError(f"{listing} lists {file.name}, which is not there")
-    return [] if compressed else files
-
-
-def _stem(file: Path) -> str:
-    return file.stem.rpartition("_")[0] if _number(file)[0] >= 0 else file.stem
-
-
-def _number(file: Path) -> tuple[int, str]:
-    """Of a file of a split bag; -1 without one."""
-    last = file.stem.rpartition("_")[2]
-    return (int(last) if last.isdigit() and last != file.stem else -1), file.name
+            raise BagError(f"{folder / METADATA_FILE} lists {file.name}, which is not there; dextar recover saves the rest")
+    names = {split_name(file)[0] for file in files}
+    more = sorted(file.name for file in folder.glob("*.mcap") if file not in files and split_name(file)[0] in names)
+    if more:
+        text = f"{folder / METADATA_FILE} does not list {', '.join(more)} beside it: not read; dextar recover puts them together"
+        warnings.warn(text, stacklevel=3)
+    return ([] if document.get("compression_mode") else files), True
 
 
 def _storage(file: Path) -> bytes:
@@ -160,82 +168,76 @@ def _storage(file: Path) -> bytes:
     raise BagError(f"{file} is not an MCAP file, nor a sqlite3 bag")
 
 
-def _collect(bag: Bag, path: Path, reader: StreamReader) -> None:
-    schemas: dict[int, Schema] = {}
-    series: dict[int, Series | None] = {}
-    for record in _records(reader, bag, path):
-        if isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel):
-            if record.id not in series:
-                schema = schemas.get(record.schema_id)
-                known = record.message_encoding == "cdr" and schema is not None
-                series[record.id] = _series(bag, record.topic, schema.name if known and schema else "")
-        elif isinstance(record, Metadata):
-            bag.metadata[record.name] = dict(record.metadata)
-        elif isinstance(record, Message):
-            if record.channel_id not in series:
-                raise BagError(f"{path} is damaged: a message is of channel {record.channel_id}, which no record describes")
-            found = series[record.channel_id]
+class _Filling:
+    """Fills a bag; ``columns`` and ``select`` as in ``read_bag``."""
+
+    def __init__(self, bag: Bag, columns: Mapping[str, Columns], select: Mapping[str, Select]) -> None:
+        self._bag, self._columns, self._select = bag, columns, select
+
+    def from_files(self, files: list[Path], listed: bool, progress: Progress | None) -> None:
+        """From MCAP files in order."""
+        scans = [Scan(file) for file in files]
+        sizes = [file.stat().st_size for file in files]
+        for index, scan in enumerate(scans):
+            before = sum(sizes[:index])
+
+            def told(done: int, _: int, before: int = before) -> None:
+                if progress is not None:
+                    progress(before + done, sum(sizes))
+
+            self._from_file(scan, told)
+            if not listed:
+                check_one_recording(scans[: index + 1])
+        self._bag.holes, self._bag.truncated = holes_of(scans)
+
+    def _from_file(self, scan: Scan, progress: Progress) -> None:
+        schemas: dict[int, Schema] = {}
+        series: dict[int, Series | None] = {}
+        for record in scan.records(progress):
+            if isinstance(record, Messages):
+                self._take(scan.path, record, series)
+            elif isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                if record.id not in series:
+                    schema = schemas.get(record.schema_id)
+                    known = record.message_encoding == "cdr" and schema is not None
+                    series[record.id] = self._series(record.topic, schema.name if known and schema else "")
+            elif isinstance(record, Metadata):
+                self._bag.metadata[record.name] = dict(record.metadata)
+
+    def _take(self, path: Path, batch: Messages, series: Mapping[int, Series | None]) -> None:
+        numbers = np.frombuffer(batch.numbers, dtype=np.uint64).reshape(-1, PER_MESSAGE)
+        channels = numbers[:, 0]
+        for channel in np.unique(channels).tolist():
+            if channel not in series:
+                raise BagError(f"{path} is damaged: a message is of channel {channel}, which no record describes")
+            found = series[channel]
             if found is not None:
                 try:
-                    found.add(record.log_time, record.publish_time, record.data)
+                    found.extend(batch.data, numbers[channels == channel][:, 2:])
                 except BagError as error:
                     raise BagError(f"{path}: {error}") from error
 
-
-def _collect_with_library(bag: Bag, path: Path) -> None:
-    """What is not plain MCAP: sqlite3, and what rosbag2 compressed itself. It has no publish times."""
-    try:
-        with Reader(path) as reader:
-            series = {connection.id: _series(bag, connection.topic, connection.msgtype) for connection in reader.connections}
-            for connection, time, data in reader.messages():
-                found = series[connection.id]
-                if found is not None:
-                    found.add(time, time, bytes(data))
-    except (ReaderError, sqlite3.Error, AssertionError, ValueError) as error:
-        raise BagError(f"{path} cannot be read: {error}") from error
-
-
-def _series(bag: Bag, topic: str, type_name: str) -> Series | None:
-    if type_name not in TYPES.fielddefs:
-        return None
-    found = bag.messages.setdefault(topic, Series(topic, type_name))
-    if found.type != type_name:
-        raise BagError(f"{bag.path}: {topic} is a {found.type} and a {type_name}")
-    return found
-
-
-def _records(reader: StreamReader, bag: Bag, path: Path) -> Iterator[Any]:
-    records = reader.records
-    while True:
+    def with_library(self, path: Path) -> None:
+        """What is not plain MCAP: sqlite3, and what rosbag2 compressed itself. It has no publish times."""
         try:
-            record = next(records)
-            inside = _break_up(record) if isinstance(record, Chunk) else (record,)
-        except StopIteration:
-            return
-        except _CUT:
-            bag.truncated = path
-            return
-        yield from inside
+            with Reader(path) as reader:
+                series = {connection.id: self._series(connection.topic, connection.msgtype) for connection in reader.connections}
+                for connection, time, data in reader.messages():
+                    found = series[connection.id]
+                    if found is not None:
+                        found.add(time, time, bytes(data))
+        except (ReaderError, sqlite3.Error, AssertionError, ValueError, LookupError, struct.error) as error:
+            raise BagError(f"{path} cannot be read: {error}") from error
 
-
-def _break_up(chunk: Chunk) -> list[Any]:
-    """The records of a chunk; the library's own way takes seven times as long for messages."""
-    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-    data = stream.read(length)
-    records: list[Any] = []
-    place = 0
-    while place < length:
-        opcode, size = _RECORD.unpack_from(data, place)
-        begin = place + _RECORD.size
-        place = begin + size
-        if place > length:
-            raise EndOfFile
-        if opcode == Opcode.MESSAGE:
-            channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, begin)
-            records.append(Message(channel, log_time, data[begin + _MESSAGE.size : place], publish_time, sequence))
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            kind = Schema if opcode == Opcode.SCHEMA else Channel
-            records.append(kind.read(ReadDataStream(BytesIO(data[begin:place]))))
-    return records
+    def _series(self, topic: str, type_name: str) -> Series | None:
+        if type_name not in TYPES.fielddefs:
+            return None
+        found = self._bag.messages.get(topic)
+        if found is None:
+            found = Series(topic, type_name, self._columns.get(type_name), self._select.get(type_name))
+            self._bag.messages[topic] = found
+        if found.type != type_name:
+            raise BagError(f"{self._bag.path}: {topic} is a {found.type} and a {type_name}")
+        return found

@@ -21,8 +21,10 @@ from dextar_control.analysis.metrics import Metrics, compute_metrics
 from dextar_control.analysis.page import NO_TRUTH, Cell, Column, number, render, saturated, signed
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import Run
+from dextar_control.analysis.verdict import damage_lines
 from dextar_control.analysis.web_figures import in_plane, over_time, run_keys
 from dextar_control.analysis.words import counted
+from dextar_control.bags.records import Progress
 from dextar_control.contract.errors import BagError
 
 Value = float | int | str | None
@@ -187,9 +189,10 @@ def compare_runs(runs: Sequence[Run], metrics: Sequence[Metrics], names: Sequenc
 
 
 def compare_bags(
-    paths: Sequence[str | Path], progress: Callable[[str], None] = lambda stage: None, namespace: str | None = None
-) -> Comparison:
-    """Load the bags and put them side by side; ``namespace`` as in ``load_run``.
+    paths: Sequence[str | Path], progress: Callable[[str], None] = lambda stage: None, namespace: str | None = None,
+    reading: Progress | None = None,
+) -> Comparison:  # fmt: skip
+    """Load the bags and put them side by side; ``namespace`` and ``reading`` as in ``load_run``.
 
     Raises:
         BagError: a bag cannot be read, or there are fewer than two.
@@ -197,7 +200,7 @@ def compare_bags(
     runs, metrics = [], []
     for path in paths:
         progress(f"reading {path}")
-        runs.append(load_run(path, namespace))
+        runs.append(load_run(path, namespace, reading))
         progress(f"computing the metrics of {path}")
         metrics.append(compute_metrics(runs[-1]))
     return compare_runs(runs, metrics)
@@ -333,8 +336,9 @@ def _remarks(names: Sequence[str], runs: Sequence[Run], metrics: Sequence[Metric
     if remarks and len(remarks) < len(runs):
         remarks.append("Error, s and path are drawn as estimated for all runs, for not every bag holds the true ones. |s| < 0.1"
                        " goes by the true s where the bag holds it, else by the estimated one.")  # fmt: skip
-    remarks += [f"{name}: no trajectory was tracked; it has no curves." for name, one in zip(names, metrics, strict=True)
-                if one.start_stamp is None]  # fmt: skip
+    for name, one in zip(names, metrics, strict=True):
+        remarks += [f"{name}: no trajectory was tracked; it has no curves."] if one.start_stamp is None else []
+        remarks += [f"{name}: {text}." for text in damage_lines(one.holes, one.truncated)]
     if len({run.robot for run in runs if run.robot is not None}) > 1:
         remarks.append("The runs have different robots.")
     counts = [len(one.crossings) for one in metrics]

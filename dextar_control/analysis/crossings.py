@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from dextar_control.analysis.run import Floats, Run
+from dextar_control.analysis.run import Floats, Run, Stamps
+from dextar_control.analysis.timing import recorded
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.core.certificate import NEAR_LOCUS, Certificate, clear_times
 from dextar_control.core.loop import OPEN_BEFORE, Verdict
 
 STEP_ZONE = 0.15  # |s| within which torque steps are looked for
+_MEASURED = ("speed", "estimated_speed", "residual", "sigma_min", "peak_torque", "torque_step", "error_before", "error_after",
+             "estimated_error_before", "estimated_error_after")  # about the crossing, and thus not where the bag has a hole
 FRESH = 2e-3  # s after a crossing has begun from which on a verdict is its own
 
 
@@ -29,12 +34,13 @@ class CrossingMetrics:
             zero between the sides. s = r_1 x r_2 / (l_1 l_2) with r_i from elbow i, by the true active joints, to the true
             end effector and l_i the distal lengths.
         outcome: crossed, bounced (it has not crossed by the time the plan is clear of the locus), not reached (tracking
-            ended before) or not recorded (the bag breaks off before); None without truth.
+            ended before) or not recorded (the bag breaks off before, or has a hole there); None without truth.
         crossed: the true s has the other sign before and the planned sign after, where the plan is clear of the
-            locus; None without truth, or where the bag breaks off before that.
+            locus; None without truth, or where it is not recorded.
         estimated_mode: assembly mode that the controller took there afterwards; None when not recorded.
         verdict: the estimator's last one: crossed, bounced or undecided; None when not recorded.
-        verdict_time, verdict_confidence: when it fell, and in the assembly mode that it rests on; nan while undecided.
+        verdict_time, verdict_confidence: when it fell, and in the assembly mode that it rests on; nan while undecided, the time
+            also where the bag has a hole before the verdict.
         verdict_correct: against the true side at that time; None without truth or verdict.
         speed: true speed at the crossing (estimated without truth), m/s.
         estimated_speed: at the planned instant, m/s.
@@ -76,33 +82,49 @@ class CrossingMetrics:
 
 def judge_crossings(run: Run, plan: Certificate, track: Tracked) -> list[CrossingMetrics]:
     """Every planned crossing in order."""
-    return [_crossing(run, plan, track, index) for index in range(len(plan.crossing_times))]
+    criterion_time = _since(track, run.criterion.stamps)
+    control_time = _since(track, run.control.stamps)
+    motion_time = control_time if run.truth is None else _since(track, run.truth.stamps)
+    times = criterion_time, control_time, motion_time
+    return [_crossing(run, plan, track, index, *times) for index in range(len(plan.crossing_times))]
 
 
-def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> CrossingMetrics:
+def crossed_in_words(crossings: Sequence[CrossingMetrics], planned: str = "") -> str:
+    """How many of the planned ones were crossed, with a noun for these; "" without truth."""
+    if any(crossing.outcome is None for crossing in crossings):
+        return ""
+    missing = sum(crossing.crossed is None for crossing in crossings)
+    text = f"{sum(bool(crossing.crossed) for crossing in crossings)} of {len(crossings)}{planned and f' {planned}'}"
+    return f"{text}, {missing} not recorded" if missing else text
+
+
+def _since(track: Tracked, stamps: Stamps) -> Floats:
+    return np.asarray(stamps - track.start, dtype=np.float64) * 1e-9
+
+
+def _crossing(
+    run: Run, plan: Certificate, track: Tracked, index: int, criterion_time: Floats, control_time: Floats, motion_time: Floats
+) -> CrossingMetrics:
     planned = float(plan.crossing_times[index])
     sign = int(plan.crossing_signs[index])
     before, after = clear_times(plan, index)
     crossed = outcome = None
+    lost = any(hole.meets(*_stamps(track, before, after)) for hole in run.holes)
     if len(track.true_s):
         sides = at(track.true_time, track.true_s, before) * sign, at(track.true_time, track.true_s, after) * sign
         crossed = bool(sides[0] < 0.0 < sides[1] and planned <= track.time[-1])
         outcome = "crossed" if crossed else "not reached" if planned > track.time[-1] else "bounced"
-        if run.truncated and after > track.time[-1]:
+        if lost or (run.truncated and after > track.time[-1]):
             crossed, outcome = None, "not recorded"
-    moment = _true_instant(track, planned, before, after)
-    criterion_time = (run.criterion.stamps - track.start) * 1e-9
+    moment = None if lost else _true_instant(track, planned, before, after)
     mode = at(criterion_time, run.criterion.assembly_mode, after)
-    moving = ((run.control.stamps - track.start) * 1e-9, np.hypot(*run.control.estimate_dot.T))
-    if run.truth is not None:
-        speed_time, speeds = (run.truth.stamps - track.start) * 1e-9, np.hypot(*run.truth.x_dot.T)
-    else:
-        speed_time, speeds = moving
+    velocity = run.control.estimate_dot if run.truth is None else run.truth.x_dot
+    instant = planned if moment is None else moment
     mine = _own_part(plan, track.torque_time, index)
     torque, distance = track.torque[mine], np.abs(track.torque_s[mine])
     zone = distance < STEP_ZONE
     verdict, verdict_time, confidence = _verdict(run, plan, track, criterion_time, index)
-    return CrossingMetrics(
+    found = CrossingMetrics(
         planned_time=planned,
         planned_stamp=track.start + round(planned * 1e9),
         point=(float(plan.crossing_points[index][0]), float(plan.crossing_points[index][1])),
@@ -115,11 +137,11 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
         verdict_time=verdict_time,
         verdict_confidence=confidence,
         verdict_correct=_correct(track, verdict, verdict_time, sign),
-        speed=at(speed_time, speeds, planned if moment is None else moment),
-        estimated_speed=at(*moving, planned),
+        speed=math.hypot(*(at(motion_time, axis, instant) for axis in velocity.T)),
+        estimated_speed=math.hypot(*(at(control_time, axis, planned) for axis in run.control.estimate_dot.T)),
         residual=abs(at(criterion_time, run.criterion.residual, planned)),
         planned_residual=float(abs(plan.residuals[index])),
-        sigma_min=-peak_between(criterion_time, -np.abs(run.criterion.sigma_min), before, after),
+        sigma_min=_least_between(criterion_time, run.criterion.sigma_min, before, after),
         peak_torque=peak(torque[distance < NEAR_LOCUS]),
         torque_step=peak(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
         error_before=peak_between(track.true_time, track.true_error, before, planned),
@@ -127,6 +149,13 @@ def _crossing(run: Run, plan: Certificate, track: Tracked, index: int) -> Crossi
         estimated_error_before=peak_between(track.time, track.estimated_error, before, planned),
         estimated_error_after=peak_between(track.time, track.estimated_error, planned, after),
     )
+    unknown: dict[str, Any] = dict.fromkeys(_MEASURED, math.nan)
+    return replace(found, **unknown) if lost else found
+
+
+def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:
+    """Times since the trajectory's start as stamps, ns."""
+    return track.start + 1e9 * first, track.start + 1e9 * last
 
 
 def _verdict(
@@ -134,19 +163,23 @@ def _verdict(
 ) -> tuple[Verdict | None, float, float]:
     """(last verdict, when it fell, confidence) on one crossing; where the controller let go, until the run ends."""
     verdicts = run.criterion.verdict
-    if not np.isfinite(verdicts).any():
+    if len(verdicts) == 0 or (np.isnan(verdicts[-1]) and np.isnan(verdicts).all()):  # the last alone, as a rule
         return None, math.nan, math.nan
     begun = np.append(plan.crossing_times - OPEN_BEFORE, np.inf)
     if begun[index] > track.time[-1]:
         return Verdict.UNDECIDED, math.nan, math.nan
     end = begun[index + 1] if begun[index + 1] <= track.time[-1] else np.inf
     first, last = np.searchsorted(time, (begun[index] + FRESH, end))
+    until = time[-1] if math.isinf(end) else end
+    lost = any(hole.meets(*_stamps(track, begun[index], until)) for hole in run.holes)
     said = np.flatnonzero(verdicts[first:last] > 0.0)
     if len(said) == 0:
-        return Verdict.UNDECIDED, math.nan, math.nan
+        return None if lost else Verdict.UNDECIDED, math.nan, math.nan
     final = verdicts[first + said[-1]]
     before = np.flatnonzero(verdicts[first : first + said[-1]] != final)
     row = first + (int(before[-1]) + 1 if len(before) else 0)
+    if lost and not recorded(run.criterion.stamps[[max(row - 1, 0)]], run.holes, run.criterion.stamps[[row]])[0]:
+        return Verdict(int(verdicts[row])), math.nan, float(run.criterion.mode_confidence[row])
     return Verdict(int(verdicts[row])), float(time[row]), float(run.criterion.mode_confidence[row])
 
 
@@ -185,6 +218,13 @@ def peak_between(time: np.ndarray, values: np.ndarray, first: float, last: float
     inside = values[np.searchsorted(time, first, side="left") : np.searchsorted(time, last, side="right")]
     finite = inside[np.isfinite(inside)]
     return float(finite.max()) if finite.size else math.nan
+
+
+def _least_between(time: np.ndarray, values: np.ndarray, first: float, last: float) -> float:
+    """The least finite magnitude within [first, last], times rising; nan where there is none."""
+    inside = np.abs(values[np.searchsorted(time, first, side="left") : np.searchsorted(time, last, side="right")])
+    finite = inside[np.isfinite(inside)]
+    return float(finite.min()) if finite.size else math.nan
 
 
 def peak(values: Floats) -> float:

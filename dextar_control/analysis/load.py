@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -12,33 +13,47 @@ import yaml
 
 from dextar_control.analysis.bag import Bag, read_bag
 from dextar_control.analysis.coherence import check_order, check_run
-from dextar_control.analysis.run import Control, Criterion, Floats, Joints, RecordedTopic, Run, Served, Truth
-from dextar_control.analysis.series import Series
+from dextar_control.analysis.run import Control, Criterion, Floats, Hole, Joints, RecordedTopic, Run, Served, Stamps, Truth
+from dextar_control.analysis.series import Columns, Select, Series
+from dextar_control.bags.records import Progress
 from dextar_control.contract import topics
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.robot import JOINT_NAMES, ROBOT_KEYS, RobotParameters, from_flat
 
 NANOSECONDS = 1_000_000_000
 PARAMETER_PREFIX = "parameters."
+MEMORY = 250_000  # bytes of memory of its own for each recorded second at 1 kHz, at most: loaded and measured
+ANSWERED = 100_000_000  # ns beside a hole within which a stream that has no stamp lacks it because of the hole
+_KINDS = ("position", "velocity", "effort")
 _POINT_FIELDS = (
     ("positions", "velocities", "accelerations"),
     ("positions", "velocities"),
     ("positions", "velocities"),
     ("accelerations", "effort"),
 )
+_CONTROL_NAMES = [
+    "points.0.time_from_start.sec", "points.0.time_from_start.nanosec",
+    *(f"points.{point}.{kind}.{axis}" for point, kinds in enumerate(_POINT_FIELDS) for kind in kinds for axis in range(2)),
+]  # fmt: skip
+_MOTION_NAMES = ["pose.pose.position.x", "pose.pose.position.y", "twist.twist.linear.x", "twist.twist.linear.y"]
 
 
-def load_run(path: str | Path, namespace: str | None = None) -> Run:
+def load_run(path: str | Path, namespace: str | None = None, progress: Progress | None = None) -> Run:
     """A recorded run; also one that ``ros2 bag record`` made, whose parameters are then unknown.
+
+    The columns lie in temporary files without names (in TMPDIR, about 1 MB for each recorded second at 1 kHz) that are mapped
+    into memory, so that of memory of its own a run takes less than MEMORY for each recorded second, also while its metrics are
+    computed; the plan that they compute anew comes on top where the trajectory is as long as the recording.
 
     Args:
         path: of the bag: a file, or a folder in rosbag2's layout.
         namespace: of the robot, where a bag of another recorder holds several; where it holds one, it must be that one's.
+        progress: told the bytes read and those there are.
 
     Raises:
         BagError: the file is missing, empty, foreign or holds no joint states of one robot, or of another than was named.
     """
-    bag = read_bag(path)
+    bag = read_bag(path, COLUMNS, SELECT, progress)
     record = bag.metadata.get("dextar", {})
     try:
         resolved: dict[str, str] = json.loads(record.get("contract", "{}"))
@@ -48,8 +63,12 @@ def load_run(path: str | Path, namespace: str | None = None) -> Run:
             for key, text in record.items()
             if key.startswith(PARAMETER_PREFIX)
         }
-    except (ValueError, yaml.YAMLError) as error:
-        raise BagError(f"{bag.path}: its metadata record 'dextar' cannot be read: {error}") from error
+        for table in (resolved, losses, *losses.values(), *parameters.values()):
+            if not isinstance(table, dict):
+                raise ValueError(f"{table!r} is no table")
+    except (ValueError, AttributeError, yaml.YAMLError) as error:
+        why = " ".join(str(error).split())
+        raise BagError(f"{bag.path}: its metadata record 'dextar' cannot be read: {why}") from error
 
     recorded = _namespace(resolved)
     if namespace is not None and recorded is not None and namespace.strip("/") != recorded.strip("/"):
@@ -61,26 +80,33 @@ def load_run(path: str | Path, namespace: str | None = None) -> Run:
     try:
         return _run(bag, of, record, resolved, parameters, losses)
     except BagError as error:
-        raise BagError(str(error) if str(bag.path) in str(error) else f"{bag.path}: {error}") from error
+        text = str(error) if str(bag.path) in str(error) else f"{bag.path}: {error}"
+        raise BagError(f"{text} ({bag.damage})" if bag.damage else text) from error
 
 
 def _run(
     bag: Bag, of: Callable[[topics.Topic], Series], record: dict[str, str], resolved: dict[str, str],
     parameters: dict[str, dict[str, Any]], losses: dict[str, dict[str, int | None]],
 ) -> Run:  # fmt: skip
-    states = _joints(of(topics.JOINT_STATES))
+    recorded = of(topics.JOINT_STATES)
+    if not recorded.rising:
+        check_order(topics.JOINT_STATES.name, recorded.stamps())
+    states = _joints(recorded)
     if len(states.stamps) == 0:
         raise BagError(f"{bag.path} holds no message of {topics.JOINT_STATES.name}: not a run of this robot")
     if np.isnan(states.position).all():
         raise BagError(f"{bag.path}: {topics.JOINT_STATES.name} never holds the joints {', '.join(JOINT_NAMES)} of this robot")
-    check_order(topics.JOINT_STATES.name, of(topics.JOINT_STATES).stamps())
+    commands, control = _joints(of(topics.JOINT_COMMANDS)), _control(of(topics.CONTROLLER_STATE))
+    criterion, truth = _criterion(of(topics.CRITERION)), _truth(of(topics.SIM_END_EFFECTOR), of(topics.SIM_JOINT_STATES))
+    answers = [commands.stamps, control.stamps, criterion.stamps, *([] if truth is None else [truth.stamps])]
     run = Run(
         path=bag.path,
         states=states,
-        commands=_joints(of(topics.JOINT_COMMANDS)),
-        control=_control(of(topics.CONTROLLER_STATE)),
-        criterion=_criterion(of(topics.CRITERION)),
-        truth=_truth(of(topics.SIM_END_EFFECTOR), of(topics.SIM_JOINT_STATES)),
+        commands=commands,
+        control=control,
+        criterion=criterion,
+        truth=truth,
+        holes=_holes(bag, states, answers),
         trajectory=_trajectory(of(topics.TRAJECTORY)),
         diagnostics=_diagnostics(of(topics.DIAGNOSTICS), _namespace(resolved)),
         parameters=parameters,
@@ -103,42 +129,83 @@ def _nanoseconds(time: Any) -> int:
 
 
 def _topic(series: Series) -> RecordedTopic:
-    logged = series.logged
-    return RecordedTopic(series.type, len(logged), int(logged[0]) if len(logged) else 0, int(logged.max(initial=0)))
+    return RecordedTopic(series.type, len(series), series.first, series.last)
 
 
-def _by_name(kind: str, names: Sequence[str]) -> Callable[[Any], list[str]]:
-    """Paths of one array of a JointState by joint names; "" where it does not have one."""
+def _joint_paths(message: Any) -> dict[str, str]:
+    """Of a JointState: what joints and criterion have, by name."""
+    wanted = [(kind, name) for kind in _KINDS for name in JOINT_NAMES]
+    wanted += [("position", name) for name in topics.CRITERION_NAMES]
+    return {f"{kind}.{name}": f"{kind}.{message.name.index(name)}" for kind, name in wanted if name in message.name}
 
-    def paths(message: Any) -> list[str]:
-        return [f"{kind}.{message.name.index(name)}" if name in message.name else "" for name in names]
 
-    return paths
+def _control_paths(message: Any) -> dict[str, str]:
+    """Of a JointTrajectory: what the controller's state has."""
+    found = {name: name for name in _CONTROL_NAMES[:2]}
+    for name in _CONTROL_NAMES[2:]:
+        _, point, kind, _ = name.split(".")
+        if int(point) < len(message.points) and len(getattr(message.points[int(point)], kind)) == 2:
+            found[name] = name
+    return found
+
+
+def _served(newest: Iterable[Any]) -> list[Any]:
+    """Of trajectories the last with points."""
+    return list(islice((message for message in newest if len(message.points) > 1), 1))
+
+
+def _last_statuses(newest: Iterable[Any]) -> list[Any]:
+    """Of diagnostics those that hold the last status of some node."""
+    kept, seen = [], set[str]()
+    for message in newest:
+        names = {status.name for status in message.status}
+        if names - seen:
+            kept.append(message)
+            seen |= names
+    return kept
+
+
+COLUMNS: dict[str, Columns] = {
+    topics.JOINT_STATES.type: _joint_paths,
+    topics.CONTROLLER_STATE.type: _control_paths,
+    topics.SIM_END_EFFECTOR.type: lambda _: dict(zip(_MOTION_NAMES, _MOTION_NAMES, strict=True)),
+}
+SELECT: dict[str, Select] = {topics.TRAJECTORY.type: _served, topics.DIAGNOSTICS.type: _last_statuses}
+
+
+def _holes(bag: Bag, states: Joints, answers: Sequence[Stamps]) -> list[Hole]:
+    """The bag's holes by stamps: from the last state that has all its answers to the first one that has them again."""
+    found = []
+    for hole in bag.holes:
+        begin = end = None
+        before = states.stamps[states.logged <= hole.first] if hole.first is not None else states.stamps[:0]
+        after = states.stamps[states.logged >= hole.last] if hole.last is not None else states.stamps[:0]
+        if len(before):
+            begin = int(before.max())
+            rows = [stamps[int(np.searchsorted(stamps, begin, side="right")) - 1] for stamps in answers if len(stamps)]
+            begin = min([begin, *(int(stamp) for stamp in rows if begin - ANSWERED <= stamp <= begin)])
+        if len(after):
+            end = int(after.min())
+            rows = [stamps[min(int(np.searchsorted(stamps, end)), len(stamps) - 1)] for stamps in answers if len(stamps)]
+            end = max([end, *(int(stamp) for stamp in rows if end <= stamp <= end + ANSWERED)])
+        found.append(Hole(hole.path.name, hole.chunks, hole.first, hole.last, begin, end))
+    return found
 
 
 def _joints(series: Series) -> Joints:
-    kinds = ("position", "velocity", "effort")
-    table = series.table(6, lambda message: [path for kind in kinds for path in _by_name(kind, JOINT_NAMES)(message)])
+    table = series.table([f"{kind}.{name}" for kind in _KINDS for name in JOINT_NAMES])
     position, velocity, effort = (table.values[:, 2 * k : 2 * k + 2] for k in range(3))
     return Joints(table.stamps, position, velocity, effort, table.published, table.logged)
 
 
 def _control(series: Series) -> Control:
-    def paths(message: Any) -> list[str]:
-        names = ["points.0.time_from_start.sec", "points.0.time_from_start.nanosec"] if message.points else ["", ""]
-        for number, kinds in enumerate(_POINT_FIELDS):
-            for kind in kinds:
-                known = number < len(message.points) and len(getattr(message.points[number], kind)) == 2
-                names += [f"points.{number}.{kind}.{axis}" if known else "" for axis in range(2)]
-        return names
-
-    table = series.table(20, paths)
+    table = series.table(_CONTROL_NAMES)
     time = (table.values[:, 0] * NANOSECONDS + table.values[:, 1]) / NANOSECONDS
     return Control(table.stamps, time, *(table.values[:, 2 * k : 2 * k + 2] for k in range(1, 10)))
 
 
 def _criterion(series: Series) -> Criterion:
-    table = series.table(len(topics.CRITERION_NAMES), _by_name("position", topics.CRITERION_NAMES))
+    table = series.table([f"position.{name}" for name in topics.CRITERION_NAMES])
     columns = dict(zip(topics.CRITERION_NAMES, table.values.T, strict=True))
     phase = np.nan_to_num(columns.pop("phase"), nan=-1.0).astype(np.int64)
     return Criterion(
@@ -149,8 +216,9 @@ def _criterion(series: Series) -> Criterion:
 
 
 def _truth(platform: Series, joints: Series) -> Truth | None:
-    places = ["pose.pose.position.x", "pose.pose.position.y", "twist.twist.linear.x", "twist.twist.linear.y"]
-    motion, active = platform.table(4, lambda _: places), _joints(joints)
+    motion, active = platform.table(_MOTION_NAMES), _joints(joints)
+    if np.array_equal(motion.stamps, active.stamps):
+        return Truth(motion.stamps, motion.values[:, 0:2], motion.values[:, 2:4], active.position) if len(motion.stamps) else None
     common, rows, joint_rows = np.intersect1d(motion.stamps, active.stamps, assume_unique=True, return_indices=True)
     if len(common) == 0:
         if len(motion.stamps) and len(active.stamps):
@@ -161,9 +229,7 @@ def _truth(platform: Series, joints: Series) -> Truth | None:
 
 
 def _trajectory(series: Series) -> Served | None:
-    for message in reversed(list(series.messages())):
-        if len(message.points) < 2:
-            continue
+    for message in _served(reversed(series.messages())):
         time = np.array([_nanoseconds(point.time_from_start) / NANOSECONDS for point in message.points])
 
         def vectors(pick: Callable[[Any], Any], points: Any = message.points) -> Floats:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from dextar_control.analysis.crossings import CrossingMetrics, judge_crossings, peak
-from dextar_control.analysis.run import Floats, Phase, Run
-from dextar_control.analysis.timing import PhaseSpan, Timing, measure_timing, phase_name, phase_spans, within
+from dextar_control.analysis.run import Floats, Hole, Phase, Run
+from dextar_control.analysis.timing import PhaseSpan, Timing, measure_timing, periods, phase_name, phase_spans, recorded, within
 from dextar_control.analysis.tracking import plan_of, tracked
 from dextar_control.analysis.verdict import Verdict, judge
 from dextar_control.contract.errors import DextarError
@@ -46,10 +46,14 @@ class Metrics:
         truth_share: of the tracked ticks, those with a recorded truth.
         loop_rate: of the states while tracking on the system clock (not by their stamps), from their
             median period; ``mean_rate`` from the mean.
-        states, answered, missed: recorded states while tracking, those with a command of their stamp, the others.
+        states, answered, missed: recorded states while tracking, those with a command of their stamp, the others; not those
+            beside a hole of the bag.
         late_commands, late_ticks, plant_steps: as the plant counted over its whole run (commands that
             came too late for their step, steps taken without their command); None when it did not.
-        lost: samples lost per topic; None where not known.
+        lost: samples lost per topic, as the recorder counted last; None where not known. What a damaged or cut-off file no
+            longer holds is not in it.
+        truncated: the end of the bag is missing.
+        holes: what is missing before.
         timing: rates, jitter and round trips.
         phases: the controller's, one after the other.
     """
@@ -93,6 +97,7 @@ class Metrics:
     timing: Timing
     phases: list[PhaseSpan]
     lost: dict[str, int | None] = field(default_factory=dict)
+    holes: list[Hole] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON: what is not a number is None."""
@@ -120,7 +125,8 @@ def compute_metrics(run: Run) -> Metrics:
     planned_near = plan.peak_torque_near if plan else math.nan
     limit = _torque_limit(run, planned_peak)
     asked = run.states.stamps if track is None else within(run.states.stamps, track)
-    periods = np.diff(run.states.published[np.isin(run.states.stamps, asked)]) * 1e-9
+    spans = periods(run.states, asked, run.holes)
+    asked = asked[recorded(asked, run.holes)]
     answered = int(np.isin(asked, run.commands.stamps).sum())
     estimated = track.estimated_error if track else np.zeros(0)
     phase = phase_name(int(run.criterion.phase[-1])) if len(run.criterion.phase) else ""
@@ -134,6 +140,7 @@ def compute_metrics(run: Run) -> Metrics:
         "law": str(run.parameters.get("controller", {}).get("law", "")),
         "estimator": str(run.parameters.get("controller", {}).get("estimator", "")),
         "truncated": run.truncated,
+        "holes": run.holes,
         "phase": phase,
         "reason": reason,
         "crossings": crossings,
@@ -154,8 +161,8 @@ def compute_metrics(run: Run) -> Metrics:
         "truth_share": float(np.isfinite(track.true_error).sum() / len(track.stamps)) if track else 0.0,
         "drive_saturated": _whole(run.diagnostics.get("plant", {}).get("saturated_ticks")),
         "saturated": int((np.abs(torque) >= limit * SATURATED).any(axis=1).sum()),
-        "loop_rate": float(1.0 / np.median(periods)) if len(periods) else math.nan,
-        "mean_rate": float(1.0 / np.mean(periods)) if len(periods) else math.nan,
+        "loop_rate": float(1.0 / np.median(spans)) if len(spans) else math.nan,
+        "mean_rate": float(1.0 / np.mean(spans)) if len(spans) else math.nan,
         "states": len(asked),
         "answered": answered,
         "missed": len(asked) - answered,

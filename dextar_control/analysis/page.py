@@ -15,7 +15,7 @@ from bokeh.embed import components
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from dextar_control.analysis.crossings import CrossingMetrics
+from dextar_control.analysis.crossings import CrossingMetrics, crossed_in_words
 from dextar_control.analysis.curves import checked_plan, panels
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.plane import plane_of
@@ -23,6 +23,7 @@ from dextar_control.analysis.run import RecordedTopic, Run
 from dextar_control.analysis.thin import POINTS
 from dextar_control.analysis.timing import Spread, lockstep, periods, round_trips, within
 from dextar_control.analysis.tracking import tracked
+from dextar_control.analysis.verdict import in_words
 from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band
 from dextar_control.analysis.words import counted
 from dextar_control.contract.topics import TOPICS
@@ -122,10 +123,10 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
     """The run in a word, a sentence and the reasons."""
     kind, word = WORDS[metrics.success]
     planned = len(metrics.crossings)
-    known = [crossing.crossed for crossing in metrics.crossings]
     parts = []
-    if planned and None not in known:
-        parts.append(f"Crossed {sum(map(bool, known))} of {counted(planned, 'planned crossing')}")
+    noun = "planned crossing" if planned == 1 else "planned crossings"
+    if planned and (crossed := crossed_in_words(metrics.crossings, noun)):
+        parts.append(f"Crossed {crossed}")
     elif planned:
         said = sum(crossing.verdict == "crossed" for crossing in metrics.crossings)
         parts.append(f"{counted(planned, 'planned crossing')}, {said} crossed by the estimator's own verdict")
@@ -140,8 +141,9 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
     if saturated(metrics).isdigit():
         parts.append(f"{counted(metrics.saturated, 'command')} saturated" if metrics.saturated else "no command saturated")
     reasons = list(metrics.reasons)
+    reasons += [in_words(hole) for hole in metrics.holes if not any(in_words(hole) in reason for reason in reasons)]
     if metrics.truncated:
-        reasons.append("The bag breaks off: it was read up to its last complete chunk.")
+        reasons.append("The end of the bag is missing: it was read up to its last complete chunk.")
     sentence = "; ".join(parts)
     sentence = f"{sentence[:1].upper()}{sentence[1:]}." if parts else ""
     return {"kind": kind, "word": word, "sentence": sentence, "reasons": reasons}
@@ -155,15 +157,14 @@ def saturated(metrics: Metrics) -> str:
 
 
 def _tiles(metrics: Metrics) -> list[dict[str, str]]:
-    crossed = [crossing.crossed for crossing in metrics.crossings]
     verdicts = [crossing.verdict_correct for crossing in metrics.crossings if crossing.verdict in ("crossed", "bounced")]
-    unknown = sum(crossing.outcome is None for crossing in metrics.crossings)
-    recorded = [one for one in crossed if one is not None]
-    happened = f"{sum(recorded)} of {len(recorded)}{' recorded' if len(recorded) < len(crossed) else ''}"
-    if unknown or not crossed:
-        happened = NO_TRUTH if unknown else "none" if math.isfinite(metrics.planned_peak_torque) else "no plan"
-    right = NO_TRUTH if None in verdicts else f"{sum(map(bool, verdicts))} of {len(verdicts)} right"
+    checked = [right for right in verdicts if right is not None]
+    right = f"{sum(checked)} of {len(checked)} right" if checked else NO_TRUTH
     lost = sum(count or 0 for count in metrics.lost.values())
+    if metrics.crossings:
+        happened = crossed_in_words(metrics.crossings) or NO_TRUTH
+    else:
+        happened = "none" if math.isfinite(metrics.planned_peak_torque) else "no plan"
     pairs = [
         ("planned crossings crossed", happened),
         ("estimator's verdicts", right if verdicts else "none"),
@@ -175,7 +176,7 @@ def _tiles(metrics: Metrics) -> list[dict[str, str]]:
         ("of the plan's peak", _measured(metrics.torque_ratio, ".2f", "×", "no plan")),
         ("near the locus, of the plan's peak", _measured(metrics.torque_ratio_near, ".2f", "×", "no plan")),
         ("states without a command", f"{metrics.missed} of {metrics.states}"),
-        ("samples lost in recording", str(lost) if metrics.lost else "not counted"),
+        ("samples lost in recording", f"{lost}{', end unknown' * metrics.truncated}" if metrics.lost else "not counted"),
         ("duration of the trajectory", _measured(metrics.duration, ".2f", "s", "no plan")),
     ]
     if math.isnan(metrics.max_true_error):
@@ -295,7 +296,7 @@ def _timing_figures(run: Run) -> list[Any]:
     asked = run.states.stamps if track is None else within(run.states.stamps, track)
     drawn = []
     for values, label in (
-        (periods(run.states, asked), "period of the states (µs)"),
+        (periods(run.states, asked, run.holes), "period of the states (µs)"),
         (round_trips(run, asked)[1], "round trip (µs)"),
     ):
         if (values > 0.0).any():
@@ -315,8 +316,9 @@ def _recording(run: Run) -> dict[str, Any]:
         ])  # fmt: skip
     began, ended = run.record.get("started", ""), run.record.get("ended", "")
     sentence = f"Recorded from {_short(began)} to {_short(ended)} (UTC). " if began and ended else ""
+    sentence += "".join(f"{text[:1].upper()}{text[1:]}. " for text in map(in_words, run.holes))
     if run.truncated:
-        sentence += "The file breaks off; everything up to its last complete chunk is here. "
+        sentence += "The end is missing: all up to the last complete chunk is here, and what was lost after it is unknown. "
     if not run.losses:
         sentence += "The bag was not written by this package's recorder: nobody counted its losses."
     else:

@@ -8,12 +8,15 @@ from pathlib import Path
 
 from rich.table import Table
 
+from dextar_control.analysis.crossings import crossed_in_words
 from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.load import load_run
 from dextar_control.analysis.metrics import Metrics, compute_metrics
 from dextar_control.analysis.page import render_report, saturated
 from dextar_control.analysis.paper_figure import COLUMN, write_paper
+from dextar_control.analysis.verdict import damage_lines
 from dextar_control.analysis.words import counted
+from dextar_control.bags.records import Progress
 from dextar_control.contract.errors import BagError
 
 RESOLUTION = 150  # dots per inch
@@ -27,6 +30,7 @@ def analyze(
     width: float = COLUMN,
     progress: Callable[[str], None] = lambda stage: None,
     namespace: str | None = None,
+    reading: Progress | None = None,
 ) -> Metrics:
     """Write ``metrics.json``, ``figure.png`` and ``report.html`` of a bag, next to it or into a folder.
 
@@ -37,12 +41,13 @@ def analyze(
         width: of that figure, mm.
         progress: told what is being done.
         namespace: of the robot, where a bag of another recorder holds several.
+        reading: told the bytes read and those there are.
 
     Raises:
         BagError: the bag cannot be read, or the results cannot be written.
     """
     progress("reading the bag")
-    run = load_run(path, namespace)
+    run = load_run(path, namespace, reading)
     progress("computing the metrics")
     metrics = compute_metrics(run)
     folder = Path(output_dir) if output_dir is not None else run.path.parent
@@ -73,7 +78,6 @@ def summary_table(metrics: Metrics) -> Table:
 def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
     """(what, value) pairs of the summary."""
     verdict = {True: "success", False: "FAILED", None: "not decidable"}[metrics.success]
-    lost = {topic: count for topic, count in metrics.lost.items() if count != 0}
     lines = [
         ("crossed", _crossed(metrics)),
         ("estimator says", _verdicts(metrics)),
@@ -88,23 +92,28 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
         ),
         ("states without command", f"{metrics.missed} of {metrics.states}"),
         ("steps without it in time", _late(metrics)),
-        ("lost in recording", ", ".join(f"{topic}: {'unknown' if count is None else count}" for topic, count in lost.items())
-         or ("none" if metrics.lost else "not counted")),
+        ("lost in recording", _lost(metrics)),
         ("verdict", verdict),
     ]  # fmt: skip
-    if metrics.truncated:
-        lines.append(("bag", "breaks off; read up to its last complete chunk"))
+    lines += [("bag", text) for text in damage_lines(metrics.holes, metrics.truncated)]
     return lines + [("", reason) for reason in metrics.reasons]
 
 
 def _crossed(metrics: Metrics) -> str:
-    crossed = [crossing.crossed for crossing in metrics.crossings]
-    if not crossed:
+    if not metrics.crossings:
         return "no crossing is planned" if math.isfinite(metrics.planned_peak_torque) else "unknown without a plan"
-    lost = sum(crossing.outcome == "not recorded" for crossing in metrics.crossings)
-    if crossed.count(None) > lost:
-        return "unknown without truth"
-    return f"{sum(map(bool, crossed))} of {len(crossed)} planned" + (f", {lost} not recorded" if lost else "")
+    return crossed_in_words(metrics.crossings, "planned") or "unknown without truth"
+
+
+def _lost(metrics: Metrics) -> str:
+    lost = {topic: count for topic, count in metrics.lost.items() if count != 0}
+    text = ", ".join(f"{topic}: {'unknown' if count is None else count}" for topic, count in lost.items())
+    text = text or ("none" if metrics.lost else "not counted")
+    if metrics.truncated and metrics.lost:
+        text += " by the last count; the end is missing, and what was lost there is unknown"
+    if metrics.holes and metrics.lost:
+        text += "; what a damaged file no longer holds is not counted"
+    return text
 
 
 def _verdicts(metrics: Metrics) -> str:

@@ -135,6 +135,29 @@ class RecordedTopic:
     last: int
 
 
+@dataclass(frozen=True)
+class Hole:
+    """Where messages are missing in the middle of a bag, because it is damaged.
+
+    Attributes:
+        file: by its name.
+        chunks: damaged ones; 0 where the end of the file is missing.
+        first, last: log times, ns, of the messages before and after it; None where there is none.
+        begin, end: stamps, ns, between which a state or its answers may be missing; None where no state is on that side.
+    """
+
+    file: str
+    chunks: int
+    first: int | None
+    last: int | None
+    begin: int | None
+    end: int | None
+
+    def meets(self, begin: float, end: float) -> bool:
+        """Whether something between two stamps, ns, may be missing."""
+        return (self.begin is None or self.begin < end) and (self.end is None or self.end > begin)
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
     """Everything the analysis knows, from the bag alone.
@@ -148,7 +171,8 @@ class Run:
         losses: per topic name, {received, lost, dropped}; lost is None when not known.
         record: what else the recorder wrote about the run: when it started and ended, its name, notes, versions ...
         topics: per topic name, how much of it there is.
-        truncated: the bag breaks off.
+        truncated: the end of the bag is missing.
+        holes: what is missing before.
     """
 
     path: Path
@@ -166,3 +190,4 @@ class Run:
     record: dict[str, str] = field(default_factory=dict)
     topics: dict[str, RecordedTopic] = field(default_factory=dict)
     truncated: bool = False
+    holes: list[Hole] = field(default_factory=list)

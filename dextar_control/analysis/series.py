@@ -1,18 +1,21 @@
-"""One topic's messages as columns, so that a long recording is read without holding its messages.
+"""One topic's messages as columns in a temporary file, so that a long recording is read without holding it in memory.
 
 A kilohertz topic repeats one structure: the same names, the same array lengths. Its layout is found once, by having the
 library serialize a message whose numbers are marks, and whole blocks of messages are then read by numpy at the marks'
 places. A message of another structure gets a layout of its own; one whose bytes are not reproduced by the library is read
-by it alone.
+by it alone. Only the columns that are asked for are kept.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import mmap
+import os
 import struct
-from array import array
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from rosbags.serde import SerdeError
@@ -22,17 +25,21 @@ from dextar_control.analysis.run import Floats, Stamps
 from dextar_control.contract.errors import BagError
 
 LATEST = 2**63 - 1  # ns since the epoch
-BLOCK = 4096  # messages made into columns at a time
+BLOCK = 4096  # messages at a time, where they come one by one or are sorted
+WAITING = 16  # messages of a slow topic that wait for being selected from
 FIRST_MARK = 0x5A5A0001  # of the integers
 MARK = 7.25e211  # of the floats, times 1 + their number
 TYPES = get_typestore(Stores.ROS2_JAZZY)
-COLUMNAR = {"sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory", "nav_msgs/msg/Odometry",
-            "geometry_msgs/msg/PoseStamped"}  # fmt: skip
 SECONDS, NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
+_SECONDS, _NANOSECONDS = "(s)", "(ns)"  # names that no column has
+_STAMP, _PUBLISHED, _LOGGED, _TIMES = range(4)  # the first words of a row; numbers follow
+
+Columns = Callable[[Any], Mapping[str, str]]
+Select = Callable[[Iterable[Any]], list[Any]]
 
 
 class Table(NamedTuple):
-    """A topic's columns by rising stamp, the first message of each stamp."""
+    """A topic's columns by rising stamp, the first message of each stamp. They lie in a file that is mapped into memory."""
 
     stamps: Stamps  # (n,) ns
     published: Stamps  # (n,) ns of the publisher's system clock
@@ -46,74 +53,121 @@ class Series:
     Args:
         topic: its name.
         type_name: ``package/msg/Type``, known to the typestore.
+        columns: of a fast topic with headers: by name the paths, such as ``position.0``, of the numbers to be kept, from a
+            message; the names stay the same where messages differ in structure.
+        select: of a slow topic: those of some messages, newest first, that have to be kept, in the same order.
+
+    With neither the messages are counted only.
+
+    Attributes:
+        first, last: log time of the first message, and the latest, ns.
     """
 
-    def __init__(self, topic: str, type_name: str) -> None:
+    def __init__(self, topic: str, type_name: str, columns: Columns | None = None, select: Select | None = None) -> None:
         self.topic, self.type = topic, type_name
-        self._logged, self._published = array("q"), array("q")
-        self._raw: list[bytes] = []
-        self._blocks: list[_Block] = []
+        self.first = self.last = 0
+        self._columns, self._select = columns, select
+        self._count = 0
+        self._waiting: list[tuple[int, int, bytes]] = []
+        self._selected: list[Any] = []
         self._layouts: list[_Layout] = []
+        self._names: list[str] = []
+        self._spool: IO[bytes] | None = None
+        self._segments: list[list[int]] = []  # [words of a row, rows] in the spool
+        self._rising, self._latest = True, -LATEST
 
     def __len__(self) -> int:
-        return len(self._logged)
+        return self._count
 
     def add(self, log_time: int, publish_time: int, data: bytes) -> None:
-        """Take one serialized message.
+        """Take one serialized message; raises as ``extend`` does."""
+        self._see(log_time, log_time, max(log_time, publish_time), 1)
+        if self._columns is None and self._select is None:
+            return
+        self._waiting.append((log_time, publish_time, data))
+        if len(self._waiting) >= (WAITING if self._select else BLOCK):
+            self._settle()
 
-        Raises:
-            BagError: a block holds bytes that are no message of the type, or a time is none.
-        """
-        if max(log_time, publish_time) > LATEST:
-            raise BagError(f"a message on {self.topic} has the time {max(log_time, publish_time)} ns: the file is damaged")
-        self._logged.append(log_time)
-        self._published.append(publish_time)
-        self._raw.append(data)
-        if len(self._raw) >= BLOCK and self.type in COLUMNAR:
-            self._compact()
-
-    @property
-    def logged(self) -> Stamps:
-        """(n,) ns of the recorder's clock, in the order of the bag."""
-        return np.array(self._logged, dtype=np.int64)
-
-    def messages(self) -> Iterator[Any]:
-        """Every message of a slow topic, as the library's classes."""
-        if self._blocks:
-            raise TypeError(f"{self.topic}: its messages have been made into columns")
-        return (self._message(data) for data in self._raw)
-
-    def stamps(self) -> Stamps:
-        """(n,) ns of the messages' headers, in the order of the bag.
-
-        Raises:
-            BagError: some bytes are no message of the type.
-        """
-        self._compact()
-        stamps = np.zeros(len(self), dtype=np.int64)
-        for block in self._blocks:
-            seconds, rest = block.column(SECONDS), block.column(NANOSECONDS)
-            stamps[block.rows] = np.asarray(seconds, dtype=np.int64) * 1_000_000_000 + np.asarray(rest, dtype=np.int64)
-        return stamps
-
-    def table(self, width: int, paths: Callable[[Any], Sequence[str]]) -> Table:
-        """Numbers by their paths, such as ``position.0``.
+    def extend(self, data: bytes, messages: Any) -> None:
+        """Take serialized messages.
 
         Args:
-            width: of the table.
-            paths: the columns' paths in messages of one structure, from one of them; "" for none.
+            data: what holds them.
+            messages: (m, 4) log time, publish time in ns, begin and end of each in ``data``.
 
         Raises:
-            BagError: some bytes are no message of the type.
+            BagError: some bytes are no message of the type, a time is none, or the temporary file cannot be written.
         """
-        stamps = self.stamps()
-        values = np.full((len(self), width), np.nan)
-        for block in self._blocks:
-            for column, path in enumerate(paths(block.sample)):
-                values[block.rows, column] = block.column(path)
-        unique, rows = np.unique(stamps, return_index=True)
-        published = np.array(self._published, dtype=np.int64)
-        return Table(unique, published[rows], self.logged[rows], values[rows])
+        if self._columns is None:
+            if self._select is None:
+                self._see(int(messages[0, 0]), int(messages[:, 0].max()), int(messages[:, :2].max()), len(messages))
+                return
+            for log_time, publish_time, begin, end in messages.tolist():
+                self.add(log_time, publish_time, data[begin:end])
+            return
+        self._see(int(messages[0, 0]), int(messages[:, 0].max()), int(messages[:, :2].max()), len(messages))
+        self._settle()
+        self._append(data, messages.astype(np.int64))
+
+    def messages(self) -> list[Any]:
+        """The selected messages of a slow topic in the order of the bag, as the library's classes."""
+        self._settle()
+        return self._selected[::-1]
+
+    def stamps(self) -> Stamps:
+        """(n,) ns of the messages' headers, in the order of the bag; before ``table``."""
+        self._settle()
+        return np.concatenate([rows[:, _STAMP] for _, rows in self._blocks()] or [np.zeros(0, dtype=np.int64)])
+
+    @property
+    def rising(self) -> bool:
+        """Whether each stamp is later than the one before."""
+        self._settle()
+        return self._rising
+
+    def table(self, names: Sequence[str]) -> Table:
+        """The columns of these names, nan where no message has them; once, for the temporary file is given back.
+
+        Raises:
+            BagError: some bytes are no message of the type, or the temporary file cannot be written.
+        """
+        order = None if self.rising else np.unique(self.stamps(), return_index=True)[1]
+        words = self._mapped(_TIMES + len(names), self._count)
+        for start, rows in self._blocks():
+            place = slice(start, start + len(rows))
+            words[:_TIMES, place] = rows[:, :_TIMES].T
+            known = dict(zip(self._names, range(_TIMES, rows.shape[1]), strict=False))
+            numbers = rows.view(np.float64)
+            for row, name in enumerate(names, start=_TIMES):
+                words.view(np.float64)[row, place] = numbers[:, known[name]] if name in known else np.nan
+        if order is not None:
+            unsorted, words = words, self._mapped(len(words), len(order))
+            for row, place in zip(unsorted, words, strict=True):
+                np.take(row, order, out=place)
+        if self._spool is not None:
+            self._spool.close()
+        return Table(words[_STAMP], words[_PUBLISHED], words[_LOGGED], words[_TIMES:].view(np.float64).T)
+
+    def _see(self, first: int, last: int, latest: int, count: int) -> None:
+        if latest > LATEST:
+            raise BagError(f"a message on {self.topic} has the time {latest} ns: the file is damaged")
+        self.first = self.first if self._count else first
+        self.last = max(self.last, last)
+        self._count += count
+
+    def _settle(self) -> None:
+        """Make what waits into columns, or select from it."""
+        waiting, self._waiting = self._waiting, []
+        if not waiting:
+            return
+        if self._select is not None:
+            newest = (self._message(data) for _, _, data in reversed(waiting))
+            self._selected = self._select(chain(newest, self._selected))
+            return
+        ends = np.cumsum([len(data) for _, _, data in waiting])
+        begins = np.concatenate([[0], ends[:-1]])
+        times = np.array([(log_time, publish_time) for log_time, publish_time, _ in waiting], dtype=np.int64)
+        self._append(b"".join([data for _, _, data in waiting]), np.column_stack([times, begins, ends]))
 
     def _message(self, data: bytes) -> Any:
         try:
@@ -121,87 +175,134 @@ class Series:
         except (SerdeError, ValueError, IndexError, struct.error) as error:
             raise BagError(f"a message on {self.topic} is not a {self.type}: {error}") from error
 
-    def _compact(self) -> None:
-        first = len(self) - len(self._raw)
-        left = np.arange(len(self._raw))
+    def _append(self, data: bytes, messages: Any) -> None:
+        begins, sizes = messages[:, 2], messages[:, 3] - messages[:, 2]
+        found: list[tuple[Any, Any, Mapping[str, Any]]] = []  # places, stamps, numbers
+        left = np.arange(len(messages))
         for layout in self._layouts:
-            left = self._take(layout, left, first)
-        odd: list[int] = []
+            left = layout.take(data, begins, sizes, left, found)
         while len(left):
-            data = self._raw[left[0]]
-            found = _Layout.of(self._message(data), data, self.type)
-            if found is None:
-                odd.append(int(left[0]))
+            raw = data[begins[left[0]] : messages[left[0], 3]]
+            message = self._message(raw)
+            paths = self._columns(message) if self._columns is not None else {}
+            layout_of_it = _Layout.of(message, raw, self.type, paths)
+            if layout_of_it is None:  # its bytes are not those that the library writes
+                own = dict(_numbers(message))
+                stamp = int(own[SECONDS]) * 1_000_000_000 + int(own[NANOSECONDS])
+                found.append((left[:1], stamp, {name: own[path] for name, path in paths.items() if path in own}))
                 left = left[1:]
                 continue
-            self._layouts.append(found)
-            left = self._take(found, left, first)
-        for row in odd:
-            message = self._message(self._raw[row])
-            numbers = {path: np.array([number]) for path, number in _numbers(message)}
-            self._blocks.append(_Block(message, np.array([first + row]), dict(numbers)))
-        self._raw = []
+            self._layouts.append(layout_of_it)
+            left = layout_of_it.take(data, begins, sizes, left, found)
+        self._names += [name for _, _, numbers in found for name in numbers if name not in self._names]
+        rows = np.full((len(messages), _TIMES + len(self._names)), np.nan)
+        times = rows.view(np.int64)
+        times[:, _PUBLISHED], times[:, _LOGGED] = messages[:, 1], messages[:, 0]
+        places = dict(zip(self._names, range(_TIMES, rows.shape[1]), strict=True))
+        for where, stamps, numbers in found:
+            times[where, _STAMP] = stamps
+            for name, values in numbers.items():
+                rows[where, places[name]] = values
+        stamps = times[:, _STAMP]
+        self._rising = self._rising and self._latest < stamps[0] and bool((stamps[1:] > stamps[:-1]).all())
+        self._latest = int(stamps[-1])
+        self._write(rows)
 
-    def _take(self, layout: _Layout, left: Stamps, first: int) -> Stamps:
-        """Read the messages of a layout among those left; the others."""
-        fitting = np.array([row for row in left if len(self._raw[row]) == len(layout.template)], dtype=np.int64)
-        if len(fitting) == 0:
-            return left
-        joined = b"".join([self._raw[row] for row in fitting])
-        table = np.frombuffer(joined, dtype=np.uint8).reshape(len(fitting), -1)
-        same = (table[:, layout.fixed] == layout.template[layout.fixed]).all(axis=1)
-        if not same.any():
-            return left
-        self._blocks.append(_Block(layout.sample, first + fitting[same], layout.columns(table[same])))
-        return np.setdiff1d(left, fitting[same], assume_unique=True)
+    def _write(self, rows: Any) -> None:
+        try:
+            if self._spool is None:
+                self._spool = tempfile.TemporaryFile(prefix="dextar-")
+            self._spool.write(rows.data)
+        except OSError as error:
+            raise self._no_room(error) from error
+        if self._segments and self._segments[-1][0] == rows.shape[1]:
+            self._segments[-1][1] += len(rows)
+        else:
+            self._segments.append([rows.shape[1], len(rows)])
 
+    def _blocks(self) -> Iterator[tuple[int, Any]]:
+        """(number of the first row, (m, words) rows) of what was written, in blocks."""
+        if self._spool is None:
+            return
+        self._spool.seek(0)
+        start = 0
+        for words, count in self._segments:
+            for done in range(0, count, BLOCK):
+                rows = min(BLOCK, count - done)
+                yield start, np.frombuffer(self._spool.read(8 * words * rows), dtype=np.int64).reshape(rows, words)
+                start += rows
 
-@dataclasses.dataclass(frozen=True)
-class _Block:
-    """Messages of one structure: a sample, their places in the series, their numbers; one number where all are the same."""
+    def _mapped(self, rows: int, columns: int) -> Any:
+        """(rows, columns) zeros, int64, that lie in a file without a name and go with the last array on them."""
+        size = 8 * rows * columns
+        if size == 0:
+            return np.zeros((rows, columns), dtype=np.int64)
+        try:
+            with tempfile.TemporaryFile(prefix="dextar-") as file:
+                os.posix_fallocate(file.fileno(), 0, size)  # a full disk is found here, and not by a signal later
+                return np.frombuffer(mmap.mmap(file.fileno(), size), dtype=np.int64).reshape(rows, columns)
+        except OSError as error:
+            raise self._no_room(error) from error
 
-    sample: Any
-    rows: Stamps
-    numbers: dict[str, Any]
-
-    def column(self, path: str) -> Any:
-        return self.numbers.get(path, np.nan)
+    def _no_room(self, error: OSError) -> BagError:
+        why = error.strerror or error
+        return BagError(f"cannot keep the columns of {self.topic} in {tempfile.gettempdir()} (set TMPDIR to name another): {why}")
 
 
 class _Layout(NamedTuple):
-    """Where the numbers lie in the bytes of messages of one structure."""
+    """Where the wanted numbers lie in the bytes of messages of one structure."""
 
-    sample: Any
-    template: Any  # (length,) bytes of the sample
-    fixed: Any  # (length,) bytes that all such messages share
-    places: dict[str, tuple[int, str]]  # per path: offset and numpy type
+    size: int  # bytes of such a message
+    fixed: Any  # (f,) places of the bytes that all such messages share
+    template: Any  # (f,) those bytes
+    numbers: np.dtype[Any]  # a message as a record of its wanted numbers
 
     @staticmethod
-    def of(message: Any, data: bytes, type_name: str) -> _Layout | None:
+    def of(message: Any, data: bytes, type_name: str, paths: Mapping[str, str]) -> _Layout | None:
         """The layout of a message, or None when the library writes other bytes for it."""
         plain = bytes(TYPES.serialize_cdr(message, type_name))
         if data[: len(plain)] != plain:
             return None
         marks: list[tuple[str, bytes, str]] = []
         marked = bytes(TYPES.serialize_cdr(_mark(message, "", marks), type_name))
-        fixed = np.ones(len(data), dtype=bool)
-        fixed[len(plain) :] = False
+        moving = np.zeros(len(data), dtype=bool)
+        moving[len(plain) :] = True
         places: dict[str, tuple[int, str]] = {}
         for path, mark, kind in marks:
             if marked.count(mark) != 1:
                 return None
             offset = marked.index(mark)
             places[path] = offset, kind
-            fixed[offset : offset + len(mark)] = False
-        return _Layout(message, np.frombuffer(data, dtype=np.uint8), fixed, places)
+            moving[offset : offset + len(mark)] = True
+        wanted = {_SECONDS: SECONDS, _NANOSECONDS: NANOSECONDS, **paths}
+        wanted = {name: path for name, path in wanted.items() if path in places}
+        numbers = np.dtype({
+            "names": list(wanted), "offsets": [places[path][0] for path in wanted.values()],
+            "formats": [places[path][1] for path in wanted.values()], "itemsize": len(data),
+        })  # fmt: skip
+        fixed = np.flatnonzero(~moving)
+        return _Layout(len(data), fixed, np.frombuffer(data, dtype=np.uint8)[fixed], numbers)
 
-    def columns(self, table: Any) -> dict[str, Any]:
-        """The numbers of messages, rows of (n, length) bytes."""
-        found: dict[str, Any] = {}
-        for path, (offset, kind) in self.places.items():
-            column = np.ascontiguousarray(table[:, offset : offset + int(kind[-1])]).view(kind)[:, 0]
-            found[path] = column[0] if (column == column[0]).all() else column
-        return found
+    def take(self, data: bytes, begins: Any, sizes: Any, left: Any, found: list[tuple[Any, Any, Mapping[str, Any]]]) -> Any:
+        """Read the messages of this layout among those left; the others."""
+        fitting = left[sizes[left] == self.size]
+        if len(fitting) == 0:
+            return left
+        every_place = np.ndarray((len(data) - self.size + 1,), dtype=f"V{self.size}", buffer=data, strides=(1,))
+        messages = every_place[begins[fitting]]
+        same = (messages.view(np.uint8).reshape(len(fitting), -1)[:, self.fixed] == self.template).all(axis=1)
+        if not same.any():
+            return left
+        taken = messages.view(self.numbers)
+        if not same.all():
+            taken, rest = taken[same], fitting[~same]
+            fitting, left = fitting[same], np.union1d(rest, left[sizes[left] != self.size])
+        else:
+            left = left[sizes[left] != self.size]
+        stamps = taken[_SECONDS].astype(np.int64) * 1_000_000_000 + taken[_NANOSECONDS]
+        names = [name for name in self.numbers.names or () if name not in (_SECONDS, _NANOSECONDS)]
+        found.append((fitting, stamps, {name: taken[name] for name in names}))
+        return left
 
 
 def _numbers(message: Any, path: str = "") -> Iterator[tuple[str, Any]]:

@@ -12,6 +12,7 @@ from dextar_control.analysis.run import Floats
 POINTS = 4000  # of a curve, outside the windows kept whole
 WHOLE = 8000  # points of a curve that may lie in such windows
 WINDOW = 0.06  # s on either side of an instant that is kept whole where there is room
+BLOCK = 1 << 16  # rows looked at together
 STEP = 2.0e-4  # m between the points of a drawn path, at least
 
 Rows = NDArray[np.int64]
@@ -33,20 +34,28 @@ def thin(time: Floats, values: Floats, instants: Sequence[float] = (), points: i
     if count <= points:
         return np.arange(count)
     edges = np.linspace(0, count, max(points // 2, 1) + 1).astype(np.int64)
+    bins = max(BLOCK * (len(edges) - 1) // count, 1)
+    rows = [np.array([0, count - 1])]
+    for first in range(0, len(edges) - 1, bins):
+        rows += _extremes(values, edges[first : first + bins + 1])
+    window = min(WINDOW, WHOLE * float(np.median(np.diff(time))) / max(2 * len(instants), 1))
+    for instant in instants:
+        rows.append(np.arange(*np.searchsorted(time, (instant - window, instant + window))))
+    return np.unique(np.concatenate(rows)).astype(np.int64)
+
+
+def _extremes(values: Floats, edges: Rows) -> list[Rows]:
+    """Per bin, from one edge to the next, the rows of its least and greatest value and of its first nan."""
     begins, sizes = edges[:-1], np.diff(edges)
     width = int(sizes.max())
-    padded = np.minimum(begins[:, None] + np.arange(width), count - 1)
+    padded = np.minimum(begins[:, None] + np.arange(width), len(values) - 1)
     inside = np.arange(width) < sizes[:, None]
     block = values[padded]
     holes = np.isnan(block)
     low = np.where(inside & ~holes, block, np.inf).argmin(axis=1)
     high = np.where(inside & ~holes, block, -np.inf).argmax(axis=1)
     hole = np.where((inside & holes).any(axis=1), (inside & holes).argmax(axis=1), low)
-    rows = [begins + low, begins + high, begins + hole, np.array([0, count - 1])]
-    window = min(WINDOW, WHOLE * float(np.median(np.diff(time))) / max(2 * len(instants), 1))
-    for instant in instants:
-        rows.append(np.arange(*np.searchsorted(time, (instant - window, instant + window))))
-    return np.unique(np.concatenate(rows)).astype(np.int64)
+    return [begins + low, begins + high, begins + hole]
 
 
 def thin_path(x: Floats, points: int = 2 * POINTS) -> Rows:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dextar_control.analysis.run import Floats, Joints, Phase, Run, Stamps
+from dextar_control.analysis.run import Floats, Hole, Joints, Phase, Run, Stamps
 from dextar_control.analysis.tracking import Tracked
 
 
@@ -91,9 +93,23 @@ def round_trips(run: Run, stamps: Stamps) -> tuple[Stamps, Floats]:
     return np.asarray(states[wanted], dtype=np.int64), trips[wanted]
 
 
-def periods(joints: Joints, stamps: Stamps) -> Floats:
-    """Between the publishing of successive messages that have one of the stamps, s."""
-    return _seconds(np.diff(np.sort(joints.published[np.isin(joints.stamps, stamps)])))
+def periods(joints: Joints, stamps: Stamps, holes: Sequence[Hole] = ()) -> Floats:
+    """Between the publishing of successive messages that have one of the stamps, s; not across a hole of the bag."""
+    mine = np.isin(joints.stamps, stamps)
+    published, own = joints.published[mine], joints.stamps[mine]
+    order = np.argsort(published, kind="stable")
+    spans = _seconds(np.diff(published[order]))
+    return spans[recorded(own[order][:-1], holes, own[order][1:])] if holes else spans
+
+
+def recorded(stamps: Stamps, holes: Sequence[Hole], until: Stamps | None = None) -> NDArray[np.bool_]:
+    """(n,) whether no hole of the bag meets a stamp, or what lies from it to another."""
+    known = np.ones(len(stamps), dtype=bool)
+    until = stamps if until is None else until
+    for hole in holes:
+        after = np.zeros(len(stamps), dtype=bool) if hole.begin is None else until <= hole.begin
+        known &= after if hole.end is None else after | (stamps >= hole.end)
+    return known
 
 
 def _seconds(nanoseconds: Any) -> Floats:
@@ -104,13 +120,13 @@ def measure_timing(run: Run, track: Tracked | None) -> Timing:
     """The timing of a run."""
     asked = run.states.stamps if track is None else within(run.states.stamps, track)
     told = run.commands.stamps if track is None else within(run.commands.stamps, track)
-    missed = ~np.isin(asked, run.commands.stamps)
+    missed = ~np.isin(asked, run.commands.stamps) & recorded(asked, run.holes)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missed, [False]]).astype(int)))
     lengths = (edges[1::2] - edges[::2]).tolist()
     return Timing(
         lockstep=lockstep(run),
-        state_period=Spread.of(periods(run.states, asked)),
-        command_period=Spread.of(periods(run.commands, told)),
+        state_period=Spread.of(periods(run.states, asked, run.holes)),
+        command_period=Spread.of(periods(run.commands, told, run.holes)),
         round_trip=Spread.of(round_trips(run, asked)[1]),
         stamp_period=float(np.median(np.diff(asked))) * 1e-9 if len(asked) > 1 else math.nan,
         missed_runs=lengths,

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
+
+from dextar_control.analysis.run import Hole
 
 MAX_ERROR = 5.0e-3  # m, true, while tracking
 FINAL_ERROR = 1.0e-3  # m, true, at the end
@@ -39,14 +41,19 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
         reasons.append("no trajectory was tracked")
         return Verdict(False, reasons)
     short = values["tracked_until"] < values["duration"] - END_MARGIN
-    cut = short and values["truncated"] and not stopped  # the bag ends there, the run may have gone on
-    if short and not cut:
+    inside = [hole for hole in values["holes"] if hole.meets(values["start_stamp"], _stamp(values, "duration", "tracked_until"))]
+    gone = any(hole.meets(_stamp(values, "tracked_until"), _stamp(values, "duration")) for hole in inside)
+    unseen = short and (values["truncated"] or gone) and not stopped  # the run may have gone on
+    cut = unseen and values["truncated"]
+    if short and not unseen:
         reasons.append(f"tracking ended at {values['tracked_until']:.3f} s of {values['duration']:.3f} s")
     if values["saturated"]:
         reasons.append(f"saturated commands: {values['saturated']}; the limit is 0")
     if values["drive_saturated"]:
         reasons.append(f"steps in which the drives saturated: {values['drive_saturated']}; the limit is 0")
     broken = bool(reasons)
+    for hole in inside:
+        reasons.append(f"{in_words(hole)}, while it was tracked: what happened then is not known")
     if cut:
         reasons.append(
             f"the bag breaks off at {values['tracked_until']:.3f} s of {values['duration']:.3f} s: what came then is not known"
@@ -66,7 +73,7 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
         ("max_true_error", MAX_ERROR, "the largest true error"),
         ("final_true_error", FINAL_ERROR, "the true error at the end"),
     ):
-        if has_truth and not values[key] < limit and not (cut and key == "final_true_error"):
+        if has_truth and not values[key] < limit and not (unseen and key == "final_true_error"):
             found = f"{1e3 * values[key]:.3f} mm" if math.isfinite(values[key]) else "unknown"
             reasons.append(f"{name} is {found}; the limit is {1e3 * limit:g} mm")
     if has_truth and values["truth_share"] < LEAST_TRUTH:
@@ -80,6 +87,27 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
     if not has_truth:
         reasons.append("the bag holds no true motion: encoders alone cannot tell a crossing from a bounce")
         return Verdict(False if broken else None, reasons)
-    if cut and len(reasons) == 1:
+    if len(reasons) == len(inside) + cut > 0:
         return Verdict(None, reasons)
     return Verdict(not reasons, reasons)
+
+
+def in_words(hole: Hole) -> str:
+    """What a hole of a bag is, where and how long."""
+    what = f"{hole.chunks} damaged chunk{'s' * (hole.chunks != 1)}" if hole.chunks else "the end that is missing"
+    if hole.first is None or hole.last is None:
+        length = f"{'before' if hole.first is None else 'after'} all other messages"
+    else:
+        length = f"for {(hole.last - hole.first) * 1e-9:.3f} s"
+    return f"no message is left of {what} of {hole.file}, {length}"
+
+
+def damage_lines(holes: Sequence[Hole], truncated: bool) -> list[str]:
+    """What is missing of a damaged or cut-off bag, each in a sentence without its stop."""
+    return [*map(in_words, holes), *["the end is missing: read up to the last complete chunk"] * truncated]
+
+
+def _stamp(values: Mapping[str, Any], *names: str) -> float:
+    """Of the latest of some times since the trajectory's start, ns."""
+    times = [float(values[name]) for name in names if math.isfinite(values[name])]
+    return values["start_stamp"] + 1e9 * max(times, default=math.nan)

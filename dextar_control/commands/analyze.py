@@ -8,14 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dextar_control.commands import EXIT_FAILED, EXIT_USAGE
-from dextar_control.commands.bags import add_namespace, spoken_warnings
+from dextar_control.commands.bags import add_namespace, shown_progress, spoken_warnings
 from dextar_control.contract.errors import DextarError
 
 SUMMARY = "metrics, figures and a report from recorded runs"
 DESCRIPTION = (
     "Reads each bag and writes metrics.json, figure.png and report.html, one page that opens offline, beside it (or into"
-    " --output). Exit code 0 when every run was a success or has no truth to judge by, 1 when one was not or its bag breaks"
-    " off, 2 for a bad file; the others are analysed all the same."
+    " --output). Exit code 0 when every run was a success or has no truth to judge by, 1 when one was not or its bag is"
+    " damaged or breaks off, 2 for a bad file; the others are analysed all the same."
 )
 FORMATS = ("png", "svg", "pdf")
 WIDTHS = (40.0, 400.0)  # mm
@@ -55,12 +55,14 @@ def run(arguments: argparse.Namespace) -> int:
     console, code = Console(), 0
     for bag, folder in zip(arguments.bag, folders(arguments.bag, arguments.output), strict=True):
         try:
-            with console.status("") as status, spoken_warnings("analyze"):
+            with spoken_warnings("analyze"), shown_progress() as shown:
 
-                def show(stage: str, bag: Path = bag, update: Callable[[str], None] = status.update) -> None:
-                    update(f"{bag}: {stage}")
+                def show(stage: str, bag: Path = bag, tell: Callable[[str], None] = shown.stage) -> None:
+                    tell(f"{bag}: {stage}")
 
-                metrics = analyze(bag, folder, arguments.formats, arguments.width, show, arguments.namespace)
+                metrics = analyze(
+                    bag, folder, arguments.formats, arguments.width, show, arguments.namespace, reading=shown.read
+                )
         except DextarError as error:
             print(f"dextar analyze: {error}", file=sys.stderr)
             code = EXIT_USAGE
@@ -70,21 +72,28 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(summary_table(metrics))
         names = ["metrics.json", "figure.png", "report.html", *(f"paper.{name}" for name in dict.fromkeys(arguments.formats))]
         console.print(f"{folder or Path(metrics.bag).parent}: {' '.join(names)}", highlight=False, soft_wrap=True)
-        code = code or (EXIT_FAILED if metrics.success is False or metrics.truncated else 0)
+        code = code or (EXIT_FAILED if metrics.success is False or metrics.truncated or metrics.holes else 0)
     return code
 
 
 def folders(bags: list[Path], output: Path | None) -> list[Path | None]:
-    """Where each bag's results go; None is beside it. Bags that would share a folder get one each, by their names."""
+    """Where each bag's results go; None is beside it.
+
+    Bags that would share a folder get one each in it, by their own names, whatever links lead to them. A bag that is named
+    twice has one folder.
+    """
+    real = [bag.resolve() for bag in bags]
     shared = [output if output is not None else bag if bag.is_dir() else bag.parent for bag in bags]
-    if len(set(shared)) == len(shared):
-        return [output] * len(bags)
+    places = [folder.resolve() for folder in shared]
     found: list[Path | None] = []
-    for bag, folder in zip(bags, shared, strict=True):
-        name = bag.name if bag.is_dir() or bag.parent.name in ("", ".") else f"{bag.parent.name}-{bag.stem}"
-        place, number = folder / name, 1
-        while place in found:
+    taken: dict[Path, Path] = {}  # bag per folder
+    for bag, folder, place in zip(real, shared, places, strict=True):
+        if len({other for other, theirs in zip(real, places, strict=True) if theirs == place}) == 1:
+            found.append(output)
+            continue
+        name = bag.name if bag.is_dir() else f"{bag.parent.name}-{bag.stem}"
+        number = 1
+        while taken.setdefault(own := folder / (name if number == 1 else f"{name}-{number}"), bag) != bag:
             number += 1
-            place = folder / f"{name}-{number}"
-        found.append(place)
+        found.append(own)
     return found

@@ -1,4 +1,4 @@
-"""What the commands that read bags share: an argument, and warnings as a user reads them."""
+"""What the commands that read bags share: an argument, what is under way, and warnings as a user reads them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,20 @@ import argparse
 import contextlib
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+
+class Shown(NamedTuple):
+    """What is under way, on the error output where that is a terminal.
+
+    Attributes:
+        stage: tell what is done now.
+        read: tell the bytes read and those there are.
+    """
+
+    stage: Callable[[str], None]
+    read: Callable[[int, int], None]
 
 
 def add_namespace(parser: argparse.ArgumentParser) -> None:
@@ -17,12 +30,33 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
 
 
 @contextlib.contextmanager
+def shown_progress(first: str = "") -> Iterator[Shown]:
+    """A line with what is done, and a bar where the bytes of a bag are counted; gone at the end."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(),
+               TimeRemainingColumn())  # fmt: skip
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+        task = bars.add_task(first, total=None)
+
+        def stage(text: str) -> None:
+            nonlocal task
+            bars.remove_task(task)
+            task = bars.add_task(text, total=None)
+
+        yield Shown(stage, lambda done, total: bars.update(task, completed=done, total=total))
+
+
+@contextlib.contextmanager
 def spoken_warnings(command: str) -> Iterator[None]:
-    """Print each warning once, as one line on the error output, without the line of code that it comes from."""
+    """Print each warning once, as one line on the error output, without the line of code that it comes from.
+
+    Not where an error ends it all: that is told in one line, which says what is damaged too.
+    """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default", UserWarning)
-        try:
-            yield
-        finally:
-            for text in dict.fromkeys(str(warning.message) for warning in caught if issubclass(warning.category, UserWarning)):
-                print(f"dextar {command}: {text}", file=sys.stderr)
+        yield
+    for text in dict.fromkeys(str(warning.message) for warning in caught if issubclass(warning.category, UserWarning)):
+        print(f"dextar {command}: {text}", file=sys.stderr)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dextar_control.commands.bags import add_namespace, spoken_warnings
+from dextar_control.commands.bags import add_namespace, shown_progress, spoken_warnings
 
 SUMMARY = "recorded runs side by side, with their differences"
 DESCRIPTION = (
@@ -28,9 +28,9 @@ def run(arguments: argparse.Namespace) -> int:
     from dextar_control.analysis.compare import compare_bags, summary_table, write_comparison
 
     console = Console()
-    with console.status("") as status, spoken_warnings("compare"):
-        comparison = compare_bags(arguments.bag, status.update, arguments.namespace)
-        status.update(f"writing to {arguments.output}")
+    with spoken_warnings("compare"), shown_progress() as shown:
+        comparison = compare_bags(arguments.bag, shown.stage, arguments.namespace, shown.read)
+        shown.stage(f"writing to {arguments.output}")
         write_comparison(comparison, arguments.output)
     console.print(summary_table(comparison, console.width))
     for remark in comparison.remarks:

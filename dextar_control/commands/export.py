@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dextar_control.commands.bags import add_namespace, spoken_warnings
+from dextar_control.commands.bags import add_namespace, shown_progress, spoken_warnings
 from dextar_control.contract.errors import ParameterError
 
 SUMMARY = "a recorded run as a table for pandas or MATLAB"
@@ -41,9 +41,9 @@ def run(arguments: argparse.Namespace) -> int:
             raise
         raise ParameterError(f"an export needs the packages named in setup.py, installed by pip: {error}") from error
     console = Console()
-    with console.status(f"reading {arguments.bag}") as status, spoken_warnings("export"):
-        recorded = load_run(arguments.bag, arguments.namespace)
+    with spoken_warnings("export"), shown_progress(f"reading {arguments.bag}") as shown:
+        recorded = load_run(arguments.bag, arguments.namespace, shown.read)
         folder = arguments.output or recorded.path.parent / "export"
-        files = export(recorded, folder, arguments.formats or ["parquet", "csv"], arguments.topics, status.update)
+        files = export(recorded, folder, arguments.formats or ["parquet", "csv"], arguments.topics, shown.stage)
     console.print(f"{folder}: {' '.join(file.name for file in files)}", highlight=False, soft_wrap=True)
     return 0

@@ -6,10 +6,11 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-SUMMARY = "rebuild a readable, indexed bag from one that breaks off"
+SUMMARY = "rebuild a readable, indexed bag from one that is damaged or breaks off"
 DESCRIPTION = (
-    "Copies every intact message of a cut-off recording into a new bag folder beside it (NAME-recovered), with index and"
-    " metadata.yaml, so that ros2 bag, Foxglove and PlotJuggler open it. The original stays as it is. Exit code 0 when it"
+    "Copies every intact message of a damaged or cut-off recording, or of a folder whose metadata.yaml is missing or wrong, into"
+    " a new bag folder beside it (NAME-recovered), with index and metadata.yaml, so that ros2 bag, Foxglove and PlotJuggler open"
+    " it. The original stays as it is. Exit code 0 when it"
     " was recovered, 2 when it is whole, was recovered before, or holds nothing."
 )
 
@@ -29,8 +30,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     from dextar_control.ros.recovery import recover
 
-    console = Console()
-    with Progress(console=console, transient=True) as bars:
+    console, errors = Console(), Console(stderr=True)
+    with Progress(console=errors, transient=True, disable=not errors.is_terminal) as bars:
         seen: set[Path] = set()
 
         def watch(file: Path) -> Callable[[int, int], None]:
@@ -46,6 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
     until = datetime.fromtimestamp(result.last / 1e9, timezone.utc).isoformat(timespec="milliseconds")
     span = (result.last - result.first) / 1e9
     lines = [f"{sum(result.counts.values())} messages over {span:.3f} s, until {until}"]
+    if result.metadata:
+        lines.append(f"{result.metadata}; a new one was written")
     if result.lost_bytes:
         lines.append(f"{result.lost_bytes} bytes at the end are no complete record")
     if result.damaged:

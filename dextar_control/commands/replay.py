@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from dextar_control.commands.bags import add_namespace, spoken_warnings
+from dextar_control.commands.bags import add_namespace, shown_progress, spoken_warnings
 from dextar_control.contract.errors import ParameterError
 
 SUMMARY = "animate a recorded run"
@@ -62,8 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.window and arguments.output is not None:
         check_output(arguments.output)
     console = Console()
-    with console.status(f"reading {arguments.bag}"), spoken_warnings("replay"):
-        recorded = load_run(arguments.bag, arguments.namespace)
+    with spoken_warnings("replay"), shown_progress(f"reading {arguments.bag}") as shown:
+        recorded = load_run(arguments.bag, arguments.namespace, shown.read)
         motion = motion_of(recorded, arguments.speed / arguments.fps, arguments.begin, arguments.end)
     if arguments.window:
         with tempfile.TemporaryDirectory() as folder:

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import yaml
 
-METADATA_FILE = "metadata.yaml"
+from dextar_control.bags.folder import METADATA_FILE as METADATA_FILE
+from dextar_control.bags.folder import METADATA_ROOT
+
 RECORD_NAME = "rosbag2"
-_ROOT = "rosbag2_bagfile_information"
 _NEVER = 2**63 - 1  # rosbag2's starting time of a bag without messages, ns
 
 Qos = Mapping[str, object]
@@ -60,7 +61,7 @@ def write_metadata_file(
     temporary = folder / f".{METADATA_FILE}.{os.getpid()}"
     try:
         with temporary.open("w", encoding="utf-8") as stream:
-            stream.write(_dump({_ROOT: _document(files, topics, custom or {})}))
+            stream.write(_dump({METADATA_ROOT: _document(files, topics, custom or {})}))
             stream.flush()
             os.fsync(stream.fileno())
         os.link(temporary, folder / METADATA_FILE)

@@ -1,34 +1,31 @@
-"""A whole bag from one that breaks off: every intact message, an index, rosbag2's metadata. Needs no ROS."""
+"""A whole bag from one that is damaged or breaks off: every intact message, an index, rosbag2's metadata. Needs no ROS."""
 
 from __future__ import annotations
 
 import os
-import re
 import shutil
-import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import yaml
-from mcap.exceptions import EndOfFile, McapError
-from mcap.records import Attachment, Channel, Chunk, Header, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
-from zstandard import ZstdError
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
+from dextar_control.bags.folder import (
+    METADATA_FILE,
+    check_one_recording,
+    in_order,
+    one_bag_by_name,
+    read_listing,
+    split_name,
+)
+from dextar_control.bags.records import MAGIC, PER_MESSAGE, Messages, Progress, Scan
 from dextar_control.contract.errors import BagError
-from dextar_control.ros.bag_metadata import METADATA_FILE, RECORD_NAME, FileSummary, TopicDescription, write_metadata_file
+from dextar_control.ros.bag_metadata import RECORD_NAME, FileSummary, TopicDescription, write_metadata_file
 from dextar_control.ros.mcap_file import McapFile, Sample
 
-MAGIC = b"\x89MCAP0\r\n"
 RECOVERY_NAME = "dextar_recovery"  # of the metadata record that tells of it
 SUFFIX = "-recovered"
-_SPLIT = re.compile(r"_\d+$")  # the number of a split bag's file
-_BROKEN = (EndOfFile, McapError, struct.error, ValueError, OverflowError, MemoryError)
-_DAMAGED = (ZstdError, RuntimeError, *_BROKEN)  # lz4 raises RuntimeError
-
-Progress = Callable[[int, int], None]  # bytes done, bytes in all
 
 
 @dataclass
@@ -49,43 +46,7 @@ class Recovery:
     last: int = 0
     lost_bytes: int = 0
     damaged: int = 0
-
-
-@dataclass
-class _Scan:
-    """One file as it is read from its beginning."""
-
-    path: Path
-    whole: bool = False
-    damaged: int = 0
-    end: int = 0  # of the last record that could be read
-
-    def records(self, progress: Progress | None = None) -> Iterator[Any]:
-        """Every record that can be read, those of intact chunks one by one."""
-        size = self.path.stat().st_size
-        self.whole, self.damaged = False, 0
-        with self.path.open("rb") as stream:
-            records = StreamReader(stream, emit_chunks=True).records
-            while True:
-                try:
-                    record = next(records)
-                except StopIteration:
-                    self.whole = True
-                    return
-                except _BROKEN:
-                    return
-                self.end = stream.tell()
-                if progress is not None:
-                    progress(self.end, size)
-                if not isinstance(record, Chunk):
-                    yield record
-                    continue
-                try:
-                    inside = breakup_chunk(record, validate_crc=True)
-                except _DAMAGED:
-                    self.damaged += 1
-                    continue
-                yield from inside
+    metadata: str = ""
 
 
 def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> Recovery:
@@ -98,22 +59,25 @@ def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> R
     Raises:
         BagError: it is whole, was recovered before, is no ROS 2 recording or holds nothing, or cannot be written.
     """
-    files = _files(path)
+    files, fault = _files(path)
     whole_path = path.resolve()
     folder = whole_path.with_name(whole_path.name.removesuffix(".mcap") + SUFFIX)
     if folder.exists():
         raise BagError(f"{path} was recovered before: {folder} is there")
-    scans = [_Scan(file) for file in files]
-    for scan in scans:
-        for _ in scan.records(progress(scan.path) if progress else None):
-            pass
-    listed = not path.is_dir() or (path / METADATA_FILE).is_file()
-    if all(scan.whole and not scan.damaged for scan in scans) and listed:
+    scans = [Scan(file) for file in files]
+    counts = [_count(scan, progress(scan.path) if progress else None) for scan in scans]
+    if path.is_dir():
+        if fault:
+            check_one_recording(scans)
+        else:
+            fault = _wrong_counts(path, files, counts)
+    if all(scan.whole and not scan.damaged for scan in scans) and not fault:
         raise BagError(f"{path} is whole: there is nothing to recover")
     working = folder.with_name(f".{folder.name}.{os.getpid()}")
     try:
         working.mkdir()
         result = _rebuild(scans, working, folder, progress)
+        result.metadata = fault
         working.rename(folder)
     except OSError as error:
         raise BagError(f"cannot recover {path} into {folder}: {error.strerror or error}") from error
@@ -122,21 +86,65 @@ def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> R
     return result
 
 
-def _files(path: Path) -> list[Path]:
+def _files(path: Path) -> tuple[list[Path], str]:
+    """(the bag's files in order, what is wrong with the list of them)."""
     try:
-        if not path.is_dir():
-            _check(path)
-            return [path]
-        files = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
-        if not files:
-            raise BagError(f"folder {path} holds no .mcap file")
-        if len(files) > 1 and len({_SPLIT.sub("", file.stem) for file in files}) > 1:
-            raise BagError(f"folder {path} holds {len(files)} .mcap files of different bags; name one of them")
+        files, fault = _files_of_folder(path) if path.is_dir() else ([path], "")
         for file in files:
             _check(file)
-        return files
+        return files, fault
     except OSError as error:
         raise BagError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _files_of_folder(folder: Path) -> tuple[list[Path], str]:
+    files = in_order([*folder.glob("*.mcap")])
+    if not files:
+        raise BagError(f"folder {folder} holds no .mcap file")
+    fault, listed = f"there was no {METADATA_FILE}", list[str]()
+    if (folder / METADATA_FILE).is_file():
+        try:
+            document = read_listing(folder)
+            fault, listed = "", document["relative_file_paths"]
+        except BagError:
+            fault = f"{METADATA_FILE} could not be read"
+        else:
+            if document.get("compression_mode"):
+                raise BagError(f"{folder} was compressed by rosbag2 itself ({document['compression_mode']}): dextar recover"
+                               " reads only MCAP's own compression")  # fmt: skip
+    names = {split_name(Path(name))[0] for name in listed}
+    own = [file for file in files if split_name(file)[0] in names] or files
+    missing = [name for name in listed if not (folder / name).is_file()]
+    more = [file.name for file in own if file.name not in listed]
+    if listed and missing:
+        fault = f"{METADATA_FILE} lists {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not there"
+    elif listed and more:
+        fault = f"{METADATA_FILE} does not list {', '.join(more)}"
+    elif not listed and not fault:
+        fault = f"{METADATA_FILE} lists no file"
+    if not one_bag_by_name(own):
+        raise BagError(f"folder {folder} holds {len(own)} .mcap files of different bags; name one of them")
+    return own, fault
+
+
+def _wrong_counts(folder: Path, files: Sequence[Path], counts: Sequence[int]) -> str:
+    """What ``metadata.yaml`` says wrongly of its files; "" where it is right or does not say."""
+    document = read_listing(folder)
+    told = {"the bag": (document.get("message_count"), sum(counts))}
+    entries = document.get("files")
+    for entry in entries if isinstance(entries, list) else []:
+        for file, count in zip(files, counts, strict=True):
+            if isinstance(entry, dict) and entry.get("path") == file.name:
+                told[file.name] = entry.get("message_count"), count
+    for name, (said, count) in told.items():
+        if said is not None and said != count:
+            return f"{METADATA_FILE} says that {name} has {said} messages; there are {count}"
+    return ""
+
+
+def _count(scan: Scan, progress: Progress | None) -> int:
+    """Messages of a file."""
+    return sum(len(record.numbers) for record in scan.records(progress) if isinstance(record, Messages)) // PER_MESSAGE
 
 
 def _check(file: Path) -> None:
@@ -148,7 +156,7 @@ def _check(file: Path) -> None:
             raise BagError(f"{file} is not an MCAP file")
 
 
-def _rebuild(scans: list[_Scan], working: Path, folder: Path, progress: Callable[[Path], Progress] | None) -> Recovery:
+def _rebuild(scans: list[Scan], working: Path, folder: Path, progress: Callable[[Path], Progress] | None) -> Recovery:
     result = Recovery(folder)
     summaries: list[FileSummary] = []
     topics: dict[str, TopicDescription] = {}
@@ -176,15 +184,16 @@ def _rebuild(scans: list[_Scan], working: Path, folder: Path, progress: Callable
     return result
 
 
-def _copy(scan: _Scan, target: McapFile, topics: dict[str, TopicDescription], progress: Progress | None) -> None:
+def _copy(scan: Scan, target: McapFile, topics: dict[str, TopicDescription], progress: Progress | None) -> None:
     schemas: dict[int, Schema] = {}
     channels: dict[int, str] = {}
     for record in scan.records(progress):
-        if isinstance(record, Message):
-            if record.channel_id not in channels:
-                raise BagError(f"{scan.path} is damaged: a message is of channel {record.channel_id}, which no record describes")
-            name = channels[record.channel_id]
-            target.write([Sample(record.log_time, name, record.publish_time, record.sequence, record.data)])
+        if isinstance(record, Messages):
+            numbers = iter(record.numbers)
+            for channel, sequence, log_time, publish_time, begin, end in zip(*[numbers] * PER_MESSAGE, strict=True):
+                if channel not in channels:
+                    raise BagError(f"{scan.path} is damaged: a message is of channel {channel}, which no record describes")
+                target.write([Sample(log_time, channels[channel], publish_time, sequence, record.data[begin:end])])
         elif isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel) and record.id not in channels:
