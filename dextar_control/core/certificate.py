@@ -358,10 +358,10 @@ def clear_times(certificate: Certificate, index: int) -> tuple[float, float]:
 
     Its |s| is SIDE there, or where it does not come so far before the neighbouring crossings the largest.
     """
-    time, clearance = certificate.profile.time, np.abs(certificate.profile.s)
+    time, s = certificate.profile.time, certificate.profile.s
     neighbours = [time[0], *certificate.crossing_times.tolist(), time[-1]]
     first, row, last = np.searchsorted(time, neighbours[index : index + 3]).tolist()
-    before, after = clearance[first:row][::-1], clearance[row : last + 1]
+    before, after = np.abs(s[first:row][::-1]), np.abs(s[row : last + 1])
     return float(time[row - 1 - _clear_row(before)]), float(time[row + _clear_row(after)])
 
 
