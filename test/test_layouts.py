@@ -26,6 +26,7 @@ NUMERIC = {"double", "float", "octet", "boolean", *(f"{sign}int{size}" for sign 
 ROWS = 4  # points of controller_state: reference, estimate, error, output
 PANELS_HEIGHT = 880.0  # px that the panels have in a window of 1000
 TOOLBAR, STATE_ROW, STATE_AXIS = 30.0, 64.0, 30.0  # px, of a panel, and of a StateTransitions panel in particular
+RANGES = {"s": (-1.0, 1.0), "sigma_min": (0.0, 1.0), "projection_weight": (0.0, 1.0), "mode_confidence": (0.5, 1.0)}
 TF_SETTINGS = {"editable", "showLabel", "labelSize", "axisScale", "lineWidth", "lineColor", "enablePreloading"}
 
 
@@ -123,6 +124,22 @@ def test_foxglove_shows_each_state_without_scrolling_and_no_legend_over_a_curve(
             assert len(set(labels)) == len(labels)
         if name.startswith("Plot!"):
             assert panel["legendDisplay"] == "left"
+
+
+def test_a_bounded_value_never_runs_along_the_edge_of_its_plot(
+    foxglove: dict[str, Any], plotjuggler: ElementTree.Element
+) -> None:
+    plots = [({path["label"] for path in panel["paths"]}, panel["minYValue"], panel["maxYValue"])
+             for panel in foxglove["configById"].values() if "minYValue" in panel]  # fmt: skip
+    for plot in plotjuggler.iter("plot"):
+        limit = plot.find("limitY")
+        if limit is not None and limit.attrib:
+            names = {curve.attrib["name"].split("/")[-2] for curve in plot.iter("curve")}
+            plots.append((names, float(limit.attrib["min"]), float(limit.attrib["max"])))
+    bounded = [(name, low, high) for names, low, high in plots for name in names if name in RANGES]
+    assert {name for name, _, _ in bounded} == set(RANGES)
+    for name, low, high in bounded:
+        assert low < RANGES[name][0] and RANGES[name][1] < high, name
 
 
 def test_a_curve_that_covers_another_is_wider_and_below_it(foxglove: dict[str, Any]) -> None:
