@@ -114,7 +114,7 @@ def test_each_phase_is_written_out_and_a_fault_stands_out(robot: RobotParameters
     colors = {}
     for number, phase in enumerate(PHASES):
         markers = _markers(scene, _view(robot, x, phase=float(number), s=0.25, residual=-0.5))
-        assert markers["text", 0].text == f"{phase.upper().replace('_', ' ')}  s +0.250  residual -0.500 N"
+        assert markers["text", 0].text == f"{phase.upper().replace('_', ' ')}  s +0.250\nresidual -0.500 N"
         color = markers["end_effector", 0].color
         colors[phase] = (color.r, color.g, color.b)
     assert colors["fault"] == colors["safe_stop"]

@@ -38,8 +38,10 @@ LINK, LINE, FINE, DOT, JOINT_SIZE, EFFECTOR = 6e-3, 1.5e-3, 1.0e-3, 5e-3, 9e-3, 
 KERNEL_LENGTH = 0.03  # m
 KERNEL_SHAFT, KERNEL_HEAD = 2.5e-3, 6e-3  # m
 FAINTEST = 0.15  # opacity of t_s far from the locus
-TEXT_HEIGHT = 7e-3  # m
-TEXT_AT = (0.0, -0.03)  # m, below the motors
+TEXT_HEIGHT = 1e-2  # m, of each of its two lines
+TEXT_AT = (0.0, -0.045)  # m, below the motors and the folded locus
+TEXT = (("phase", "s"), ("sigma_min", "residual"))
+SCALARS = {"s": "s {:+.3f}", "sigma_min": "sigma_min {:.3f}", "residual": "residual {:+.3f} N"}
 LAYER = 1e-3  # m between what lies over each other, towards the viewer
 PATH_POINTS = 1500
 STILL_LIFETIME, MOVING_LIFETIME = 4.0, 1.0  # s, after which a display forgets them when this node is gone
@@ -97,7 +99,7 @@ class Scene:
         return [_living(marker, STILL_LIFETIME) for marker in markers]
 
     def moving(self, view: View, trail: Sequence[Array] = (), *, text: bool = True) -> list[Marker]:
-        """Links, joints, end effector, reference, t_s at the end effector, the way it came and a line of text.
+        """Links, joints, end effector, reference, t_s at the end effector, the way it came and two lines of text.
 
         Args:
             view: the instant.
@@ -144,11 +146,11 @@ class Scene:
         marker = _marker("text", 0, Marker.TEXT_VIEW_FACING, at, STALE if view.stale else DISTAL, TEXT_HEIGHT, 8)
         marker.scale = Vector3(z=TEXT_HEIGHT)
         marker.points, marker.pose.position = [], marker.points[0]
-        told = [phase.upper().replace("_", " ")] if phase else []
-        for name, form in (("s", "s {:+.3f}"), ("sigma_min", "sigma_min {:.3f}"), ("residual", "residual {:+.3f} N")):
-            if np.isfinite(value := view.scalars.get(name, np.nan)):
-                told.append(form.format(value))
-        marker.text = "no joint states" if view.stale else "  ".join(told)
+        told = {name: form.format(value) for name, form in SCALARS.items()
+                if np.isfinite(value := view.scalars.get(name, np.nan))}  # fmt: skip
+        told |= {"phase": phase.upper().replace("_", " ")} if phase else {}
+        lines = ("  ".join(told[name] for name in line if name in told) for line in TEXT)
+        marker.text = "no joint states" if view.stale else "\n".join(filter(None, lines))
         if not marker.text:
             marker.action = Marker.DELETE
         return marker
