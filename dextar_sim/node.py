@@ -98,7 +98,8 @@ class PlantNode(DextarNode):
         self._camera = PoseSensor(period, rate=values["pose_rate"], delay=values["pose_delay"],
                                   noise=values["pose_noise"], seed=values["seed"])  # fmt: skip
         self._delay: CommandDelay[Command] = CommandDelay(round(values["command_delay"] / period))
-        self._hold = CommandHold(round(values["command_timeout"] * NANOSECONDS), max_torque)
+        self._command_timeout = round(values["command_timeout"] * NANOSECONDS)
+        self._hold = CommandHold(self._command_timeout, max_torque)
         self.schedule = Schedule(self.period_ns)
         self._writer, self._reader = StateWriter(), CommandReader()
         self._index = -1
@@ -147,6 +148,12 @@ class PlantNode(DextarNode):
     def sample_ready(self) -> bool:
         """The next state is computed and not yet published."""
         return self._sample is not None
+
+    @property
+    def awaited(self) -> bool:
+        """Somebody commands, and has not answered the published state yet."""
+        newest = self._newest
+        return not self.answered and newest is not None and self._published - newest.stamp <= self._command_timeout
 
     def begin(self) -> None:
         """Prepare the first state: stamp 0 in lockstep, the system clock's now in real time."""

@@ -13,9 +13,11 @@ from typing import Any, Protocol
 _IDLE_WAIT = 0.05
 
 SHORTEST = 0.75
-"""Share of the period below which two samples never come together, however late they are."""
+"""Share of the period below which two deadlines never come together, however late the samples are."""
 PATIENT = 0.95
-"""The same for a sample whose command is not there yet: making up must not make commands late."""
+"""The same while the command for the last sample is awaited: making up must not make commands late."""
+JITTER = 0.25
+"""Share of the period by which a sample may miss its deadline and not move the next one."""
 MOST_BEHIND = 50_000_000
 """ns up to which lateness is made up for."""
 
@@ -37,6 +39,10 @@ class Paced(Protocol):
     def sample_ready(self) -> bool:
         """The next state is computed and not yet published."""
 
+    @property
+    def awaited(self) -> bool:
+        """Somebody commands, and has not answered the published state yet."""
+
     def begin(self) -> None:
         """Prepare the first state."""
 
@@ -53,9 +59,10 @@ class Paced(Protocol):
 class Schedule:
     """When the samples of a periodic task are due, ns of the steady clock.
 
-    The due times lie whole periods apart. A sample that is late does not move the later ones: they follow each other by
-    ``SHORTEST`` periods at least, by ``PATIENT`` ones where the last one is not answered, until one is on time again. Lateness
-    beyond ``MOST_BEHIND`` (and beyond a period) is dropped: the due times move by all of it.
+    The due times lie whole periods apart. A sample that is late does not move the later ones: their deadlines follow it by
+    ``SHORTEST`` periods at least, by ``PATIENT`` ones where its command is awaited, until one is on time again; no two
+    samples come closer than half a period. Lateness beyond ``MOST_BEHIND`` (and beyond a period) is dropped: the due times move
+    by all of it.
 
     Args:
         period: ns.
@@ -99,26 +106,27 @@ class Schedule:
         """The steady clock without the pauses, ns since the first ``start``."""
         return self._ran + now - self._begun if self.running else self._ran
 
-    def deadline(self, *, answered: bool) -> int:
-        """Of the coming sample: when it is due, or some time after the last one, which is answered or not."""
-        return max(self._due, self._last + (self._shortest if answered else self._patient))
+    def deadline(self, awaited: bool) -> int:
+        """Of the coming sample: when it is due, or some time after the last one, whose command is awaited or not."""
+        return max(self._due, self._last + (self._patient if awaited else self._shortest))
 
-    def left(self, now: int, *, answered: bool) -> float:
+    def left(self, now: int, awaited: bool) -> float:
         """Seconds until the deadline, 0 when it has passed."""
-        return max(0.0, 1.0e-9 * (self.deadline(answered=answered) - now))
+        return max(0.0, 1.0e-9 * (self.deadline(awaited) - now))
 
-    def left_to_work(self, now: int) -> float:
-        """Seconds until the work for an unanswered sample's deadline must begin, 0 when that has passed."""
+    def left_to_work(self, now: int, awaited: bool) -> float:
+        """Seconds until the work for the deadline must begin, 0 when that has passed."""
         reserve = min(self._work, 0.6e-9 * self._period)
-        return max(0.0, self.left(now, answered=False) - reserve)
+        return max(0.0, self.left(now, awaited) - reserve)
 
     def worked(self, duration: int) -> None:
         """Take one measured duration of the work, ns, into the running mean."""
         self._work += 0.05 * (1.0e-9 * duration - self._work)
 
-    def met(self, now: int, *, answered: bool) -> None:
-        """The sample that was due is out; the one before it was answered or not."""
-        missed, self.behind = now - self.deadline(answered=answered), max(0, now - self._due)
+    def met(self, now: int, awaited: bool) -> None:
+        """The sample that was due is out; the command for the one before it is awaited or not."""
+        deadline = self.deadline(awaited)
+        missed, self.behind = now - deadline, max(0, now - self._due)
         if 2 * missed > self._period:
             self.overruns += 1
             self.longest = max(self.longest, missed)
@@ -126,7 +134,7 @@ class Schedule:
             self.slip += self.behind
             self._due, self.behind = now, 0
         self._due += self._period
-        self._last = now
+        self._last = deadline if missed <= JITTER * self._period else now
 
 
 def lockstep_cycle(node: Paced, executor: Any) -> None:
@@ -155,13 +163,13 @@ def realtime_cycle(node: Paced, executor: Any) -> None:
             node.advance()
             schedule.worked(time.monotonic_ns() - begun)
         else:
-            left = schedule.left_to_work(time.monotonic_ns())
+            left = schedule.left_to_work(time.monotonic_ns(), node.awaited)
             executor.spin_once(timeout_sec=left)
             pressing = left <= 0.0
-    while (left := schedule.left(time.monotonic_ns(), answered=node.answered)) > 0.0:
+    while (left := schedule.left(time.monotonic_ns(), node.awaited)) > 0.0:
         executor.spin_once(timeout_sec=left)
     if not node.paused:
-        schedule.met(time.monotonic_ns(), answered=node.answered)
+        schedule.met(time.monotonic_ns(), node.awaited)
         node.publish()
 
 

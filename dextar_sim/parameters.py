@@ -16,8 +16,8 @@ PARAMETERS = (
     Parameter("position_noise", "standard deviation before quantisation, rad", minimum=0.0, maximum=1.0),
     Parameter("velocity_cutoff", "of the drive's velocity estimate, Hz; 0 is unfiltered", minimum=0.0, maximum=1.0e5),
     Parameter("command_delay", "s, rounded to sample periods", minimum=0.0, maximum=1.0),
-    Parameter("command_timeout", "without a fresh command after which there is no torque, s: simulated time, in real time the steady"
-              " clock too", minimum=1.0e-4, maximum=1.0e3),
+    Parameter("command_timeout", "without a fresh command after which there is no torque, s: simulated time, in real time"
+              " the steady clock too", minimum=1.0e-4, maximum=1.0e3),
     Parameter("max_torque", "saturation of the drives, N m; 0 takes the robot's", minimum=0.0, maximum=1.0e4),
     Parameter("pose_rate", "of the external measurements of the end effector, Hz; 0 is none", minimum=0.0, maximum=1.0e4),
     Parameter("pose_delay", "from the instant when an external measurement was true to its arrival, s",
