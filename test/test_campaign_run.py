@@ -137,14 +137,14 @@ def test_a_killed_campaign_goes_on_where_it_was(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_says_how_to_go_on_and_leaves_no_worker(tmp_path: Path) -> None:
-    bench = Bench(tmp_path, points={"count": 40}, cases={"slow": {}})
+    bench = Bench(tmp_path, points={"count": 120}, cases={"slow": {}})
     process = bench.start()
     bench.until_rows(process)
     os.killpg(process.pid, signal.SIGINT)
     output, _ = process.communicate(timeout=PATIENCE)  # until the last of its workers has closed the pipe
     assert process.returncode == 130, output
     assert "Traceback" not in output
-    assert f"{len(bench.rows)} of 40 rows are kept" in output
+    assert f"{len(bench.rows)} of 120 rows are kept" in output
     assert "To go on:" in output
 
 

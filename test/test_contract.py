@@ -245,10 +245,12 @@ def test_a_description_without_joint_ranges_has_none(robot: RobotParameters) -> 
 SWALLOWED = """
 import sys, time
 from dextar_control.contract.node import StopSignal
-stop = StopSignal()
-print("ready", flush=True)
+stop, word = StopSignal(), "ready\\n"
 while True:
     try:
+        sys.stdout.write(word)
+        sys.stdout.flush()
+        word = ""
         time.sleep(0.01)
     except KeyboardInterrupt:
         pass

@@ -62,6 +62,7 @@ class Commander:
         self.poses: list[PoseStamped] = []
         self.newest_at_pose: list[int] = []
         self.health: dict[str, str] = {}
+        self.clients: dict[str, Any] = {}
         self.answer: Callable[[JointState], JointState | None] = lambda state: None
         self.commands = self.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
         for topic, kind, take in (
@@ -108,7 +109,9 @@ class Commander:
             self.executor.spin_once(timeout_sec=0.01)
 
     def call(self, name: str, kind: Any, **fields: Any) -> Any:
-        client = self.node.create_client(kind, f"/plant/{name}")
+        if name not in self.clients:  # a new client may not yet be known to the server whose answer it waits for
+            self.clients[name] = self.node.create_client(kind, f"/plant/{name}")
+        client = self.clients[name]
         self.until(client.service_is_ready)
         future = client.call_async(kind.Request(**fields))
         self.until(future.done)
