@@ -248,9 +248,8 @@ from dextar_control.contract.node import StopSignal
 stop, word = StopSignal(), "ready\\n"
 while True:
     try:
-        sys.stdout.write(word)
-        sys.stdout.flush()
-        word = ""
+        told, word = word, ""
+        print(told, end="", flush=True)
         time.sleep(0.01)
     except KeyboardInterrupt:
         pass
