@@ -20,6 +20,7 @@ from dextar_control.analysis.tracking import plan_of
 from dextar_control.analysis.verdict import judge
 from dextar_control.core.certificate import clear_times
 from dextar_control.ros import mcap_file
+from dextar_control.ros.recovery import recover
 
 CHUNK = 60_000  # bytes: about thirty ticks
 TRIALS = 30  # of damage at random
@@ -174,3 +175,29 @@ def test_whatever_is_damaged_there_is_one_message_and_no_traceback(
         assert code in (0, 2), trial
         assert len(lines) == 1 if code else len(lines) <= 1, (trial, lines)
         assert all(line.startswith(f"dextar {command}: ") for line in lines)
+
+
+def test_a_recovered_bag_still_says_what_is_missing(bag: Path, tmp_path: Path) -> None:
+    """Recovered once, and once more after another damage: holes and end are the damaged bag's, and nothing there is judged."""
+    middle = chunks(bag)
+    damaged = with_damaged_chunks(bag, tmp_path / "run.mcap", len(middle) // 2)
+    with pytest.warns(UserWarning, match="damaged"):
+        run = load_run(damaged)
+    folder = recover(damaged).folder
+    with pytest.warns(UserWarning, match="damaged"):
+        again = load_run(folder)
+    spans = [(hole.chunks, hole.first, hole.last) for hole in run.holes]
+    assert [(hole.chunks, hole.first, hole.last) for hole in again.holes] == spans != []
+    assert not again.truncated
+    before, after = compute_metrics(run), compute_metrics(again)
+    assert [crossing.outcome for crossing in before.crossings] == [crossing.outcome for crossing in after.crossings]
+    assert (after.success, after.missed, after.loop_rate) == (before.success, before.missed, before.loop_rate)
+
+    cut = tmp_path / "cut.mcap"
+    content = (folder / "run.mcap").read_bytes()
+    cut.write_bytes(content[: len(content) * 9 // 10])
+    with pytest.warns(UserWarning, match="damaged"):
+        assert load_run(cut).truncated
+    with pytest.warns(UserWarning, match="was recovered from a file that breaks off"):
+        twice = load_run(recover(cut).folder)
+    assert twice.truncated

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,10 @@ def animate(
         partial.replace(file)
     except OSError as error:
         raise BagError(f"cannot write {file}: {error.strerror or error}") from error
+    except subprocess.CalledProcessError as error:  # ffmpeg's; an interrupt ends it too
+        if isinstance(error.__context__, KeyboardInterrupt):
+            raise error.__context__ from None
+        raise BagError(f"cannot write {file}: {Path(error.cmd[0]).name} ended with code {error.returncode}") from error
     finally:
         with contextlib.suppress(OSError):
             partial.unlink()

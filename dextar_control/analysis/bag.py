@@ -23,7 +23,7 @@ from dextar_control.bags.folder import (
     read_listing,
     split_name,
 )
-from dextar_control.bags.records import MAGIC, PER_MESSAGE, Hole, Messages, Progress, Scan
+from dextar_control.bags.records import MAGIC, PER_MESSAGE, RECOVERY_NAME, Hole, Messages, Progress, Scan
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.topics import TOPICS
 
@@ -51,15 +51,18 @@ class Bag:
     @property
     def damage(self) -> str:
         """What is missing, in one sentence; "" where nothing is known to be."""
-        parts = []
+        parts, recovered = [], RECOVERY_NAME in self.metadata
         for hole in self.holes:
             what = f"{hole.chunks} damaged chunk{'s' * (hole.chunks > 1)}" if hole.chunks else "the missing end"
             parts.append(f"{what} of {hole.path}, {_span(hole)}")
         text = f"no message is left of {'; '.join(parts)}" if parts else ""
         if self.truncated:
-            cut = f"{self.truncated} breaks off or is damaged: read up to its last complete chunk"
+            was = "was recovered from a file that breaks off or" if recovered else "breaks off or"
+            cut = f"{self.truncated} {was} is damaged: read up to its last complete chunk"
             text = f"{cut}; {text}" if text else cut
-        return f"{text}; dextar recover saves what can be" if text else ""
+        if not text or recovered:
+            return text
+        return f"{text}; dextar recover saves what can be"
 
     def of(self, contract_name: str, resolved: dict[str, str], namespace: str | None = None) -> Series:
         """Messages of a contract topic, maybe none.

@@ -87,6 +87,8 @@ def motion_of(run: Run, period: float, begin: float | None = None, end: float | 
     clock = np.asarray(stamps - zero, dtype=np.float64) * 1e-9
     first, last = (track.time[0] - MARGIN, track.time[-1] + MARGIN) if track else (clock[0], clock[-1])
     first = max(first if begin is None else begin, float(clock[0]))
+    if end is None and begin is not None and begin >= last:
+        last = float(clock[-1])
     last = min(last if end is None else end, float(clock[-1]))
     if not first < last:
         raise ParameterError(

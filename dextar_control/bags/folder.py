@@ -78,8 +78,9 @@ def holes_of(scans: Sequence[Scan]) -> tuple[list[Hole], Path | None]:
     waiting: list[Hole] = []  # without messages after them
     last: int | None = None
     for scan in scans:
-        found = [Hole(hole.path, hole.chunks, last if hole.first is None else hole.first, hole.last) for hole in scan.holes]
-        if not scan.whole and not (found and found[-1].last is None):
+        known = (*scan.inherited, *scan.holes)
+        found = [Hole(hole.path, hole.chunks, last if hole.first is None else hole.first, hole.last) for hole in known]
+        if (scan.cut or not scan.whole) and not (found and found[-1].last is None):
             found.append(Hole(scan.path, 0, last if scan.last is None else scan.last))
         if scan.first is not None:
             for hole in waiting:

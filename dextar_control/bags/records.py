@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -18,6 +19,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from zstandard import ZstdError
 
 MAGIC = b"\x89MCAP0\r\n"
+RECOVERY_NAME = "dextar_recovery"  # of the metadata record that tells of a recovery
 PER_MESSAGE = 6  # numbers
 BATCH = 1 << 20  # bytes of messages outside chunks that are gathered
 BUFFER = 1 << 20  # bytes
@@ -73,6 +75,8 @@ class Scan:
         damaged: chunks whose content does not agree with their check sum, or is none.
         first, last: least and greatest log time of its messages, ns; None before there was one.
         started: when its recording began, as the recorder says; "" where it does not.
+        inherited: holes of the file that it was recovered from.
+        cut: it was recovered from a file whose end was missing.
     """
 
     path: Path
@@ -82,6 +86,8 @@ class Scan:
     first: int | None = None
     last: int | None = None
     started: str = ""
+    inherited: list[Hole] = field(default_factory=list)
+    cut: bool = False
     _opened: bool = False  # a hole without messages after it
     _count: int = 0  # messages
 
@@ -97,7 +103,7 @@ class Scan:
             OSError: the file cannot be read.
         """
         self.whole, self.end, self.holes, self.first, self.last, self.started = False, 0, [], None, None, ""
-        self._opened, self._count = False, 0
+        self._opened, self._count, self.inherited, self.cut = False, 0, [], False
         size = self.path.stat().st_size
         loose: list[bytes] = []
         gathered = 0
@@ -125,6 +131,8 @@ class Scan:
                         continue
                     if isinstance(record, Metadata) and record.name == "dextar" and not self.started:
                         self.started = str(record.metadata.get("started", ""))
+                    if isinstance(record, Metadata) and record.name == RECOVERY_NAME:
+                        self._inherit(record.metadata)
                     yield record
             if loose:
                 yield self._counted(_joined(loose))
@@ -170,6 +178,19 @@ class Scan:
         """With what the file says itself: a chunk may be missing that was not even seen as one, who knows where."""
         if not self.holes and len(statistics) >= 8 and int.from_bytes(statistics[:8], "little") > self._count:
             self.holes.append(Hole(self.path, 1, self.first, self.last))
+
+    def told(self) -> dict[str, str]:
+        """What is missing here, for the record ``RECOVERY_NAME`` of a file recovered from this one."""
+        holes = [(hole.chunks, hole.first, hole.last) for hole in (*self.inherited, *self.holes)]
+        return {"holes": json.dumps(holes), "cut": json.dumps(self.cut or not self.whole)}
+
+    def _inherit(self, metadata: Mapping[str, str]) -> None:
+        try:
+            holes = [Hole(self.path, int(chunks), first, last) for chunks, first, last in json.loads(metadata.get("holes", "[]"))]
+            cut = bool(json.loads(metadata.get("cut", "false")))
+        except (ValueError, TypeError):  # not ours
+            return
+        self.inherited, self.cut = holes, cut
 
     def _miss(self, chunks: int) -> None:
         if self._opened:

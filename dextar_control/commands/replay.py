@@ -43,7 +43,7 @@ def _positive(text: str) -> float:
 
 
 def _frames(text: str) -> int:
-    if not text.isdigit() or not 1 <= int(text) <= 120:
+    if not text.isdecimal() or not 1 <= int(text) <= 120:
         raise argparse.ArgumentTypeError(f"{text}; it must be a whole number from 1 to 120")
     return int(text)
 
@@ -73,7 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
     output = arguments.output or recorded.path.parent / "replay.gif"
     check_output(output, len(motion.time))
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
+    shown_on = Console(stderr=True)
+    with Progress(*columns, console=shown_on, disable=not shown_on.is_terminal) as progress:
         bar = progress.add_task("frames", total=len(motion.time))
         animate(motion, output, arguments.speed, arguments.fps, lambda done, total: progress.update(bar, completed=done))
     console.print(f"{output}", highlight=False, soft_wrap=True)

@@ -19,12 +19,11 @@ from dextar_control.bags.folder import (
     read_listing,
     split_name,
 )
-from dextar_control.bags.records import MAGIC, PER_MESSAGE, Messages, Progress, Scan
+from dextar_control.bags.records import MAGIC, PER_MESSAGE, RECOVERY_NAME, Messages, Progress, Scan
 from dextar_control.contract.errors import BagError
 from dextar_control.ros.bag_metadata import RECORD_NAME, FileSummary, TopicDescription, write_metadata_file
 from dextar_control.ros.mcap_file import McapFile, Sample
 
-RECOVERY_NAME = "dextar_recovery"  # of the metadata record that tells of it
 SUFFIX = "-recovered"
 
 
@@ -166,7 +165,7 @@ def _rebuild(scans: list[Scan], working: Path, folder: Path, progress: Callable[
             _copy(scan, target, topics, progress(scan.path) if progress else None)
             lost = 0 if scan.whole else scan.path.stat().st_size - scan.end
             target.add_metadata(RECOVERY_NAME, {"source": scan.path.name, "read_bytes": str(scan.end), "lost_bytes": str(lost),
-                                                "damaged_chunks": str(scan.damaged)})  # fmt: skip
+                                                "damaged_chunks": str(scan.damaged), **scan.told()})  # fmt: skip
             target.finish({"recovered_from": scan.path.name})
         finally:
             target.stream.close()
