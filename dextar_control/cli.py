@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 
@@ -51,6 +52,9 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry; the exit code. What a command starts stays on this machine unless the environment opens it."""
     arguments = _parser().parse_args(argv)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that knows no × shows a ? for it
     try:
         return COMMANDS[arguments.command].run(arguments)
     except DextarError as error:

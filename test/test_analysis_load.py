@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from synthetic_run import (
 )
 
 from dextar_control.analysis.load import load_run
+from dextar_control.analysis.metrics import compute_metrics
 from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import BagError
 from dextar_control.ros.mcap_writer import BagWriter, Sample
@@ -169,6 +171,21 @@ def test_analysis_of_another_recorders_bag_says_what_it_does_not_know(bag: Path,
     assert "Traceback" not in answer.stderr
     assert "law unknown, estimator unknown" in answer.stdout
     assert "not counted" in answer.stdout
+
+
+def test_another_recorders_bag_is_analysed_whole_where_its_robot_is_given(bag: Path, tmp_path: Path) -> None:
+    """Crossings, instants and peaks are those of our own bag."""
+    as_ros2_bag_record(bag, tmp_path / "theirs", StoragePlugin.MCAP)
+    bare = load_run(tmp_path / "theirs")
+    own = load_run(bag)
+    assert bare.robot is None
+    assert compute_metrics(bare).crossings == []
+    given = load_run(tmp_path / "theirs", robot=own.robot)
+    ours, theirs = compute_metrics(own), compute_metrics(given)
+    assert theirs.crossings == ours.crossings != []
+    assert (theirs.planned_peak_torque, theirs.peak_torque_near) == (ours.planned_peak_torque, ours.peak_torque_near)
+    robot = replace(own.robot, name="another")
+    assert load_run(bag, robot=robot).robot == own.robot
 
 
 @pytest.mark.parametrize("named", [True, False])

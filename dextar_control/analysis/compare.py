@@ -26,6 +26,7 @@ from dextar_control.analysis.web_figures import in_plane, over_time, run_keys
 from dextar_control.analysis.words import counted
 from dextar_control.bags.records import Progress
 from dextar_control.contract.errors import BagError
+from dextar_control.contract.robot import RobotParameters
 
 Value = float | int | str | None
 DECIDED = ("crossed", "bounced")  # verdicts
@@ -190,9 +191,9 @@ def compare_runs(runs: Sequence[Run], metrics: Sequence[Metrics], names: Sequenc
 
 def compare_bags(
     paths: Sequence[str | Path], progress: Callable[[str], None] = lambda stage: None, namespace: str | None = None,
-    reading: Progress | None = None,
+    reading: Progress | None = None, robot: RobotParameters | None = None,
 ) -> Comparison:  # fmt: skip
-    """Load the bags and put them side by side; ``namespace`` and ``reading`` as in ``load_run``.
+    """Load the bags and put them side by side; ``namespace``, ``reading`` and ``robot`` as in ``load_run``.
 
     Raises:
         BagError: a bag cannot be read, or there are fewer than two.
@@ -200,7 +201,7 @@ def compare_bags(
     runs, metrics = [], []
     for path in paths:
         progress(f"reading {path}")
-        runs.append(load_run(path, namespace, reading))
+        runs.append(load_run(path, namespace, reading, robot))
         progress(f"computing the metrics of {path}")
         metrics.append(compute_metrics(runs[-1]))
     return compare_runs(runs, metrics)

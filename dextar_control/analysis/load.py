@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,9 @@ _CONTROL_NAMES = [
 _MOTION_NAMES = ["pose.pose.position.x", "pose.pose.position.y", "twist.twist.linear.x", "twist.twist.linear.y"]
 
 
-def load_run(path: str | Path, namespace: str | None = None, progress: Progress | None = None) -> Run:
+def load_run(
+    path: str | Path, namespace: str | None = None, progress: Progress | None = None, robot: RobotParameters | None = None
+) -> Run:
     """A recorded run; also one that ``ros2 bag record`` made, whose parameters are then unknown.
 
     The columns lie in temporary files without names (in TMPDIR, about 1 MB for each recorded second at 1 kHz) that are mapped
@@ -49,6 +52,7 @@ def load_run(path: str | Path, namespace: str | None = None, progress: Progress 
         path: of the bag: a file, or a folder in rosbag2's layout.
         namespace: of the robot, where a bag of another recorder holds several; where it holds one, it must be that one's.
         progress: told the bytes read and those there are.
+        robot: of a bag that does not say it, as that of another recorder; the bag's own counts.
 
     Raises:
         BagError: the file is missing, empty, foreign or holds no joint states of one robot, or of another than was named.
@@ -78,10 +82,11 @@ def load_run(path: str | Path, namespace: str | None = None, progress: Progress 
         return bag.of(topic.name, resolved, namespace)
 
     try:
-        return _run(bag, of, record, resolved, parameters, losses)
+        run = _run(bag, of, record, resolved, parameters, losses)
     except BagError as error:
         text = str(error) if str(bag.path) in str(error) else f"{bag.path}: {error}"
         raise BagError(f"{text} ({bag.damage})" if bag.damage else text) from error
+    return run if robot is None or run.robot is not None else replace(run, robot=robot)
 
 
 def _run(

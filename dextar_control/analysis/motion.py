@@ -78,7 +78,7 @@ def motion_of(run: Run, period: float, begin: float | None = None, end: float | 
         ParameterError: there is nothing between begin and end.
     """
     if run.robot is None:
-        raise BagError(f"{run.path} holds no robot description: there is no linkage to draw")
+        raise BagError(f"{run.path} holds no robot description: there is no linkage to draw; --robot FILE gives it")
     stamps, x, q_a = _positions(run)
     if len(stamps) == 0:
         raise BagError(f"{run.path} holds no position of the end effector: neither the truth nor the controller's estimate")

@@ -18,6 +18,7 @@ from dextar_control.analysis.verdict import damage_lines
 from dextar_control.analysis.words import counted
 from dextar_control.bags.records import Progress
 from dextar_control.contract.errors import BagError
+from dextar_control.contract.robot import RobotParameters
 
 RESOLUTION = 150  # dots per inch
 NOTHING = "nothing recorded"
@@ -31,6 +32,7 @@ def analyze(
     progress: Callable[[str], None] = lambda stage: None,
     namespace: str | None = None,
     reading: Progress | None = None,
+    robot: RobotParameters | None = None,
 ) -> Metrics:
     """Write ``metrics.json``, ``figure.png`` and ``report.html`` of a bag, next to it or into a folder.
 
@@ -42,12 +44,13 @@ def analyze(
         progress: told what is being done.
         namespace: of the robot, where a bag of another recorder holds several.
         reading: told the bytes read and those there are.
+        robot: of a bag that does not say it.
 
     Raises:
         BagError: the bag cannot be read, or the results cannot be written.
     """
     progress("reading the bag")
-    run = load_run(path, namespace, reading)
+    run = load_run(path, namespace, reading, robot)
     progress("computing the metrics")
     metrics = compute_metrics(run)
     folder = Path(output_dir) if output_dir is not None else run.path.parent
@@ -137,6 +140,8 @@ def _late(metrics: Metrics) -> str:
 
 
 def _true_error(metrics: Metrics) -> str:
+    if metrics.start_stamp is None:
+        return "no trajectory was tracked"
     if metrics.truth_share == 0.0:
         return "unknown without truth"
     return f"{_mm(metrics.max_true_error)} max, {_mm(metrics.final_true_error)} at the end"

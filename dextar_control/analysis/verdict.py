@@ -79,7 +79,8 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
     if has_truth and values["truth_share"] < LEAST_TRUTH:
         reasons.append(f"only {values['truth_share']:.1%} of the ticks have a truth; {LEAST_TRUTH:.0%} are needed")
     if math.isnan(values["planned_peak_torque"]):
-        reasons.append(f"the plan cannot be computed: {problem or 'no robot description or no trajectory in the bag'}")
+        problem = problem or "no trajectory in the bag, or no robot (--robot FILE gives it)"
+        reasons.append(f"the plan cannot be computed: {problem}")
         return Verdict(False if broken else None, reasons)
     if not values["crossings"]:
         reasons.append("the trajectory crosses no singularity")

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dextar_control.commands import EXIT_FAILED, EXIT_USAGE
-from dextar_control.commands.bags import add_namespace, shown_progress, spoken_warnings
+from dextar_control.commands.bags import add_robot, given_robot, shown_progress, spoken_warnings
 from dextar_control.contract.errors import DextarError
 
 SUMMARY = "metrics, figures and a report from recorded runs"
@@ -24,7 +24,7 @@ WIDTHS = (40.0, 400.0)  # mm
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     parser.add_argument("bag", type=Path, nargs="+", help="an .mcap file, or the run's folder")
-    add_namespace(parser)
+    add_robot(parser)
     parser.add_argument(
         "--output", type=Path, metavar="DIR",
         help="where the results go (default: beside the bag); several bags that would share a folder get one each in it",
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from dextar_control.analysis.report import analyze, summary_table
 
-    console, code = Console(), 0
+    console, code, robot = Console(), 0, given_robot(arguments)
     for bag, folder in zip(arguments.bag, folders(arguments.bag, arguments.output), strict=True):
         try:
             with spoken_warnings("analyze"), shown_progress() as shown:
@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
                     tell(f"{bag}: {stage}")
 
                 metrics = analyze(
-                    bag, folder, arguments.formats, arguments.width, show, arguments.namespace, reading=shown.read
+                    bag, folder, arguments.formats, arguments.width, show, arguments.namespace, shown.read, robot
                 )
         except DextarError as error:
             print(f"dextar analyze: {error}", file=sys.stderr)

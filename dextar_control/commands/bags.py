@@ -7,7 +7,10 @@ import contextlib
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from dextar_control.contract.robot import RobotParameters
 
 
 class Shown(NamedTuple):
@@ -22,11 +25,23 @@ class Shown(NamedTuple):
     read: Callable[[int, int], None]
 
 
-def add_namespace(parser: argparse.ArgumentParser) -> None:
-    """The robot's namespace."""
+def add_robot(parser: argparse.ArgumentParser) -> None:
+    """What another recorder's bag does not say: the robot's namespace and its description."""
+    parser.add_argument("--robot", metavar="FILE", help="robot description of a bag of another recorder, e.g. config/dextar.yaml")
     parser.add_argument(
         "--namespace", metavar="NAME", help="of the robot, where a bag of another recorder holds several, e.g. /left"
     )
+
+
+def given_robot(arguments: argparse.Namespace) -> RobotParameters | None:
+    """The robot of ``--robot``.
+
+    Raises:
+        ParameterError: the file cannot be read or is none of a robot.
+    """
+    from dextar_control.contract.robot import load_robot
+
+    return None if arguments.robot is None else load_robot(arguments.robot)
 
 
 @contextlib.contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dextar_control.commands.bags import add_namespace, shown_progress, spoken_warnings
+from dextar_control.commands.bags import add_robot, given_robot, shown_progress, spoken_warnings
 
 SUMMARY = "recorded runs side by side, with their differences"
 DESCRIPTION = (
@@ -17,7 +17,7 @@ DESCRIPTION = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     parser.add_argument("bag", type=Path, nargs="+", help="an .mcap file, or the run's folder; two or more")
-    add_namespace(parser)
+    add_robot(parser)
     parser.add_argument("--output", type=Path, default=Path("comparison"), metavar="DIR", help="folder (default: %(default)s)")
 
 
@@ -29,7 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     console = Console()
     with spoken_warnings("compare"), shown_progress() as shown:
-        comparison = compare_bags(arguments.bag, shown.stage, arguments.namespace, shown.read)
+        comparison = compare_bags(arguments.bag, shown.stage, arguments.namespace, shown.read, given_robot(arguments))
         shown.stage(f"writing to {arguments.output}")
         write_comparison(comparison, arguments.output)
     console.print(summary_table(comparison, console.width))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dextar_control.commands.bags import add_namespace, shown_progress, spoken_warnings
+from dextar_control.commands.bags import add_robot, given_robot, shown_progress, spoken_warnings
 from dextar_control.contract.errors import ParameterError
 
 SUMMARY = "a recorded run as a table for pandas or MATLAB"
@@ -19,7 +19,7 @@ FORMATS = ("parquet", "csv", "mat")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     parser.add_argument("bag", type=Path, help="an .mcap file, or the run's folder")
-    add_namespace(parser)
+    add_robot(parser)
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder (default: export beside the bag)")
     parser.add_argument(
         "--format", action="append", metavar="NAME", dest="formats", choices=FORMATS,
@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ParameterError(f"an export needs the packages named in setup.py, installed by pip: {error}") from error
     console = Console()
     with spoken_warnings("export"), shown_progress(f"reading {arguments.bag}") as shown:
-        recorded = load_run(arguments.bag, arguments.namespace, shown.read)
+        recorded = load_run(arguments.bag, arguments.namespace, shown.read, given_robot(arguments))
         folder = arguments.output or recorded.path.parent / "export"
         files = export(recorded, folder, arguments.formats or ["parquet", "csv"], arguments.topics, shown.stage)
     console.print(f"{folder}: {' '.join(file.name for file in files)}", highlight=False, soft_wrap=True)

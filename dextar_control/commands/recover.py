@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+from dextar_control.analysis.words import counted
+
 SUMMARY = "rebuild a readable, indexed bag from one that is damaged or breaks off"
 DESCRIPTION = (
     "Copies every intact message of a damaged or cut-off recording, or of a folder whose metadata.yaml is missing or wrong, into"
@@ -52,6 +54,6 @@ def run(arguments: argparse.Namespace) -> int:
     if result.lost_bytes:
         lines.append(f"{result.lost_bytes} bytes at the end are no complete record")
     if result.damaged:
-        lines.append(f"{result.damaged} damaged chunks left out")
+        lines.append(f"{counted(result.damaged, 'damaged chunk')} left out")
     console.print("\n".join(lines), highlight=False)
     return 0

@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from dextar_control.commands.bags import add_namespace, shown_progress, spoken_warnings
+from dextar_control.commands.bags import add_robot, given_robot, shown_progress, spoken_warnings
 from dextar_control.contract.errors import ParameterError
 
 SUMMARY = "animate a recorded run"
@@ -23,7 +23,7 @@ WINDOW_MODULE = "dextar_sim.replay"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     parser.add_argument("bag", type=Path, help="an .mcap file, or the run's folder")
-    add_namespace(parser)
+    add_robot(parser)
     parser.add_argument("--output", type=Path, metavar="FILE", help=".gif or .mp4 (default: replay.gif beside the bag)")
     parser.add_argument("--speed", type=_positive, default=0.2, metavar="X", help="times real time (default: %(default)g)")
     parser.add_argument("--fps", type=_frames, default=20, metavar="N", help="frames per second (default: %(default)g)")
@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         check_output(arguments.output)
     console = Console()
     with spoken_warnings("replay"), shown_progress(f"reading {arguments.bag}") as shown:
-        recorded = load_run(arguments.bag, arguments.namespace, shown.read)
+        recorded = load_run(arguments.bag, arguments.namespace, shown.read, given_robot(arguments))
         motion = motion_of(recorded, arguments.speed / arguments.fps, arguments.begin, arguments.end)
     if arguments.window:
         with tempfile.TemporaryDirectory() as folder:
