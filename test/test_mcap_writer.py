@@ -28,6 +28,7 @@ from dextar_control.contract.errors import BagError
 from dextar_control.contract.topics import TOPICS
 from dextar_control.ros import mcap_writer
 from dextar_control.ros.loss_count import UNSUPPORTED, LossCount
+from dextar_control.ros.mcap_file import McapFile
 from dextar_control.ros.mcap_writer import BagWriter, Sample
 from dextar_control.ros.message_definitions import SEPARATOR, definition, type_hash
 from dextar_control.ros.qos_profiles import describe
@@ -234,6 +235,32 @@ def test_a_split_bag_is_one_bag_and_each_file_stands_alone(tmp_path: Path, limit
             notes = [record.metadata["key"] for record in make_reader(stream).iter_metadata() if record.name == "note"]
         assert notes[-1] == ("last" if path == writer.paths[-1] else "value")
     assert next_number == 1000
+
+
+def test_what_a_failed_write_took_with_it_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk fails at the third of ten batches: what was taken from the queue and what waited is dropped, and said."""
+    writer = BagWriter(tmp_path / "run.mcap", "none")
+    writer.add_topic("/numbers", "std_msgs/msg/String", [])
+    write, written = McapFile.write, []
+
+    def fail(self: McapFile, batch: list[Sample]) -> None:
+        if len(written) >= 20:
+            raise OSError(5, "Input/output error")
+        write(self, batch)
+        written.extend(batch)
+
+    monkeypatch.setattr(McapFile, "write", fail)
+    for number in range(100):
+        writer.add(Sample(number, "/numbers", number, number, b"x"))
+        if number % 10 == 9:
+            deadline = time.monotonic() + PATIENCE
+            while len(writer) and writer.error is None:
+                assert time.monotonic() < deadline
+                time.sleep(0.01)
+    with pytest.raises(BagError, match="Input/output error"):
+        writer.close()
+    assert len(written) + writer.dropped["/numbers"] == 100
+    assert writer.dropped["/numbers"] >= 80
 
 
 def test_each_file_of_a_split_bag_begins_with_what_holds(tmp_path: Path) -> None:

@@ -212,15 +212,19 @@ class BagWriter:
     def _write(self, batch: list[Sample]) -> None:
         batch.sort(key=_log_time)
         start = 0
-        while start < len(batch):
-            if self._is_due(batch[start].log_time):
-                self._split(batch[start].log_time)
-            end = self._slice_end(batch, start)
-            part = batch[start:end]
-            self._file.write(part)
-            self._standing.update({sample.topic: sample for sample in part if sample.topic in self._standing})
-            self._bytes_out += sum(len(sample.data) for sample in part)
-            start = end
+        try:
+            while start < len(batch):
+                if self._is_due(batch[start].log_time):
+                    self._split(batch[start].log_time)
+                end = self._slice_end(batch, start)
+                part = batch[start:end]
+                self._file.write(part)
+                self._standing.update({sample.topic: sample for sample in part if sample.topic in self._standing})
+                self._bytes_out += sum(len(sample.data) for sample in part)
+                start = end
+        finally:
+            for sample in batch[start:]:  # none, unless the disk failed
+                self._drop(sample)
 
     def _is_due(self, log_time: int) -> bool:
         """Whether the next sample begins a new file."""
