@@ -85,7 +85,7 @@ def test_a_file_that_is_no_robot_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="No such file"):
         load_robot(tmp_path / "none.yaml")
     (tmp_path / "other.yaml").write_text("a: 1\n")
-    with pytest.raises(ParameterError, match="no entry"):
+    with pytest.raises(ParameterError, match="'1' stands where 'ros__parameters:' under 'a' is wanted"):
         load_robot(tmp_path / "other.yaml")
 
 

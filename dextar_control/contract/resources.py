@@ -7,9 +7,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.yaml_text import load_parameters, parameters_of
 
 NODES_FILE = "crossing.yaml"
 ROBOT_FILE = "dextar.yaml"
@@ -40,33 +39,29 @@ def config_file(name: str) -> Path:
     return share_folder() / "config" / name
 
 
-def node_defaults(node: str, path: Path | None = None) -> dict[str, Any]:
-    """Parameters of one node in a ROS 2 parameter file, dotted, ``/**`` first.
+def node_defaults(node: str, *paths: Path) -> dict[str, Any]:
+    """Parameters of one node in ROS 2 parameter files, dotted, as the node itself would get them.
+
+    Args:
+        node: its name, with its namespace where it has one.
+        paths: of the files, later ones over earlier ones; ``config/crossing.yaml`` if none is given.
 
     Raises:
-        ParameterError: the file cannot be read.
+        ParameterError: a file cannot be read, or ROS 2 would not take it.
     """
-    path = path or config_file(NODES_FILE)
+    files = paths or (config_file(NODES_FILE),)
+    return dict(_node_defaults(node, tuple((path, _version(path)) for path in files)))
+
+
+def _version(path: Path) -> tuple[int, int]:
+    """Another one where the file has changed."""
     try:
-        return dict(_node_defaults(node, path, path.stat().st_mtime_ns))
-    except (OSError, yaml.YAMLError) as error:
-        raise ParameterError(f"parameter file {path}: {error}") from error
+        status = path.stat()
+    except OSError:
+        return 0, 0
+    return status.st_mtime_ns, status.st_size
 
 
 @lru_cache(maxsize=64)
-def _node_defaults(node: str, path: Path, _: int) -> dict[str, Any]:
-    document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    values: dict[str, Any] = {}
-    for section in ("/**", f"/**/{node}", node):
-        values.update(_dotted(((document or {}).get(section) or {}).get("ros__parameters") or {}))
-    return values
-
-
-def _dotted(nested: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in nested.items():
-        if isinstance(value, dict):
-            flat.update(_dotted(value, f"{prefix}{key}."))
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat
+def _node_defaults(node: str, files: tuple[tuple[Path, tuple[int, int]], ...]) -> dict[str, Any]:
+    return parameters_of(node, load_parameters(*(path for path, _ in files)))

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.yaml_text import load_parameters
 
+PREFIX = "robot."  # of the robot's parameters in a node
 JOINT_NAMES = ("q11", "q21")
 SIM_JOINT_NAMES = ("q11", "q12", "q21", "q22")
 
@@ -169,7 +169,7 @@ def _convert(key: str, value: Any) -> Any:
         if isinstance(value, bool):
             raise TypeError
         return float(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         wanted = "two numbers" if key in ("working_mode", "gravity") else "a number"
         raise ParameterError(f"robot.{key} = {value!r}; it must be {wanted}") from error
 
@@ -193,29 +193,18 @@ def from_flat(flat: Mapping[str, Any]) -> RobotParameters:
     return RobotParameters(**values)
 
 
-def from_mapping(nested: Mapping[str, Any]) -> RobotParameters:
-    """A robot from the nested mapping of a parameter file's ``robot`` entry."""
-    flat: dict[str, Any] = {}
-    for key, value in nested.items():
-        if isinstance(value, Mapping):
-            flat.update({f"{key}.{inner}": number for inner, number in value.items()})
-        else:
-            flat[key] = value
-    return from_flat(flat)
-
-
 def load_robot(path: str | Path) -> RobotParameters:
     """A robot from a ROS 2 parameter file (``/**: ros__parameters: robot:``).
 
     Raises:
         ParameterError: the file cannot be read or describes no valid robot.
     """
+    values = load_parameters(path, what="robot file").get("/**", {})
+    flat = {key.removeprefix(PREFIX): value for key, value in values.items() if key.startswith(PREFIX)}
+    if not flat:
+        found = f"'robot' is {values['robot']!r}" if "robot" in values else "no entry '/**: ros__parameters: robot:'"
+        raise ParameterError(f"robot file {path}: {found}; a description such as config/dextar.yaml is wanted")
     try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError) as error:
+        return from_flat(flat)
+    except ParameterError as error:
         raise ParameterError(f"robot file {path}: {error}") from error
-    try:
-        nested = document["/**"]["ros__parameters"]["robot"]
-    except (KeyError, TypeError) as error:
-        raise ParameterError(f"robot file {path}: no entry '/**: ros__parameters: robot:'") from error
-    return from_mapping(nested)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import reprlib
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
 from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticCustomError
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.yaml_text import load_document
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -20,13 +21,7 @@ def load_yaml(model: type[M], path: str | Path, what: str) -> M:
     Raises:
         ParameterError: the file cannot be read, or something in it is unknown, missing or out of its range.
     """
-    try:
-        document = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ParameterError(f"{what} {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ParameterError(f"{what} {path}: {' '.join(str(error).split())}") from error
-    return validate(model, document, f"{what} {path}")
+    return validate(model, load_document(path, what), f"{what} {path}")
 
 
 def validate(model: type[M], data: Any, source: str) -> M:
@@ -45,7 +40,7 @@ def validate(model: type[M], data: Any, source: str) -> M:
         elif first["type"] == "missing":
             said = "it is missing"
         else:
-            said = f"{first['input']!r} is not valid: {first['msg'][0].lower()}{first['msg'][1:]}"
+            said = f"{reprlib.repr(first['input'])} is not valid: {first['msg'][0].lower()}{first['msg'][1:]}"
         raise ParameterError(f"{source}: {where}: {said}" if where else f"{source}: {said}") from error
 
 

@@ -10,12 +10,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 import rclpy
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -28,6 +28,7 @@ from dextar_control.contract.node import check_value, qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.contract.topics import DIAGNOSTICS
+from dextar_control.contract.yaml_text import assignment, load_parameters, parse_value
 from dextar_control.ros.domain import choose_domain
 from dextar_control.ros.task import PARAMETERS as TASK_PARAMETERS
 from dextar_control.ros.task import Task
@@ -144,15 +145,15 @@ def run_demo(arguments: argparse.Namespace) -> int:
     from dextar_control.analysis.report import analyze, summary_table
 
     console = Console()
-    robot_file = arguments.robot or config_file(ROBOT_FILE)
-    robot = load_robot(robot_file)
+    files = _parameter_files(arguments)
+    robot = load_robot(files[0])
     values = _node_values(arguments)
     if arguments.point is not None:
-        _stand_at_start(console, robot, values, arguments)
+        _stand_at_start(console, robot, values, files)
     folder = _make_folder(arguments.output)
-    values["recorder"].append(f"output:={folder / 'run.mcap'}")
-    values["trajectory_server"].append(f"drawing:={folder / 'plan.png'}")
-    settings = _node_arguments(values, robot_file, arguments)
+    values["recorder"].append(assignment("output", folder / "run.mcap"))
+    values["trajectory_server"].append(assignment("drawing", folder / "plan.png"))
+    settings = _node_arguments(values, files)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain = choose_domain()
     mode = "lockstep" if arguments.lockstep else "real time"
@@ -189,25 +190,21 @@ def run_demo(arguments: argparse.Namespace) -> int:
 
 def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     """NAME:=VALUE of each node."""
-    values: dict[str, list[str]] = {name: [] for name in MODULES}
-    values["plant"] += [f"mode:={'lockstep' if arguments.lockstep else 'realtime'}", "start_paused:=true"]
-    values["plant"] += ["window:=true"] if arguments.window else []
-    values["controller"] += [f"law:={arguments.law}", f"lockstep:={str(arguments.lockstep).lower()}"]
-    values["trajectory_server"] += ["autostart:=true"]
+    given: dict[str, dict[str, Any]] = {name: {} for name in MODULES}
+    given["plant"] |= {"mode": "lockstep" if arguments.lockstep else "realtime", "start_paused": True}
+    given["plant"] |= {"window": True} if arguments.window else {}
+    given["controller"] |= {"law": arguments.law, "lockstep": arguments.lockstep}
+    given["trajectory_server"] |= {"autostart": True}
     if arguments.estimator is not None:
-        values["controller"].append(f"estimator:={arguments.estimator}")
+        given["controller"]["estimator"] = arguments.estimator
     if arguments.estimator == "external":
-        values["plant"] += [f"{name}:={value}" for name, value in CAMERA.items()]
+        given["plant"] |= CAMERA
     if arguments.law == "multi_model":
-        values["trajectory_server"].append("criterion:=zero_wrench")
-    if arguments.duration is not None:
-        values["trajectory_server"].append(f"duration:={arguments.duration:f}")
-    if arguments.repeat is not None:
-        values["trajectory_server"].append(f"repeat:={arguments.repeat}")
-    if arguments.tour is not None:
-        values["trajectory_server"].append(f"tour:={arguments.tour}")
-    if arguments.point is not None:
-        values["trajectory_server"].append(f"point:={_numbers(arguments.point)}")
+        given["trajectory_server"]["criterion"] = "zero_wrench"
+    for name in ("duration", "repeat", "tour", "point"):
+        if getattr(arguments, name) is not None:
+            given["trajectory_server"][name] = getattr(arguments, name)
+    values = {node: [assignment(*item) for item in own.items()] for node, own in given.items()}
     for override in arguments.overrides:
         node, dot, rest = override.partition(".")
         if not dot or node not in MODULES or ":=" not in rest:
@@ -216,21 +213,18 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     return values
 
 
-def _numbers(values: Iterable[float]) -> str:
-    """Numbers as a parameter's value: each with a decimal point, so that the array is one of floats."""
-    return f"[{', '.join(f'{value:.9f}' for value in values)}]"
-
-
 def _stand_at_start(
-    console: Console, robot: RobotParameters, values: dict[str, list[str]], arguments: argparse.Namespace
+    console: Console, robot: RobotParameters, values: dict[str, list[str]], files: Sequence[Path]
 ) -> None:
     """Plan the trip through the point, so that the robot can be put where it begins, and on that side of the locus.
 
     The trajectory server then finds the same plan in the cache.
     """
     defaults = node_defaults("trajectory_server")
-    given = node_defaults("trajectory_server", arguments.params) if arguments.params else {}
-    given |= {name: yaml.safe_load(value) for name, _, value in (text.partition(":=") for text in values["trajectory_server"])}
+    given = node_defaults("trajectory_server", *files)
+    for text in values["trajectory_server"]:
+        name, _, value = text.partition(":=")
+        given[name] = parse_value(value, f"-p trajectory_server.{text}")
     checked = {spec.name: check_value(spec, (defaults | given)[spec.name], defaults[spec.name]) for spec in TASK_PARAMETERS}
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as progress:
@@ -238,22 +232,27 @@ def _stand_at_start(
         plan = Task.from_values(checked).plan(
             robot, lambda fraction, stage: progress.update(bar, completed=fraction, description=stage)
         )
-    start = plan.trajectory.at(0.0).x
+    start = plan.trajectory.at(0.0).x.tolist()
     for name in ("plant", "trajectory_server"):
-        values[name].append(f"task.start:={_numbers(start)}")
+        values[name].append(assignment("task.start", start))
     direction = round(plan.certificate.crossing_signs[0])
-    values["trajectory_server"].append(f"direction:={direction}")
-    values["controller"].append(f"assembly_mode:={-direction}")
+    values["trajectory_server"].append(assignment("direction", direction))
+    values["controller"].append(assignment("assembly_mode", -direction))
 
 
-def _node_arguments(
-    values: dict[str, list[str]], robot_file: Path, arguments: argparse.Namespace
-) -> dict[str, list[str]]:
+def _parameter_files(arguments: argparse.Namespace) -> tuple[Path, Path]:
+    """The files of the robot and of the nodes' parameters, which each node reads for itself."""
+    files = arguments.robot or config_file(ROBOT_FILE), arguments.params or config_file(NODES_FILE)
+    for path, what in zip(files, ("robot file", "parameter file"), strict=True):
+        if path.exists() and not path.is_dir() and not path.is_file():
+            raise ParameterError(f"{what} {path} is a pipe or a device; each node reads it, so it must be a file")
+        load_parameters(path, what=what)
+    return files
+
+
+def _node_arguments(values: dict[str, list[str]], files: Sequence[Path]) -> dict[str, list[str]]:
     """The ROS arguments of each node."""
-    params_file = arguments.params or config_file(NODES_FILE)
-    if not params_file.is_file():
-        raise ParameterError(f"parameter file {params_file} does not exist")
-    common = ["--params-file", str(robot_file), "--params-file", str(params_file)]
+    common = [part for path in files for part in ("--params-file", str(path))]
     return {  # with the node's name: a plain -p counts as /**, which a file's section for the node overrides
         name: [*common, *(part for value in values[name] for part in ("-p", f"{name}:{value}"))]
         for name in MODULES

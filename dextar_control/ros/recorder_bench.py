@@ -15,9 +15,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import rclpy
 from mcap.reader import make_reader
@@ -31,6 +31,7 @@ from std_srvs.srv import Trigger
 from dextar_control.commands import EXIT_FAILED
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
+from dextar_control.contract.yaml_text import assignment
 from dextar_control.ros.domain import choose_domain
 
 MODULES = {
@@ -81,11 +82,11 @@ def run(seconds: float, output: Path, reliable: bool) -> int:
     console = Console()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     choose_domain()
-    settings = {
-        "recorder": [f"output:={output / 'run.mcap'}", f"reliable:={str(reliable).lower()}", "compression:=zstd"],
-        "plant": [f"pose_rate:={CAMERA_RATE}"],
-        "controller": [],
-        "trajectory_server": ["autostart:=true", "repeat:=10"],
+    settings: dict[str, dict[str, Any]] = {
+        "recorder": {"output": output / "run.mcap", "reliable": reliable, "compression": "zstd"},
+        "plant": {"pose_rate": CAMERA_RATE},
+        "controller": {},
+        "trajectory_server": {"autostart": True, "repeat": 10},
     }
     processes = {name: _start(name, output, values) for name, values in settings.items()}
     operator = _Operator()
@@ -141,9 +142,9 @@ class _Operator:
         rclpy.try_shutdown()
 
 
-def _start(name: str, output: Path, values: list[str]) -> subprocess.Popen[bytes]:
+def _start(name: str, output: Path, values: Mapping[str, Any]) -> subprocess.Popen[bytes]:
     files = ["--params-file", str(config_file(ROBOT_FILE)), "--params-file", str(config_file(NODES_FILE))]
-    given = [part for value in values for part in ("-p", f"{name}:{value}")]
+    given = [part for item in values.items() for part in ("-p", f"{name}:{assignment(*item)}")]
     with (output / f"{name}.log").open("wb") as log:
         return subprocess.Popen([sys.executable, "-m", MODULES[name], "--ros-args", *files, *given],
                                 stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)  # fmt: skip

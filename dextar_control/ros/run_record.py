@@ -16,6 +16,8 @@ from typing import Any
 import yaml
 from rclpy.utilities import get_rmw_implementation_identifier
 
+from dextar_control.contract.yaml_text import dump_parameters
+
 METADATA_NAME = "dextar"
 MAX_CHANGES = 1000  # live parameter changes that are listed
 _PACKAGES = ("numpy", "scipy", "numba", "mcap", "rclpy", "pybullet", "pybullet-arm64")
@@ -103,7 +105,7 @@ def robot_file(parameters: Mapping[str, Mapping[str, Any]]) -> str:
                 for group in groups:
                     place = place.setdefault(group, {})
                 place[last] = plain(value)
-            return yaml.safe_dump({"/**": {"ros__parameters": {"robot": nested}}}, sort_keys=False, default_flow_style=None)
+            return dump_parameters({"/**": {"ros__parameters": {"robot": nested}}})
     return ""
 
 

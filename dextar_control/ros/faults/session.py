@@ -28,6 +28,7 @@ from dextar_control.contract.errors import DextarError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import CRITERION_NAMES
+from dextar_control.contract.yaml_text import assignment
 from dextar_control.core.loop import MOVING, Phase
 from dextar_control.core.planner import Plan, plan_return_trip
 from dextar_control.faults import bag_check, judgement
@@ -111,12 +112,12 @@ class Session:
 
     def _arguments(self) -> dict[str, list[str]]:
         common = ["--params-file", str(config_file(ROBOT_FILE)), "--params-file", str(config_file(NODES_FILE))]
-        trip, word = self.config.trip, str(self.lockstep).lower()
+        trip = self.config.trip
         values = {
-            "plant": [f"mode:={self.request.clock}", "start_paused:=true", *self.request.plant],
-            "controller": [f"lockstep:={word}"],
-            "trajectory_server": [f"duration:={trip.duration:f}", f"dwell:={trip.dwell:f}"],
-            "recorder": [f"reliable:={word}"],
+            "plant": [assignment("mode", self.request.clock), assignment("start_paused", True), *self.request.plant],
+            "controller": [assignment("lockstep", self.lockstep)],
+            "trajectory_server": [assignment("duration", trip.duration), assignment("dwell", trip.dwell)],
+            "recorder": [assignment("reliable", self.lockstep)],
         }
         remap = [part for rule in REMAPPINGS for part in ("-r", rule)] if self.request.injector else []
         return {
@@ -141,7 +142,7 @@ class Session:
     def start_recorder(self, *, wrap: Sequence[str] = (), path: Path | None = None, limit: Any = None, **more: str) -> Path:
         """Start the recorder; its bag."""
         path = path or self.bag()
-        extra = [part for name, value in {"output": str(path), **more}.items() for part in ("-p", f"recorder:{name}:={value}")]
+        extra = [part for item in {"output": path, **more}.items() for part in ("-p", f"recorder:{assignment(*item)}")]
         self.processes.start("recorder", extra, wrap, limit)
         return path
 
