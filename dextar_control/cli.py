@@ -58,7 +58,9 @@ def main(argv: list[str] | None = None) -> int:
     try:
         return COMMANDS[arguments.command].run(arguments)
     except DextarError as error:
-        print(f"dextar {arguments.command}: {error}", file=sys.stderr)
+        from dextar_control.contract.terminal import say
+
+        say(f"dextar {arguments.command}: {error}")
         return EXIT_USAGE
     except KeyboardInterrupt:
         print(f"dextar {arguments.command}: interrupted", file=sys.stderr)

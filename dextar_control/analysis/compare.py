@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bokeh.embed import components
-from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
@@ -27,6 +26,7 @@ from dextar_control.analysis.words import counted
 from dextar_control.bags.records import Progress
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.terminal import Terminal
 
 Value = float | int | str | None
 DECIDED = ("crossed", "bounced")  # verdicts
@@ -297,7 +297,7 @@ def overlaid(comparison: Comparison) -> list[Panel]:
 def summary_table(comparison: Comparison, width: int = 80) -> Table:
     """The comparison for a terminal of so many columns: with the differences where there is room for them."""
     table = _table(comparison, differences=True)
-    console = Console(width=10 * width)
+    console = Terminal(width=10 * width)
     return table if Measurement.get(console, console.options, table).maximum <= width else _table(comparison, differences=False)
 
 

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
-
-from rich.console import Console
 
 from dextar_control.campaign.config import load_config
 from dextar_control.campaign.rerun import rerun
 from dextar_control.campaign.run import TRIAL_MODULE, prepare, run_campaign
 from dextar_control.campaign.selection import names, select
-
-FILE_WIDTH = 120  # characters, where the output is no terminal
+from dextar_control.contract.terminal import Terminal
 
 
 def run_command(arguments: argparse.Namespace, trial_module: str = TRIAL_MODULE) -> int:
@@ -25,7 +21,7 @@ def run_command(arguments: argparse.Namespace, trial_module: str = TRIAL_MODULE)
     Raises:
         DextarError: the campaign file, an argument, the folder or the workers cannot be used.
     """
-    console = Console(width=None if sys.stdout.isatty() else FILE_WIDTH)
+    console = Terminal()
     config = select(
         load_config(arguments.config),
         seed=arguments.seed,

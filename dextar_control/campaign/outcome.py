@@ -8,21 +8,20 @@ import platform
 from collections.abc import Sequence
 from typing import Any
 
-from rich.console import Console
-
 from dextar_control.campaign import design, report, summary
 from dextar_control.campaign.config import CampaignConfig
 from dextar_control.campaign.figure import draw_summary
 from dextar_control.campaign.pool import core_count
 from dextar_control.campaign.store import Store
 from dextar_control.contract.errors import CampaignError
+from dextar_control.contract.terminal import Terminal
 
 EXIT_FAILED = 1
 SHOWN_FAILURES = 8
 RESOLUTION = 150  # dots per inch
 
 
-def judge(config: CampaignConfig, keys: Sequence[str], store: Store, console: Console, elapsed: float) -> int:
+def judge(config: CampaignConfig, keys: Sequence[str], store: Store, console: Terminal, elapsed: float) -> int:
     """Write the results of the rows with these keys, print their table and the bars that are missed.
 
     Args:
@@ -65,15 +64,15 @@ def judge(config: CampaignConfig, keys: Sequence[str], store: Store, console: Co
     except OSError as error:
         raise CampaignError(f"cannot write the results into {store.folder}: {error.strerror or error}") from error
     console.print(report.terminal_table(groups, f"{len(rows)} rows, seed {config.seed}"))
-    console.print(f"one core runs {speed}", highlight=False)
+    console.print(f"one core runs {speed}")
     for cells in failed[:SHOWN_FAILURES]:
         console.print(f"  {cells[0]}  {cells[1]}, point {cells[4]} ({cells[5]} mm), s after {cells[8]}: {cells[10]}",
-                      highlight=False, markup=False, soft_wrap=True)  # fmt: skip
+                      soft_wrap=True)  # fmt: skip
     if len(failed) > SHOWN_FAILURES:
-        console.print(f"  and {len(failed) - SHOWN_FAILURES} more in failures.md", highlight=False)
+        console.print(f"  and {len(failed) - SHOWN_FAILURES} more in failures.md")
     for line in [verdict, *missed]:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-    console.print(f"{store.folder}: rows.parquet summary.md summary.json failures.md figure.png", highlight=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
+    console.print(f"{store.folder}: rows.parquet summary.md summary.json failures.md figure.png", soft_wrap=True)
     return EXIT_FAILED if missed else 0
 
 

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rich.console import Console
-
 from dextar_control.campaign.run import Campaign
 from dextar_control.campaign.store import as_plain, read_rows
 from dextar_control.campaign.worker import run_trials
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.terminal import Terminal
 
 TIMES = {"wall_time", "cpu_time", "planning_time"}  # results that differ from run to run
 
 
-def rerun(campaign: Campaign, folder: Path, key: str, console: Console) -> int:
+def rerun(campaign: Campaign, folder: Path, key: str, console: Terminal) -> int:
     """Run one row again in this process, and compare it with the recorded one.
 
     Args:
@@ -37,13 +36,13 @@ def rerun(campaign: Campaign, folder: Path, key: str, console: Console) -> int:
     row = as_plain({"key": found[0], **run_trials(campaign.job, [trial])[0], **trial.columns()})
     width = max(map(len, row))
     for name, value in row.items():
-        console.print(f"{name:<{width}}  {value}", highlight=False, markup=False, soft_wrap=True)
+        console.print(f"{name:<{width}}  {value}", soft_wrap=True)
     recorded = read_rows(folder).get(found[0])
     if recorded is None:
-        console.print(f"this row is not recorded in {folder}", highlight=False, soft_wrap=True)
+        console.print(f"this row is not recorded in {folder}", soft_wrap=True)
         return 0
     different = [name for name in {**recorded, **row} if name not in TIMES and recorded.get(name) != row.get(name)]
     for name in different:
-        console.print(f"{name}: recorded {recorded.get(name)}, now {row.get(name)}", highlight=False, markup=False)
+        console.print(f"{name}: recorded {recorded.get(name)}, now {row.get(name)}")
     console.print("differs from the recorded row" if different else "equal to the recorded row, bit for bit")
     return 1 if different else 0

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from dextar_control.campaign import design
 from dextar_control.campaign.config import CampaignConfig
@@ -26,6 +25,7 @@ from dextar_control.campaign.store import Store, read_rows
 from dextar_control.campaign.worker import Job, plan_trials, run_trials
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import flatten, load_robot
+from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 
 BATCH = 4  # trials that one call of a worker runs: about a second
 TRIAL_MODULE = "dextar_control.campaign.trial"
@@ -81,7 +81,7 @@ def prepare(config: CampaignConfig, path: Path, trial_module: str = TRIAL_MODULE
 def run_campaign(
     campaign: Campaign,
     folder: Path,
-    console: Console,
+    console: Terminal,
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> int:
@@ -103,7 +103,7 @@ def run_campaign(
     with Store(folder, campaign.manifest) as store:
         missing = {key: trial for key, trial in campaign.trials.items() if key not in store.rows}
         kept = len(campaign.trials) - len(missing)
-        console.print(f"{len(campaign.trials)} rows into {folder}" + (f", {kept} are there" if kept else ""), highlight=False)
+        console.print(f"{len(campaign.trials)} rows into {folder}" + (f", {kept} are there" if kept else ""))
         begin = time.perf_counter()
         try:
             if missing:
@@ -115,18 +115,17 @@ def run_campaign(
             console.print(
                 f"interrupted; {there} of {len(campaign.trials)} rows are kept in {folder}. To go on:\n"
                 f"  {shlex.join(['dextar', *sys.argv[1:]])}",
-                highlight=False,
                 soft_wrap=True,
             )
             return INTERRUPTED
 
 
-def _run(campaign: Campaign, missing: dict[str, Trial], store: Store, pool: Pool, console: Console) -> None:
+def _run(campaign: Campaign, missing: dict[str, Trial], store: Store, pool: Pool, console: Terminal) -> None:
     keys = {id(trial): key for key, trial in missing.items()}
     columns = (TextColumn("{task.description:<8}"), BarColumn(bar_width=20), MofNCompleteColumn(), TimeElapsedColumn(),
                TimeRemainingColumn(), TextColumn("{task.fields[said]}"))  # fmt: skip
     places = [list(trials) for _, trials in itertools.groupby(missing.values(), key=lambda trial: trial.place)]
-    with Progress(*columns, console=console) as progress:
+    with Steps(*columns, console=console) as progress:
         task = progress.add_task("planning", total=len(places), said=f"{pool.workers} workers")
         for _ in pool.map(plan_trials, campaign.job, map(_distinct_plans, places)):
             progress.advance(task)

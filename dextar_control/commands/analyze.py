@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -48,11 +47,10 @@ def _width(text: str) -> float:
 
 def run(arguments: argparse.Namespace) -> int:
     """The exit code."""
-    from rich.console import Console
-
     from dextar_control.analysis.report import analyze, summary_table
+    from dextar_control.contract.terminal import Terminal, say
 
-    console, code, robot = Console(), 0, given_robot(arguments)
+    console, code, robot = Terminal(), 0, given_robot(arguments)
     for bag, folder in zip(arguments.bag, folders(arguments.bag, arguments.output), strict=True):
         try:
             with spoken_warnings("analyze"), shown_progress() as shown:
@@ -64,14 +62,14 @@ def run(arguments: argparse.Namespace) -> int:
                     bag, folder, arguments.formats, arguments.width, show, arguments.namespace, shown.read, robot
                 )
         except DextarError as error:
-            print(f"dextar analyze: {error}", file=sys.stderr)
+            say(f"dextar analyze: {error}")
             code = EXIT_USAGE
             continue
         if len(arguments.bag) > 1:
-            console.print(f"{bag}", highlight=False, soft_wrap=True)
+            console.print(f"{bag}", soft_wrap=True)
         console.print(summary_table(metrics))
         names = ["metrics.json", "figure.png", "report.html", *(f"paper.{name}" for name in dict.fromkeys(arguments.formats))]
-        console.print(f"{folder or Path(metrics.bag).parent}: {' '.join(names)}", highlight=False, soft_wrap=True)
+        console.print(f"{folder or Path(metrics.bag).parent}: {' '.join(names)}", soft_wrap=True)
         code = code or (EXIT_FAILED if metrics.success is False or metrics.truncated or metrics.holes else 0)
     return code
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import sys
 import warnings
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
@@ -47,13 +46,13 @@ def given_robot(arguments: argparse.Namespace) -> RobotParameters | None:
 @contextlib.contextmanager
 def shown_progress(first: str = "") -> Iterator[Shown]:
     """A line with what is done, and a bar where the bytes of a bag are counted; gone at the end."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, SpinnerColumn, TaskProgressColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(),
+    from dextar_control.contract.terminal import Steps, Terminal, TextColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(),
                TimeRemainingColumn())  # fmt: skip
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+    with Steps(*columns, console=Terminal(stderr=True), transient=True) as bars:
         task = bars.add_task(first, total=None)
 
         def stage(text: str) -> None:
@@ -73,5 +72,7 @@ def spoken_warnings(command: str) -> Iterator[None]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default", UserWarning)
         yield
+    from dextar_control.contract.terminal import say
+
     for text in dict.fromkeys(str(warning.message) for warning in caught if issubclass(warning.category, UserWarning)):
-        print(f"dextar {command}: {text}", file=sys.stderr)
+        say(f"dextar {command}: {text}")

@@ -23,17 +23,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """The exit code."""
-    from rich.console import Console
-
     from dextar_control.analysis.compare import compare_bags, summary_table, write_comparison
+    from dextar_control.contract.terminal import Terminal
 
-    console = Console()
+    console = Terminal()
     with spoken_warnings("compare"), shown_progress() as shown:
         comparison = compare_bags(arguments.bag, shown.stage, arguments.namespace, shown.read, given_robot(arguments))
         shown.stage(f"writing to {arguments.output}")
         write_comparison(comparison, arguments.output)
     console.print(summary_table(comparison, console.width))
     for remark in comparison.remarks:
-        console.print(remark, highlight=False)
-    console.print(f"{arguments.output}: comparison.html comparison.md comparison.json", highlight=False, soft_wrap=True)
+        console.print(remark)
+    console.print(f"{arguments.output}: comparison.html comparison.md comparison.json", soft_wrap=True)
     return 0

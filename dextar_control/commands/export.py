@@ -30,9 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """The exit code."""
-    from rich.console import Console
-
     from dextar_control.analysis.load import load_run
+    from dextar_control.contract.terminal import Terminal
 
     try:
         from dextar_control.analysis.table import export
@@ -40,10 +39,10 @@ def run(arguments: argparse.Namespace) -> int:
         if str(error.name).startswith("dextar"):
             raise
         raise ParameterError(f"an export needs the packages named in setup.py, installed by pip: {error}") from error
-    console = Console()
+    console = Terminal()
     with spoken_warnings("export"), shown_progress(f"reading {arguments.bag}") as shown:
         recorded = load_run(arguments.bag, arguments.namespace, shown.read, given_robot(arguments))
         folder = arguments.output or recorded.path.parent / "export"
         files = export(recorded, folder, arguments.formats or ["parquet", "csv"], arguments.topics, shown.stage)
-    console.print(f"{folder}: {' '.join(file.name for file in files)}", highlight=False, soft_wrap=True)
+    console.print(f"{folder}: {' '.join(file.name for file in files)}", soft_wrap=True)
     return 0

@@ -6,8 +6,6 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from dextar_control.analysis.words import counted
-
 SUMMARY = "rebuild a readable, indexed bag from one that is damaged or breaks off"
 DESCRIPTION = (
     "Copies every intact message of a damaged or cut-off recording, or of a folder whose metadata.yaml is missing or wrong, into"
@@ -26,14 +24,16 @@ def run(arguments: argparse.Namespace) -> int:
     """The exit code."""
     from datetime import datetime, timezone
 
-    from rich.console import Console
-    from rich.progress import Progress
-    from rich.table import Table
+    from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn
+    from rich.table import Column, Table
 
+    from dextar_control.analysis.words import counted
+    from dextar_control.contract.terminal import Steps, Terminal, TextColumn
     from dextar_control.ros.recovery import recover
 
-    console, errors = Console(), Console(stderr=True)
-    with Progress(console=errors, transient=True, disable=not errors.is_terminal) as bars:
+    console = Terminal()
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Steps(*columns, console=Terminal(stderr=True), transient=True) as bars:
         seen: set[Path] = set()
 
         def watch(file: Path) -> Callable[[int, int], None]:
@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
             return lambda done, total: bars.update(task, completed=done, total=total)
 
         result = recover(arguments.bag, watch)
-    table = Table("topic", "messages", title=f"{result.folder}", title_justify="left")
+    table = Table(Column("topic", overflow="fold"), "messages", title=f"{result.folder}", title_justify="left")
     for name, count in sorted(result.counts.items()):
         table.add_row(name, str(count))
     console.print(table)
@@ -55,5 +55,5 @@ def run(arguments: argparse.Namespace) -> int:
         lines.append(f"{result.lost_bytes} bytes at the end are no complete record")
     if result.damaged:
         lines.append(f"{counted(result.damaged, 'damaged chunk')} left out")
-    console.print("\n".join(lines), highlight=False)
+    console.print("\n".join(lines), soft_wrap=True)
     return 0

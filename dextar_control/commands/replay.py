@@ -50,18 +50,18 @@ def _frames(text: str) -> int:
 
 def run(arguments: argparse.Namespace) -> int:
     """The exit code."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TimeRemainingColumn
 
     from dextar_control.analysis.animate import animate, check_output
     from dextar_control.analysis.load import load_run
     from dextar_control.analysis.motion import motion_of
+    from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 
     if arguments.window and not os.environ.get("DISPLAY"):
         raise ParameterError("--window needs a display, and DISPLAY is not set; write a file instead: --output replay.gif")
     if not arguments.window and arguments.output is not None:
         check_output(arguments.output)
-    console = Console()
+    console = Terminal()
     with spoken_warnings("replay"), shown_progress(f"reading {arguments.bag}") as shown:
         recorded = load_run(arguments.bag, arguments.namespace, shown.read, given_robot(arguments))
         motion = motion_of(recorded, arguments.speed / arguments.fps, arguments.begin, arguments.end)
@@ -73,9 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
     output = arguments.output or recorded.path.parent / "replay.gif"
     check_output(output, len(motion.time))
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeRemainingColumn())
-    shown_on = Console(stderr=True)
-    with Progress(*columns, console=shown_on, disable=not shown_on.is_terminal) as progress:
+    with Steps(*columns, console=Terminal(stderr=True)) as progress:
         bar = progress.add_task("frames", total=len(motion.time))
         animate(motion, output, arguments.speed, arguments.fps, lambda done, total: progress.update(bar, completed=done))
-    console.print(f"{output}", highlight=False, soft_wrap=True)
+    console.print(f"{output}", soft_wrap=True)
     return 0

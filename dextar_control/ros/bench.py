@@ -13,7 +13,6 @@ import numpy as np
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rich.console import Console
 from rich.table import Table
 from sensor_msgs.msg import JointState
 
@@ -21,6 +20,7 @@ from dextar_control.contract.errors import DextarError
 from dextar_control.contract.node import make_executor, qos
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
+from dextar_control.contract.terminal import Terminal
 from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
 from dextar_control.core.kinematics import inverse_model
 from dextar_control.core.loop import ControlLoop, Phase
@@ -154,7 +154,7 @@ def run_bench(seconds: float) -> int:
     """Measure and print; the exit code."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
-    console = Console()
+    console = Terminal()
     table = Table("what", "p50 us", "p99 us", "beside", "p50 us", "p99 us", "ratio p50", title="cost on this machine, now")
 
     def row(what: str, ours: tuple[float, ...], bare_name: str, bare: tuple[float, ...]) -> None:
@@ -162,13 +162,13 @@ def run_bench(seconds: float) -> int:
             what, f"{ours[0]:.1f}", f"{ours[1]:.1f}", bare_name, f"{bare[0]:.1f}", f"{bare[1]:.1f}", f"{ours[0] / bare[0]:.2f}"
         )
 
-    with console.status("one control tick"):
+    with console.working("one control tick"):
         tick = bench_tick()
         row(f"control tick, {node_defaults('controller')['estimator']}", tick["tick"], "numpy pinv 2 x 2", tick["pinv"])
-    with console.status("round trip over DDS"):
+    with console.working("round trip over DDS"):
         trips = bench_round_trip(seconds)
         row("state -> command", trips["controller"], "bare echo", trips["echo"])
-    with console.status("plant step"):
+    with console.working("plant step"):
         answer = subprocess.run(
             [sys.executable, "-m", "dextar_sim.bench"], check=True, capture_output=True, text=True, stdin=subprocess.DEVNULL
         )
@@ -178,7 +178,6 @@ def run_bench(seconds: float) -> int:
     console.print(table)
     console.print(
         f"states unanswered within their period: controller {trips['controller'][2]}, echo {trips['echo'][2]}"
-        f" of about {seconds * RATE:.0f} each",
-        highlight=False,
+        f" of about {seconds * RATE:.0f} each"
     )
     return 0

@@ -19,9 +19,9 @@ from rclpy.duration import Duration, Infinite
 from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.signals import SignalHandlerOptions
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -30,6 +30,7 @@ from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.node import StopSignal, qos
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import JOINT_NAMES, RobotParameters, load_robot
+from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.contract.topics import EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES
 from dextar_control.rig_check.check import report, torque_obstacle, torque_tests, watch_lines
 from dextar_control.rig_check.limits import MIN_SAMPLES, Limits
@@ -202,7 +203,7 @@ def run_check(arguments: argparse.Namespace) -> int:
         raise ParameterError(f"wait = {arguments.wait} s; it must be >= 0 and finite")
     if arguments.json is not None and not arguments.json.parent.is_dir():
         raise ParameterError(f"report {arguments.json} cannot be written: no folder {arguments.json.parent}")
-    console = Console()
+    console = Terminal()
     with _watch(arguments) as (node, stop):
         graph, samples = _look(console, node, stop, arguments.wait, arguments.duration)
         lines = watch_lines(graph, samples, robot, limits, arguments.duration)
@@ -217,7 +218,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     console.print(table(lines, graph))
     _note(console, lines)
     if hint:
-        console.print(hint, highlight=False)
+        console.print(hint)
     if arguments.json is not None:
         _write(arguments.json, lines, graph, limits)
     return 1 if has_failed(lines) else 0
@@ -229,12 +230,12 @@ def _check(stop: StopSignal) -> None:
 
 
 def _look(
-    console: Console, node: RigWatch, stop: StopSignal, wait: float, duration: float
+    console: Terminal, node: RigWatch, stop: StopSignal, wait: float, duration: float
 ) -> tuple[Graph, list[Sample]]:
     """The graph, and the states of a quiet watch that begins with the first of them, or when it has not come."""
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     samples: list[Sample] = []
-    with Progress(*columns, console=console, transient=True) as progress:
+    with Steps(*columns, console=console, transient=True) as progress:
         bar = progress.add_task(f"looking for {node.graph().states}", total=wait + SETTLE + duration)
         begun = begin = time.monotonic()
         while time.monotonic() - begin < wait and not any(True for _ in node.take()):
@@ -267,7 +268,7 @@ def _settled(node: RigWatch, earliest: float, stop: StopSignal | None = None) ->
         time.sleep(20 * POLL)
 
 
-def _permission(console: Console, stop: StopSignal, limits: Limits, arguments: argparse.Namespace) -> str:
+def _permission(console: Terminal, stop: StopSignal, limits: Limits, arguments: argparse.Namespace) -> str:
     """Why the robot may not be moved; empty when it may. Asks on a terminal."""
     if arguments.no_torque:
         return "not asked for (--no-torque)"
@@ -276,16 +277,16 @@ def _permission(console: Console, stop: StopSignal, limits: Limits, arguments: a
     if not sys.stdin.isatty():
         return "no permission to move the robot: neither a terminal to ask on nor --yes"
     seconds = TorqueTests(limits, has_effort=True).expected_duration
+    console.print("\nThe robot will move.", style="bold", end=" ")
     console.print(
-        f"\n[bold]The robot will move.[/bold] For about {seconds:.1f} s each motor in turn gets {limits.torque:+g} and"
+        f"For about {seconds:.1f} s each motor in turn gets {limits.torque:+g} and"
         f" {-limits.torque:+g} N m, then commands stop, then NaN is sent. The tests end at once, without torque, when a joint"
         f" moves more than {limits.max_move:g} rad from where a test began or turns faster than {limits.max_speed:g} rad/s."
-        "\nClear the robot's space, rest a hand on the emergency stop. Without permission these lines are skipped.",
-        highlight=False,
+        "\nClear the robot's space, rest a hand on the emergency stop. Without permission these lines are skipped."
     )
     stop.starting = True  # a signal must interrupt the question
     try:
-        answer = console.input("Type [bold]yes[/bold] to go on: ")
+        answer = console.input("Type yes to go on: ", markup=False)
     except EOFError:
         answer = ""
     finally:
@@ -293,7 +294,7 @@ def _permission(console: Console, stop: StopSignal, limits: Limits, arguments: a
     return "" if answer.strip().lower() == "yes" else "no permission to move the robot"
 
 
-def _torque(console: Console, node: RigWatch, stop: StopSignal, tests: TorqueTests) -> Line | None:
+def _torque(console: Terminal, node: RigWatch, stop: StopSignal, tests: TorqueTests) -> Line | None:
     """Run the tests with torque; the line that another commander earns, or None."""
     if node.others:
         tests.stop("another commander came")
@@ -312,14 +313,14 @@ def _torque(console: Console, node: RigWatch, stop: StopSignal, tests: TorqueTes
             node.command(NO_TORQUE)
         _check(stop)
         time.sleep(POLL)
-    with console.status("torque") as status:
+    with console.working("torque") as working:
         looked = time.monotonic()
         while not tests.finished:
             _check(stop)
             now = time.monotonic()
             if now - looked > GRAPH_PERIOD:
                 looked = now
-                status.update(f"torque: {tests.stage}")
+                working.now(f"torque: {tests.stage}")
                 if node.others:
                     node.command(NO_TORQUE)
                     tests.stop("another commander came")
@@ -355,19 +356,19 @@ def table(lines: Sequence[Line], graph: Graph) -> Table:
     """The report for a person."""
     grid = Table(title=f"{graph.states}, {graph.commands}", show_lines=False)
     for name in ("line", "", "measured", "limit"):
-        grid.add_column(name)
+        grid.add_column(name, overflow="fold")
     for line in lines:
-        grid.add_row(line.name, f"[{STYLES[line.result]}]{line.result.value}[/]", line.measured.replace("[", r"\["), line.limit)
+        grid.add_row(line.name, Text(line.result.value, STYLES[line.result]), line.measured, line.limit)
     return grid
 
 
-def _note(console: Console, lines: Sequence[Line]) -> None:
+def _note(console: Terminal, lines: Sequence[Line]) -> None:
     counts = {result: sum(line.result is result for line in lines) for result in Result}
-    console.print(f"{counts[Result.PASS]} passed, {counts[Result.FAIL]} failed, {counts[Result.SKIP]} skipped", highlight=False)
+    console.print(f"{counts[Result.PASS]} passed, {counts[Result.FAIL]} failed, {counts[Result.SKIP]} skipped")
     for line in lines:
         if line.result is Result.FAIL:
             text = f"FAIL {line.name} ({LINES[line.name]}): {line.measured}; limit {line.limit}"
-            console.print(text, markup=False, highlight=False)
+            console.print(text)
 
 
 def _write(path: Path, lines: Sequence[Line], graph: Graph, limits: Limits) -> None:

@@ -19,14 +19,14 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool
 
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.node import check_value, qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
+from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.contract.topics import DIAGNOSTICS
 from dextar_control.contract.yaml_text import assignment, load_parameters, parse_value
 from dextar_control.ros.domain import choose_domain
@@ -144,7 +144,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
     """Run the demo of parsed arguments (see ``dextar demo --help``); the exit code."""
     from dextar_control.analysis.report import analyze, summary_table
 
-    console = Console()
+    console = Terminal()
     files = _parameter_files(arguments)
     robot = load_robot(files[0])
     values = _node_values(arguments)
@@ -159,7 +159,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
     mode = "lockstep" if arguments.lockstep else "real time"
     estimator = f", estimator {arguments.estimator}" if arguments.estimator else ""
     said = f"law {arguments.law}{estimator}, {mode}, ROS_DOMAIN_ID={domain}, into {folder}"
-    console.print(said, highlight=False, soft_wrap=True)
+    console.print(said, soft_wrap=True)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _interrupt)
     troubles: list[str] = []
@@ -183,8 +183,8 @@ def run_demo(arguments: argparse.Namespace) -> int:
         raise BagError("; ".join([*troubles, str(error)])) from error
     console.print(summary_table(metrics))
     for line in dict.fromkeys(troubles):
-        console.print(line, style="bold", highlight=False)
-    console.print(f"{folder}: plan.png run.mcap metrics.json figure.png report.html", highlight=False, soft_wrap=True)
+        console.print(line, style="bold")
+    console.print(f"{folder}: plan.png run.mcap metrics.json figure.png report.html", soft_wrap=True)
     return 0 if metrics.success and not troubles else 1
 
 
@@ -214,7 +214,7 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
 
 
 def _stand_at_start(
-    console: Console, robot: RobotParameters, values: dict[str, list[str]], files: Sequence[Path]
+    console: Terminal, robot: RobotParameters, values: dict[str, list[str]], files: Sequence[Path]
 ) -> None:
     """Plan the trip through the point, so that the robot can be put where it begins, and on that side of the locus.
 
@@ -227,7 +227,7 @@ def _stand_at_start(
         given[name] = parse_value(value, f"-p trajectory_server.{text}")
     checked = {spec.name: check_value(spec, (defaults | given)[spec.name], defaults[spec.name]) for spec in TASK_PARAMETERS}
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
+    with Steps(*columns, console=console, transient=True) as progress:
         bar = progress.add_task("planning", total=1.0)
         plan = Task.from_values(checked).plan(
             robot, lambda fraction, stage: progress.update(bar, completed=fraction, description=stage)
@@ -289,16 +289,16 @@ def _monitor() -> Iterator[_Monitor]:
         rclpy.try_shutdown()
 
 
-def _wait_until_ready(console: Console, monitor: _Monitor, processes: _Processes) -> None:
+def _wait_until_ready(console: Terminal, monitor: _Monitor, processes: _Processes) -> None:
     """Recorder recording with everybody's parameters, trajectory accepted, plant paused."""
     deadline = time.monotonic() + START_TIMEOUT
-    with console.status(STARTING) as status:
+    with console.working(STARTING) as working:
         while True:
             rclpy.spin_once(monitor, timeout_sec=0.1)
             processes.check()
             note = monitor.get("controller", "trajectory")
             planning = monitor.get("trajectory_server", "planning")
-            status.update(f"planning: {planning}" if planning else STARTING)
+            working.now(f"planning: {planning}" if planning else STARTING)
             if refusal := monitor.get("trajectory_server", "error"):
                 raise DemoError(f"the trajectory server: {refusal}")
             if note.startswith("refused"):
@@ -325,11 +325,11 @@ def _unhealthy(monitor: _Monitor) -> str:
     return f": healthy states for {monitor.get('controller', 'healthy')} s only; {monitor.get('controller', 'last_trouble')}"
 
 
-def _follow(console: Console, monitor: _Monitor, processes: _Processes) -> None:
+def _follow(console: Terminal, monitor: _Monitor, processes: _Processes) -> None:
     """Progress until the trip is done or the controller gave up."""
     deadline = time.monotonic() + RUN_TIMEOUT
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
+    with Steps(*columns, console=console) as progress:
         task = progress.add_task("waiting", total=1.0)
         known_duration = 0.0
         while True:

@@ -23,14 +23,14 @@ import rclpy
 from mcap.reader import make_reader
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from rich.progress import BarColumn, TimeRemainingColumn
+from rich.table import Column, Table
 from std_srvs.srv import Trigger
 
 from dextar_control.commands import EXIT_FAILED
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
+from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.contract.yaml_text import assignment
 from dextar_control.ros.domain import choose_domain
 
@@ -79,7 +79,7 @@ def streams(bag: Path) -> list[Stream]:
 
 def run(seconds: float, output: Path, reliable: bool) -> int:
     """Measure and print; 0 when nothing is missing."""
-    console = Console()
+    console = Terminal()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     choose_domain()
     settings: dict[str, dict[str, Any]] = {
@@ -91,17 +91,20 @@ def run(seconds: float, output: Path, reliable: bool) -> int:
     processes = {name: _start(name, output, values) for name, values in settings.items()}
     operator = _Operator()
     try:
-        with console.status("starting the nodes"):
+        with console.working("starting the nodes"):
             _wait_for_all(output, processes)
         before = {name: _cpu(process.pid) for name, process in processes.items()}
         begin = time.monotonic()
-        for second in track(range(round(seconds)), description="recording", console=console):
-            if second % TOUR_PERIOD == TOUR_PERIOD - 1:
-                operator.start_tour()
-            time.sleep(max(0.0, begin + second + 1.0 - time.monotonic()))
-            ended = [name for name, process in processes.items() if process.poll() is not None]
-            if ended:
-                raise BagError(f"{ended[0]} ended: see {output / ended[0]}.log")
+        with Steps(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=console) as progress:
+            bar = progress.add_task("recording", total=round(seconds))
+            for second in range(round(seconds)):
+                if second % TOUR_PERIOD == TOUR_PERIOD - 1:
+                    operator.start_tour()
+                time.sleep(max(0.0, begin + second + 1.0 - time.monotonic()))
+                ended = [name for name, process in processes.items() if process.poll() is not None]
+                if ended:
+                    raise BagError(f"{ended[0]} ended: see {output / ended[0]}.log")
+                progress.advance(bar)
         elapsed = time.monotonic() - begin
         load = {name: (_cpu(process.pid) - before[name]) / elapsed for name, process in processes.items()}
         memory = {name: _memory(process.pid) for name, process in processes.items()}
@@ -109,13 +112,14 @@ def run(seconds: float, output: Path, reliable: bool) -> int:
         operator.close()
         _stop(processes[name] for name in ("trajectory_server", "controller", "plant", "recorder"))
     found = streams(output / "run.mcap")
-    table = Table("topic", "messages", "missing", "told by the recorder", title=f"{elapsed:.0f} s in real time")
+    columns = Column("topic", overflow="fold"), "messages", "missing", "told by the recorder"
+    table = Table(*columns, title=f"{elapsed:.0f} s in real time")
     for row in found:
         table.add_row(row.topic, str(row.messages), str(row.missing), str(row.dropped))
     console.print(table)
-    console.print("; ".join(f"{name} {load[name]:.2f} cores, {memory[name]:.0f} MB" for name in load), highlight=False)
-    console.print(f"tours asked for: {1 + operator.asked}; refused or not answered: {operator.refused}", highlight=False)
-    console.print(f"load average {os.getloadavg()[1]:.1f} on {os.cpu_count()} cores; bag {output}", highlight=False)
+    console.print("; ".join(f"{name} {load[name]:.2f} cores, {memory[name]:.0f} MB" for name in load))
+    console.print(f"tours asked for: {1 + operator.asked}; refused or not answered: {operator.refused}")
+    console.print(f"load average {os.getloadavg()[1]:.1f} on {os.cpu_count()} cores; bag {output}")
     return EXIT_FAILED if any(row.missing or row.dropped for row in found) else 0
 
 

@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TimeElapsedColumn
 
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.resources import config_file, node_defaults
+from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.faults.cases import FaultConfig, load_cases
 from dextar_control.faults.figure import draw
 from dextar_control.faults.frames import LinkError
@@ -226,7 +226,7 @@ def run_faults(
         ParameterError: a wrong case or file.
         BagError: the folder cannot be made.
     """
-    console = Console()
+    console = Terminal()
     path = config_path or config_file(CONFIG_NAME)
     config = load_cases(path)
     seed = config.seed if seed is None else seed
@@ -235,12 +235,12 @@ def run_faults(
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)
-    console.print(f"{sum(counts.values())} faulted crossings of {len(counts)} cases, seed {seed}, into {folder}", highlight=False)
+    console.print(f"{sum(counts.values())} faulted crossings of {len(counts)} cases, seed {seed}, into {folder}", soft_wrap=True)
     summary = Summary.of(config, list(counts))
     begun = time.monotonic()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     interrupted = False
-    with (folder / "events.jsonl").open("w", encoding="utf-8") as record, Progress(*columns, console=console) as progress:
+    with (folder / "events.jsonl").open("w", encoding="utf-8") as record, Steps(*columns, console=console) as progress:
         whole = progress.add_task("faulted crossings", total=sum(counts.values()))
         try:
             for index, group in enumerate(plans(config, counts, jobs)):
@@ -256,15 +256,15 @@ def run_faults(
     for table in summary.tables():
         console.print(table)
     for line in summary.troubles():
-        console.print(line, style="bold", highlight=False, markup=False)
-    console.print(f"{folder}: faults.md faults.json faults.png events.jsonl and each session's logs", highlight=False)
+        console.print(line, style="bold")
+    console.print(f"{folder}: faults.md faults.json faults.png events.jsonl and each session's logs", soft_wrap=True)
     if interrupted:
         raise KeyboardInterrupt
     return 0 if summary.good else 1
 
 
 def _run_group(
-    group: list[Plan], folder: Path, config: FaultConfig, seed: int, index: int, progress: Progress
+    group: list[Plan], folder: Path, config: FaultConfig, seed: int, index: int, progress: Steps
 ) -> Generator[dict[str, Any], None, None]:
     events: queue.Queue[dict[str, Any] | None] = queue.Queue()
     workers = [

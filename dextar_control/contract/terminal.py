@@ -1,0 +1,142 @@
+"""One way to print: what users, files and bags say appears as it is, on a terminal and in a file.
+
+Nothing that is printed here is markup: brackets in a path are brackets. Control characters, which could move the cursor or
+colour a terminal, appear as the pictures that Unicode has of them. Where the output is no terminal, lines are as long as they
+need to be, and what is under way is told in lines, now and then, instead of bars.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TaskID
+from rich.progress import TextColumn as MarkupColumn
+from rich.table import Column
+from rich.text import Text
+
+FILE_WIDTH = 4000  # characters of a line where the output is no terminal: no table needs so many
+LINE_PERIOD = 10.0  # s between two lines about what is under way, where the output is no terminal
+_PICTURES = {code: 0x2400 + code for code in range(0x20) if code not in (0x09, 0x0A)} | {0x7F: 0x2421}
+_PICTURES |= dict.fromkeys(range(0x80, 0xA0), 0xFFFD)
+_ONE_LINE = _PICTURES | {0x09: 0x20, 0x0A: 0x240A}
+
+
+def plain(text: object) -> str:
+    """A text in one line without control characters."""
+    return str(text).translate(_ONE_LINE)
+
+
+def say(text: object) -> None:
+    """One line on the error output."""
+    print(plain(text), file=sys.stderr)
+
+
+class Terminal(Console):
+    """A console for texts that are no markup.
+
+    Args:
+        stderr: write to the error output.
+        options: as of rich's Console.
+    """
+
+    def __init__(self, *, stderr: bool = False, **options: Any) -> None:
+        super().__init__(stderr=stderr, markup=False, highlight=False, emoji=False, **options)
+        if not self.is_terminal and "width" not in options and "COLUMNS" not in os.environ:
+            self.width = FILE_WIDTH
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """As rich does, without control characters in the text."""
+        return super().render_str(text.translate(_PICTURES), **options)
+
+    def working(self, text: str) -> Working:
+        """What is done now, for as long as the context lasts."""
+        return Working(self, text)
+
+
+class TextColumn(MarkupColumn):
+    """A column of a progress display whose texts are no markup."""
+
+    def __init__(self, text_format: str, style: str = "none", table_column: Column | None = None) -> None:
+        super().__init__(text_format, style=style, markup=False, table_column=table_column)
+
+    def render(self, task: Task) -> Text:
+        """As rich does, without control characters in the text."""
+        return Text(self.text_format.format(task=task).translate(_PICTURES), style=self.style, justify=self.justify)
+
+
+class Steps(Progress):
+    """Bars on a terminal; elsewhere, every ``LINE_PERIOD``, a line for each task, and one at its end.
+
+    Args:
+        columns: of the display.
+        console: to write to.
+        transient: nothing is to be left of it, so a task's end is no line either.
+    """
+
+    def __init__(self, *columns: ProgressColumn, console: Terminal, transient: bool = False) -> None:
+        super().__init__(*columns, console=console, transient=transient, disable=not console.is_terminal)
+        self._transient = transient
+        self._told: dict[TaskID, str] = {}
+        self._since = time.monotonic()
+
+    def add_task(self, description: str, *arguments: Any, **fields: Any) -> TaskID:
+        """As rich does."""
+        task = super().add_task(description, *arguments, **fields)
+        self._tell(task)
+        return task
+
+    def update(self, task_id: TaskID, **changes: Any) -> None:
+        """As rich does."""
+        super().update(task_id, **changes)
+        self._tell(task_id)
+
+    def advance(self, task_id: TaskID, advance: float = 1) -> None:
+        """As rich does."""
+        super().advance(task_id, advance)
+        self._tell(task_id)
+
+    def _tell(self, task_id: TaskID) -> None:
+        if not self.disable:
+            return
+        if time.monotonic() - self._since >= LINE_PERIOD:
+            self._since = time.monotonic()
+            self._lines(self.tasks)
+        elif self._tasks[task_id].finished and not self._transient:
+            self._lines([self._tasks[task_id]])
+
+    def _lines(self, tasks: list[Task]) -> None:
+        for task in tasks:
+            words = [_words(column, task) for column in self.columns if isinstance(column, ProgressColumn)]
+            line = "  ".join(filter(None, words))
+            if line != self._told.get(task.id):
+                self._told[task.id] = line
+                self.console.print(line, soft_wrap=True)
+
+
+class Working(Steps):
+    """What is done now, without knowing how long it takes.
+
+    Args:
+        console: to write to.
+        text: what is done.
+    """
+
+    def __init__(self, console: Terminal, text: str) -> None:
+        super().__init__(SpinnerColumn(), TextColumn("{task.description}"), console=console, transient=True)
+        self._task = self.add_task(text, total=None)
+
+    def now(self, text: str) -> None:
+        """Tell what is done now."""
+        self.update(self._task, description=text)
+
+
+def _words(column: ProgressColumn, task: Task) -> str:
+    """What a column says; a bar says nothing."""
+    if isinstance(column, (BarColumn, SpinnerColumn)):
+        return ""
+    shown = column.render(task)
+    return (shown.plain if isinstance(shown, Text) else str(shown)).strip()
