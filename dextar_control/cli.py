@@ -20,6 +20,7 @@ from dextar_control.commands import (
     recover,
     replay,
 )
+from dextar_control.contract.caches import prepare_environment
 from dextar_control.contract.errors import DextarError
 
 COMMANDS = {
@@ -51,6 +52,7 @@ def _parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Console entry; the exit code. What a command starts stays on this machine unless the environment opens it."""
     arguments = _parser().parse_args(argv)
+    prepare_environment()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -26,6 +29,33 @@ def test_no_two_processes_have_the_same_domain_until_one_ends(monkeypatch: pytes
     finally:
         other.communicate("\n", timeout=60.0)
     assert domain.own_domain() == taken
+
+
+def test_another_users_lock_file_takes_no_domain_for_good(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A file that may only be read, as one that another user left in the shared folder."""
+    (tmp_path / "dextar-domain-7.lock").touch()
+    own_open = os.open
+
+    def protected(path: str, flags: int, *mode: int) -> int:
+        if flags & os.O_ACCMODE != os.O_RDONLY:
+            raise PermissionError(errno.EACCES, "protected", path)
+        return own_open(path, flags, *mode)
+
+    monkeypatch.setattr(domain.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(domain, "DOMAINS", [7])
+    monkeypatch.setattr(domain.os, "open", protected)
+    assert domain.own_domain() == 7
+    with pytest.raises(DextarError, match="all 1 DDS domains are taken"):
+        domain.own_domain()
+
+
+def test_without_a_temporary_folder_the_domain_must_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nowhere() -> str:
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
+
+    monkeypatch.setattr(domain.tempfile, "gettempdir", nowhere)
+    with pytest.raises(DextarError, match="no temporary folder can be written.*set ROS_DOMAIN_ID or TMPDIR"):
+        domain.own_domain()
 
 
 def test_a_domain_that_is_set_stays(monkeypatch: pytest.MonkeyPatch) -> None:

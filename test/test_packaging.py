@@ -1,9 +1,11 @@
 """The package's metadata agree with each other and with what is installed."""
 
+import ast
 import importlib
 import importlib.metadata
 import importlib.util
 import py_compile
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -44,6 +46,60 @@ def test_package_xml_setup_py_and_the_installation_agree_on_the_version():
     ).stdout.split()[-1]
     assert built == version
     assert importlib.metadata.version("dextar") == version
+
+
+ROSDEP = {  # the rosdep key that brings a requirement of setup.py; None: there is no such key, and pip brings it
+    "numpy": "python3-numpy",
+    "scipy": "python3-scipy",
+    "numba": "python3-numba",
+    "matplotlib": "python3-matplotlib",
+    "bokeh": "python3-bokeh-pip",
+    "jinja2": "python3-jinja2",
+    "pyyaml": "python3-yaml",
+    "rich": "python3-rich",
+    "mcap": "mcap-ros2-support",  # requires mcap, which requires zstandard
+    "zstandard": "mcap-ros2-support",
+    "rosbags": "python3-rosbags-pip",
+    "pydantic": "python3-pydantic",
+    "distributed": None,
+    "pyarrow": None,
+    "pybullet": "python3-pybullet-pip",
+    "pybullet-arm64": "python3-pybullet-pip",  # the same module
+}
+ROSDEP_TEST = {
+    "pytest": "python3-pytest",
+    "hypothesis": "python3-hypothesis",
+    "mcap-ros2-support": "mcap-ros2-support",
+    "colcon-common-extensions": "python3-colcon-common-extensions",
+    "colcon-ros": "python3-colcon-common-extensions",
+}
+
+
+def of_package_xml(tag: str) -> set[str]:
+    """Keys of package.xml that are not packages of ROS 2's own distribution."""
+    names = {element.text or "" for element in MANIFEST.findall(tag)}
+    return {name for name in names if name.startswith("python3-") or name == "mcap-ros2-support"}
+
+
+def of_setup_py() -> tuple[set[str], set[str]]:
+    """Names of what setup.py requires, and of what its tests do."""
+    call = next(node for node in ast.walk(ast.parse((ROOT / "setup.py").read_text(encoding="utf-8")))
+                if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setup")  # fmt: skip
+    given = {word.arg: word.value for word in call.keywords}
+    names = [{re.split(r"[<>=;\[ ]", text)[0] for text in ast.literal_eval(value)}
+             for value in (given["install_requires"], given["extras_require"].values[2])]  # fmt: skip
+    assert [ast.literal_eval(key) for key in given["extras_require"].keys][2] == "test"
+    return names[0], names[1]
+
+
+def test_package_xml_and_setup_py_name_the_same_requirements():
+    required, tested = of_setup_py()
+    assert required == set(ROSDEP) and tested == set(ROSDEP_TEST)
+    assert of_package_xml("exec_depend") == {key for key in ROSDEP.values() if key}
+    assert of_package_xml("test_depend") == set(ROSDEP_TEST.values()) - of_package_xml("exec_depend")
+    remark = " ".join((ROOT / "package.xml").read_text(encoding="utf-8").split())
+    without = " ".join(sorted(name for name, key in ROSDEP.items() if key is None))
+    assert f"pip install {without}" in remark
 
 
 def test_package_xml_names_every_ros_package_that_is_imported():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,7 @@ def test_a_cache_that_cannot_be_written_stops_nothing(
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
+    monkeypatch.setattr(tempfile, "tempdir", str(blocked))
     plan_crossing(robot, START, GOAL, 0.4)
     plan_cache.forget()
     plan_crossing(robot, START, GOAL, 0.4)

@@ -54,7 +54,8 @@ def draw_run(run: Run, metrics: Metrics) -> Figure:
             empty = figure.add_subplot(grid[0, 1])
             empty.set_axis_off()
             empty.text(0.5, 0.5, "nothing to draw over time: no tracked trajectory in the bag", ha="center")
-        figure.suptitle(_title(metrics), fontsize=10, color=ACCENT if metrics.success is False else BLACK)
+        colour = ACCENT if metrics.success is False else BLACK
+        figure.suptitle(_title(metrics), fontsize=10, color=colour, parse_math=False)
     return figure
 
 

@@ -38,7 +38,7 @@ def draw_plan(robot: RobotParameters, plan: Plan) -> Figure:
     figure.suptitle(
         f"{robot.name}, working mode {list(robot.working_mode)}: {len(certificate.crossings)} crossings in"
         f" {certificate.duration:.2f} s, peak torque {certificate.peak_torque:.3f} N m (limit {robot.max_torque:g})",
-        fontsize=10,
+        fontsize=10, parse_math=False,
     )
     return figure
 

@@ -40,7 +40,7 @@ def draw_summary(config: CampaignConfig, groups: Sequence[Group], plant: str) ->
             _bars(success, error, torque, names.index(group.case), config.cases[group.case].bars)
     for axes in (success, error, torque):
         _bands(axes, len(names))
-    success.set_yticks(range(len(names)), [config.cases[name].title or name for name in names])
+    success.set_yticks(range(len(names)), [config.cases[name].title or name for name in names], parse_math=False)
     success.set_ylim(len(names) - 0.5, -0.5)
     success.set_xlim(-4.0, 104.0)
     success.set_xlabel("successful trials (%)", fontsize=9)

@@ -19,6 +19,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.signals import SignalHandlerOptions
 
 from dextar_control.contract import resources
+from dextar_control.contract.caches import prepare_environment
 from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.robot import ROBOT_KEYS, RobotParameters, from_flat
 from dextar_control.contract.services import ServiceDesk
@@ -317,10 +318,11 @@ def run_node(
         args: command line, ``sys.argv`` when None.
         spin: the node's own loop ``spin(node, executor, stop)``; the default hands events to callbacks.
     """
+    prepare_environment()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rcl raises its own types for a bad --ros-args or parameter file
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return EXIT_USAGE
     stop = StopSignal()
     node: Any = None

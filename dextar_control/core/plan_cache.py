@@ -1,7 +1,8 @@
 """Plans kept by what was asked for: the robot's numbers, the request, and the sources that answered it.
 
-A plan is kept in memory and, as arrays, in ``$XDG_CACHE_HOME/dextar/plans`` (``~/.cache/dextar/plans``). What is read
-back is certified again before it is served. A cache that cannot be read or written never stops a plan.
+A plan is kept in memory and, as arrays, in ``$XDG_CACHE_HOME/dextar/plans`` (``~/.cache/dextar/plans``), or where
+``contract.caches`` finds a place. What is read back is certified again before it is served. A cache that cannot be read or
+written never stops a plan.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from dextar_control.contract.caches import cache_folder
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.core.certificate import Plan
@@ -29,12 +31,6 @@ MOST_ON_DISK = 1000
 SUFFIX = ".npz"
 
 _memory: OrderedDict[str, Plan] = OrderedDict()
-
-
-def cache_folder() -> Path:
-    """Where plans are kept on disk."""
-    home = os.environ.get("XDG_CACHE_HOME")
-    return (Path(home) if home else Path.home() / ".cache") / "dextar" / "plans"
 
 
 @lru_cache(maxsize=1)
@@ -126,7 +122,10 @@ def answered(
     key = key_of(robot, request)
     if key in _memory:
         return _remember(key, _memory[key])
-    path = cache_folder() / f"{key}{SUFFIX}"
+    folder = cache_folder("plans")
+    if folder is None:
+        return _remember(key, compute())
+    path = folder / f"{key}{SUFFIX}"
     trajectory = _read(path)
     if trajectory is not None:
         try:

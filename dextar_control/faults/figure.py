@@ -30,7 +30,7 @@ def draw(summary: Summary, timeout: float) -> Figure:
                 shares.barh(row, share, left=left, color=colour, hatch=hatch, edgecolor="black", linewidth=0.5, height=0.75)
                 left += share
         shares.text(101.0, row, str(total), va="center", fontsize=7)
-    shares.set_yticks(range(len(cases)), [case.title for case in cases], fontsize=7)
+    shares.set_yticks(range(len(cases)), [case.title for case in cases], fontsize=7, parse_math=False)
     shares.set_ylim(len(cases) - 0.4, -0.6)
     shares.set_xlim(0.0, 100.0)
     shares.set_xlabel("faulted crossings (%), and how many")

@@ -2,40 +2,50 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import random
 import tempfile
-from typing import IO
 
 from dextar_control.contract.errors import DextarError
 
 DOMAINS = range(1, 100)
 """All of them leave their ports below those that Linux gives to others."""
 
-_held: list[IO[str]] = []  # locks, for as long as the process lives
+_held: list[int] = []  # descriptors of locks, for as long as the process lives
 
 
 def own_domain() -> int:
     """A domain that no other process has by this function, until this one ends.
 
     Raises:
-        DextarError: all are taken.
+        DextarError: all are taken, or there is no temporary folder.
     """
+    try:
+        folder = tempfile.gettempdir()
+    except OSError as error:
+        raise DextarError("no temporary folder can be written, to mark a domain as taken; set ROS_DOMAIN_ID or TMPDIR") from error
     for number in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
-        path = os.path.join(tempfile.gettempdir(), f"dextar-domain-{number}.lock")
-        try:
-            lock = open(path, "a")  # noqa: SIM115
-        except OSError:  # somebody else's
+        lock = _opened(os.path.join(folder, f"dextar-domain-{number}.lock"))
+        if lock is None:
             continue
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            lock.close()
+            os.close(lock)
             continue
         _held.append(lock)
         return number
     raise DextarError(f"all {len(DOMAINS)} DDS domains are taken by other runs on this machine; set ROS_DOMAIN_ID to share one")
+
+
+def _opened(path: str) -> int | None:
+    """A lock file, made where it does not exist. Another user's file, which may only be read, can be locked as well."""
+    for flags in (os.O_RDWR | os.O_CREAT, os.O_RDONLY):
+        with contextlib.suppress(OSError):
+            return os.open(path, flags | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+    return None
 
 
 def choose_domain() -> str:

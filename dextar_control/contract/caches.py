@@ -1,0 +1,111 @@
+"""Folders for what may be lost: caches and logs. Where none can be written the package works without, and says so.
+
+The first that can be written counts: the one that is asked for, ``$XDG_CACHE_HOME/dextar`` (``~/.cache/dextar``), and a folder
+in the temporary one that is this user's alone.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+
+def cache_folder(name: str, *preferred: Path) -> Path | None:
+    """A folder that can be written, made where it does not exist; None where there is none.
+
+    Args:
+        name: of the cache.
+        preferred: folders to try first.
+    """
+    return next((folder for folder in (*preferred, *_folders(name)) if writable(folder)), None)
+
+
+def writable(folder: Path) -> bool:
+    """Whether a file can be made in a folder, which is made where it does not exist."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"0")
+            file.flush()
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+def home() -> Path | None:
+    """The user's home, if the user has one."""
+    try:
+        return Path.home()
+    except RuntimeError:
+        return None
+
+
+def copy_of(folder: Path, target: Path) -> None:
+    """Fill a cache that does not exist yet from one that can only be read; whole or not at all."""
+    if target.exists() or not folder.is_dir():
+        return
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(dir=target.parent, prefix=".part-"))
+        try:
+            shutil.copytree(folder, part / target.name, copy_function=shutil.copyfile)
+            (part / target.name).rename(target)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+    except (OSError, shutil.Error):
+        return
+
+
+def prepare_environment() -> None:
+    """Give matplotlib's settings and the nodes' logs a folder where theirs cannot be made: here and in what is started here."""
+    own = home() or Path("/nonexistent")
+    config, cache, ros = (
+        Path(os.environ.get(variable) or own / usual)
+        for variable, usual in (("XDG_CONFIG_HOME", ".config"), ("XDG_CACHE_HOME", ".cache"), ("ROS_HOME", ".ros"))
+    )
+    _fall_back("MPLCONFIGDIR", "matplotlib", config / "matplotlib", cache / "matplotlib")
+    _fall_back("ROS_LOG_DIR", "ros-logs", ros / "log")
+
+
+def _fall_back(variable: str, name: str, *usual: Path) -> None:
+    if os.environ.get(variable) or all(map(_can_be_made, usual)):
+        return
+    folder = cache_folder(name)
+    if folder is not None:
+        os.environ[variable] = str(folder)
+
+
+def _can_be_made(folder: Path) -> bool:
+    """Whether a folder that somebody else would make could be made and written."""
+    try:
+        there = next(place for place in (folder, *folder.parents) if place.exists() or place.is_symlink())
+        return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
+    except OSError:
+        return False
+
+
+def _folders(name: str) -> Iterator[Path]:
+    given, own = os.environ.get("XDG_CACHE_HOME"), home()
+    if given:
+        yield Path(given) / "dextar" / name
+    elif own is not None:
+        yield own / ".cache" / "dextar" / name
+    private = _private()
+    if private is not None:
+        yield private / name
+
+
+def _private() -> Path | None:
+    """This user's own folder in the temporary one: nobody else may have made it or may write there."""
+    try:
+        folder = Path(tempfile.gettempdir()) / f"dextar-{os.getuid()}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
+    except OSError:
+        return None
+    ours = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o077
+    return folder if ours else None

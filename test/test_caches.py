@@ -1,0 +1,159 @@
+"""Caches and logs are a convenience: where they cannot be written, another place does, or none."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from dextar_control.contract import caches
+from dextar_control.contract.caches import cache_folder, copy_of, prepare_environment
+
+ROOT = Path(__file__).resolve().parents[1]
+DOUBLE = """
+import resource, signal, sys, tempfile
+tempfile.tempdir = sys.argv[1]
+from dextar_control.core.compiled import _FOLDER, njit
+@njit
+def double(x):
+    return 2.0 * x
+if "full" in sys.argv:
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))
+print(double(3.0), _FOLDER)
+"""
+
+
+@pytest.fixture
+def installation(tmp_path: Path) -> Path:
+    """The package in a folder where nothing can be written beside the core, whoever runs the tests."""
+    for room in ("contract", "core"):
+        shutil.copytree(ROOT / "dextar_control" / room, tmp_path / "site" / "dextar_control" / room,
+                        ignore=shutil.ignore_patterns("__pycache__"))  # fmt: skip
+    (tmp_path / "site" / "dextar_control" / "__init__.py").touch()
+    (tmp_path / "site" / "dextar_control" / "core" / "__pycache__").touch()
+    (tmp_path / "blocked").touch()
+    (tmp_path / "temp").mkdir()
+    (tmp_path / "double.py").write_text(DOUBLE)
+    return tmp_path
+
+
+def double(installation: Path, *arguments: str, cache: str = "blocked") -> tuple[str, str]:
+    """Output and error output of a process that compiles a function."""
+    environment = {
+        **os.environ, "PYTHONPATH": str(installation / "site"), "PYTHONDONTWRITEBYTECODE": "1",
+        "HOME": str(installation / "blocked"), "XDG_CACHE_HOME": str(installation / cache),
+    }  # fmt: skip
+    environment.pop("NUMBA_CACHE_DIR", None)
+    answer = subprocess.run(
+        [sys.executable, str(installation / "double.py"), *arguments], env=environment, cwd=installation, capture_output=True,
+        text=True, check=False,
+    )  # fmt: skip
+    assert answer.returncode == 0, answer.stderr
+    value, _, folder = answer.stdout.strip().partition(" ")
+    assert value == "6.0"
+    return folder, answer.stderr
+
+
+def test_without_any_place_the_core_is_compiled_and_one_line_says_so(installation: Path) -> None:
+    folder, said = double(installation, str(installation / "blocked"))
+    assert folder == "None"
+    assert said.count("\n") == 1 and said.startswith("dextar: no folder for the compiled model can be written, so it is compiled")
+
+
+def test_a_private_folder_for_temporary_files_takes_the_cache(installation: Path) -> None:
+    folder, said = double(installation, str(installation / "temp"))
+    private = installation / "temp" / f"dextar-{os.getuid()}"
+    assert Path(folder).parent == private and not said
+    assert private.stat().st_mode & 0o777 == 0o700 and list(private.rglob("*.nbc"))
+
+
+def test_a_full_disk_or_a_broken_cache_ends_nothing(installation: Path) -> None:
+    arguments = (str(installation / "blocked"),)
+    folder, said = double(installation, *arguments, "full", cache="cache")
+    assert Path(folder).parent == installation / "cache" / "dextar"
+    assert said.count("\n") == 1 and "cannot be kept" in said and "File too large" in said
+    assert double(installation, *arguments, cache="cache") == (folder, "")
+    kept = [file for file in Path(folder).rglob("*.nb?") if file.is_file()]
+    assert kept
+    for file in kept:
+        file.write_bytes(file.read_bytes()[:-20])
+    assert double(installation, *arguments, cache="cache") == (folder, "")
+
+
+def test_a_folder_that_others_may_write_is_not_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "blocked").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "blocked"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    private = tmp_path / f"dextar-{os.getuid()}"
+    private.mkdir()
+    private.chmod(0o777)
+    assert cache_folder("plans") is None
+    private.rmdir()
+    private.symlink_to(tmp_path)
+    assert cache_folder("plans") is None
+    private.unlink()
+    assert cache_folder("plans") == private / "plans"
+    assert cache_folder("plans", tmp_path / "wanted") == tmp_path / "wanted"
+
+
+def test_a_user_without_a_home_has_a_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def nobody(_: type[Path]) -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", classmethod(nobody))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert cache_folder("plans") == tmp_path / f"dextar-{os.getuid()}" / "plans"
+
+
+def test_a_cache_that_can_only_be_read_is_copied_whole(tmp_path: Path) -> None:
+    (tmp_path / "old" / "deep").mkdir(parents=True)
+    (tmp_path / "old" / "deep" / "file").write_text("kept")
+    copy_of(tmp_path / "old", tmp_path / "new" / "place")
+    assert (tmp_path / "new" / "place" / "deep" / "file").read_text() == "kept"
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["place"]
+    copy_of(tmp_path / "none", tmp_path / "new" / "other")
+    assert not (tmp_path / "new" / "other").exists()
+
+
+VARIABLES = ("MPLCONFIGDIR", "ROS_LOG_DIR", "ROS_HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME")
+
+
+@pytest.mark.parametrize("usable", [True, False])
+def test_settings_and_logs_find_a_folder_where_the_home_cannot_be_written(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, usable: bool
+) -> None:
+    for name in VARIABLES:
+        monkeypatch.setenv(name, "")
+    home = tmp_path / "home"
+    if usable:
+        home.mkdir()
+    else:
+        home.touch()
+    (tmp_path / "temp").mkdir()
+    monkeypatch.setattr(caches, "home", lambda: home)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temp"))
+    prepare_environment()
+    private = tmp_path / "temp" / f"dextar-{os.getuid()}"
+    wanted = ("", "") if usable else (str(private / "matplotlib"), str(private / "ros-logs"))
+    assert (os.environ["MPLCONFIGDIR"], os.environ["ROS_LOG_DIR"]) == wanted
+    assert not usable or not list(home.iterdir())
+
+
+def test_help_loads_neither_core_nor_compiler() -> None:
+    code = (
+        "import sys\nfrom dextar_control import cli\n"
+        "for words in ([], *([name] for name in cli.COMMANDS)):\n"
+        "    try: cli.main([*words, '--help'])\n"
+        "    except SystemExit as end: assert end.code == 0\n"
+        "print({name.split('.')[0] for name in sys.modules} & {'numba', 'numpy', 'rclpy', 'matplotlib'},"
+        " [name for name in sys.modules if name.startswith('dextar_control.core')])"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=ROOT)
+    assert answer.stdout.splitlines()[-1] == "set() []"
