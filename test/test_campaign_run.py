@@ -136,14 +136,18 @@ def test_a_killed_campaign_goes_on_where_it_was(tmp_path: Path) -> None:
         json.loads(line)
 
 
-def test_ctrl_c_says_how_to_go_on_and_leaves_no_worker(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_says_how_to_go_on_and_leaves_no_worker(tmp_path: Path, number: int) -> None:
     bench = Bench(tmp_path, points={"count": 120}, cases={"slow": {}})
     process = bench.start()
     bench.until_rows(process)
-    os.killpg(process.pid, signal.SIGINT)
+    if number == signal.SIGINT:  # a terminal sends it to all
+        os.killpg(process.pid, number)
+    else:
+        process.send_signal(number)
     output, _ = process.communicate(timeout=PATIENCE)  # until the last of its workers has closed the pipe
     assert process.returncode == 130, output
-    assert "Traceback" not in output
+    assert "Traceback" not in output and "leaked" not in output
     assert f"{len(bench.rows)} of 120 rows are kept" in output
     assert "To go on:" in output
 

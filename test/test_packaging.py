@@ -86,9 +86,8 @@ def of_setup_py() -> tuple[set[str], set[str]]:
     call = next(node for node in ast.walk(ast.parse((ROOT / "setup.py").read_text(encoding="utf-8")))
                 if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setup")  # fmt: skip
     given = {word.arg: word.value for word in call.keywords}
-    names = [{re.split(r"[<>=;\[ ]", text)[0] for text in ast.literal_eval(value)}
-             for value in (given["install_requires"], given["extras_require"].values[2])]  # fmt: skip
-    assert [ast.literal_eval(key) for key in given["extras_require"].keys][2] == "test"
+    required, extras = ast.literal_eval(given["install_requires"]), ast.literal_eval(given["extras_require"])
+    names = [{re.split(r"[<>=;\[ ]", text)[0] for text in texts} for texts in (required, extras["test"])]
     return names[0], names[1]
 
 

@@ -26,6 +26,7 @@ ATTEMPTS = 2  # of a trial that runs alone and whose worker dies each time
 MANY_DEATHS = 20  # such trials without a finished one between them end the campaign
 CONNECT_TIMEOUT = 10.0  # s
 DIED = "worker died"
+END = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # signals that ask a campaign to end
 
 Call = Callable[[Job, Sequence[Trial]], list[Row]]
 
@@ -144,8 +145,9 @@ class Pool:
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Ctrl-C waits until the block is done; threads and processes that start in it, and theirs, never see one.
+    """A signal that asks the campaign to end waits until the block is done.
 
+    Threads and processes that start in it, and theirs, never see a Ctrl-C; the other signals are how the workers are ended.
     The tracker of multiprocessing starts before, since starting it lifts the block.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -153,13 +155,14 @@ def _uninterrupted() -> Iterator[None]:
         return
     resource_tracker.ensure_running()
     came: list[int] = []
-    handler = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    handlers = {number: signal.signal(number, lambda number, frame: came.append(number)) for number in END}
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, handler)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
     if came:
         raise KeyboardInterrupt
 
