@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
-import numba
 import numpy as np
 
+from dextar_control.contract.compiler import compiler
 from dextar_control.contract.errors import GeometryError
 from dextar_control.contract.robot import LegParameters, RobotParameters
 
 Point = tuple[float, float]
 _SIDES = ("left", "right")
 _LEAST_SINE = 1.0e-9
-_compiled = numba.njit(cache=True, nogil=True)
+_compiled = compiler(Path(__file__).resolve().parent, "_compiled")
 
 
 def bases(robot: RobotParameters) -> tuple[Point, Point]:

@@ -18,10 +18,11 @@ same sum over the bodies; the leg passes, as a real one does.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
-import numba
 import numpy as np
 
+from dextar_control.contract.compiler import compiler
 from dextar_control.contract.robot import RobotParameters
 from dextar_sim.geometry import bases
 
@@ -33,7 +34,7 @@ PLATFORM = -1
 Pair = tuple[float, float]
 Row = tuple[float, ...]
 
-_compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
+_compiled = compiler(Path(__file__).resolve().parent, "_compiled", error_model="numpy")
 
 
 @_compiled

@@ -18,72 +18,79 @@ ROOT = Path(__file__).resolve().parents[1]
 DOUBLE = """
 import resource, signal, sys, tempfile
 tempfile.tempdir = sys.argv[1]
-from dextar_control.core.compiled import _FOLDER, njit
+from dextar_control.core.compiled import njit
+from dextar_sim.geometry import _compiled
 @njit
 def double(x):
     return 2.0 * x
+@_compiled
+def triple(x):
+    return 3.0 * x
 if "full" in sys.argv:
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))
-print(double(3.0), _FOLDER)
+print(double(3.0), triple(2.0))
 """
 
 
 @pytest.fixture
 def installation(tmp_path: Path) -> Path:
-    """The package in a folder where nothing can be written beside the core, whoever runs the tests."""
-    for room in ("contract", "core"):
-        shutil.copytree(ROOT / "dextar_control" / room, tmp_path / "site" / "dextar_control" / room,
-                        ignore=shutil.ignore_patterns("__pycache__"))  # fmt: skip
+    """The package in a folder where nothing can be written beside the sources, whoever runs the tests."""
+    for room in ("dextar_control/contract", "dextar_control/core", "dextar_sim"):
+        shutil.copytree(ROOT / room, tmp_path / "site" / room, ignore=shutil.ignore_patterns("__pycache__"))
+        (tmp_path / "site" / room / "__pycache__").touch()
     (tmp_path / "site" / "dextar_control" / "__init__.py").touch()
-    (tmp_path / "site" / "dextar_control" / "core" / "__pycache__").touch()
     (tmp_path / "blocked").touch()
     (tmp_path / "temp").mkdir()
     (tmp_path / "double.py").write_text(DOUBLE)
     return tmp_path
 
 
-def double(installation: Path, *arguments: str, cache: str = "blocked") -> tuple[str, str]:
-    """Output and error output of a process that compiles a function."""
+def double(installation: Path, temporary: str, *arguments: str, cache: str = "blocked") -> str:
+    """The error output of a process that compiles two functions."""
     environment = {
         **os.environ, "PYTHONPATH": str(installation / "site"), "PYTHONDONTWRITEBYTECODE": "1",
         "HOME": str(installation / "blocked"), "XDG_CACHE_HOME": str(installation / cache),
     }  # fmt: skip
     environment.pop("NUMBA_CACHE_DIR", None)
     answer = subprocess.run(
-        [sys.executable, str(installation / "double.py"), *arguments], env=environment, cwd=installation, capture_output=True,
-        text=True, check=False,
+        [sys.executable, str(installation / "double.py"), str(installation / temporary), *arguments], env=environment,
+        cwd=installation, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert answer.returncode == 0, answer.stderr
-    value, _, folder = answer.stdout.strip().partition(" ")
-    assert value == "6.0"
-    return folder, answer.stderr
+    assert (answer.returncode, answer.stdout) == (0, "6.0 6.0\n"), answer.stderr
+    return answer.stderr
+
+
+def kept(folder: Path) -> list[Path]:
+    """Files of numba's caches."""
+    return sorted(folder.glob("numba-*/*/*.nb?"))
 
 
 def test_without_any_place_the_core_is_compiled_and_one_line_says_so(installation: Path) -> None:
-    folder, said = double(installation, str(installation / "blocked"))
-    assert folder == "None"
+    said = double(installation, "blocked")
     assert said.count("\n") == 1 and said.startswith("dextar: no folder for the compiled model can be written, so it is compiled")
 
 
 def test_a_private_folder_for_temporary_files_takes_the_cache(installation: Path) -> None:
-    folder, said = double(installation, str(installation / "temp"))
+    assert not double(installation, "temp")
     private = installation / "temp" / f"dextar-{os.getuid()}"
-    assert Path(folder).parent == private and not said
-    assert private.stat().st_mode & 0o777 == 0o700 and list(private.rglob("*.nbc"))
+    assert private.stat().st_mode & 0o777 == 0o700
+    assert [file.name.partition(".")[0] for file in kept(private) if file.suffix == ".nbi"] == ["double"] * 2
 
 
 def test_a_full_disk_or_a_broken_cache_ends_nothing(installation: Path) -> None:
-    arguments = (str(installation / "blocked"),)
-    folder, said = double(installation, *arguments, "full", cache="cache")
-    assert Path(folder).parent == installation / "cache" / "dextar"
-    assert said.count("\n") == 1 and "cannot be kept" in said and "File too large" in said
-    assert double(installation, *arguments, cache="cache") == (folder, "")
-    kept = [file for file in Path(folder).rglob("*.nb?") if file.is_file()]
-    assert kept
-    for file in kept:
+    folder = installation / "cache" / "dextar"
+    said = double(installation, "blocked", "full", cache="cache")
+    assert "cannot be kept" in said and "File too large" in said and said.count("\n") == 2  # one for each folder
+    assert not double(installation, "blocked", cache="cache")
+    files = kept(folder)
+    assert len(files) == 4
+    for file in files:
         file.write_bytes(file.read_bytes()[:-20])
-    assert double(installation, *arguments, cache="cache") == (folder, "")
+    assert not double(installation, "blocked", cache="cache")
+    before = [file.stat().st_mtime_ns for file in files]
+    assert not double(installation, "blocked", cache="cache")
+    assert [file.stat().st_mtime_ns for file in files] == before, "what was broken is not kept anew"
 
 
 def test_a_folder_that_others_may_write_is_not_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

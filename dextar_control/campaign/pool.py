@@ -153,7 +153,9 @@ def _uninterrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a closed terminal must not end the tracker before the workers
     resource_tracker.ensure_running()
+    signal.signal(signal.SIGHUP, handler)
     came: list[int] = []
     handlers = {number: signal.signal(number, lambda number, frame: came.append(number)) for number in END}
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
