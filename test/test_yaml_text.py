@@ -14,6 +14,7 @@ from rclpy.node import Node
 
 from dextar_control.campaign.config import load_config
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.node import run_node
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.yaml_text import (
@@ -188,6 +189,18 @@ def test_a_file_that_is_no_robot_is_told_in_one_sentence(tmp_path: Path, name: s
     with pytest.raises(ParameterError) as caught:
         load_robot(file)
     assert said in str(caught.value) and str(file) in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["latin1", "no parameters", "tab", "mixed"])
+def test_a_node_refuses_such_a_file_in_the_same_sentence(
+    tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "robot.yaml"
+    content, said = ODD_FILES[name]
+    file.write_bytes(content)
+    assert run_node(lambda: None, ["node", "--ros-args", "--params-file", str(file)]) == 2
+    written = capfd.readouterr().err
+    assert said in written and str(file) in written and written.count("\n") == 1
 
 
 def test_an_infinite_working_mode_is_refused(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.robot import ROBOT_KEYS, RobotParameters, from_flat
 from dextar_control.contract.services import ServiceDesk
 from dextar_control.contract.topics import DIAGNOSTICS, Topic
+from dextar_control.contract.yaml_text import check_parameter_files
 
 EXIT_USAGE = 2
 START_GRACE = 3.0  # s from a signal during a node's start to its end
@@ -320,6 +321,7 @@ def run_node(
     """
     prepare_environment()
     try:
+        check_parameter_files(sys.argv if args is None else args)
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rcl raises its own types for a bad --ros-args or parameter file
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)

@@ -126,6 +126,24 @@ def load_parameters(*paths: str | Path, what: str = "parameter file") -> Section
     return sections
 
 
+def check_parameter_files(arguments: Sequence[str]) -> None:
+    """Refuse a file after ``--params-file`` as a command would: rcl's own words name neither line nor remedy.
+
+    Raises:
+        ParameterError: a file cannot be read, or ROS 2 would not take it.
+    """
+    for flag, path in zip(arguments, arguments[1:], strict=False):
+        if flag == "--params-file" and not stat.S_ISFIFO(_mode(path)):  # a pipe is read once, by rcl
+            load_parameters(path)
+
+
+def _mode(path: str) -> int:
+    try:
+        return os.stat(path).st_mode
+    except (OSError, ValueError):
+        return 0
+
+
 def parameters_of(node: str, sections: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Parameters of the node with this full name (``/controller``, ``/left/plant``), as rcl matches and overrides them."""
     values: dict[str, Any] = {}
