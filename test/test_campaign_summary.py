@@ -134,6 +134,7 @@ def test_each_case_has_a_line_in_the_figure_and_each_combination_a_marker(config
     figure = draw_summary(config, summarise(config, rows), "pybullet")
     success, error, torque = figure.axes
     assert [label.get_text() for label in success.get_yticklabels()] == ["nominal", "bounced at the locus"]
+    assert not any(label.get_parse_math() for label in success.get_yticklabels())
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()][:2] == ["consistent / observer", "classic / plain"]
     assert all("(" in axes.get_xlabel() or "×" in axes.get_xlabel() for axes in (success, error, torque))

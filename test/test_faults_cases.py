@@ -128,6 +128,7 @@ def test_the_table_counts_each_case_and_not_what_the_machine_disturbed(tmp_path:
     assert all(line.count("|") in (0, 4, 8) for line in lines)
     data = json.loads(json.dumps(summary.to_dict()))
     assert data["cases"]["controller_sigkill"]["outcomes"] == {"no torque": 1}
+    summary.cases["states_lost_20"].title = r"$\frac{"  # no formula
     draw(summary, 0.02).savefig(tmp_path / "figure.png", dpi=60)
     with Image.open(tmp_path / "figure.png") as image:
         assert image.convert("L").getextrema() == (0, 255)

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import ast
 import io
+import os
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.progress import BarColumn
 from rich.table import Table
+from synthetic_run import write_run
 
+from dextar_control import cli
 from dextar_control.analysis.compare import Comparison, summary_table
 from dextar_control.contract import terminal
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, plain
@@ -101,6 +105,41 @@ def test_what_is_done_now_is_told_again_when_it_changes(monkeypatch: pytest.Monk
             now = 0.1 * tick
             working.now("starting" if tick < 250 else "planning [/x]")
     assert file.getvalue().splitlines() == ["starting", "planning [/x]"]
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag in a folder whose name is markup, holds an escape and is not UTF-8."""
+    folder = tmp_path_factory.mktemp("bags") / os.fsdecode(b"[friday] [bold] \x1b[31m caf\xe9")
+    folder.mkdir()
+    write_run(folder / "run [x].mcap")
+    return folder / "run [x].mcap"
+
+
+COMMANDS = (["analyze"], ["compare", "BAG"], ["export", "--format", "csv", "--format", "parquet"], ["recover"])
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: words[0])
+def test_a_bag_may_lie_in_a_folder_of_any_name(
+    bag: Path, tmp_path: Path, words: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The commands print to pipes of their own; the whole name stands there, the escape as its picture."""
+    output, errors = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8") for _ in range(2))
+    monkeypatch.setattr(sys, "stdout", output)
+    monkeypatch.setattr(sys, "stderr", errors)
+    into = bag.parent / "out"
+    if words == ["recover"]:
+        cut = bag.parent / "cut.mcap"
+        cut.write_bytes(bag.read_bytes()[:-3000])
+        given = [str(cut)]
+    else:
+        given = [str(bag), *(str(bag) for word in words if word == "BAG"), "--output", str(into)]
+    assert cli.main([words[0], *given, *(word for word in words[1:] if word != "BAG")]) == 0
+    for stream in (output, errors):
+        stream.flush()
+    said = output.buffer.getvalue().decode()
+    assert "[friday] [bold] ␛[31m caf?" in said and "\x1b" not in said
+    assert not errors.buffer.getvalue()
 
 
 def test_nothing_prints_past_the_one_way() -> None:

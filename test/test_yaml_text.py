@@ -20,7 +20,7 @@ from dextar_control.contract.robot import load_robot
 from dextar_control.contract.yaml_text import (
     as_yaml,
     assignment,
-    dump_parameters,
+    dump_document,
     load_document,
     load_parameters,
     parameters_of,
@@ -152,7 +152,7 @@ def test_a_recorded_robot_keeps_its_name(tmp_path: Path, name: str) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(robot_file({"controller": values}), encoding="utf-8")
     assert load_robot(file).name == name
-    assert "distal_mass: 0.1" in dump_parameters({"distal_mass": 0.1})
+    assert "distal_mass: 0.1" in dump_document({"distal_mass": 0.1})
 
 
 GOOD = config_file(ROBOT_FILE).read_bytes()

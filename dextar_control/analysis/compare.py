@@ -26,7 +26,7 @@ from dextar_control.analysis.words import counted
 from dextar_control.bags.records import Progress
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.contract.terminal import Terminal
+from dextar_control.contract.terminal import Terminal, title
 
 Value = float | int | str | None
 DECIDED = ("crossed", "bounced")  # verdicts
@@ -215,9 +215,9 @@ def write_comparison(comparison: Comparison, folder: Path) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "comparison.json").write_text(comparison.to_json() + "\n", encoding="utf-8")
-        (folder / "comparison.md").write_text(comparison.to_markdown(), encoding="utf-8")
-        (folder / "comparison.html").write_text(render_comparison(comparison), encoding="utf-8")
+        (folder / "comparison.json").write_text(comparison.to_json() + "\n", encoding="utf-8", errors="replace")
+        (folder / "comparison.md").write_text(comparison.to_markdown(), encoding="utf-8", errors="replace")
+        (folder / "comparison.html").write_text(render_comparison(comparison), encoding="utf-8", errors="replace")
     except OSError as error:
         raise BagError(f"cannot write the comparison to {folder}: {error.strerror or error}") from error
 
@@ -303,7 +303,7 @@ def summary_table(comparison: Comparison, width: int = 80) -> Table:
 
 def _table(comparison: Comparison, differences: bool) -> Table:
     keys = [f"{number}: {name}" for number, name in enumerate(comparison.names, start=1)]
-    table = Table(title="\n".join([*keys, *(["Δ: difference to 1"] if differences else [])]), title_justify="left")
+    table = Table(title=title(*keys, *(["Δ: difference to 1"] if differences else [])), title_justify="left")
     table.add_column("", no_wrap=True)
     for index in range(len(comparison.names)):
         table.add_column(str(index + 1), justify="right", overflow="fold")

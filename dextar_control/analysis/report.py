@@ -56,11 +56,11 @@ def analyze(
     folder = Path(output_dir) if output_dir is not None else run.path.parent
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "metrics.json").write_text(metrics.to_json() + "\n", encoding="utf-8")
+        (folder / "metrics.json").write_text(metrics.to_json() + "\n", encoding="utf-8", errors="replace")
         progress("drawing figure.png")
         draw_run(run, metrics).savefig(folder / "figure.png", dpi=RESOLUTION)
         progress("writing report.html")
-        (folder / "report.html").write_text(render_report(run, metrics), encoding="utf-8")
+        (folder / "report.html").write_text(render_report(run, metrics), encoding="utf-8", errors="replace")
         if formats:
             progress("drawing the figure for a paper")
             write_paper(run, metrics, folder, list(formats), width)

@@ -261,12 +261,14 @@ def _titles(table: pa.Table) -> list[str]:
 
 
 def _write_parquet(table: pa.Table, file: Path) -> None:
-    pyarrow.parquet.write_table(table, file, compression="zstd")
+    with file.open("wb") as stream:  # pyarrow takes no name that is not UTF-8
+        pyarrow.parquet.write_table(table, stream, compression="zstd")
 
 
 def _write_csv(table: pa.Table, file: Path) -> None:
     plain = [column.cast(pa.string()) if pa.types.is_dictionary(column.type) else column for column in table.columns]
-    pyarrow.csv.write_csv(pa.table(plain, names=_titles(table)), file)
+    with file.open("wb") as stream:
+        pyarrow.csv.write_csv(pa.table(plain, names=_titles(table)), stream)
 
 
 def _write_mat(table: pa.Table, file: Path) -> None:

@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.table import Column, Table
 
     from dextar_control.analysis.words import counted
-    from dextar_control.contract.terminal import Steps, Terminal, TextColumn
+    from dextar_control.contract.terminal import Steps, Terminal, TextColumn, title
     from dextar_control.ros.recovery import recover
 
     console = Terminal()
@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
             return lambda done, total: bars.update(task, completed=done, total=total)
 
         result = recover(arguments.bag, watch)
-    table = Table(Column("topic", overflow="fold"), "messages", title=f"{result.folder}", title_justify="left")
+    table = Table(Column("topic", overflow="fold"), "messages", title=title(result.folder), title_justify="left")
     for name, count in sorted(result.counts.items()):
         table.add_row(name, str(count))
     console.print(table)

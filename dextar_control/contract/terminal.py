@@ -30,6 +30,11 @@ def plain(text: object) -> str:
     return str(text).translate(_ONE_LINE)
 
 
+def title(*lines: object) -> Text:
+    """A table's title, whose lines are not broken where the table is narrower."""
+    return Text("\n".join(map(plain, lines)), style="table.title", no_wrap=True, overflow="ignore")
+
+
 def say(text: object) -> None:
     """One line on the error output."""
     print(plain(text), file=sys.stderr)

@@ -198,8 +198,8 @@ def as_yaml(value: Any) -> str:
     return yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True).rstrip("\n")
 
 
-def dump_parameters(document: Any) -> str:
-    """A parameter file's text: words are quoted, so that rcl and PyYAML read the same."""
+def dump_document(document: Any) -> str:
+    """Plain data as YAML, words quoted where another reader might take them for numbers: rcl and PyYAML read the same."""
     return yaml.dump(document, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True)
 
 

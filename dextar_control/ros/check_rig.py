@@ -30,7 +30,7 @@ from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.node import StopSignal, qos
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import JOINT_NAMES, RobotParameters, load_robot
-from dextar_control.contract.terminal import Steps, Terminal, TextColumn
+from dextar_control.contract.terminal import Steps, Terminal, TextColumn, title
 from dextar_control.contract.topics import EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES
 from dextar_control.rig_check.check import report, torque_obstacle, torque_tests, watch_lines
 from dextar_control.rig_check.limits import MIN_SAMPLES, Limits
@@ -354,7 +354,7 @@ STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.SKIP: "yellow"}
 
 def table(lines: Sequence[Line], graph: Graph) -> Table:
     """The report for a person."""
-    grid = Table(title=f"{graph.states}, {graph.commands}", show_lines=False)
+    grid = Table(title=title(f"{graph.states}, {graph.commands}"), show_lines=False)
     for name in ("line", "", "measured", "limit"):
         grid.add_column(name, overflow="fold")
     for line in lines:

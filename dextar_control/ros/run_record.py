@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from dextar_control.contract.yaml_text import dump_parameters
+from dextar_control.contract.yaml_text import dump_document
 
 METADATA_NAME = "dextar"
 MAX_CHANGES = 1000  # live parameter changes that are listed
@@ -105,7 +105,7 @@ def robot_file(parameters: Mapping[str, Mapping[str, Any]]) -> str:
                 for group in groups:
                     place = place.setdefault(group, {})
                 place[last] = plain(value)
-            return dump_parameters({"/**": {"ros__parameters": {"robot": nested}}})
+            return dump_document({"/**": {"ros__parameters": {"robot": nested}}})
     return ""
 
 

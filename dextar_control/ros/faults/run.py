@@ -19,12 +19,12 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TimeElapsedColumn
 
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.resources import config_file, node_defaults
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn
+from dextar_control.contract.yaml_text import dump_document
 from dextar_control.faults.cases import FaultConfig, load_cases
 from dextar_control.faults.figure import draw
 from dextar_control.faults.frames import LinkError
@@ -314,7 +314,7 @@ def _write(folder: Path, summary: Summary, config: FaultConfig, seed: int) -> No
     data = {"seed": seed, **summary.to_dict()}
     (folder / "faults.json").write_text(json.dumps(_finite(data), indent=1) + "\n", encoding="utf-8")
     (folder / "faults.md").write_text(summary.markdown(), encoding="utf-8")
-    (folder / "cases.yaml").write_text(yaml.safe_dump(config.model_dump(), sort_keys=False), encoding="utf-8")
+    (folder / "cases.yaml").write_text(dump_document(config.model_dump()), encoding="utf-8")
     if summary.rows():
         timeout = float(node_defaults("plant")["command_timeout"])
         draw(summary, timeout).savefig(folder / "faults.png", dpi=RESOLUTION)
