@@ -37,7 +37,7 @@ class Store:
             folder.mkdir(parents=True, exist_ok=True)
             self._file = open(folder / ROWS, "a+b")
         except OSError as error:
-            raise CampaignError(f"cannot write into {folder}: {error.strerror or error}") from error
+            raise CampaignError(f"cannot write into {folder}: {error.strerror or error}; name another with --output") from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:

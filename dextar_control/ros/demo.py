@@ -274,7 +274,7 @@ def _make_folder(output: Path) -> Path:
         if not latest.exists():
             latest.symlink_to(folder.name)
     except OSError as error:
-        raise BagError(f"run folder {folder} cannot be made: {error.strerror}") from error
+        raise BagError(f"run folder {folder} cannot be made: {error.strerror}; name another with --output") from error
     return folder
 
 

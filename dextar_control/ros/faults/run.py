@@ -306,7 +306,7 @@ def _make_folder(output: Path) -> Path:
     try:
         folder.mkdir(parents=True)
     except OSError as error:
-        raise BagError(f"folder {folder} cannot be made: {error.strerror}") from error
+        raise BagError(f"folder {folder} cannot be made: {error.strerror}; name another with --output") from error
     return folder
 
 
