@@ -58,15 +58,26 @@ def main(argv: list[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that knows no × shows a ? for it
     try:
-        return COMMANDS[arguments.command].run(arguments)
+        code = COMMANDS[arguments.command].run(arguments)
+        sys.stdout.flush()
+        return code
     except DextarError as error:
-        from dextar_control.contract.terminal import say
-
-        say(f"dextar {arguments.command}: {error}")
+        return _refuse(arguments.command, str(error))
+    except BrokenPipeError:  # who reads has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_USAGE
+    except OSError as error:  # a disk that fills up under the output, a file that goes away while it is read
+        return _refuse(arguments.command, str(error))
     except KeyboardInterrupt:
         print(f"dextar {arguments.command}: interrupted", file=sys.stderr)
         return 130
+
+
+def _refuse(command: str, why: str) -> int:
+    from dextar_control.contract.terminal import say
+
+    say(f"dextar {command}: {why}")
+    return EXIT_USAGE
 
 
 if __name__ == "__main__":

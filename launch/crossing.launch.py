@@ -17,7 +17,6 @@ from launch.event_handlers import OnProcessExit
 from launch.events.process import ProcessExited
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
 WARMUP = Path(get_package_prefix("dextar")) / "lib" / "dextar" / "warmup"
 CONFIG = Path(get_package_share_directory("dextar")) / "config"
@@ -84,7 +83,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     if value("duration"):
         overrides["trajectory_server"]["duration"] = float(value("duration"))
     if value("output"):
-        overrides["recorder"]["output"] = ParameterValue(value("output"), value_type=str)  # else read as YAML
+        overrides["recorder"]["output"] = value("output")
     unwanted = {"plant": not on("plant"), "recorder": not on("record"), "markers": not on("markers")}
     namespace = value("namespace").rstrip("/")
     return [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import io
 import os
 import sys
@@ -150,3 +151,13 @@ def test_nothing_prints_past_the_one_way() -> None:
             module = getattr(node, "module", "") or ""
             if module.startswith("rich") and path.name != "terminal.py":
                 assert not names & {"Console", "Progress", "TextColumn", "track", "print", "Status"}, f"{path}: {names}"
+
+
+def test_an_output_that_takes_nothing_is_told_in_one_line(
+    bag: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with contextlib.suppress(OSError), open("/dev/full", "w", encoding="utf-8") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert cli.main(["export", str(bag), "--format", "csv", "--output", str(bag.parent / "full")]) == 2
+    said = capsys.readouterr().err
+    assert "No space left on device" in said and said.count("\n") == 1
