@@ -175,6 +175,8 @@ def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     (tmp_path / "campaign.json").write_text("{}")
     with pytest.raises(CampaignError, match="line 2 is not a row"):
         Store(tmp_path, {})
+    with pytest.raises(CampaignError, match="line 2 is not a row"):
+        read_rows(tmp_path)
 
 
 def test_numbers_that_are_not_finite_are_kept_as_missing(tmp_path: Path) -> None:

@@ -137,6 +137,8 @@ def test_a_tour_crosses_everywhere_and_the_estimator_knows_it(tmp_path: Path) ->
         (("--point", "0.0", "0.05"), "off the Type 2 locus"),
         (("--tour", "2", "-p", "trajectory_server.point:=[0.0, 0.08]"), "are given; one may be"),
         (("--tour", "2", "--point", "0.0", "0.08"), "not allowed with argument"),
+        (("-p", "controller.law:=["), "-p controller.law:=[, line 1: while parsing a flow node"),
+        (("--params", "/dev/zero"), "parameter file /dev/zero is a pipe or a device; each node reads it, so it must be a file"),
     ],
 )
 def test_a_demo_that_cannot_be_planned_says_so(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:

@@ -12,8 +12,10 @@ import pytest
 from rclpy.context import Context
 from rclpy.node import Node
 
+from dextar_control import cli
+from dextar_control.bags.folder import METADATA_FILE, METADATA_ROOT, read_listing
 from dextar_control.campaign.config import load_config
-from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.node import run_node
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
@@ -240,6 +242,19 @@ def test_a_document_has_rcls_numbers_and_no_key_twice(tmp_path: Path) -> None:
     levels = "".join(f"a{n + 1}: &a{n + 1} [*a{n}, *a{n}]\n" for n in range(40))
     file.write_text(f"a0: &a0 1\n{levels}")
     assert len(load_document(file, "x")) == 41  # 2 to the 40 if each alias were read anew
+
+
+def test_a_listing_that_is_nested_too_deeply_is_no_listing(tmp_path: Path) -> None:
+    (tmp_path / METADATA_FILE).write_text(f"{METADATA_ROOT}: {'[' * 5000}")
+    with pytest.raises(BagError, match="is no metadata.yaml of rosbag2"):
+        read_listing(tmp_path)
+
+
+@pytest.mark.parametrize("seconds", ["nan", "0", "-1", "inf", "x"])
+def test_a_bench_of_no_length_is_refused(seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["bench", f"--seconds={seconds}"])
+    assert caught.value.code == 2 and "argument --seconds:" in capsys.readouterr().err
 
 
 def test_a_file_without_a_byte_order_mark_is_what_it_was(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def read_listing(folder: Path) -> dict[str, Any]:
     try:
         document = yaml.safe_load(listing.read_text(encoding="utf-8"))[METADATA_ROOT]
         names = [Path(name).name for name in document["relative_file_paths"]]
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (yaml.YAMLError, RecursionError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise BagError(
             f"{listing} is no {METADATA_FILE} of rosbag2; the .mcap file beside it may be given instead, or dextar recover"
             " writes a new one"

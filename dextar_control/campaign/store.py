@@ -106,25 +106,30 @@ class Store:
         whole = content.rfind(b"\n") + 1
         if whole < len(content):
             self._file.truncate(whole)
-        rows = {}
-        for number, line in enumerate(content[:whole].splitlines(), start=1):
-            try:
-                row = json.loads(line)
-                rows[row["key"]] = row
-            except (ValueError, KeyError, TypeError) as error:
-                raise CampaignError(f"{self.folder / ROWS}: line {number} is not a row; delete it and run again") from error
-        return rows
+        return _rows(self.folder / ROWS, content[:whole])
 
 
 def read_rows(folder: Path) -> dict[str, Row]:
-    """Rows of a folder by key, without holding it; none if there is no such folder."""
+    """Rows of a folder by key, without holding it; none if there is no such folder.
+
+    Raises:
+        CampaignError: a line is not a row.
+    """
     path = folder / ROWS
     if not path.is_file():
         return {}
+    content = path.read_bytes()
+    return _rows(path, content[: content.rfind(b"\n") + 1])
+
+
+def _rows(path: Path, content: bytes) -> dict[str, Row]:
     rows = {}
-    for line in path.read_bytes().split(b"\n")[:-1]:
-        row = json.loads(line)
-        rows[row["key"]] = row
+    for number, line in enumerate(content.splitlines(), start=1):
+        try:
+            row = json.loads(line)
+            rows[row["key"]] = row
+        except (ValueError, KeyError, TypeError) as error:
+            raise CampaignError(f"{path}: line {number} is not a row; delete it and run again") from error
     return rows
 
 

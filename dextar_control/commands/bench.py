@@ -10,7 +10,15 @@ DESCRIPTION = "Measures on this machine, now; every figure stands beside somethi
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
-    parser.add_argument("--seconds", type=float, default=5.0, metavar="S", help="of each DDS measurement (default: %(default)s)")
+    parser.add_argument("--seconds", type=_seconds, default=5.0, metavar="S",
+                        help="of each DDS measurement (default: %(default)s)")  # fmt: skip
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.1 <= value <= 3600.0:
+        raise argparse.ArgumentTypeError(f"{text}; it must lie in 0.1 to 3600 s")
+    return value
 
 
 def run(arguments: argparse.Namespace) -> int:

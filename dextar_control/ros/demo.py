@@ -209,6 +209,7 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
         node, dot, rest = override.partition(".")
         if not dot or node not in MODULES or ":=" not in rest:
             raise ParameterError(f"-p {override}: expected NODE.NAME:=VALUE with NODE one of {', '.join(MODULES)}")
+        parse_value(rest.partition(":=")[2], f"-p {override}")
         values[node].append(rest)
     return values
 

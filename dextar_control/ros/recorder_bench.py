@@ -77,7 +77,7 @@ def streams(bag: Path) -> list[Stream]:
     ]  # fmt: skip
 
 
-def run(seconds: float, output: Path, reliable: bool) -> int:
+def run(seconds: int, output: Path, reliable: bool) -> int:
     """Measure and print; 0 when nothing is missing."""
     console = Terminal()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -96,8 +96,8 @@ def run(seconds: float, output: Path, reliable: bool) -> int:
         before = {name: _cpu(process.pid) for name, process in processes.items()}
         begin = time.monotonic()
         with Steps(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=console) as progress:
-            bar = progress.add_task("recording", total=round(seconds))
-            for second in range(round(seconds)):
+            bar = progress.add_task("recording", total=seconds)
+            for second in range(seconds):
                 if second % TOUR_PERIOD == TOUR_PERIOD - 1:
                     operator.start_tour()
                 time.sleep(max(0.0, begin + second + 1.0 - time.monotonic()))
@@ -190,7 +190,7 @@ def _memory(pid: int) -> float:
 def main(argv: list[str] | None = None) -> int:
     """Console entry."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("seconds", type=float, nargs="?", default=600.0)
+    parser.add_argument("seconds", type=int, nargs="?", default=600)
     parser.add_argument("--output", type=Path, help="new folder of bag and logs (default: a temporary one)")
     parser.add_argument("--reliable", action="store_true", help="ask the publishers to repeat what was lost")
     arguments = parser.parse_args(argv)
