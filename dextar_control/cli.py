@@ -8,7 +8,6 @@ import os
 import sys
 
 from dextar_control.commands import (
-    EXIT_USAGE,
     analyze,
     bench,
     campaign,
@@ -20,7 +19,7 @@ from dextar_control.commands import (
     recover,
     replay,
 )
-from dextar_control.contract.errors import DextarError
+from dextar_control.contract.signals import run_command
 
 COMMANDS = {
     "demo": demo,
@@ -55,14 +54,7 @@ def main(argv: list[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that knows no × shows a ? for it
-    try:
-        return COMMANDS[arguments.command].run(arguments)
-    except DextarError as error:
-        print(f"dextar {arguments.command}: {error}", file=sys.stderr)
-        return EXIT_USAGE
-    except KeyboardInterrupt:
-        print(f"dextar {arguments.command}: interrupted", file=sys.stderr)
-        return 130
+    return run_command(f"dextar {arguments.command}", lambda: COMMANDS[arguments.command].run(arguments))
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from distributed.scheduler import KilledWorker
 
 from dextar_control.campaign.design import Trial
 from dextar_control.campaign.worker import Job, Row, failed_row
+from dextar_control.contract import signals
 from dextar_control.contract.errors import CampaignError, DextarError, ParameterError
 
 AHEAD = 2  # batches in flight for each core: one runs, one waits beside it
@@ -144,24 +145,25 @@ class Pool:
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Ctrl-C waits until the block is done; threads and processes that start in it, and theirs, never see one.
+    """A signal that asks to end waits until the block is done.
 
-    The tracker of multiprocessing starts before, since starting it lifts the block.
+    Threads and processes that start in it, and theirs, never see a signal of the terminal (Ctrl-C, hang-up): who started them
+    ends them. The tracker of multiprocessing starts before, since starting it lifts the block.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     resource_tracker.ensure_running()
     came: list[int] = []
-    handler = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signals.install(lambda number, _: came.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, set(signals.ENDING) - {signal.SIGTERM})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, handler)
-    if came:
-        raise KeyboardInterrupt
+        signals.restore(before)
+    if came and callable(handler := before[came[0]]):
+        handler(came[0], None)
 
 
 def _connected(scheduler: str) -> Client:

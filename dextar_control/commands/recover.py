@@ -6,8 +6,6 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from dextar_control.analysis.words import counted
-
 SUMMARY = "rebuild a readable, indexed bag from one that is damaged or breaks off"
 DESCRIPTION = (
     "Copies every intact message of a damaged or cut-off recording, or of a folder whose metadata.yaml is missing or wrong, into"
@@ -30,6 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.progress import Progress
     from rich.table import Table
 
+    from dextar_control.analysis.words import counted
     from dextar_control.ros.recovery import recover
 
     console, errors = Console(), Console(stderr=True)

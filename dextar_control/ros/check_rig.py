@@ -6,7 +6,6 @@ import argparse
 import json
 import math
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -27,9 +26,10 @@ from std_msgs.msg import Float64MultiArray
 
 from dextar_control.contract.cdr import from_time, to_time
 from dextar_control.contract.errors import DextarError, ParameterError
-from dextar_control.contract.node import StopSignal, qos
+from dextar_control.contract.node import qos
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import JOINT_NAMES, RobotParameters, load_robot
+from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES
 from dextar_control.rig_check.check import report, torque_obstacle, torque_tests, watch_lines
 from dextar_control.rig_check.limits import MIN_SAMPLES, Limits
@@ -159,18 +159,15 @@ def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigWatch, StopSignal
     except Exception as error:  # rcl raises its own types for bad names
         rclpy.try_shutdown()
         raise ParameterError(" ".join(str(error).replace("^", "").split())) from error
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     stop = StopSignal()
     stop.starting = False
-    signal.signal(signal.SIGHUP, lambda *_: os.kill(os.getpid(), signal.SIGTERM))
     try:
         yield node, stop
     finally:
         node.release()
         node.destroy_node()
         rclpy.try_shutdown()
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        stop.restore()
 
 
 def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
@@ -224,8 +221,7 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 
 def _check(stop: StopSignal) -> None:
-    if stop:
-        raise KeyboardInterrupt
+    stop.check()
 
 
 def _look(
