@@ -18,6 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from dextar_control.contract import resources
+from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.help import node_help
 from dextar_control.contract.robot import ROBOT_KEYS, RobotParameters, from_flat
@@ -168,9 +169,11 @@ class DextarNode(Node):
         self.add_on_set_parameters_callback(self._on_set)
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS.name, qos(DIAGNOSTICS))
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.unstepped_clock = UnsteppedClock()
         self.desk = ServiceDesk(
-            lambda: self._services, lambda text: self.get_logger().error(text, throttle_duration_sec=COMPLAINT_PERIOD)
-        )
+            lambda: self._services, lambda text: self.get_logger().error(text, throttle_duration_sec=COMPLAINT_PERIOD),
+            self.unstepped_clock,
+        )  # fmt: skip
 
     @property
     def subscriptions(self) -> Any:

@@ -25,6 +25,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from dextar_control.contract.cdr import from_time, to_time
+from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.node import qos
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
@@ -65,6 +66,11 @@ class RigWatch(Node):
         self._commands_name = self.resolve_topic_name(commands or self._topic.name)
         self._commands: Any = None
         self._stamp = 0
+        self._unstepped = UnsteppedClock()
+
+    def now(self) -> int:
+        """The system clock when this began, and since then the steady one, ns: torque must not last because a clock was set."""
+        return self._unstepped.now()
 
     def take(self) -> Iterator[Sample]:
         """The states that have arrived."""
@@ -72,7 +78,7 @@ class RigWatch(Node):
             message, info = taken
             self._stamp = from_time(message.header.stamp)
             yield Sample(
-                info["received_timestamp"] or time.time_ns(), self._stamp, tuple(message.name),
+                self._unstepped.arrival(info["received_timestamp"]), self._stamp, tuple(message.name),
                 tuple(message.position), tuple(message.velocity), tuple(message.effort),
             )  # fmt: skip
 
@@ -329,11 +335,11 @@ def _answer(node: RigWatch, tests: TorqueTests) -> None:
     """Let the tests see what arrived; command what they want."""
     torque = None
     for sample in node.take():
-        torque = tests.update(time.time_ns(), sample)
+        torque = tests.update(node.now(), sample)
         if torque is not None:
             node.command(torque)
     if torque is None:
-        torque = tests.update(time.time_ns(), None)
+        torque = tests.update(node.now(), None)
         if torque is not None:
             node.command(torque)
         time.sleep(POLL)

@@ -358,7 +358,7 @@ class ControllerNode(ManagedNode):
         if not answered and loop.phase in LIMP:
             self._outputs.release()
         if loop.phase in LATCHED:
-            self._latched = (loop.reason, self._latched[1] if before[0] is loop.phase else time.time_ns())
+            self._latched = (loop.reason, self._latched[1] if before[0] is loop.phase else self.unstepped_clock.now())
             self._reference.drop()
             self.get_logger().error(f"{loop.phase.name}: {loop.reason}")
         else:
@@ -481,7 +481,7 @@ class ControllerNode(ManagedNode):
         loop = self._loop
         try:
             if loop is not None and loop.phase in LATCHED:
-                if 0 < self.desk.received < self._latched[1]:
+                if self.desk.received < self._latched[1]:
                     raise StateError(f"{loop.phase.name} was latched after this call: {loop.reason}; call again to clear it")
                 self._check_ready()
                 loop.reset()
