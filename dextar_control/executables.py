@@ -1,6 +1,6 @@
 """The package's executables, as ``ros2 run dextar NAME`` and pip's scripts start them; each loads its module when it is called.
 
-Loading takes seconds, and a Ctrl-C in them ends the process without a traceback.
+Loading takes seconds, and a Ctrl-C in them ends the process without a traceback; what is loaded then takes the signals itself.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from dextar_control.contract import signals
 
 def _node(module: str) -> int:
     with signals.loading(lambda _: 0):  # as any node that is asked to end
-        main = importlib.import_module(module).main
-    return int(main())
+        return int(importlib.import_module(module).main())
 
 
 def plant() -> int:
@@ -45,11 +44,13 @@ def warmup() -> int:
     """The core's compilation."""
     with signals.loading():
         from dextar_control.core.warmup import main
-    return main()
+
+        return main()
 
 
 def dextar() -> int:
     """The command ``dextar``."""
     with signals.loading():
         from dextar_control.cli import main
-    return main()
+
+        return main()

@@ -118,7 +118,7 @@ def interruptible() -> Iterator[None]:
 
 @contextlib.contextmanager
 def loading(code: Callable[[int], int] = lambda number: 128 + number) -> Iterator[None]:
-    """Ending signals end the process at once, without a word: only modules are being loaded.
+    """Ending signals end the process at once, without a word, until something else takes them: only modules are being loaded.
 
     Args:
         code: the exit code that belongs to a signal's number.
