@@ -53,7 +53,7 @@ PARAMETERS = (
               1e-3, 60.0, unit="s", live=True),
     Parameter("reference_timeout", "for which a trajectory may wait for its start or for the enabling; then it is dropped: "
               "nobody expects it any more", 0.0, 3600.0, unit="s", live=True),
-    Parameter("max_reference_age", "of a trajectory when it arrives, since it was served (two machines' clocks count): a "
+    Parameter("max_reference_age", "of a trajectory when it arrives, since it was served or, by the clocks, before it was: a "
               "delayed or latched one moves nothing", 1e-3, 3600.0, unit="s", live=True),
     Parameter("publish_effort_array", "the torques as effort_commands too, for drivers that read an array"),
     Parameter("natural_frequency", "of the platform error", 1.0, 500.0, unit="rad/s", live=True),
