@@ -64,8 +64,8 @@ def install(handler: Handler, always: tuple[int, ...] = ()) -> dict[int, Any]:
     """
     if threading.current_thread() is not threading.main_thread():
         return {}
-    before = {number: signal.getsignal(number) for number in ENDING}
-    before = {number: old for number, old in before.items() if old is not signal.SIG_IGN or number in always}
+    found: dict[int, Any] = {number: signal.getsignal(number) for number in ENDING}
+    before = {number: old for number, old in found.items() if old is not signal.SIG_IGN or number in always}
     for number in before:
         signal.signal(number, handler)
     return before
