@@ -62,13 +62,8 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "dextar = dextar_control.cli:main",
-            "plant = dextar_sim.node:main",
-            "controller = dextar_control.ros.controller_node:main",
-            "trajectory_server = dextar_control.ros.trajectory_server:main",
-            "recorder = dextar_control.ros.recorder_node:main",
-            "markers = dextar_control.ros.marker_node:main",
-            "warmup = dextar_control.core.warmup:main",
+            f"{name} = dextar_control.executables:{name}"
+            for name in ("dextar", "plant", "controller", "trajectory_server", "recorder", "markers", "warmup")
         ],
     },
 )

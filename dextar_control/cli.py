@@ -8,7 +8,6 @@ import os
 import sys
 
 from dextar_control.commands import (
-    EXIT_USAGE,
     analyze,
     bench,
     campaign,
@@ -21,7 +20,7 @@ from dextar_control.commands import (
     replay,
 )
 from dextar_control.contract.caches import prepare_environment
-from dextar_control.contract.errors import DextarError
+from dextar_control.contract.signals import run_command
 
 COMMANDS = {
     "demo": demo,
@@ -57,27 +56,7 @@ def main(argv: list[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal that knows no × shows a ? for it
-    try:
-        code = COMMANDS[arguments.command].run(arguments)
-        sys.stdout.flush()
-        return code
-    except DextarError as error:
-        return _refuse(arguments.command, str(error))
-    except BrokenPipeError:  # who reads has enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_USAGE
-    except OSError as error:  # a disk that fills up under the output, a file that goes away while it is read
-        return _refuse(arguments.command, str(error))
-    except KeyboardInterrupt:
-        print(f"dextar {arguments.command}: interrupted", file=sys.stderr)
-        return 130
-
-
-def _refuse(command: str, why: str) -> int:
-    from dextar_control.contract.terminal import say
-
-    say(f"dextar {command}: {why}")
-    return EXIT_USAGE
+    return run_command(f"dextar {arguments.command}", lambda: COMMANDS[arguments.command].run(arguments))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ Prints one JSON object: microseconds for one sample period (substeps included).
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 import time
@@ -62,5 +63,6 @@ def measure() -> dict[str, dict[str, float]]:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description="Time the plant's step beside raw PyBullet steps; one JSON object.").parse_args()
     print(json.dumps(measure()))
     sys.exit(0)

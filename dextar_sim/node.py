@@ -40,7 +40,6 @@ from dextar_control.contract.topics import (
 from dextar_sim.messages import CommandReader, StateWriter, read_efforts
 from dextar_sim.pace import Schedule, spin
 from dextar_sim.parameters import PARAMETERS
-from dextar_sim.plant import Plant
 from dextar_sim.sensors import Acknowledgement, Command, CommandDelay, CommandHold, Encoder, PoseSensor
 from dextar_sim.speakers import SPEAKING, Speakers
 from dextar_sim.urdf import five_bar
@@ -78,8 +77,13 @@ class PlantNode(DextarNode):
         GeometryError: the start lies outside the workspace.
     """
 
+    NAME = "plant"
+    PARAMETERS = PARAMETERS
+
     def __init__(self, **options: Any) -> None:
-        super().__init__("plant", PARAMETERS, robot=True, **options)
+        from dextar_sim.plant import Plant  # here: --help needs no physics
+
+        super().__init__(**options)
         values = self.values
         period = values["task.sample_period"]
         self.period_ns = round(period * NANOSECONDS)

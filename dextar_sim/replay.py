@@ -9,7 +9,6 @@ import argparse
 import json
 import math
 import os
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -17,8 +16,9 @@ from typing import Any
 import numpy as np
 import pybullet as p
 
-from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import from_flat
+from dextar_control.contract.signals import run_command
 from dextar_sim.world import connect, load, release
 
 KEYS = ("time", "q", "x", "torque", "s", "t_s", "planned", "locus", "phase", "speed", "robot")
@@ -119,19 +119,17 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("motion", type=Path, help="an .npz file made by dextar replay")
     parser.add_argument("--direct", action="store_true", help="without a window: set every frame and end")
     arguments = parser.parse_args(argv)
-    try:
-        motion = read_motion(arguments.motion)
-        player = Player(motion, window=not arguments.direct)
-    except DextarError as error:
-        print(f"dextar replay: {error}", file=sys.stderr)
-        return 2
+    return run_command("dextar replay", lambda: _show(arguments.motion, window=not arguments.direct))
+
+
+def _show(file: Path, *, window: bool) -> int:
+    motion = read_motion(file)
+    player = Player(motion, window=window)
     try:
         player.play(float(motion["speed"]))
     except p.error:
         if p.isConnected(player.client):
             raise
-    except KeyboardInterrupt:
-        return 130
     finally:
         player.close()
     return 0

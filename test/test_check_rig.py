@@ -514,7 +514,7 @@ def test_without_a_yes_the_robot_never_moves(
     assert heard == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_under_torque_leaves_zero_torque(
     driver: Callable[[str], None], listener: tuple[Node, list[JointState]], number: int
 ) -> None:
@@ -522,14 +522,14 @@ def test_a_signal_under_torque_leaves_zero_torque(
     node, heard = listener
     driver("none")
     master, slave = pty.openpty()
-    process = check_rig(*(["--yes"] if number == signal.SIGTERM else []), stdin=slave, stdout=slave, stderr=slave)
+    process = check_rig(*(["--yes"] if number != signal.SIGINT else []), stdin=slave, stdout=slave, stderr=slave)
     os.close(slave)
     if number == signal.SIGINT:
         answered(process, master, "yes")
     until(node, lambda: any(max(message.effort) > 0.0 for message in heard))
     process.send_signal(number)
     drain(master, node)
-    assert process.wait(PATIENCE) == 130
+    assert process.wait(PATIENCE) == 128 + number
     for _ in range(50):
         rclpy.spin_once(node, timeout_sec=0.01)
     assert list(heard[-1].effort) == [0.0, 0.0]

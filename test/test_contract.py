@@ -244,7 +244,7 @@ def test_a_description_without_joint_ranges_has_none(robot: RobotParameters) -> 
 
 SWALLOWED = """
 import sys, time
-from dextar_control.contract.node import StopSignal
+from dextar_control.contract.signals import StopSignal
 stop, word = StopSignal(), "ready\\n"
 while True:
     try:

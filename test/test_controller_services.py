@@ -18,6 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from rig import PATIENCE
 from std_srvs.srv import SetBool, Trigger
 
+from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.core.certificate import Certificate
 from dextar_control.core.kinematics import inverse_model
@@ -123,16 +124,74 @@ def test_a_reset_from_before_a_fault_does_not_clear_it(controller: _Unspun, trip
 def test_a_trajectory_counts_as_old_by_the_time_on_its_way(controller: _Unspun, trip: Plan) -> None:
     reader = controller.node._reference
     raw = bytes(serialize_message(messages.stop_trajectory()))
-    now = time.time_ns() + 10 * SECOND
 
     def check(trajectory: Trajectory) -> Certificate:
         raise AssertionError
 
-    assert reader._read(check, raw, now, now + SECOND, 1.0) is None
+    assert reader._read(check, raw, 1.0, 10.0, 1.0) is None
     with pytest.raises(TrajectoryError, match=r"it was served 1.5 s before it arrived; the limit is 1 s"):
-        reader._read(check, raw, now, now + 3 * SECOND // 2, 1.0)
+        reader._read(check, raw, 1.5, 10.0, 1.0)
     with pytest.raises(TrajectoryError, match="before this controller began; serve it again"):
-        reader._read(check, raw, reader._since - 1, now, 100.0)
+        reader._read(check, raw, 10.1, 10.0, 100.0)
+    with pytest.raises(TrajectoryError, match=r"it was served 60.0 s after it arrived; the limit is 1 s: .* serve it again"):
+        reader._read(check, raw, -60.0, 10.0, 1.0)
+
+
+class _Queue:
+    """A subscription in which one stop waits, served and received at a time of the system clock, ns."""
+
+    def __init__(self, served: int, received: int) -> None:
+        self.handle = self
+        self._waiting = [(bytes(serialize_message(messages.stop_trajectory())),
+                          {"source_timestamp": served, "received_timestamp": received})]  # fmt: skip
+
+    def take_message(self, *_: Any) -> Any:
+        return self._waiting.pop() if self._waiting else None
+
+
+@pytest.mark.parametrize("step", [0, -60, 60])
+@pytest.mark.parametrize(
+    ("served", "note"),
+    [
+        (100.0, "stop"),  # s after the controller became active
+        (98.5, "it was served 1.5 s before it arrived; the limit is 1 s"),
+        (-0.5, "s before this controller began; serve it again"),
+    ],
+)
+def test_a_system_clock_that_is_set_under_the_controller_makes_no_trajectory_older(
+    controller: _Unspun, step: int, served: float, note: str
+) -> None:
+    reader, node = controller.node._reference, controller.node
+    begun = 10_000 * SECOND
+    system, steady = [begun], [5 * SECOND]
+    reader._clock = UnsteppedClock(lambda: system[0], lambda: steady[0])
+    reader.restart()
+    arrived = 100.0 if served > 0.0 else 0.2
+    steady[0] += round(arrived * SECOND)
+    system[0] += round((arrived + step) * SECOND)  # set before it was served
+    real = reader._subscription
+    try:
+        reader._subscription = _Queue(system[0] - round((arrived - served) * SECOND), system[0])
+        deadline = time.monotonic() + PATIENCE
+        reader.note = "none"
+        while reader.note in ("none", "checking"):
+            reader.poll(node._loop, node.values, 0.0, 0.0, False)
+            assert time.monotonic() < deadline
+    finally:
+        reader._subscription = real
+    assert note in reader.note
+
+
+def test_what_waits_when_the_controller_becomes_active_was_served_before(controller: _Unspun) -> None:
+    reader = controller.node._reference
+    real = reader._subscription
+    try:
+        now = time.time_ns()
+        reader._subscription = _Queue(now + 60 * SECOND, now + 60 * SECOND)  # whatever the clocks say
+        reader.restart()
+    finally:
+        reader._subscription = real
+    assert reader.note == "refused: it was served before this controller began; serve it again"
 
 
 def test_the_distance_to_the_locus_is_that_of_the_nearest_point_to_first_order(controller: _Unspun, trip: Plan) -> None:

@@ -119,7 +119,7 @@ def test_a_session_ends_its_nodes_however_often_it_is_told_to(tmp_path: Path) ->
         process.send_signal(signal.SIGTERM)
         time.sleep(0.02)
     _, errors = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130, errors
+    assert process.returncode == 128 + signal.SIGTERM, errors
     assert "Traceback" not in errors
     assert not any(command_line(node) for node in nodes)
 

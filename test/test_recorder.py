@@ -123,7 +123,7 @@ def stop(process: subprocess.Popen[str], number: int = signal.SIGTERM) -> tuple[
     return process.returncode, errors
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_every_sample_and_the_run_itself_are_in_the_bag(
     plant: Node, start: Callable[..., Any], tmp_path: Path, number: int
 ) -> None:

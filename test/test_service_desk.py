@@ -24,12 +24,16 @@ from dextar_control.ros.recorder_node import SPECS
 WaitSet = rclpy_implementation.WaitSet
 
 
+class _Unserved(DextarNode):
+    NAME, PARAMETERS, ROBOT = "recorder", SPECS, False
+
+
 class _Desk:
     """A node whose services nobody serves but ``poll``, and a caller of them."""
 
     def __init__(self) -> None:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self.node = DextarNode("recorder", SPECS, robot=False, served=False)
+        self.node = _Unserved(served=False)
         self.caller = Node("caller")
         self.asked: list[str] = []
         for name in ("one", "two"):

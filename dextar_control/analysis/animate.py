@@ -20,6 +20,7 @@ from dextar_control.analysis.motion import Motion
 from dextar_control.analysis.plane import locus_of
 from dextar_control.analysis.thin import thin, thin_path
 from dextar_control.contract.errors import BagError, ParameterError
+from dextar_control.contract.signals import caused_by_interrupt
 
 MOST_FRAMES = {".gif": 1500, ".mp4": 20_000}  # a GIF's frames are held in memory until it is written
 SIZE = (10.0, 5.0)  # inches
@@ -69,8 +70,8 @@ def animate(
     except OSError as error:
         raise BagError(f"cannot write {file}: {error.strerror or error}") from error
     except subprocess.CalledProcessError as error:  # ffmpeg's; an interrupt ends it too
-        if isinstance(error.__context__, KeyboardInterrupt):
-            raise error.__context__ from None
+        if (interrupt := caused_by_interrupt(error)) is not None:
+            raise interrupt from None
         raise BagError(f"cannot write {file}: {Path(error.cmd[0]).name} ended with code {error.returncode}") from error
     finally:
         with contextlib.suppress(OSError):

@@ -19,6 +19,7 @@ from distributed.scheduler import KilledWorker
 
 from dextar_control.campaign.design import Trial
 from dextar_control.campaign.worker import Job, Row, failed_row
+from dextar_control.contract import signals
 from dextar_control.contract.errors import CampaignError, DextarError, ParameterError
 
 AHEAD = 2  # batches in flight for each core: one runs, one waits beside it
@@ -26,7 +27,6 @@ ATTEMPTS = 2  # of a trial that runs alone and whose worker dies each time
 MANY_DEATHS = 20  # such trials without a finished one between them end the campaign
 CONNECT_TIMEOUT = 10.0  # s
 DIED = "worker died"
-END = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # signals that ask a campaign to end
 
 Call = Callable[[Job, Sequence[Trial]], list[Row]]
 
@@ -145,10 +145,10 @@ class Pool:
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """A signal that asks the campaign to end waits until the block is done.
+    """A signal that asks to end waits until the block is done.
 
-    Threads and processes that start in it, and theirs, never see a Ctrl-C; the other signals are how the workers are ended.
-    The tracker of multiprocessing starts before, since starting it lifts the block.
+    Threads and processes that start in it, and theirs, never see a signal of the terminal (Ctrl-C, hang-up): who started them
+    ends them. The tracker of multiprocessing starts before, since starting it lifts the block.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -157,16 +157,15 @@ def _uninterrupted() -> Iterator[None]:
     resource_tracker.ensure_running()
     signal.signal(signal.SIGHUP, handler)
     came: list[int] = []
-    handlers = {number: signal.signal(number, lambda number, frame: came.append(number)) for number in END}
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signals.install(lambda number, _: came.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, set(signals.ENDING) - {signal.SIGTERM})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-    if came:
-        raise KeyboardInterrupt
+        signals.restore(before)
+    if came and callable(handler := before[came[0]]):
+        handler(came[0], None)
 
 
 def _connected(scheduler: str) -> Client:

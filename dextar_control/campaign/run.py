@@ -25,11 +25,11 @@ from dextar_control.campaign.store import Store, read_rows
 from dextar_control.campaign.worker import Job, plan_trials, run_trials
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import flatten, load_robot
+from dextar_control.contract.signals import exit_code
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 
 BATCH = 4  # trials that one call of a worker runs: about a second
 TRIAL_MODULE = "dextar_control.campaign.trial"
-INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def run_campaign(
         scheduler: address of a running Dask scheduler instead.
 
     Returns:
-        The exit code: 0 if all bars hold, 1 if one is missed, 130 if interrupted.
+        The exit code: 0 if all bars hold, 1 if one is missed, 128 + the signal's number (130: Ctrl-C) if interrupted.
 
     Raises:
         CampaignError: the folder or the workers cannot be used.
@@ -110,14 +110,14 @@ def run_campaign(
                 with Pool(workers, scheduler) as pool:
                     _run(campaign, missing, store, pool, console)
             return judge(campaign.config, list(campaign.trials), store, console, time.perf_counter() - begin)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as interrupt:
             there = len(campaign.trials.keys() & read_rows(folder).keys())  # also what was written as the signal came
             console.print(
                 f"interrupted; {there} of {len(campaign.trials)} rows are kept in {folder}. To go on:\n"
                 f"  {shlex.join(['dextar', *sys.argv[1:]])}",
                 soft_wrap=True,
             )
-            return INTERRUPTED
+            return exit_code(interrupt)
 
 
 def _run(campaign: Campaign, missing: dict[str, Trial], store: Store, pool: Pool, console: Terminal) -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import signal
+import re
 import sys
-import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -17,17 +15,20 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from dextar_control.contract import resources
 from dextar_control.contract.caches import prepare_environment
+from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.help import node_help
 from dextar_control.contract.robot import ROBOT_KEYS, RobotParameters, from_flat
 from dextar_control.contract.services import ServiceDesk
+from dextar_control.contract.signals import StopSignal, caused_by_interrupt, tell
 from dextar_control.contract.topics import DIAGNOSTICS, Topic
 from dextar_control.contract.yaml_text import check_parameter_files
 
 EXIT_USAGE = 2
-START_GRACE = 3.0  # s from a signal during a node's start to its end
 COMPLAINT_PERIOD = 1.0  # s between two lines about services that failed
 
 
@@ -37,11 +38,12 @@ class Parameter:
 
     Attributes:
         name: dotted name.
-        description: with unit, for ``ros2 param describe``.
+        description: in words.
         minimum, maximum: inclusive bounds of a number (or of each of an array).
         choices: the allowed words of a string.
         size: length of an array; 0 is any. An array whose default is empty may be empty.
         live: may be changed while the node runs.
+        unit: of a number, SI; 1 where it has no dimension.
     """
 
     name: str
@@ -51,6 +53,12 @@ class Parameter:
     choices: tuple[str, ...] = ()
     size: int = 0
     live: bool = False
+    unit: str = ""
+
+    @property
+    def measured(self) -> str:
+        """The description with its unit, as ``ros2 param describe`` shows it."""
+        return self.description if self.unit in ("", "1") else f"{self.description} [{self.unit}]"
 
 
 def check_value(spec: Parameter, value: Any, default: Any) -> Any:
@@ -110,10 +118,12 @@ def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoS
 class DextarNode(Node):
     """A node with checked parameters, a diagnostics publisher and an exit code.
 
+    Each kind of node says of itself:
+        NAME: node name, and its section in ``config/crossing.yaml``.
+        PARAMETERS: the node's parameters.
+        ROBOT: whether the node takes the robot description.
+
     Args:
-        name: node name, and its section in ``config/crossing.yaml``.
-        specs: the node's parameters.
-        robot: whether the node takes the robot description.
         served: whether the executor serves the services, those of parameters too; otherwise the node calls
             ``desk.poll`` when it has time for some.
 
@@ -121,15 +131,18 @@ class DextarNode(Node):
         ParameterError: an override is unknown, of another type or out of its bounds.
     """
 
-    def __init__(
-        self, name: str, specs: Iterable[Parameter], *, robot: bool, served: bool = True, **options: Any
-    ) -> None:
+    NAME: ClassVar[str]
+    PARAMETERS: ClassVar[tuple[Parameter, ...]]
+    ROBOT: ClassVar[bool] = True
+
+    def __init__(self, *, served: bool = True, **options: Any) -> None:
+        name, robot = self.NAME, self.ROBOT
         self._polled: set[int] = set()
         self._served_by_executor = served
         super().__init__(name, **options)
         self.exit_code = 0
         self.finished = False
-        self._specs = {spec.name: spec for spec in specs}
+        self._specs = {spec.name: spec for spec in self.PARAMETERS}
         self._defaults = resources.node_defaults(name)
         self.values: dict[str, Any] = {}
         robot_defaults = resources.node_defaults(name, resources.config_file(resources.ROBOT_FILE)) if robot else {}
@@ -158,9 +171,11 @@ class DextarNode(Node):
         self.add_on_set_parameters_callback(self._on_set)
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS.name, qos(DIAGNOSTICS))
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.unstepped_clock = UnsteppedClock()
         self.desk = ServiceDesk(
-            lambda: self._services, lambda text: self.get_logger().error(text, throttle_duration_sec=COMPLAINT_PERIOD)
-        )
+            lambda: self._services, lambda text: self.get_logger().error(text, throttle_duration_sec=COMPLAINT_PERIOD),
+            self.unstepped_clock,
+        )  # fmt: skip
 
     @property
     def subscriptions(self) -> Any:
@@ -246,7 +261,7 @@ class DextarNode(Node):
 
 
 def _descriptor(spec: Parameter, value: Any) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(description=spec.description, dynamic_typing=True)
+    descriptor = ParameterDescriptor(description=spec.measured, dynamic_typing=True)
     if spec.choices:
         descriptor.additional_constraints = f"one of: {', '.join(spec.choices)}"
     if spec.minimum is None and spec.maximum is None:
@@ -274,39 +289,6 @@ def make_executor(kind: str = "events") -> Any:
     return rclpy.executors.SingleThreadedExecutor()
 
 
-class StopSignal:
-    """SIGINT and SIGTERM as an event: a node finishes what it holds before it goes.
-
-    A node that is still being made holds nothing yet, and the signal interrupts it. The compiler's callbacks may swallow or
-    print that interrupt: it is not printed, and where nothing comes of it within ``START_GRACE`` the process ends.
-
-    Attributes:
-        starting: the node is still being made.
-    """
-
-    def __init__(self) -> None:
-        self._event = threading.Event()
-        self.starting = True
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
-
-    def _on_signal(self, *_: Any) -> None:
-        self._event.set()
-        if self.starting:
-            sys.unraisablehook = lambda _: None
-            timer = threading.Timer(START_GRACE, self._give_up)
-            timer.daemon = True
-            timer.start()
-            raise KeyboardInterrupt
-
-    def _give_up(self) -> None:
-        if self.starting:
-            os._exit(0)
-
-    def __bool__(self) -> bool:
-        return self._event.is_set()
-
-
 def run_node(
     make: Callable[[], Any],
     args: list[str] | None = None,
@@ -314,21 +296,22 @@ def run_node(
 ) -> int:
     """Run one node until a signal or its own end; the process's exit code.
 
+    ``--help`` and anything else that is not ROS's own are answered before a node, or ROS itself, is started.
+
     Args:
         make: builds the node.
-        args: command line, ``sys.argv`` when None.
+        args: command line without the program's name, ``sys.argv``'s when None.
         spin: the node's own loop ``spin(node, executor, stop)``; the default hands events to callbacks.
     """
     prepare_environment()
-    try:
-        check_parameter_files(sys.argv if args is None else args)
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # rcl raises its own types for a bad --ros-args or parameter file
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        return EXIT_USAGE
     stop = StopSignal()
     node: Any = None
     try:
+        words = sys.argv[1:] if args is None else args
+        if (code := _answer(make, words)) is not None:
+            return code
+        check_parameter_files(words)
+        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
         stop.starting = False
         executor = make_executor()
@@ -339,23 +322,67 @@ def run_node(
             node.close()
             executor.remove_node(node)
             executor.shutdown()
-        return node.exit_code
+        return int(node.exit_code)
     except DextarError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return EXIT_USAGE
-    except KeyboardInterrupt:
-        return 0
-    except Exception as error:
-        if stop and stop.starting:  # what the compiler makes of an interrupt
+        return _refuse(str(error))
+    except BaseException as error:
+        if stop and stop.starting and not isinstance(error, SystemExit):  # also what the compiler makes of an interrupt
             return 0
-        if node is None and type(error).__name__ == "RCLError":  # e.g. security is asked for and not there
-            print(f"error: {str(error).splitlines()[0]}", file=sys.stderr)
-            return EXIT_USAGE
+        if caused_by_interrupt(error):
+            return 0
+        if node is None and type(error).__module__.startswith("rclpy._rclpy"):  # e.g. security is asked for and not there
+            return _refuse(_in_one_line(error))
         raise
     finally:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _answer(make: Callable[[], Any], words: list[str]) -> int | None:
+    """Help, or the refusal of what neither the node nor rcl takes; None where the node is to be started."""
+    own = _own(words)
+    if not {"-h", "--help"}.isdisjoint(own):
+        tell(node_help(make), sys.stdout)
+        return 0
+    if own:
+        instead = f"write --ros-args -p {own[0]}" if ":=" in own[0] else "--help says what there is"
+        return _refuse(f"argument '{own[0]}' is not known: a node takes --help, and what stands behind --ros-args; {instead}")
+    try:
+        remove_ros_args(words)
+    except Exception as error:  # rcl raises its own types for a bad --ros-args or parameter file
+        return _refuse(_in_one_line(error))
+    return None
+
+
+def _own(words: list[str]) -> list[str]:
+    """What stands outside of ``--ros-args ... [--]``; rcl itself would still take a remapping there, in the way of ROS 1."""
+    own, theirs = [], False
+    for word in words:
+        if theirs:
+            theirs = word != "--"
+        elif word == "--ros-args":
+            theirs = True
+        elif word != "--":
+            own.append(word)
+    return own
+
+
+def _refuse(text: str) -> int:
+    tell(f"error: {text}", sys.stderr)
+    return EXIT_USAGE
+
+
+def _in_one_line(error: BaseException) -> str:
+    """What rcl says, without the places in its own sources."""
+    if type(error).__name__ == "UnknownROSArgsError":
+        return f"unknown ROS argument {str(error).strip('[]')}; --help says what there is"
+    lines = re.sub(r",? at \S+:\d+", "", str(error).removeprefix("Failed to parse ROS arguments: ")).splitlines()
+    text = lines[0] if lines else type(error).__name__
+    for rule, form in (("parameter override rule", "NAME:=VALUE"), ("remap rule", "OLD:=NEW")):
+        if rule in text:
+            return text.partition(" Error: ")[0] + f" It must be {form}."
+    return text
 
 
 def _spin(node: DextarNode, executor: Any, stop: StopSignal) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from dextar_control.contract.clocks import UnsteppedClock
+
 
 class ServiceDesk:
     """Takes requests where they wait in the middleware, and answers them when it is told to.
@@ -15,13 +17,17 @@ class ServiceDesk:
     Args:
         services: those of a node, asked for at each poll.
         complain: told of a request that could not be answered.
+        clock: of ``received``.
 
     Attributes:
         served: requests so far.
-        received: when the request being answered arrived here, ns of the system clock; 0 where that is not known.
+        received: when the request being answered arrived here, ns of the clock.
     """
 
-    def __init__(self, services: Callable[[], Iterable[Any]], complain: Callable[[str], object]) -> None:
+    def __init__(
+        self, services: Callable[[], Iterable[Any]], complain: Callable[[str], object], clock: UnsteppedClock
+    ) -> None:
+        self._clock = clock
         self._services = services
         self._complain = complain
         self._next = 0
@@ -47,7 +53,7 @@ class ServiceDesk:
         request, header = service.handle.service_take_request(service.srv_type.Request)
         if header is None:
             return False
-        self.received = int(getattr(header, "received_timestamp", 0))
+        self.received = self._clock.arrival(int(getattr(header, "received_timestamp", 0)))
         response = service.srv_type.Response()
         try:
             response = service.callback(request, response)

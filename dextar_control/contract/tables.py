@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Iterable
 
 from dextar_control.contract.resources import node_defaults
@@ -68,4 +69,5 @@ def phase_line() -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description="Print the contract as the tables of the README.").parse_args()
     print("\n".join([*topic_table(), "", *service_table(), "", phase_line()]))

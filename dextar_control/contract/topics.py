@@ -75,6 +75,18 @@ class Topic:
 
 
 @dataclass(frozen=True)
+class Ends:
+    """What one node has to do with the topics.
+
+    Attributes:
+        publishes, reads: some of these only where a parameter asks for it.
+    """
+
+    publishes: tuple[Topic, ...]
+    reads: tuple[Topic, ...]
+
+
+@dataclass(frozen=True)
 class Service:
     """One service.
 
@@ -192,6 +204,17 @@ TOPICS = (
     SIM_END_EFFECTOR, SIM_JOINT_STATES, ROBOT_DESCRIPTION, MARKERS,
     DIAGNOSTICS,
 )  # fmt: skip
+
+NODES = {
+    "plant": Ends((JOINT_STATES, EXTERNAL_POSE, SIM_END_EFFECTOR, SIM_JOINT_STATES, ROBOT_DESCRIPTION, DIAGNOSTICS),
+                  (JOINT_COMMANDS, EFFORT_COMMANDS)),
+    "controller": Ends((JOINT_COMMANDS, EFFORT_COMMANDS, CONTROLLER_STATE, CRITERION, DIAGNOSTICS),
+                       (JOINT_STATES, EXTERNAL_POSE, TRAJECTORY)),
+    "trajectory_server": Ends((TRAJECTORY, DIAGNOSTICS), (DIAGNOSTICS,)),
+    "recorder": Ends((DIAGNOSTICS,), TOPICS),
+    "markers": Ends((MARKERS, DIAGNOSTICS), (JOINT_STATES, CRITERION, CONTROLLER_STATE, TRAJECTORY)),
+}  # fmt: skip
+"""The package's nodes, by name."""
 
 SERVICES = (
     Service("plant/pause", "std_srvs/srv/SetBool", "true pauses the simulated time, false lets it run"),

@@ -12,6 +12,7 @@ import numpy as np
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.resources import ROBOT_FILE, config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
+from dextar_control.contract.signals import run_command
 from dextar_control.core.kinematics import singularity, state_of_platform, type1_distance
 from dextar_control.core.locus import MIN_END_S, WORKING_MODES
 from dextar_control.core.model import Array, make_model
@@ -76,9 +77,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("count", type=int, nargs="?", default=200)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
+    return run_command("plan_bench", lambda: _run(options.count, options.seed))
+
+
+def _run(count: int, seed: int) -> int:
     robot = load_robot(config_file(ROBOT_FILE))
-    answer(random_requests(robot, 1, options.seed + 1)[0])
-    answers = [answer(request) for request in random_requests(robot, options.count, options.seed)]
+    answer(random_requests(robot, 1, seed + 1)[0])
+    answers = [answer(request) for request in random_requests(robot, count, seed)]
     times = np.array([item.time for item in answers])
     planned = [item for item in answers if not item.refusal]
     peaks = np.array([item.peak_torque for item in planned])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
+from dextar_control.contract.signals import run_command, tell
 from dextar_control.core.dynamics import criterion_acceleration
 from dextar_control.core.estimator import Pose
 from dextar_control.core.kinematics import inverse_model, state_of_platform
@@ -62,12 +64,21 @@ def rehearse(settings: Settings) -> None:
     singularity_gradient(loop.model, start)
 
 
-def main() -> int:
-    """Console entry: compile, say how long it took."""
+def main(arguments: list[str] | None = None) -> int:
+    """Console entry: compile, say how long it took; interrupted, 128 + the signal's number."""
+    parser = argparse.ArgumentParser(
+        prog="warmup", description="Compile the model and the control law, so that the nodes start at once. No topics, services"
+        " or parameters.",
+    )  # fmt: skip
+    parser.parse_args(arguments)
+    return run_command("warmup", _compile)
+
+
+def _compile() -> int:
     begin = time.perf_counter()
-    print("compiling the model ...", flush=True)
+    tell("compiling the model ...", sys.stdout)
     warm_up()
-    print(f"compiled in {time.perf_counter() - begin:.1f} s")
+    tell(f"compiled in {time.perf_counter() - begin:.1f} s", sys.stdout)
     return 0
 
 

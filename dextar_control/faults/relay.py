@@ -6,6 +6,7 @@ direction, or a question for the statistics. It ends with its input.
 
 from __future__ import annotations
 
+import argparse
 import array
 import ctypes
 import fcntl
@@ -124,7 +125,9 @@ def _read(source: socket.socket, schedule: FrameSchedule) -> None:
 
 def main() -> int:
     """Entry of the process; its argument is one JSON object, see ``FaultyLink``."""
-    settings = json.loads(sys.argv[1])
+    parser = argparse.ArgumentParser(description="Carry frames between two ends, some of them late or never.")
+    parser.add_argument("settings", type=json.loads, help="a JSON object, see FaultyLink")
+    settings = parser.parse_args().settings
     for pid, interface in settings["ends"]:
         switch_offloads_off(pid, interface)
     qualities = {name: LinkQuality(**settings["qualities"][name]) for name in DIRECTIONS}

@@ -18,7 +18,7 @@ class Sample(NamedTuple):
     """One joint state.
 
     Attributes:
-        arrival: when the middleware had it, ns of the system clock.
+        arrival: when the middleware had it, ns of the system clock as it was at the beginning of the check, without a step since.
         stamp: of its header, ns.
         names, position, velocity, effort: as sent, of any size.
     """

@@ -58,7 +58,7 @@ class TorqueTests:
         """What to command now, N m; None for nothing.
 
         Args:
-            now: system clock, ns.
+            now: of the clock of the samples' arrival, ns.
             sample: a new state, or None.
         """
         if self.finished:

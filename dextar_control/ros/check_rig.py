@@ -6,7 +6,6 @@ import argparse
 import json
 import math
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -26,10 +25,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from dextar_control.contract.cdr import from_time, to_time
+from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import DextarError, ParameterError
-from dextar_control.contract.node import StopSignal, qos
+from dextar_control.contract.node import qos
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import JOINT_NAMES, RobotParameters, load_robot
+from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, title
 from dextar_control.contract.topics import EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES
 from dextar_control.rig_check.check import report, torque_obstacle, torque_tests, watch_lines
@@ -66,6 +67,11 @@ class RigWatch(Node):
         self._commands_name = self.resolve_topic_name(commands or self._topic.name)
         self._commands: Any = None
         self._stamp = 0
+        self._unstepped = UnsteppedClock()
+
+    def now(self) -> int:
+        """The system clock when this began, and since then the steady one, ns: torque must not last because a clock was set."""
+        return self._unstepped.now()
 
     def take(self) -> Iterator[Sample]:
         """The states that have arrived."""
@@ -73,7 +79,7 @@ class RigWatch(Node):
             message, info = taken
             self._stamp = from_time(message.header.stamp)
             yield Sample(
-                info["received_timestamp"] or time.time_ns(), self._stamp, tuple(message.name),
+                self._unstepped.arrival(info["received_timestamp"]), self._stamp, tuple(message.name),
                 tuple(message.position), tuple(message.velocity), tuple(message.effort),
             )  # fmt: skip
 
@@ -160,18 +166,15 @@ def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigWatch, StopSignal
     except Exception as error:  # rcl raises its own types for bad names
         rclpy.try_shutdown()
         raise ParameterError(" ".join(str(error).replace("^", "").split())) from error
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     stop = StopSignal()
     stop.starting = False
-    signal.signal(signal.SIGHUP, lambda *_: os.kill(os.getpid(), signal.SIGTERM))
     try:
         yield node, stop
     finally:
         node.release()
         node.destroy_node()
         rclpy.try_shutdown()
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        stop.restore()
 
 
 def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
@@ -225,8 +228,7 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 
 def _check(stop: StopSignal) -> None:
-    if stop:
-        raise KeyboardInterrupt
+    stop.check()
 
 
 def _look(
@@ -334,11 +336,11 @@ def _answer(node: RigWatch, tests: TorqueTests) -> None:
     """Let the tests see what arrived; command what they want."""
     torque = None
     for sample in node.take():
-        torque = tests.update(time.time_ns(), sample)
+        torque = tests.update(node.now(), sample)
         if torque is not None:
             node.command(torque)
     if torque is None:
-        torque = tests.update(time.time_ns(), None)
+        torque = tests.update(node.now(), None)
         if torque is not None:
             node.command(torque)
         time.sleep(POLL)

@@ -42,72 +42,75 @@ PARAMETERS = (
     Parameter("estimator", "of the platform state and the assembly mode", choices=ESTIMATORS),
     Parameter("autostart", "configure and activate at the node's start; false waits for the lifecycle services"),
     Parameter("enabled", "enable by itself, once, when the states have been healthy for healthy_time"),
-    Parameter("healthy_time", "for which states must have come without a gap, a refusal, a repetition or a step back before"
-              " torque, s; 0 is at once", 0.0, 60.0, live=True),
+    Parameter("healthy_time", "for which states must have come without a gap, a refusal, a repetition or a step back before "
+              "torque; 0 is at once", 0.0, 60.0, unit="s", live=True),
     Parameter("lockstep", "states arrive reliably and at any pace"),
     Parameter("assembly_mode", "sign of s where the robot stands; live without torque", -1, 1, live=True),
-    Parameter("task.sample_period", "of the control loop, s", 1e-4, 0.1),
-    Parameter("state_timeout", "longest gap between two states: by their stamps a fault, on the steady clock no torque until"
-              " the next one, s", 1e-3, 10.0, live=True),
-    Parameter("stall_timeout", "without a state on the steady clock, after which it is a fault, s; not in lockstep", 1e-3, 60.0,
-              live=True),
-    Parameter("reference_timeout", "for which a trajectory may wait for its start or for the enabling, s; then it is dropped:"
-              " nobody expects it any more", 0.0, 3600.0, live=True),
-    Parameter("max_reference_age", "of a trajectory when it arrives, since it was served (two machines' clocks count), s: a"
-              " delayed or latched one moves nothing", 1e-3, 3600.0, live=True),
+    Parameter("task.sample_period", "of the control loop", 1e-4, 0.1, unit="s"),
+    Parameter("state_timeout", "longest gap between two states: by their stamps a fault, on the steady clock no torque until "
+              "the next one", 1e-3, 10.0, unit="s", live=True),
+    Parameter("stall_timeout", "without a state on the steady clock, after which it is a fault; not in lockstep",
+              1e-3, 60.0, unit="s", live=True),
+    Parameter("reference_timeout", "for which a trajectory may wait for its start or for the enabling; then it is dropped: "
+              "nobody expects it any more", 0.0, 3600.0, unit="s", live=True),
+    Parameter("max_reference_age", "of a trajectory when it arrives, since it was served or, by the clocks, before it was: a "
+              "delayed or latched one moves nothing", 1e-3, 3600.0, unit="s", live=True),
     Parameter("publish_effort_array", "the torques as effort_commands too, for drivers that read an array"),
-    Parameter("natural_frequency", "of the platform error, rad/s", 1.0, 500.0, live=True),
-    Parameter("damping_ratio", "of the platform error", 0.1, 5.0, live=True),
-    Parameter("integral_frequency", "of the integral term, 1/s; 0 is off", 0.0, 50.0, live=True),
-    Parameter("zone", "|s| in the middle of the law's transition", 0.0, 0.9, live=True),
-    Parameter("zone_width", "of the law's transition in |s|", 0.0, 0.9, live=True),
-    Parameter("band", "|s| of the band of the laws projected and multi_model", 0.0, 0.9, live=True),
-    Parameter("hold_zone", "|s| below which dgm does not call the direct model", 0.0, 0.9, live=True),
-    Parameter("hold_width", "of the zone around it that still counts as a crossing, in |s|", 0.0, 0.9, live=True),
-    Parameter("filter_bandwidth", "of the joint filter of dgm and plain, rad/s", 10.0, 2000.0, live=True),
-    Parameter("return_time", "over which dgm takes the direct model again after a crossing, s", 0.0, 1.0, live=True),
-    Parameter("encoder_deviation", "of a joint sample, as the observer is told, rad", 1e-7, 0.1, live=True),
-    Parameter("bias_deviation", "of the joint angles that a wrong geometry explains, rad", 1e-9, 0.1, live=True),
-    Parameter("bias_walk", "of their random walk as the joints move, rad/sqrt(rad)", 0.0, 0.1, live=True),
-    Parameter("torque_deviation", "of a sample's torque, N m", 1e-6, 10.0, live=True),
-    Parameter("acceleration_deviation", "of a sample's platform acceleration, m/s^2", 0.0, 1e3, live=True),
-    Parameter("shock_gate", "innovation of the joints that only a blow explains, deviations", 1.0, 1e6, live=True),
-    Parameter("shock_speed", "by which a blow may change the platform's speed, m/s", 0.0, 100.0, live=True),
-    Parameter("passage_armed", "|s| within which the assembly mode counts as unknown", 0.0, 0.9, live=True),
-    Parameter("passage_begin", "|s| at which the test of crossed against bounced begins", 0.0, 0.9, live=True),
-    Parameter("passage_log_odds", "that decide the test", 0.1, 20.0, live=True),
-    Parameter("passage_encoder_deviation", "of a joint sample, as the test is told, rad", 1e-7, 0.1, live=True),
-    Parameter("passage_torque_deviation", "of a sample's torque, as the test is told, N m", 1e-6, 10.0, live=True),
-    Parameter("passage_acceleration_deviation", "of a sample's platform acceleration, as the test is told, m/s^2", 0.0, 1e3,
-              live=True),
-    Parameter("pose_deviation", "of an external position, m", 1e-6, 0.1, live=True),
-    Parameter("pose_gate", "distance beyond which an external position is refused, deviations", 1.0, 1e3, live=True),
-    Parameter("pose_timeout", "without an external position, after which its absence is told, s", 1e-3, 10.0, live=True),
-    Parameter("friction_compensation", "fraction of the modelled friction fed forward", 0.0, 1.5, live=True),
-    Parameter("max_tracking_error", "ends a motion in a safe stop, m", 1e-4, 0.2, live=True),
-    Parameter("max_start_distance", "between the robot and a trajectory's start, m", 1e-5, 0.05, live=True),
-    Parameter("max_residual", "of the criterion at an accepted crossing, N", 1e-12, 10.0, live=True),
-    Parameter("verdict_s", "|s| of the reference outside which the believed assembly mode is compared", 0.0, 0.9, live=True),
-    Parameter("verdict_confidence", "in the assembly mode from which on it counts", 0.6, 0.99999999, live=True),
-    Parameter("watch_ratio", "torque over planned peak that a crossing trajectory is held below", 1.0, 1e6, live=True),
-    Parameter("watch_torque", "that it is always allowed, N m", 0.0, 100.0, live=True),
-    Parameter("watch_time", "at a torque limit that ends a motion in a safe stop, s", 0.0, 10.0, live=True),
-    Parameter("brake_gain", "of the safe stop, N m s/rad", 0.0, 10.0, live=True),
-    Parameter("brake_time", "after which the safe stop's torque is gone, s", 0.0, 10.0, live=True),
-    Parameter("brake_constant", "of the safe stop on a known side: the velocity's time constant, s", 0.005, 1.0, live=True),
-    Parameter("coast_s", "|s| within which the safe stop coasts", 0.02, 0.9, live=True),
-    Parameter("stop_s", "|s| clear of which the safe stop comes to rest", 0.02, 0.9, live=True),
-    Parameter("coast_time", "of the safe stop's coasting, after which it gives no torque any more, s", 0.0, 10.0, live=True),
-    Parameter("rest_time", "for which the joints rest until the safe stop is over, s", 0.01, 10.0, live=True),
-    Parameter("speed_margin", "times the robot's speed limits beyond which a motion is stopped", 1.0, 10.0, live=True),
-    Parameter("speed_time", "beyond them, which ends a motion in a safe stop, s", 0.0, 10.0, live=True),
-    Parameter("joint_margin", "by which a joint may leave its range, rad", 0.0, 1.0, live=True),
-    Parameter("max_joint_jump", "of a joint beside where the last estimate expected it, rad", 1e-4, 3.2, live=True),
-    Parameter("max_joint_misfit", "of a joint beside that of the estimated platform, rad", 1e-4, 3.2, live=True),
-    Parameter("misfit_time", "of that misfit, which ends a motion in a safe stop, s", 0.0, 10.0, live=True),
-    Parameter("locus_s", "|s| nearer than which the robot may come in phase CROSSING only", 0.0, 0.9, live=True),
-    Parameter("max_torque_rate", "of a torque, in the robot's max_torque per second", 1.0, 1e6, live=True),
-    Parameter("torque_rate_time", "of that rate, which ends a motion in a safe stop, s", 0.0, 10.0, live=True),
+    Parameter("natural_frequency", "of the platform error", 1.0, 500.0, unit="rad/s", live=True),
+    Parameter("damping_ratio", "of the platform error", 0.1, 5.0, unit="1", live=True),
+    Parameter("integral_frequency", "of the integral term; 0 is off", 0.0, 50.0, unit="1/s", live=True),
+    Parameter("zone", "|s| in the middle of the law's transition", 0.0, 0.9, unit="1", live=True),
+    Parameter("zone_width", "of the law's transition in |s|", 0.0, 0.9, unit="1", live=True),
+    Parameter("band", "|s| of the band of the laws projected and multi_model", 0.0, 0.9, unit="1", live=True),
+    Parameter("hold_zone", "|s| below which dgm does not call the direct model", 0.0, 0.9, unit="1", live=True),
+    Parameter("hold_width", "of the zone around it that still counts as a crossing, in |s|", 0.0, 0.9, unit="1", live=True),
+    Parameter("filter_bandwidth", "of the joint filter of dgm and plain", 10.0, 2000.0, unit="rad/s", live=True),
+    Parameter("return_time", "over which dgm takes the direct model again after a crossing", 0.0, 1.0, unit="s", live=True),
+    Parameter("encoder_deviation", "of a joint sample, as the observer is told", 1e-7, 0.1, unit="rad", live=True),
+    Parameter("bias_deviation", "of the joint angles that a wrong geometry explains", 1e-9, 0.1, unit="rad", live=True),
+    Parameter("bias_walk", "of their random walk as the joints move", 0.0, 0.1, unit="rad/sqrt(rad)", live=True),
+    Parameter("torque_deviation", "of a sample's torque", 1e-6, 10.0, unit="N m", live=True),
+    Parameter("acceleration_deviation", "of a sample's platform acceleration", 0.0, 1e3, unit="m/s^2", live=True),
+    Parameter("shock_gate", "innovation of the joints that only a blow explains", 1.0, 1e6, unit="deviations", live=True),
+    Parameter("shock_speed", "by which a blow may change the platform's speed", 0.0, 100.0, unit="m/s", live=True),
+    Parameter("passage_armed", "|s| within which the assembly mode counts as unknown", 0.0, 0.9, unit="1", live=True),
+    Parameter("passage_begin", "|s| at which the test of crossed against bounced begins", 0.0, 0.9, unit="1", live=True),
+    Parameter("passage_log_odds", "that decide the test", 0.1, 20.0, unit="1", live=True),
+    Parameter("passage_encoder_deviation", "of a joint sample, as the test is told", 1e-7, 0.1, unit="rad", live=True),
+    Parameter("passage_torque_deviation", "of a sample's torque, as the test is told", 1e-6, 10.0, unit="N m", live=True),
+    Parameter("passage_acceleration_deviation", "of a sample's platform acceleration, as the test is told",
+              0.0, 1e3, unit="m/s^2", live=True),
+    Parameter("pose_deviation", "of an external position", 1e-6, 0.1, unit="m", live=True),
+    Parameter("pose_gate", "distance beyond which an external position is refused", 1.0, 1e3, unit="deviations", live=True),
+    Parameter("pose_timeout", "without an external position, after which its absence is told", 1e-3, 10.0, unit="s", live=True),
+    Parameter("friction_compensation", "fraction of the modelled friction fed forward", 0.0, 1.5, unit="1", live=True),
+    Parameter("max_tracking_error", "ends a motion in a safe stop", 1e-4, 0.2, unit="m", live=True),
+    Parameter("max_start_distance", "between the robot and a trajectory's start", 1e-5, 0.05, unit="m", live=True),
+    Parameter("max_residual", "of the criterion at an accepted crossing", 1e-12, 10.0, unit="N", live=True),
+    Parameter("verdict_s", "|s| of the reference outside which the believed assembly mode is compared",
+              0.0, 0.9, unit="1", live=True),
+    Parameter("verdict_confidence", "in the assembly mode from which on it counts", 0.6, 0.99999999, unit="1", live=True),
+    Parameter("watch_ratio", "torque over planned peak that a crossing trajectory is held below", 1.0, 1e6, unit="1", live=True),
+    Parameter("watch_torque", "that it is always allowed", 0.0, 100.0, unit="N m", live=True),
+    Parameter("watch_time", "at a torque limit that ends a motion in a safe stop", 0.0, 10.0, unit="s", live=True),
+    Parameter("brake_gain", "of the safe stop", 0.0, 10.0, unit="N m s/rad", live=True),
+    Parameter("brake_time", "after which the safe stop's torque is gone", 0.0, 10.0, unit="s", live=True),
+    Parameter("brake_constant", "of the safe stop on a known side: the velocity's time constant",
+              0.005, 1.0, unit="s", live=True),
+    Parameter("coast_s", "|s| within which the safe stop coasts", 0.02, 0.9, unit="1", live=True),
+    Parameter("stop_s", "|s| clear of which the safe stop comes to rest", 0.02, 0.9, unit="1", live=True),
+    Parameter("coast_time", "of the safe stop's coasting, after which it gives no torque any more",
+              0.0, 10.0, unit="s", live=True),
+    Parameter("rest_time", "for which the joints rest until the safe stop is over", 0.01, 10.0, unit="s", live=True),
+    Parameter("speed_margin", "times the robot's speed limits beyond which a motion is stopped", 1.0, 10.0, unit="1", live=True),
+    Parameter("speed_time", "beyond them, which ends a motion in a safe stop", 0.0, 10.0, unit="s", live=True),
+    Parameter("joint_margin", "by which a joint may leave its range", 0.0, 1.0, unit="rad", live=True),
+    Parameter("max_joint_jump", "of a joint beside where the last estimate expected it", 1e-4, 3.2, unit="rad", live=True),
+    Parameter("max_joint_misfit", "of a joint beside that of the estimated platform", 1e-4, 3.2, unit="rad", live=True),
+    Parameter("misfit_time", "of that misfit, which ends a motion in a safe stop", 0.0, 10.0, unit="s", live=True),
+    Parameter("locus_s", "|s| nearer than which the robot may come in phase CROSSING only", 0.0, 0.9, unit="1", live=True),
+    Parameter("max_torque_rate", "of a torque, over the robot's max_torque", 1.0, 1e6, unit="1/s", live=True),
+    Parameter("torque_rate_time", "of that rate, which ends a motion in a safe stop", 0.0, 10.0, unit="s", live=True),
 )  # fmt: skip
 
 SWITCH_INTERVAL = 2e-4  # s until the thread that checks a trajectory lets the control thread go on
@@ -119,7 +122,7 @@ LATCHED = (Phase.SAFE_STOP, Phase.FAULT)  # left by ~/reset only
 
 
 class ControllerNode(ManagedNode):
-    """Answers each joint state with a torque (``core.loop``) and tells what it did.
+    """Answers each joint state with a torque and tells what it did.
 
     Managed: ``configure`` builds everything from the parameters, ``activate`` answers states. Torque needs healthy
     states (``healthy_time``) and nobody else who commands; ``enabled`` asks for it by itself, once. A gap of more than
@@ -127,8 +130,11 @@ class ControllerNode(ManagedNode):
     state comes nothing is commanded at all, and the drive's own time-out takes the torque away.
     """
 
+    NAME = "controller"
+    PARAMETERS = PARAMETERS
+
     def __init__(self) -> None:
-        super().__init__("controller", PARAMETERS, robot=True)
+        super().__init__()
         _check_mode(self.values)
         warm_up()
         self._loop: ControlLoop | None = None
@@ -352,7 +358,7 @@ class ControllerNode(ManagedNode):
         if not answered and loop.phase in LIMP:
             self._outputs.release()
         if loop.phase in LATCHED:
-            self._latched = (loop.reason, self._latched[1] if before[0] is loop.phase else time.time_ns())
+            self._latched = (loop.reason, self._latched[1] if before[0] is loop.phase else self.unstepped_clock.now())
             self._reference.drop()
             self.get_logger().error(f"{loop.phase.name}: {loop.reason}")
         else:
@@ -475,7 +481,7 @@ class ControllerNode(ManagedNode):
         loop = self._loop
         try:
             if loop is not None and loop.phase in LATCHED:
-                if 0 < self.desk.received < self._latched[1]:
+                if self.desk.received < self._latched[1]:
                     raise StateError(f"{loop.phase.name} was latched after this call: {loop.reason}; call again to clear it")
                 self._check_ready()
                 loop.reset()

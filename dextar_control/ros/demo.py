@@ -85,10 +85,6 @@ def _end_with_parent() -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-def _interrupt(number: int, _: object) -> None:
-    raise KeyboardInterrupt
-
-
 class _Processes:
     """The nodes' processes, their logs, and their end."""
 
@@ -160,8 +156,6 @@ def run_demo(arguments: argparse.Namespace) -> int:
     estimator = f", estimator {arguments.estimator}" if arguments.estimator else ""
     said = f"law {arguments.law}{estimator}, {mode}, ROS_DOMAIN_ID={domain}, into {folder}"
     console.print(said, soft_wrap=True)
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _interrupt)
     troubles: list[str] = []
     with _monitor() as monitor, contextlib.ExitStack() as stack:
         processes = _Processes(folder)

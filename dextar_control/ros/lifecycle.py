@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 from lifecycle_msgs.msg import Transition
@@ -10,7 +9,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 
 from dextar_control.contract.errors import DextarError
-from dextar_control.contract.node import DextarNode, Parameter
+from dextar_control.contract.node import DextarNode
 
 UNCONFIGURED, INACTIVE, ACTIVE = "unconfigured", "inactive", "active"
 SUCCESS, FAILURE, ERROR = (
@@ -27,8 +26,8 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
     the services: the node polls ``desk``.
     """
 
-    def __init__(self, name: str, specs: Iterable[Parameter], *, robot: bool, **options: Any) -> None:
-        DextarNode.__init__(self, name, specs, robot=robot, served=False, **options)
+    def __init__(self, **options: Any) -> None:
+        DextarNode.__init__(self, served=False, **options)
         LifecycleNodeMixin.__init__(self)
         self.transition_error: DextarError | None = None
         self._service_change_state.callback = self._on_change_state

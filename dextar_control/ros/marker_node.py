@@ -25,8 +25,8 @@ from dextar_control.ros.scene import Scene, View, to_array, wipe
 
 PARAMETERS = (
     Parameter("enabled", "draw; false reads nothing and clears the display", live=True),
-    Parameter("rate", "of the drawing, Hz", 1.0, 60.0),
-    Parameter("trail", "how long the way of the end effector stays, s", 0.0, 60.0, live=True),
+    Parameter("rate", "of the drawing", 1.0, 60.0, unit="Hz"),
+    Parameter("trail", "how long the way of the end effector stays", 0.0, 60.0, unit="s", live=True),
     Parameter("text", "write phase and scalars below the robot", live=True),
 )
 
@@ -38,13 +38,16 @@ UNKNOWN = np.full(2, np.nan)
 
 
 class MarkerNode(DextarNode):
-    """Draws the newest of what the contract topics say, at its own pace on the steady clock.
+    """Draws the robot for RViz and Foxglove: the newest of what the topics say, at its own pace on the steady clock.
 
     Its readers keep one sample and ask for no repetition; with ``enabled`` false there are none.
     """
 
+    NAME = "markers"
+    PARAMETERS = PARAMETERS
+
     def __init__(self, **options: Any) -> None:
-        super().__init__("markers", PARAMETERS, robot=True, **options)
+        super().__init__(**options)
         self._scene = Scene(self.robot)
         self._publisher = self.create_publisher(MarkerArray, MARKERS.name, qos(MARKERS))
         self._readers: dict[str, Any] = {}

@@ -30,6 +30,7 @@ from std_srvs.srv import Trigger
 from dextar_control.commands import EXIT_FAILED
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
+from dextar_control.contract.signals import run_command
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.contract.yaml_text import assignment
 from dextar_control.ros.domain import choose_domain
@@ -196,12 +197,16 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser.parse_args(argv)
     if arguments.output is None:
         arguments.output = Path(tempfile.mkdtemp(prefix="recorder-"))
-    try:
-        arguments.output.mkdir(parents=True, exist_ok=True)
-        return run(arguments.seconds, arguments.output, arguments.reliable)
-    except (BagError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return EXIT_FAILED
+
+    def work() -> int:
+        try:
+            arguments.output.mkdir(parents=True, exist_ok=True)
+            return run(arguments.seconds, arguments.output, arguments.reliable)
+        except (BagError, OSError) as error:
+            print(f"error: {error}", file=sys.stderr)
+            return EXIT_FAILED
+
+    return run_command("recorder_bench", work)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
-from dextar_control.contract.node import DextarNode, Parameter, StopSignal, run_node
+from dextar_control.contract.node import DextarNode, Parameter, run_node
+from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import DIAGNOSTICS, TOPICS
 from dextar_control.ros.mcap_writer import COMPRESSIONS, Sample
 from dextar_control.ros.parameter_snapshot import ParameterSnapshot
@@ -31,9 +32,9 @@ SPECS = (
     Parameter("name", "of the run, into the bag", live=True),
     Parameter("notes", "on the run, into the bag", live=True),
     Parameter("tags", "of the run, separated by spaces, into the bag", live=True),
-    Parameter("max_bag_size", "bytes of a file from which on the next one begins; 0 does not split", 0),
-    Parameter("max_bag_duration", "of a file, after which the next one begins; 0 does not split, s", 0.0),
-    Parameter("sync_period", "between two times that the disk is waited for: what a power cut can cost, s", 0.1, 3600.0),
+    Parameter("max_bag_size", "of a file, from which on the next one begins; 0 does not split", 0, unit="bytes"),
+    Parameter("max_bag_duration", "of a file, after which the next one begins; 0 does not split", 0.0, unit="s"),
+    Parameter("sync_period", "between two times that the disk is waited for: what a power cut can cost", 0.1, 3600.0, unit="s"),
     Parameter("reliable", "ask the publishers to repeat lost samples; false costs them less"),
     Parameter("compression", "of each chunk", choices=tuple(COMPRESSIONS)),
     Parameter("parameters_of", "nodes whose parameters go into the bag, separated by spaces"),
@@ -42,7 +43,9 @@ SPECS = (
 
 
 class RecorderNode(DextarNode):
-    """Polls its subscriptions instead of being called for each sample.
+    """Records every topic of the package, and those that are asked for, into an MCAP file in the layout of rosbag2.
+
+    It polls its subscriptions instead of being called for each sample.
 
     Six topics at 1 kHz are 6000 callbacks a second: with the single-threaded executor they took
     76-86 % of a core, and the events executor of rclpy 7.1.6 fails on callbacks that also want the
@@ -60,8 +63,12 @@ class RecorderNode(DextarNode):
         ParameterError: a parameter is unknown or out of its bounds.
     """
 
+    NAME = "recorder"
+    PARAMETERS = SPECS
+    ROBOT = False
+
     def __init__(self, **options: Any) -> None:
-        super().__init__("recorder", SPECS, robot=False, **options)
+        super().__init__(**options)
         if 0 < self.values["max_bag_size"] < LEAST_SPLIT:
             size = self.values["max_bag_size"]
             raise ParameterError(f"parameter 'max_bag_size' = {size}; it must be 0 or >= {LEAST_SPLIT} bytes")
@@ -242,7 +249,7 @@ def _spin(node: RecorderNode, executor: Any, stop: StopSignal) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Record until SIGINT or SIGTERM; 0, or 1 when the bag is not whole, or 2 when it cannot be made."""
+    """Record until a signal asks to end; 0, or 1 when the bag is not whole, or 2 when it cannot be made."""
     return run_node(RecorderNode, args, _spin)
 
 

@@ -56,6 +56,7 @@ class Recording:
         for snapshot in snapshots:
             snapshot.renew()
         self.writer.add_metadata(METADATA_NAME, self._texts())
+        self._begun = time.monotonic()
         now = time.time_ns()
         for tap in taps:
             tap.losses.restart()
@@ -103,7 +104,7 @@ class Recording:
         writer = self.writer
         level, message = DiagnosticStatus.OK, f"recording to {writer.path}"
         free = _free_space(writer.path.parent)
-        elapsed = (datetime.now(timezone.utc) - self.record.started).total_seconds()
+        elapsed = time.monotonic() - self._begun
         lasts = free * elapsed / writer.size if writer.size and elapsed > 0 else float("inf")
         if writer.error is not None:
             level, message = DiagnosticStatus.ERROR, str(writer.error)

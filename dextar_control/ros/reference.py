@@ -44,6 +44,10 @@ class ReferenceReader:
     delayed trajectory moves nothing by surprise. Nor does one that has waited too long to begin. Reading and checking
     take a thread of their own (a long one takes tenths of a second).
 
+    How old it is when it arrives is the difference of two times of the system clocks, the server's and this machine's; how
+    long the controller has been active is measured on a clock that does not step. So a system clock that is set while
+    both run costs at most the trajectory that is on its way.
+
     Args:
         node: that subscribes, and whose log tells what became of a trajectory.
 
@@ -57,14 +61,17 @@ class ReferenceReader:
         self._subscription = node.create_polled_subscription(MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY))
         self._checker = ThreadPoolExecutor(max_workers=1)
         self._checking: Future[Reference | None] | None = None
-        self._since = time.time_ns()
+        self._clock = node.unstepped_clock
+        self._since = self._clock.now()
         self.note = "none"
         self.waiting: Waiting | None = None
 
     def restart(self) -> None:
         """From now on: what was served until now counts no more."""
-        self._since = time.time_ns()
+        self._since = self._clock.now()
         self.drop()
+        if self._newest() is not None:
+            self.refuse("it was served before this controller began; serve it again")
 
     def drop(self) -> None:
         """Forget what waits and what is being checked."""
@@ -112,15 +119,14 @@ class ReferenceReader:
 
     def _take(self, loop: ControlLoop, max_age: float) -> tuple[Reference | None] | None:
         """What was read and checked: a reference, or (None,) for a stop."""
-        newest = None
-        while (taken := self._subscription.handle.take_message(MultiDOFJointTrajectory, True)) is not None:
-            newest = taken
-        if newest is not None:
+        if (newest := self._newest()) is not None:
             raw, info = newest
             if self._checking is not None:
                 self._checking.cancel()
-            served, arrived = info["source_timestamp"], info["received_timestamp"]
-            self._checking = self._checker.submit(self._read, loop.check, bytes(raw), served, arrived, max_age)
+            received = info["received_timestamp"]
+            age = ((received or time.time_ns()) - info["source_timestamp"]) / NANOSECONDS
+            active = (self._clock.arrival(received) - self._since) / NANOSECONDS
+            self._checking = self._checker.submit(self._read, loop.check, bytes(raw), age, active, max_age)
         if self._checking is None:
             return None
         if not self._checking.done():
@@ -129,15 +135,37 @@ class ReferenceReader:
         checking, self._checking = self._checking, None
         return (checking.result(),)
 
+    def _newest(self) -> tuple[bytes, Mapping[str, int]] | None:
+        """The last message that waits, with what the middleware says of it; those before it are passed over."""
+        newest = None
+        while (taken := self._subscription.handle.take_message(MultiDOFJointTrajectory, True)) is not None:
+            newest = taken
+        return newest
+
     def _read(
-        self, check: Callable[[Trajectory], Certificate], raw: bytes, served: int, arrived: int, max_age: float
+        self, check: Callable[[Trajectory], Certificate], raw: bytes, age: float, active: float, max_age: float
     ) -> Reference | None:
-        if served < self._since:
-            before = (self._since - served) / NANOSECONDS
-            raise TrajectoryError(f"it was served {before:.1f} s before this controller began; serve it again")
-        age = (arrived - served) / NANOSECONDS
+        """Judge how old a message is, then what it says; None is a stop.
+
+        Args:
+            check: gives the certificate, or refuses.
+            raw: the message.
+            age: when it arrived, since it was served, s.
+            active: for how long the controller was, when it arrived, s.
+            max_age: s.
+        """
+        if age > active:
+            raise TrajectoryError(f"it was served {age - active:.1f} s before this controller began; serve it again")
         if age > max_age:
-            raise TrajectoryError(f"it was served {age:.1f} s before it arrived; the limit is {max_age:g} s")
+            raise TrajectoryError(
+                f"it was served {age:.1f} s before it arrived; the limit is {max_age:g} s: serve it again, and if that does"
+                " not help synchronise the clock of the server's machine with this one's"
+            )
+        if age < -max_age:
+            raise TrajectoryError(
+                f"it was served {-age:.1f} s after it arrived; the limit is {max_age:g} s: if this machine's clock was set back"
+                " just now serve it again, else synchronise the clock of the server's machine with this one's"
+            )
         message = read_message(raw, TRAJECTORY.type)
         if len(message.points) == 0:
             return None

@@ -24,15 +24,15 @@ MOST_LINES = 24  # of a certificate in words
 CRITERIA = tuple(criterion.name.lower() for criterion in Criterion)
 
 PARAMETERS = (
-    Parameter("task.start", "A, m; where the robot stands when nothing is known of it", size=2, live=True),
-    Parameter("task.goal", "B, m, of the trip A -> B -> A", size=2, live=True),
-    Parameter("point", "of the locus through which a return trip leads instead, m; [] is off", size=2, live=True),
+    Parameter("task.start", "A; where the robot stands when nothing is known of it", size=2, unit="m", live=True),
+    Parameter("task.goal", "B, of the trip A -> B -> A", size=2, unit="m", live=True),
+    Parameter("point", "of the locus through which a return trip leads instead; [] is off", size=2, unit="m", live=True),
     Parameter("direction", "sign of s after that point; 0 leads away from the side of A", -1, 1, live=True),
     Parameter("tour", "crossings spread over the locus instead; 0 is off", 0, 1000, live=True),
-    Parameter("tour_points", "x, y of each point of a tour instead, m; [] is off", live=True),
+    Parameter("tour_points", "x, y of each point of a tour instead; [] is off", unit="m", live=True),
     Parameter("tour_seed", "of the spread", 0, 2**31 - 1, live=True),
-    Parameter("duration", "of one way, s; 0 leaves it to the planner", 0.0, 60.0, live=True),
-    Parameter("dwell", "at rest before, between and after, s", 0.01, 60.0, live=True),
+    Parameter("duration", "of one way; 0 leaves it to the planner", 0.0, 60.0, unit="s", live=True),
+    Parameter("dwell", "at rest before, between and after", 0.01, 60.0, unit="s", live=True),
     Parameter("repeat", "return trips, or laps of the tour", 1, 1000, live=True),
     Parameter("criterion", "at a crossing; zero_wrench is what the law multi_model needs", choices=CRITERIA, live=True),
 )

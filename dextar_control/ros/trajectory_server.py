@@ -27,8 +27,8 @@ from dextar_control.ros.task import Task, in_words
 
 PARAMETERS = (
     *task.PARAMETERS,
-    Parameter("approach_speed", "peak speed of the way to the start, m/s", 1e-3, 2.0, live=True),
-    Parameter("sample_period", "of the served trajectory's points, s; longer for a long one", 1e-4, 0.02, live=True),
+    Parameter("approach_speed", "peak speed of the way to the start", 1e-3, 2.0, unit="m/s", live=True),
+    Parameter("sample_period", "of the served trajectory's points; longer for a long one", 1e-4, 0.02, unit="s", live=True),
     Parameter("autostart", "serve the trip once it is planned and an active controller holds or waits to be enabled"),
     Parameter("drawing", "a .png to which each plan is drawn before it runs; empty: none", live=True),
 )
@@ -62,8 +62,11 @@ class TrajectoryServer(DextarNode):
     Planning runs in a thread of its own; the services that need it answer when it is done, ``~/stop`` at once.
     """
 
+    NAME = "trajectory_server"
+    PARAMETERS = PARAMETERS
+
     def __init__(self) -> None:
-        super().__init__("trajectory_server", PARAMETERS, robot=True)
+        super().__init__()
         self._task = Task.from_values(self.values)
         self._planned: tuple[Task, Plan] | None = None
         self._drawn: tuple[Task, str] | None = None

@@ -15,20 +15,14 @@ from xml.etree import ElementTree
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.topics import (
-    CONTROLLER_STATE,
-    CRITERION,
     DIAGNOSTICS,
     EFFORT_COMMANDS,
     EXTERNAL_POSE,
     JOINT_COMMANDS,
     JOINT_STATES,
-    MARKERS,
-    ROBOT_DESCRIPTION,
+    NODES,
     SERVICES,
-    SIM_END_EFFECTOR,
-    SIM_JOINT_STATES,
     TOPICS,
-    TRAJECTORY,
     Topic,
 )
 
@@ -89,7 +83,14 @@ def _offered_by(node: str) -> tuple[str, ...]:
     return tuple(service.name.partition("/")[2] for service in SERVICES if service.node == node)
 
 
-TRUTH = (SIM_END_EFFECTOR, SIM_JOINT_STATES)
+def _profile(
+    node: str, *, publishes: tuple[str, ...] = (), reads: tuple[str, ...] = (), calls: tuple[str, ...] = ()
+) -> Profile:
+    """One of the package's nodes: what the contract says of it, and what is not in there."""
+    ends = NODES[node]
+    return Profile(node, (*_names(*ends.publishes), *publishes), (*_names(*ends.reads), *reads), _offered_by(node), calls)
+
+
 STATES = (JOINT_STATES,)
 COMMANDS = (JOINT_COMMANDS, EFFORT_COMMANDS)
 EVERY_SERVICE = (
@@ -100,8 +101,7 @@ OBSERVES = _names(*TOPICS)
 
 ENCLAVES = (
     Enclave("plant", "the simulated rig, the only one that knows the truth", (
-        Profile("plant", _names(*STATES, EXTERNAL_POSE, *TRUTH, ROBOT_DESCRIPTION, DIAGNOSTICS), _names(*COMMANDS),
-                _offered_by("plant")),
+        _profile("plant"),
     )),
     Enclave("rig", "the driver of a real robot; its node is called rig", (
         Profile("rig", _names(*STATES, DIAGNOSTICS), _names(*COMMANDS)),
@@ -110,20 +110,19 @@ ENCLAVES = (
         Profile("camera", _names(EXTERNAL_POSE, DIAGNOSTICS)),
     )),
     Enclave("controller", "the only one that may command; check-rig commands in its stead, while it does not run", (
-        Profile("controller", (*_names(*COMMANDS, CONTROLLER_STATE, CRITERION, DIAGNOSTICS), "controller/transition_event"),
-                _names(*STATES, EXTERNAL_POSE, TRAJECTORY), _offered_by("controller")),
+        _profile("controller", publishes=("controller/transition_event",)),
         Profile("check_rig", _names(*COMMANDS), _names(*STATES, DIAGNOSTICS)),
     )),
     Enclave("trajectory_server", "tells the controller where to go", (
-        Profile("trajectory_server", _names(TRAJECTORY, DIAGNOSTICS), _names(DIAGNOSTICS), _offered_by("trajectory_server")),
+        _profile("trajectory_server"),
     )),
     Enclave("recorder", "reads everything and asks for parameters", (
-        Profile("recorder", _names(DIAGNOSTICS), (*_names(*TOPICS), *EVERY_NODE_PUBLISHES), _offered_by("recorder"),
-                tuple(f"{node}/{name}" for node in PARAMETERS_OF for name in ("get_parameters", "list_parameters"))),
+        _profile("recorder", reads=EVERY_NODE_PUBLISHES, calls=tuple(
+            f"{node}/{name}" for node in PARAMETERS_OF for name in ("get_parameters", "list_parameters")
+        )),
     )),
     Enclave("markers", "draws what happens", (
-        Profile("markers", _names(MARKERS, DIAGNOSTICS),
-                _names(*STATES, CRITERION, CONTROLLER_STATE, TRAJECTORY)),
+        _profile("markers"),
     )),
     Enclave("operator", "whoever starts, stops and tunes the nodes: the demo and `ros2 ...`; it may command no torque", (
         Profile("demo", (), OBSERVES, (), EVERY_SERVICE),

@@ -233,13 +233,11 @@ def run_faults(
     counts = select(config, names, count, quick)
     folder = _make_folder(output)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.default_int_handler)
     console.print(f"{sum(counts.values())} faulted crossings of {len(counts)} cases, seed {seed}, into {folder}", soft_wrap=True)
     summary = Summary.of(config, list(counts))
     begun = time.monotonic()
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    interrupted = False
+    interrupted: KeyboardInterrupt | None = None
     with (folder / "events.jsonl").open("w", encoding="utf-8") as record, Steps(*columns, console=console) as progress:
         whole = progress.add_task("faulted crossings", total=sum(counts.values()))
         try:
@@ -249,8 +247,8 @@ def run_faults(
                         record.write(json.dumps(event) + "\n")
                         summary.take(event)
                         progress.update(whole, completed=summary.count)
-        except KeyboardInterrupt:
-            interrupted = True
+        except KeyboardInterrupt as interrupt:
+            interrupted = interrupt  # held until what there is has been written
     summary.seconds = time.monotonic() - begun
     _write(folder, summary, config, seed)
     for table in summary.tables():
@@ -258,8 +256,8 @@ def run_faults(
     for line in summary.troubles():
         console.print(line, style="bold")
     console.print(f"{folder}: faults.md faults.json faults.png events.jsonl and each session's logs", soft_wrap=True)
-    if interrupted:
-        raise KeyboardInterrupt
+    if interrupted is not None:
+        raise interrupted
     return 0 if summary.good else 1
 
 

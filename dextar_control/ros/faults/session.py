@@ -7,6 +7,7 @@ event: ``start`` (a case), ``record`` (a faulted crossing), ``checks`` (what was
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import random
@@ -24,6 +25,7 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
+from dextar_control.contract import signals
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
@@ -57,7 +59,6 @@ JUDGED_AFTER = 0.12  # s after the planned crossing, where the reference is clea
 NEAR = 0.4  # |s| of the reference below which a fault is at the locus
 SETTLE = 0.3  # s of the rig's time that a robot without control is watched
 FIRST_FAULT = 0.02  # s after the start before which no window opens
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 PHASE = CRITERION_NAMES.index("phase")
 
 
@@ -482,51 +483,40 @@ def say(**event: Any) -> None:
     print(json.dumps(event), flush=True)
 
 
-def _ignore_signals() -> None:
-    for number in STOP_SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
-
-
-def _interrupt(*_: Any) -> None:
-    """The first signal; a second one would keep the nodes from being ended."""
-    _ignore_signals()
-    raise KeyboardInterrupt
-
-
 def main() -> int:
-    """The exit code: 0 when every case was tried to its end."""
+    """The exit code: 0 when every case was tried to its end, 128 + a signal's number when one ended them."""
     request = Request(**json.loads(sys.stdin.readline()))
-    for number in STOP_SIGNALS:
-        signal.signal(number, _interrupt)
     code = 0
     session: Session | None = None
-    try:
-        session = Session(request)
-        session.begin()
-        for name, count in request.cases.items():
-            say(event="start", case=name)
-            try:
-                for event in session.run_case(name, count):
-                    say(**event)
-            except FaultsError as error:
-                code = 1
-                say(event="failed", case=name, text=str(error))
-                return code
-    except DextarError as error:
-        say(event="failed", case="", text=str(error))
-        return 1
-    except KeyboardInterrupt:
-        return 130
-    finally:
-        _ignore_signals()
-        if session is not None:
-            tally = session.close()
-            say(event="checks", case="", looked=tally.looked, violations=tally.violations)
+    with signals.interruptible():
+        try:
+            session = Session(request)
+            session.begin()
+            for name, count in request.cases.items():
+                say(event="start", case=name)
+                try:
+                    for event in session.run_case(name, count):
+                        say(**event)
+                except FaultsError as error:
+                    code = 1
+                    say(event="failed", case=name, text=str(error))
+                    return code
+        except DextarError as error:
+            say(event="failed", case="", text=str(error))
+            return 1
+        except KeyboardInterrupt as interrupt:
+            return signals.exit_code(interrupt)
+        finally:
+            signals.install(signal.SIG_IGN)  # a further one would keep the nodes from being ended
+            if session is not None:
+                tally = session.close()
+                say(event="checks", case="", looked=tally.looked, violations=tally.violations)
     return code
 
 
 if __name__ == "__main__":
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    argparse.ArgumentParser(description="One session of dextar faults: a JSON request on the standard input.").parse_args()
     exit_code = 1
     try:
         exit_code = main()

@@ -1,0 +1,219 @@
+"""The signals that ask a process to end, and what every program of the package makes of them. No ROS here.
+
+A node takes them as a flag (``StopSignal``) and ends in order with code 0. A command is interrupted by the first one
+(``interruptible``), tidies up, and ends with 128 + the signal's number. While modules load nothing is held yet: ``loading`` ends
+the process at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import weakref
+from collections.abc import Callable, Iterator
+from typing import Any, TextIO
+
+from dextar_control.contract.errors import DextarError
+
+EXIT_USAGE = 2
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Ctrl-C, a supervisor's request, a terminal that closes, Ctrl-backslash."""
+RAISE_AGAIN = 0.5  # s after which an interrupt that was swallowed is raised again
+START_GRACE = 3.0  # s from a signal during a node's start to its end
+
+Handler = Callable[[int, Any], object] | signal.Handlers
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal asked a command to end.
+
+    Args:
+        number: of the signal.
+    """
+
+    def __init__(self, number: int = signal.SIGINT) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+
+def exit_code(interrupt: BaseException) -> int:
+    """Of a command that a signal ended: 128 + its number, 130 after Ctrl-C."""
+    return 128 + int(getattr(interrupt, "number", signal.SIGINT))
+
+
+def caused_by_interrupt(error: BaseException) -> KeyboardInterrupt | None:
+    """The interrupt that an error is, or that it came of: compilers and child processes turn one into errors of their own."""
+    seen: BaseException | None = error
+    while seen is not None and not isinstance(seen, KeyboardInterrupt):
+        seen = seen.__cause__ or seen.__context__
+    return seen
+
+
+def install(handler: Handler, always: tuple[int, ...] = ()) -> dict[int, Any]:
+    """Take every ending signal; what each one did before.
+
+    One that the parent had ignored (``nohup``, a script's background job) stays ignored. Does nothing outside of the main
+    thread, where Python allows no handlers.
+
+    Args:
+        handler: of Python's kind.
+        always: signals that are taken although they were ignored.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    found: dict[int, Any] = {number: signal.getsignal(number) for number in ENDING}
+    before = {number: old for number, old in found.items() if old is not signal.SIG_IGN or number in always}
+    for number in before:
+        signal.signal(number, handler)
+    return before
+
+
+def restore(before: dict[int, Any]) -> None:
+    """Undo ``install``."""
+    for number, handler in before.items():
+        if handler is not None:  # one that Python did not set
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """Ending signals raise ``Interrupted``; a further one is passed over while the first is still being dealt with.
+
+    It is being dealt with as long as something holds the exception: an ``except`` or ``finally`` block that it runs through,
+    or a name. One that nothing holds any more while the block goes on was swallowed by foreign code, such as a compiler's
+    callbacks, and is raised again.
+    """
+    last: weakref.ref[Interrupted] | None = None
+    left = threading.Event()
+
+    def insist(number: int) -> None:
+        while not left.wait(RAISE_AGAIN):
+            if last is None or last() is None:
+                os.kill(os.getpid(), number)
+
+    def interrupt(number: int, _: object) -> None:
+        nonlocal last
+        if last is not None and last() is not None:
+            return
+        _hush_callbacks()
+        if last is None:
+            threading.Thread(target=insist, args=(number,), daemon=True).start()
+        interrupted = Interrupted(number)
+        last = weakref.ref(interrupted)
+        try:
+            raise interrupted
+        finally:
+            del interrupted  # its own traceback would hold it
+
+    before = install(interrupt)
+    try:
+        yield
+    finally:
+        left.set()
+        restore(before)
+
+
+@contextlib.contextmanager
+def loading(code: Callable[[int], int] = lambda number: 128 + number) -> Iterator[None]:
+    """Ending signals end the process at once, without a word, until something else takes them: only modules are being loaded.
+
+    Args:
+        code: the exit code that belongs to a signal's number.
+    """
+    before = install(lambda number, _: os._exit(code(number)))
+    try:
+        yield
+    finally:
+        restore(before)
+
+
+def run_command(name: str, work: Callable[[], int]) -> int:
+    """The exit code of a command: its own, 2 for a user's mistake, 128 + the number of a signal that ended it.
+
+    Args:
+        name: as it was called, for the one line that says why it ended.
+        work: the command.
+    """
+    with interruptible():
+        try:
+            code = work()
+            sys.stdout.flush()
+            return code
+        except BaseException as error:
+            if (interrupt := caused_by_interrupt(error)) is not None:
+                tell(f"{name}: interrupted", sys.stderr)
+                return exit_code(interrupt)
+            if isinstance(error, BrokenPipeError):  # who reads has enough
+                with contextlib.suppress(OSError):
+                    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                return EXIT_USAGE
+            if isinstance(error, (DextarError, OSError)):  # a user's mistake, or a disk that fills up under the output
+                from dextar_control.contract.terminal import plain
+
+                tell(plain(f"{name}: {error}"), sys.stderr)
+                return EXIT_USAGE
+            raise
+
+
+class StopSignal:
+    """The ending signals as an event: a node finishes what it holds before it goes, however many of them come.
+
+    A node that is still being made holds nothing yet, and the first signal interrupts it. The compiler's callbacks may swallow
+    or print that interrupt: it is not printed, and where nothing comes of it within ``START_GRACE`` the process ends.
+    SIGINT and SIGTERM are how launchers end their nodes: these are taken even from a parent that ignores them.
+
+    Attributes:
+        starting: the node is still being made.
+        number: of the first signal; 0 before.
+    """
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+        self.starting = True
+        self.number = 0
+        self._before = install(self._on_signal, (signal.SIGINT, signal.SIGTERM))
+
+    def _on_signal(self, number: int, _: object) -> None:
+        if self._event.is_set():
+            return
+        self.number = number
+        self._event.set()
+        if self.starting:
+            _hush_callbacks()
+            timer = threading.Timer(START_GRACE, self._give_up)
+            timer.daemon = True
+            timer.start()
+            raise Interrupted(number)
+
+    def _give_up(self) -> None:
+        if self.starting:
+            os._exit(0)
+
+    def check(self) -> None:
+        """Raise ``Interrupted`` once a signal came."""
+        if self:
+            raise Interrupted(self.number)
+
+    def restore(self) -> None:
+        """Leave the signals as they were found."""
+        restore(self._before)
+
+    def __bool__(self) -> bool:
+        return self._event.is_set()
+
+
+def _hush_callbacks() -> None:
+    """An interrupt that is raised in a callback of compiled code cannot leave it; nobody wants to read its traceback."""
+    sys.unraisablehook = lambda _: None
+
+
+def tell(text: str, stream: TextIO) -> None:
+    """Write a line where somebody may no longer read: a closed pipe or terminal must not end what still has to be done."""
+    try:
+        print(text, file=stream, flush=True)
+    except OSError:
+        with contextlib.suppress(OSError):  # what is still buffered would fail again at the process's end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
