@@ -338,7 +338,7 @@ def _rates(name: str, topic: RecordedTopic) -> tuple[float | None, float | None]
                   default=None)  # fmt: skip
     if longest is None or longest.type != topic.type or longest.rate == 0.0 or longest.rate_text:
         return None, None
-    span = (topic.last - topic.first) * 1e-9
+    span = (topic.last - topic.first + topic.fallen) * 1e-9
     return longest.rate, (topic.count - 1) / span if topic.count > 1 and span > 0.0 else None
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dextar_control.analysis.clock import LEAST_SYSTEM_STEP
 from dextar_control.analysis.run import Floats, Hole, Joints, Phase, Run, Stamps
 from dextar_control.analysis.tracking import Tracked
 
@@ -84,22 +85,29 @@ class PhaseSpan:
 
 
 def round_trips(run: Run, stamps: Stamps) -> tuple[Stamps, Floats]:
-    """(stamps of the answered states, s from the publishing of each to that of its command)."""
+    """(stamps of the answered states, s from the publishing of each to that of its command; nan where the clock stepped)."""
     states, state_rows, command_rows = np.intersect1d(
         run.states.stamps, run.commands.stamps, assume_unique=True, return_indices=True
     )
     wanted = np.isin(states, stamps)
     trips = _seconds(run.commands.published[command_rows] - run.states.published[state_rows])
+    if run.clock_steps and len(trips):
+        trips[np.abs(trips - np.median(trips)) > 0.5 * min(run.clock_steps)] = np.nan
     return np.asarray(states[wanted], dtype=np.int64), trips[wanted]
 
 
 def periods(joints: Joints, stamps: Stamps, holes: Sequence[Hole] = ()) -> Floats:
-    """Between the publishing of successive messages that have one of the stamps, s; not across a hole of the bag."""
+    """Between the publishing of successive messages that have one of the stamps, s.
+
+    Not across a hole of the bag, nor where the system clock stepped back.
+    """
     mine = np.isin(joints.stamps, stamps)
     published, own = joints.published[mine], joints.stamps[mine]
-    order = np.argsort(published, kind="stable")
+    stretch = np.concatenate([[0], np.cumsum(np.diff(published) < -LEAST_SYSTEM_STEP)]) if len(published) else published
+    order = np.lexsort((published, stretch))
     spans = _seconds(np.diff(published[order]))
-    return spans[recorded(own[order][:-1], holes, own[order][1:])] if holes else spans
+    known = np.diff(stretch[order]) == 0
+    return spans[known & recorded(own[order][:-1], holes, own[order][1:])]
 
 
 def recorded(stamps: Stamps, holes: Sequence[Hole], until: Stamps | None = None) -> NDArray[np.bool_]:
