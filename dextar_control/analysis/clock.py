@@ -131,8 +131,8 @@ def _check(topic: str, found: Recorded, rows: Stamps, served: Sequence[int]) -> 
     stamps, count = found.stamps, len(found.stamps)
     if len(rows) > 2 and np.median(np.diff(rows)) < LEAST_STRETCH:
         raise BagError(
-            f"the stamps of {topic} go back and forth, {counted(len(rows), 'time')} in {counted(count, 'message')}: two publishers"
-            " send it, as when two plants run at once; record one robot alone"
+            f"the stamps of {topic} go back and forth, {counted(len(rows), 'time')} in {counted(count, 'message')}: two"
+            " publishers send it, as when two plants run at once; record one robot alone"
         )
     period, usual = _period(stamps), _usual_change(found.values)
     for row in rows.tolist():

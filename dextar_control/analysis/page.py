@@ -15,6 +15,7 @@ from bokeh.embed import components
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
+from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.crossings import CrossingMetrics, crossed_in_words
 from dextar_control.analysis.curves import checked_plan, panels
 from dextar_control.analysis.metrics import Metrics
@@ -23,7 +24,7 @@ from dextar_control.analysis.run import RecordedTopic, Run
 from dextar_control.analysis.thin import POINTS
 from dextar_control.analysis.timing import Spread, lockstep, periods, round_trips, within
 from dextar_control.analysis.tracking import tracked
-from dextar_control.analysis.verdict import in_words
+from dextar_control.analysis.verdict import in_words, unreadable_lines
 from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band
 from dextar_control.analysis.words import counted
 from dextar_control.contract.topics import TOPICS
@@ -316,7 +317,8 @@ def _recording(run: Run) -> dict[str, Any]:
         ])  # fmt: skip
     began, ended = run.record.get("started", ""), run.record.get("ended", "")
     sentence = f"Recorded from {_short(began)} to {_short(ended)} (UTC). " if began and ended else ""
-    sentence += "".join(f"{text[:1].upper()}{text[1:]}. " for text in map(in_words, run.holes))
+    told = [*map(in_words, run.holes), *unreadable_lines(run.unreadable), clock_in_words(run.stamp_steps, run.clock_steps)]
+    sentence += "".join(f"{text[:1].upper()}{text[1:]}. " for text in told if text)
     if run.truncated:
         sentence += "The end is missing: all up to the last complete chunk is here, and what was lost after it is unknown. "
     if not run.losses:

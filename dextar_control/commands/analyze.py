@@ -72,7 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(summary_table(metrics))
         names = ["metrics.json", "figure.png", "report.html", *(f"paper.{name}" for name in dict.fromkeys(arguments.formats))]
         console.print(f"{folder or Path(metrics.bag).parent}: {' '.join(names)}", highlight=False, soft_wrap=True)
-        code = code or (EXIT_FAILED if metrics.success is False or metrics.truncated or metrics.holes else 0)
+        damaged = metrics.truncated or metrics.holes or metrics.unreadable
+        code = code or (EXIT_FAILED if metrics.success is False or damaged else 0)
     return code
 
 

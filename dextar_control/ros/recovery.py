@@ -231,7 +231,8 @@ def _copy(
             numbers = iter(record.numbers)
             for channel, sequence, log_time, publish_time, begin, end in zip(*[numbers] * PER_MESSAGE, strict=True):
                 if channel not in channels:
-                    result.leave_out(*others.get(channel, (f"channel {channel}, which no record describes", "nothing says what they are")), 1)
+                    unknown = f"channel {channel}, which no record describes", "nothing says what they are"
+                    result.leave_out(*others.get(channel, unknown), 1)
                     continue
                 data: bytes | None = record.data[begin:end]
                 if record.data[begin : begin + len(ZSTD)] == ZSTD:
