@@ -24,6 +24,7 @@ ALIKE = 20_000_000  # ns within which two clocks fell by the same; or a tenth
 ANEW = 10  # periods within which stamps begin where they began before
 LONGEST_GAP = 10_000_000_000  # ns that the recorder's clock may have gone on while the stamps fell
 LEAST_JUMP = 0.01  # rad from one state to the next, beside three times what is usual
+MOST_UNSEEN = 20.0  # periods between the two for which the joints may have gone on
 LEAST_STRETCH = 10  # messages from one step to the next: fewer are those of two publishers in turn
 
 
@@ -138,7 +139,7 @@ def _check(topic: str, found: Recorded, rows: Stamps, served: Sequence[int]) -> 
     for row in rows.tolist():
         drop, gap = int(stamps[row] - stamps[row + 1]), int(found.logged[row + 1] - found.logged[row])
         alike = abs(gap + drop) < max(ALIKE, drop // 10)  # the recorder's clock was set back as well
-        while_unseen = max(gap / period, 1.0) if 0 < gap < LONGEST_GAP else 1.0
+        while_unseen = min(max(gap / period, 1.0), MOST_UNSEEN)
         change = float(np.nan_to_num(np.abs(found.values[row + 1] - found.values[row])).max())
         anew = abs(int(stamps[row + 1] - stamps[0])) < ANEW * period
         again = any(place > found.places[row] - 1 for place in served) or stamps[0] == 0

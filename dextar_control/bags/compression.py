@@ -32,7 +32,7 @@ def refuse_compressed(file: Path, start: bytes) -> None:
     """
     for magic, (kind, command) in OTHERS.items():
         if start.startswith(magic):
-            raise BagError(f"{file} is not an MCAP file but one that is compressed with {kind}: unpack it ({command} {file.name})")
+            raise BagError(f"{file} is not an MCAP file but one compressed with {kind}: unpack it ({command} {file.name})")
 
 
 def unpack(file: Path, target: Path) -> None:
