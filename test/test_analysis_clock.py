@@ -123,20 +123,23 @@ def test_single_wrong_stamps_and_messages_that_were_overtaken_are_no_step(good: 
     assert len(run.states.stamps) == TICKS
 
 
-def two_runs(good: Path, jump: bool) -> list[Message]:
-    """The second begins with the stamps of the first, where the first ended or elsewhere, and is served anew."""
+def two_runs(good: Path, begin: int, later: int) -> list[Message]:
+    """The second has the stamps of the first from a tick on, and comes so many ticks after the first in the recorder's time."""
     first = [one for _, one in in_time(messages_of(good))]
-    second = [(topic, kind, encoding, time + 2 * 10**9, time + 2 * 10**9, data) for topic, kind, encoding, time, _, data in first]
-    return [*first, *second[1 + 2000 * jump :]]
+    by = (TICKS + later - 1 - begin) * PERIOD
+    second = [(topic, kind, encoding, time + by, time + by, data)
+              for tick, (topic, kind, encoding, time, _, data) in in_time(messages_of(good)) if tick >= begin]  # fmt: skip
+    return [*first, *(second if begin else second[1:])]
 
 
-@pytest.mark.parametrize("jump", [False, True], ids=["begins anew", "jumps"])
-def test_two_runs_in_one_bag_are_told_apart(jump: bool, good: Path, tmp_path: Path) -> None:
-    messages = two_runs(good, jump)
-    if not jump:
+@pytest.mark.parametrize(("begin", "later", "why"), [
+    (0, 1, "they begin there as they began before"), (500, 1, "the joints jump by"), (970, 3000, "no state came for 3.000 s"),
+], ids=["begins anew", "jumps", "after a pause"])  # fmt: skip
+def test_two_runs_in_one_bag_are_told_apart(begin: int, later: int, why: str, good: Path, tmp_path: Path) -> None:
+    messages = two_runs(good, begin, later)
+    if begin == 0:
         messages.insert(len(messages) // 2 + 20, messages[0])  # the trajectory, served again
     bag = write(tmp_path / "run.mcap", messages, metadata=record_of(good))
-    why = "the joints jump by" if jump else "they begin there as they began before"
     with pytest.raises(BagError, match=f"after 1001 of .* messages: two runs in one bag, or a plant that was reset .{why}"):
         load_run(bag)
 

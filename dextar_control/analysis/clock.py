@@ -1,8 +1,8 @@
 """A run whose clock stepped back: its stamps put in the order of record, and what of it is one run.
 
 The order of record does not step. Where the states' stamps fall back and go on from there, the same robot was stamped by a clock
-that was set back, or another run begins in the same bag. It is the same run where the joints go on from where they were; unless
-its stamps begin anew as well, by a clock that only the robot has, and a trajectory is served again.
+that was set back, or another run begins in the same bag. It is the same run where the joints go on from where they were, without a
+pause; unless its stamps begin anew as well, by a clock that only the robot has, and a trajectory is served again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SIDE = 5  # messages on either side of a step whose medians are compared: fewer 
 LEAST_SYSTEM_STEP = 10_000_000  # ns by which the system clock must fall before it counts as one that was set back
 ALIKE = 20_000_000  # ns within which two clocks fell by the same; or a tenth
 ANEW = 10  # periods within which stamps begin where they began before
-LONGEST_GAP = 10_000_000_000  # ns that the recorder's clock may have gone on while the stamps fell
+LONGEST_PAUSE = 500_000_000  # ns that the recorder's clock may have gone on while the stamps fell
 LEAST_JUMP = 0.01  # rad from one state to the next, beside three times what is usual
 MOST_UNSEEN = 20.0  # periods between the two for which the joints may have gone on
 LEAST_STRETCH = 10  # messages from one step to the next: fewer are those of two publishers in turn
@@ -84,7 +84,7 @@ def clock_of(states: Series, served: Sequence[int]) -> Clock:
     ordinary = _period(found.stamps)
     for row in rows.tolist():
         gap = int(found.logged[row + 1] - found.logged[row])
-        gap = gap if ordinary < gap < LONGEST_GAP else ordinary
+        gap = gap if ordinary < gap < LONGEST_PAUSE else ordinary
         offsets[row + 1 :] += int(found.stamps[row] - found.stamps[row + 1]) + gap
     drops = found.stamps[rows] - found.stamps[rows + 1]
     return Clock(found.places, found.stamps + offsets, offsets, [1e-9 * drop for drop in drops.tolist()],
@@ -148,6 +148,8 @@ def _check(topic: str, found: Recorded, rows: Stamps, served: Sequence[int]) -> 
             why = f"the joints jump by {change:.3f} rad there"
         elif anew and again and not alike:
             why = "they begin there as they began before"
+        elif gap > LONGEST_PAUSE and not alike:
+            why = f"no state came for {gap * 1e-9:.3f} s there"
         if why:
             raise BagError(
                 f"the stamps of {topic.rpartition('/')[2]} fall back by {drop * 1e-9:.3f} s after {row + 1} of {count} messages:"
