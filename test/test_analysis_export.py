@@ -135,9 +135,11 @@ def test_only_parquet_needs_pyarrow(tmp_path: Path, folder: Path) -> None:
         "sys.modules['pyarrow'] = None\n"
         "from dextar_control import cli\n"
         f"bag = {str(tmp_path / 'run.mcap')!r}\n"
-        "print([cli.main(['export', bag, '--format', kind]) for kind in ('csv', 'mat', 'parquet')], cli.main(['export', bag]))\n"
+        "codes = [cli.main(['export', bag, '--format', kind]) for kind in ('csv', 'mat', 'parquet')]\n"
+        "print(codes, cli.main(['export', bag]))\n"
     )
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=Path(__file__).parents[1])
+    command = [sys.executable, "-c", code]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[1])
     assert answer.stdout.splitlines()[-1] == "[0, 0, 2] 2", answer.stderr
     assert len(answer.stderr.splitlines()) == 2
     for line in answer.stderr.splitlines():

@@ -58,7 +58,7 @@ def test_a_starved_run_says_that_commands_came_too_late_and_what_to_do(
     assert any("SAFE_STOP" in reason for reason in others)  # what it ended with is still said
     assert found["late_share"] == 1.0
     said = capsys.readouterr().out
-    assert "commands came too late" in said and "640 of 1000 (100%)" in said
+    assert "commands came too late" in said and "640 of 1000 (64%)" in said
     assert "commands came too late: 100%" in (tmp_path / "report.html").read_text()
 
 

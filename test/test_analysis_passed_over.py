@@ -193,13 +193,16 @@ def test_a_bag_whose_states_are_all_unreadable_says_so(good: Path, tmp_path: Pat
 
 
 def test_a_frame_that_is_no_utf_8_costs_no_number(good: Path, expected: Metrics, tmp_path: Path) -> None:
-    messages = changed(messages_of(good), "/joint_states", lambda _, data: data.replace(b"\5\0\0\0base\0", b"\5\0\0\0b\xe4s\xfc\0"))
+    frame = b"\5\0\0\0base\0"
+    messages = changed(messages_of(good), "/joint_states", lambda _, data: data.replace(frame, b"\5\0\0\0b\xe4s\xfc\0"))
     metrics = compute_metrics(load_run(write(tmp_path / "run.mcap", messages, metadata=record_of(good))))
     assert (metrics.states, metrics.crossings, metrics.unreadable) == (TICKS, expected.crossings, {})
 
 
 @pytest.mark.parametrize("both", [True, False], ids=["both times", "the log time"])
-def test_states_whose_times_rolled_over_are_kept_by_their_stamps(both: bool, good: Path, expected: Metrics, tmp_path: Path) -> None:
+def test_states_whose_times_rolled_over_are_kept_by_their_stamps(
+    both: bool, good: Path, expected: Metrics, tmp_path: Path
+) -> None:
     messages = [(topic, kind, encoding, ROLLED_OVER, ROLLED_OVER if both else published, data)
                 if topic == "/joint_states" and row % 50 < 6 else (topic, kind, encoding, logged, published, data)
                 for row, (topic, kind, encoding, logged, published, data) in enumerate(messages_of(good))]  # fmt: skip
@@ -232,7 +235,9 @@ def test_a_metadata_record_that_cannot_be_read_leaves_the_messages(good: Path, t
 
 
 @pytest.mark.parametrize("behind", [4, decoding.SLACK])
-def test_bytes_left_behind_a_message_are_nothing_to_any_reader(behind: int, good: Path, expected: Metrics, tmp_path: Path) -> None:
+def test_bytes_left_behind_a_message_are_nothing_to_any_reader(
+    behind: int, good: Path, expected: Metrics, tmp_path: Path
+) -> None:
     left = [(*rest, data + bytes(range(1, behind + 1))) for *rest, data in messages_of(good)]
     metrics = compute_metrics(load_run(write(tmp_path / "run.mcap", left, metadata=record_of(good))))
     assert (metrics.crossings, metrics.states, metrics.unreadable) == (expected.crossings, TICKS, {})
@@ -241,7 +246,8 @@ def test_bytes_left_behind_a_message_are_nothing_to_any_reader(behind: int, good
 def test_the_one_reader_says_what_it_does_not_read() -> None:
     raw = serialized(joint_state(START, ["q11"], (1.0,)))
     assert decoding.read_message(raw + bytes(decoding.SLACK), JOINT_STATE).position.tolist() == [1.0]
-    for bad, words in ((raw + bytes(decoding.SLACK + 1), "129 bytes are left behind it; the limit is 128"), (raw[:30], "30 bytes are no message"),
+    for bad, words in ((raw + bytes(decoding.SLACK + 1), "129 bytes are left behind it; the limit is 128"),
+                       (raw[:30], "30 bytes are no message"),
                        (b"", "do not begin as CDR does"), (b"\0\3" + raw[2:], "do not begin as CDR does")):  # fmt: skip
         with pytest.raises(StateError, match=words):
             decoding.read_message(bad, JOINT_STATE)

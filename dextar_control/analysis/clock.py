@@ -1,8 +1,8 @@
 """A run whose clock stepped back: its stamps put in the order of record, and what of it is one run.
 
 The order of record does not step. Where the states' stamps fall back and go on from there, the same robot was stamped by a clock
-that was set back, or another run begins in the same bag. It is the same run where the joints go on from where they were, without a
-pause; unless its stamps begin anew as well, by a clock that only the robot has, and a trajectory is served again.
+that was set back, or another run begins in the same bag. It is the same run where the joints go on from where they were, without
+a pause; unless its stamps begin anew as well, by a clock that only the robot has, and a trajectory is served again.
 """
 
 from __future__ import annotations

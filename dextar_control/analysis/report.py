@@ -139,7 +139,7 @@ def _verdicts(metrics: Metrics) -> str:
 def _late(metrics: Metrics) -> str:
     if metrics.late_ticks is None:
         return "not counted"
-    share = f" ({metrics.late_share:.0%})" if math.isfinite(metrics.late_share) else ""
+    share = f" ({metrics.late_ticks / metrics.plant_steps:.0%})" if metrics.plant_steps else ""
     return f"{metrics.late_ticks} of {metrics.plant_steps}{share}; {counted(metrics.late_commands or 0, 'command')} came later"
 
 

@@ -110,11 +110,11 @@ class Scan:
         """
         self.whole, self.end, self.holes, self.first, self.last, self.started = False, 0, [], None, None, ""
         self._opened, self._count, self.inherited, self.cut = False, 0, [], False
-        content = self.content or self.path
-        self.size = size = content.stat().st_size
+        source = self.content or self.path
+        self.size = size = source.stat().st_size
         loose: list[bytes] = []
         gathered = 0
-        with content.open("rb", buffering=BUFFER) as stream:
+        with source.open("rb", buffering=BUFFER) as stream:
             if stream.read(len(MAGIC)) != MAGIC:
                 return
             for opcode, content in self._frames(stream, size, progress):
