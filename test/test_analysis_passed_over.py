@@ -6,6 +6,7 @@ import bz2
 import gzip
 import json
 import lzma
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -421,3 +422,18 @@ def test_a_channel_whose_text_is_no_utf_8_costs_its_chunk_nothing(good: Path, tm
         run = load_run(file)
     assert len(run.states.stamps) == TICKS and run.holes == []
     assert np.isfinite(run.states.position).all()
+
+
+def test_what_is_no_file_is_one_sentence(good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "loop.mcap").symlink_to("loop.mcap")
+    os.mkfifo(tmp_path / "pipe.mcap")
+    (tmp_path / "head.mcap.zstd").write_bytes(b"\x28\xb5\x2f\xfd")
+    for name, words in (("loop.mcap", "Too many levels of symbolic links"), ("pipe.mcap", "is a pipe or a device"),
+                        ("head.mcap.zstd", "breaks off or is damaged before its first bytes")):  # fmt: skip
+        for command in ("analyze", "recover"):
+            assert cli.main([command, str(tmp_path / name)]) == 2
+            (line,) = capsys.readouterr().err.splitlines()
+            assert words in line and str(tmp_path / name) in line
+    bag = rosbag2(good, tmp_path / "theirs", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    (file,) = bag.glob("*.db3")
+    assert len(load_run(file.rename(tmp_path / "run.sqlite3")).states.stamps) == TICKS

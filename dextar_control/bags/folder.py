@@ -18,7 +18,7 @@ from dextar_control.contract.errors import BagError
 METADATA_FILE = "metadata.yaml"
 METADATA_ROOT = "rosbag2_bagfile_information"
 OVERLAP = 1_000_000_000  # ns by which the log times of a split bag's files may overlap
-SQLITE = b"SQLite format 3\0"
+SQLITE, SQLITE_SUFFIX = b"SQLite format 3\0", ".db3"  # rosbags knows such a file by its suffix
 # As recorders put it at the end of a file's name: 2026_01_30-12_00_00, 20260130T120000Z, 2026-01-30T12-00-00.
 _TIME = re.compile(r"_*\d{4}[-_]?\d{2}[-_]?\d{2}[-_T]?\d{2}[-_]?\d{2}[-_]?\d{2}Z?$")
 
@@ -48,10 +48,18 @@ def opened(files: Sequence[Path]) -> Iterator[list[Opened]]:
     with contextlib.ExitStack() as stack:
         found = []
         for file in files:
+            if file.exists() and not file.is_file():
+                raise BagError(f"{file} is a pipe or a device, and a bag is not read in one go: copy it into a file first")
             content, start = file, _start(file)
-            if start.startswith(ZSTD):
+            if not start:
+                raise BagError(f"{file} is empty")
+            packed = start.startswith(ZSTD)
+            if packed or (start.startswith(SQLITE) and file.suffix != SQLITE_SUFFIX):
                 folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dextar-")))
-                content = folder / "content.db3"  # the suffix by which rosbags knows what may be one
+                content = folder / f"content{SQLITE_SUFFIX}"
+            if content is not file and not packed:
+                content.symlink_to(file.absolute())
+            elif packed:
                 try:
                     unpack(file, content)
                 except OSError as error:
@@ -60,7 +68,7 @@ def opened(files: Sequence[Path]) -> Iterator[list[Opened]]:
                     raise BagError(text) from error
                 start = _start(content)
                 if not start:
-                    raise BagError(f"{file} is compressed with zstd and breaks off before its first bytes")
+                    raise BagError(f"{file} is compressed with zstd and breaks off or is damaged before its first bytes")
             storage = next((magic for magic in (MAGIC, SQLITE) if start.startswith(magic)), None)
             if storage is None:
                 refuse_compressed(file, start)
@@ -71,10 +79,7 @@ def opened(files: Sequence[Path]) -> Iterator[list[Opened]]:
 
 def _start(file: Path) -> bytes:
     with file.open("rb") as stream:
-        start = stream.read(len(SQLITE))
-    if not start and plain_name(file.name) == file.name:
-        raise BagError(f"{file} is empty")
-    return start
+        return stream.read(len(SQLITE))
 
 
 def bag_files(folder: Path, kinds: Sequence[str] = ("mcap", "db3")) -> list[Path]:

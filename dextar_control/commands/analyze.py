@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -83,9 +84,9 @@ def folders(bags: list[Path], output: Path | None) -> list[Path | None]:
     Bags that would share a folder get one each in it, by their own names, whatever links lead to them. A bag that is named
     twice has one folder.
     """
-    real = [bag.resolve() for bag in bags]
+    real = [Path(os.path.realpath(bag)) for bag in bags]
     shared = [output if output is not None else bag if bag.is_dir() else bag.parent for bag in bags]
-    places = [folder.resolve() for folder in shared]
+    places = [Path(os.path.realpath(folder)) for folder in shared]
     found: list[Path | None] = []
     taken: dict[Path, Path] = {}  # bag per folder
     for bag, folder, place in zip(real, shared, places, strict=True):

@@ -84,7 +84,7 @@ def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> R
     Raises:
         BagError: it is whole, was recovered before, holds nothing of ROS 2, or cannot be read or written.
     """
-    whole_path = path.resolve()
+    whole_path = Path(os.path.realpath(path))  # also of links in a circle, which are told when they are opened
     folder = whole_path.with_name(plain_name(whole_path.name).removesuffix(".mcap") + SUFFIX)
     if folder.exists():
         raise BagError(f"{path} was recovered before: {folder} is there")
