@@ -437,3 +437,22 @@ def test_what_is_no_file_is_one_sentence(good: Path, tmp_path: Path, capsys: pyt
     bag = rosbag2(good, tmp_path / "theirs", StoragePlugin.SQLITE3, CompressionMode.NONE)
     (file,) = bag.glob("*.db3")
     assert len(load_run(file.rename(tmp_path / "run.sqlite3")).states.stamps) == TICKS
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_numbers_that_are_no_codes_and_records_of_another_shape_are_not_known(good: Path, tmp_path: Path) -> None:
+    def odd(number: int, data: bytes) -> bytes:
+        content = TYPES.deserialize_cdr(data, JOINT_STATE)
+        row = content.name.index("verdict" if number % 2 else "phase")
+        content.position = np.array(content.position)
+        content.position[row] = (np.inf, -np.inf, 7.0, 1e300, np.nan)[number % 5]
+        return serialized(content)
+
+    record = record_of(good)
+    record["dextar"] |= {"certificate": json.dumps({"crossings": 5, "peak_torque": 1.0}), "versions": "[5]", "started": "once",
+                         "parameter_changes": json.dumps([5, {"time": "x"}])}  # fmt: skip
+    bag = write(tmp_path / "run.mcap", changed(messages_of(good), "/criterion", odd), metadata=record)
+    assert cli.main(["analyze", str(bag)]) in (0, 1)
+    assert cli.main(["export", str(bag), "--format", "csv"]) == 0
+    run = load_run(bag)
+    assert set(run.criterion.phase) == {-1, 3} and set(run.criterion.verdict[np.isfinite(run.criterion.verdict)]) <= {0.0, 1.0}

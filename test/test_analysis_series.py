@@ -9,7 +9,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 from synthetic_run import joint_state, message
 
-from dextar_control.analysis.series import BLOCK, WAITING, Series
+from dextar_control.analysis.series import BLOCK, MOST_LAYOUTS, WAITING, Series
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -101,3 +101,12 @@ def test_slow_topics_give_the_selected_messages_in_order() -> None:
         content = message("std_msgs/msg/String", data=str(number))
         series.add(number, number, bytes(TYPES.serialize_cdr(content, content.__msgtype__)))
     assert [content.data for content in series.messages()] == [str(number) for number in range(2 * WAITING + 1)]
+
+
+def test_a_topic_of_which_hardly_two_messages_are_alike_is_read_by_the_library() -> None:
+    count = 2 * MOST_LAYOUTS
+    messages = [joint_state(number, [*("pqrs"[: number % 4]), f"n{number}", "q11", "q21"], np.arange(number % 4 + 3.0))
+                for number in range(count)]  # fmt: skip
+    series = filled(messages)
+    assert np.array_equal(series.table(NAMES).values, expected(messages), equal_nan=True)
+    assert len(series._layouts) == MOST_LAYOUTS

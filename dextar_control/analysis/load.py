@@ -35,6 +35,7 @@ from dextar_control.bags.records import Progress
 from dextar_control.contract import topics
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.robot import JOINT_NAMES, ROBOT_KEYS, RobotParameters, from_flat
+from dextar_control.core.verdicts import Verdict
 
 NANOSECONDS = 1_000_000_000
 PARAMETER_PREFIX = "parameters."
@@ -297,12 +298,18 @@ def _control(series: Series, steady: Steady | None) -> Control:
 def _criterion(series: Series, steady: Steady | None) -> Criterion:
     table = series.table([f"position.{name}" for name in topics.CRITERION_NAMES], steady)
     columns = dict(zip(topics.CRITERION_NAMES, table.values.T, strict=True))
-    phase = np.nan_to_num(columns.pop("phase"), nan=-1.0).astype(np.int64)
+    phase = _codes(columns.pop("phase"), range(len(topics.PHASES)), -1.0).astype(np.int64)
+    columns["verdict"] = _codes(columns["verdict"], list(Verdict), np.nan)
     return Criterion(
         stamps=table.stamps, phase=phase,
         **{name: columns[name] for name in ("residual", "s", "sigma_min", "projection_weight", "assembly_mode",
                                             "mode_confidence", "verdict")},
     )  # fmt: skip
+
+
+def _codes(values: Floats, known: Iterable[int], unknown: float) -> Floats:
+    """Values (n,) that are codes; what is none is unknown."""
+    return np.where(np.isin(values, [float(code) for code in known]), values, unknown)
 
 
 def _truth(platform: Series, joints: Series, steady: Steady | None) -> Truth | None:

@@ -399,7 +399,8 @@ def _certificate(run: Run, plan: Certificate | None) -> list[str]:
     recorded = _parsed(run.record.get("certificate", ""), dict)
     if not recorded:
         return []
-    crossings = recorded.get("crossings") or []
+    listed = recorded.get("crossings")
+    crossings = [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
     lines = [
         f"{words} {number(recorded[name], '.6g')}{unit}"
         for name, words, unit in (
@@ -413,7 +414,8 @@ def _certificate(run: Run, plan: Certificate | None) -> list[str]:
     lines.append(f"{counted(len(crossings), 'crossing')} listed")
     if plan is not None and isinstance(recorded.get("peak_torque"), (int, float)):
         torque = abs(plan.peak_torque - recorded["peak_torque"])
-        instants = [abs(one["time"] - time) for one, time in zip(crossings, plan.crossing_times, strict=False)]
+        instants = [abs(one["time"] - time) for one, time in zip(crossings, plan.crossing_times, strict=False)
+                    if isinstance(one.get("time"), (int, float))]  # fmt: skip
         lines.append(
             f"the plan computed anew differs by {torque:.2g} N m in peak torque"
             + (f" and by at most {max(instants):.2g} s in the instants of the crossings" if instants else "")

@@ -25,6 +25,7 @@ from dextar_control.contract.decoding import read_message, types
 from dextar_control.contract.errors import BagError, StateError
 
 BLOCK = 4096  # messages at a time, where they come one by one or are sorted
+MOST_LAYOUTS = 64  # of a topic; what fits none of them is read by the library alone
 WAITING = 16  # messages of a slow topic that wait for being selected from
 FIRST_MARK = 0x5A5A0001  # of the integers
 MARK = 7.25e211  # of the floats, times 1 + their number
@@ -260,8 +261,9 @@ class Series:
                 left = left[1:]
                 continue
             paths = self._columns(message) if self._columns is not None else {}
-            layout_of_it = _Layout.of(message, raw, self.type, paths)
-            if layout_of_it is None:  # its bytes are not those that the library writes
+            room = len(self._layouts) < MOST_LAYOUTS
+            layout_of_it = _Layout.of(message, raw, self.type, paths) if room else None
+            if layout_of_it is None:  # its bytes are not those that the library writes, or hardly two messages are alike
                 own = dict(_numbers(message))
                 stamp = int(own[SECONDS]) * 1_000_000_000 + int(own[NANOSECONDS])
                 found.append((left[:1], stamp, {name: own[path] for name, path in paths.items() if path in own}))
