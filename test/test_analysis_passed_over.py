@@ -30,6 +30,7 @@ from dextar_control.ros.recovery import recover
 
 Message = tuple[str, str, str, int, int, bytes]  # topic, type, encoding, log time, publish time, data
 JOINT_STATE = "sensor_msgs/msg/JointState"
+TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 ROLLED_OVER = 2**64 - 1_000_000_000  # ns: a second before the epoch, without its sign
 LATIN_1 = "Temperatur 41 °C".encode("latin-1")
 
@@ -103,12 +104,17 @@ def path() -> bytes:
     return serialized(message("nav_msgs/msg/Path", header=joint_state(START, []).header, poses=[]))
 
 
+def nowhere() -> bytes:
+    return serialized(message(TRAJECTORY, header=joint_state(START, []).header, joint_names=[], points=[]))
+
+
 BESIDE: dict[str, Message] = {
     "Latin-1 in another node's diagnostics": ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "cdr", START, START,
                                               diagnostics()),
     "a log message whose time rolled over": ("/rosout", "rcl_interfaces/msg/Log", "cdr", ROLLED_OVER, ROLLED_OVER, log()),
     "bytes that are no message": ("/rosout", "rcl_interfaces/msg/Log", "cdr", START, START, b"\xff\xff"),
     "another robot's trajectory": ("/planner_server/trajectory", "nav_msgs/msg/Path", "cdr", START, START, path()),
+    "another robot's trajectory of the same type": ("/planner_server/trajectory", TRAJECTORY, "cdr", START, START, nowhere()),
     "a topic with two types": ("/criterion", "nav_msgs/msg/Path", "cdr", START, START, path()),
     "another arm's joints": ("/arm/joint_states", JOINT_STATE, "cdr", START, START,
                              serialized(joint_state(START, ["shoulder"], (1.0,)))),
@@ -216,7 +222,7 @@ def test_states_whose_times_rolled_over_are_kept_by_their_stamps(
 
 def test_a_trajectory_without_velocities_is_passed_over(good: Path, tmp_path: Path) -> None:
     def bare(_: int, data: bytes) -> bytes:
-        served = TYPES.deserialize_cdr(data, "trajectory_msgs/msg/MultiDOFJointTrajectory")
+        served = TYPES.deserialize_cdr(data, TRAJECTORY)
         served.points[2].velocities.clear()
         return serialized(served)
 
@@ -456,3 +462,11 @@ def test_numbers_that_are_no_codes_and_records_of_another_shape_are_not_known(go
     assert cli.main(["export", str(bag), "--format", "csv"]) == 0
     run = load_run(bag)
     assert set(run.criterion.phase) == {-1, 3} and set(run.criterion.verdict[np.isfinite(run.criterion.verdict)]) <= {0.0, 1.0}
+
+
+def test_of_two_trajectories_neither_of_which_is_the_robots_none_is_taken(good: Path, tmp_path: Path) -> None:
+    messages = [(f"/{owner}{topic}" if topic == "/trajectory" else topic, *rest) for topic, *rest in messages_of(good)
+                for owner in (("left", "right") if topic == "/trajectory" else ("",))]  # fmt: skip
+    with pytest.warns(UserWarning, match="there as /left/trajectory, /right/trajectory, and none is the robot's own"):
+        run = load_run(write(tmp_path / "run.mcap", messages, metadata=record_of(good)))
+    assert run.trajectory is None and len(run.states.stamps) == TICKS

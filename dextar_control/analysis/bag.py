@@ -98,7 +98,10 @@ class Bag:
         if len(found) > 1 and topic is JOINT_STATES:
             found = [series for series in found if all(series.knows(f"position.{joint}") for joint in JOINT_NAMES)] or found
         elif len(found) > 1:
+            listed = ", ".join(series.topic for series in found)
             found = [series for series in found if series.topic == f"{near}/{contract_name}"]
+            if not found:
+                warnings.warn(f"{contract_name} is there as {listed}, and none is the robot's own: not read", stacklevel=5)
         if len(found) > 1:
             listed = ", ".join(series.topic for series in found)
             raise BagError(f"{self.path} holds {contract_name} of {len(found)} robots ({listed}); name one's namespace")
