@@ -39,7 +39,7 @@ class Bag:
 
     Attributes:
         path: of the file.
-        messages: per topic name and type.
+        messages: per topic name; where a topic has two types, the second with its type behind the name.
         metadata: per record name, the last record's texts.
         holes: what is missing in its middle.
         truncated: the file whose end is missing, where nothing comes after it, or None.
@@ -48,7 +48,7 @@ class Bag:
     """
 
     path: Path
-    messages: dict[tuple[str, str], Series] = field(default_factory=dict)
+    messages: dict[str, Series] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     holes: list[Hole] = field(default_factory=list)
     truncated: Path | None = None
@@ -94,7 +94,8 @@ class Bag:
         """
         topic = next(topic for topic in TOPICS if topic.name == contract_name)
         names = self._names(topic, resolved, namespace)
-        found = [self.messages[name, topic.type] for name in names if (name, topic.type) in self.messages]
+        named = [series for name in names for series in self.messages.values() if series.topic == name]
+        found = [series for series in named if series.type == topic.type]
         if len(found) > 1 and topic is JOINT_STATES:
             found = [series for series in found if all(series.knows(f"position.{joint}") for joint in JOINT_NAMES)] or found
         elif len(found) > 1:
@@ -106,9 +107,8 @@ class Bag:
             listed = ", ".join(series.topic for series in found)
             raise BagError(f"{self.path} holds {contract_name} of {len(found)} robots ({listed}); name one's namespace")
         if not found and topic is JOINT_STATES:
-            for name, other in self.messages:
-                if name in names:
-                    raise BagError(f"{self.path}: {name} is a {other}; a run of this robot has a {topic.type} there")
+            for other in named:
+                raise BagError(f"{self.path}: {other.topic} is a {other.type}; a run of this robot has a {topic.type} there")
         return found[0] if found else Series(contract_name, topic.type)
 
     def _names(self, topic: Topic, resolved: Mapping[str, str], namespace: str | None) -> list[str]:
@@ -119,13 +119,14 @@ class Bag:
             own = topic.name if topic.name.startswith("/") else f"/{(namespace or '').strip('/')}/{topic.name}"
             return [own.replace("//", "/")]
         longer = [other.name for other in TOPICS if other.name.endswith("/" + topic.name)]
-        return sorted({name for name, _ in self.messages if name.endswith("/" + topic.name)
+        topics = {series.topic for series in self.messages.values()}
+        return sorted({name for name in topics if name.endswith("/" + topic.name)
                        and not any(name.endswith("/" + other) for other in longer)})  # fmt: skip
 
 
 def read_bag(
     path: str | Path, columns: Mapping[str, Columns] | None = None, select: Mapping[str, Select] | None = None,
-    progress: Progress | None = None,
+    progress: Progress | None = None, tell: bool = True,
 ) -> Bag:  # fmt: skip
     """A bag: a file, MCAP or sqlite3, or a folder in rosbag2's layout, also a split one. Damaged chunks are passed over.
 
@@ -136,6 +137,7 @@ def read_bag(
         columns: per message type, what is kept of each message of a fast topic.
         select: per message type, which messages of a slow topic are kept.
         progress: told the bytes read and those there are; not for what only the library reads.
+        tell: warn of its damage; otherwise the caller does.
 
     Raises:
         BagError: no such file, empty, no bag, of several recordings, or without a message of a known type.
@@ -150,6 +152,8 @@ def read_bag(
         raise BagError(f"cannot read {path}: {error.strerror or error}") from error
     if not any(len(series) for series in bag.messages.values()):
         raise BagError(f"{path} holds no ROS 2 message" + (f": {bag.damage}" if bag.damage else ""))
+    if tell and bag.damage:
+        warnings.warn(bag.damage, stacklevel=2)
     return bag
 
 
@@ -274,8 +278,8 @@ class _Filling:
     def _series(self, topic: str, type_name: str) -> Series | None:
         if type_name not in TYPES.fielddefs:
             return None
-        found = self._bag.messages.get((topic, type_name))
-        if found is None:
-            found = Series(topic, type_name, self._columns.get(type_name), self._select.get(type_name))
-            self._bag.messages[topic, type_name] = found
-        return found
+        known = self._bag.messages
+        name = topic if topic not in known or known[topic].type == type_name else f"{topic} ({type_name})"
+        if name not in known:
+            known[name] = Series(topic, type_name, self._columns.get(type_name), self._select.get(type_name))
+        return known[name]

@@ -74,7 +74,7 @@ def load_run(
     Raises:
         BagError: the file is missing, empty, foreign or holds no joint states of one robot, or of another than was named.
     """
-    bag = read_bag(path, COLUMNS, SELECT, progress)
+    bag = read_bag(path, COLUMNS, SELECT, progress, tell=False)
     record = bag.metadata.get("dextar", {})
     try:
         resolved = _table_of(record, "contract", str)
@@ -215,12 +215,8 @@ def _nanoseconds(time: Any) -> int:
 
 
 def _recorded_topics(bag: Bag) -> dict[str, RecordedTopic]:
-    """Per topic; where a topic has two types, the second with its type."""
-    found: dict[str, RecordedTopic] = {}
-    for (name, kind), series in bag.messages.items():
-        topic = RecordedTopic(kind, len(series), series.first, series.last, series.fallen)
-        found[f"{name} ({kind})" if name in found else name] = topic
-    return found
+    return {name: RecordedTopic(series.type, len(series), series.first, series.last, series.fallen)
+            for name, series in bag.messages.items()}  # fmt: skip
 
 
 def _joint_paths(message: Any) -> dict[str, str]:
