@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -122,3 +125,32 @@ def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path, capsys:
     assert cli.main(["export", str(tmp_path / "run.mcap"), "--output", str(tmp_path / "taken")]) == 2
     error = capsys.readouterr().err
     assert error.startswith("dextar export: cannot write to") and error.count("\n") == 1
+
+
+def test_only_parquet_needs_pyarrow(tmp_path: Path, folder: Path) -> None:
+    """In a process in which pyarrow cannot be imported."""
+    write_run(tmp_path / "run.mcap")
+    code = (
+        "import sys\n"
+        "sys.modules['pyarrow'] = None\n"
+        "from dextar_control import cli\n"
+        f"bag = {str(tmp_path / 'run.mcap')!r}\n"
+        "codes = [cli.main(['export', bag, '--format', kind]) for kind in ('csv', 'mat', 'parquet')]\n"
+        "print(codes, cli.main(['export', bag]))\n"
+    )
+    command = [sys.executable, "-c", code]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[1])
+    assert answer.stdout.splitlines()[-1] == "[0, 0, 2] 2", answer.stderr
+    assert len(answer.stderr.splitlines()) == 2
+    for line in answer.stderr.splitlines():
+        assert line.startswith("dextar export: parquet needs the package pyarrow") and "--format csv" in line
+    assert (tmp_path / "export" / "run.csv").read_bytes() == (folder / "run.csv").read_bytes()
+
+
+def test_csv_writes_what_python_reads_back_to_the_last_bit(folder: Path) -> None:
+    with (folder / "run.csv").open(newline="") as stream:
+        lines = list(csv.reader(stream))
+    column = lines[0].index("q11_position [rad]")
+    run = load_run(folder.parent / "run.mcap")
+    assert [float(line[column]) for line in lines[1:]] == run.states.position[:, 0].tolist()
+    assert [row for row, line in enumerate(lines[1:]) if line[lines[0].index("command_q11_effort [N m]")] == ""] == list(MISSED)

@@ -9,8 +9,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 from synthetic_run import joint_state, message
 
-from dextar_control.analysis.series import BLOCK, WAITING, Series
-from dextar_control.contract.errors import BagError
+from dextar_control.analysis.series import BLOCK, MOST_LAYOUTS, WAITING, Series
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -79,11 +78,15 @@ def test_the_first_message_of_a_stamp_counts() -> None:
     assert table.values.tolist() == [[3.0, 4.0], [1.0, 2.0]]
 
 
-def test_bytes_that_are_no_message_are_named() -> None:
+def test_bytes_that_are_no_message_are_counted_and_cost_no_other() -> None:
     series = Series("/joint_states", JOINT_STATE, by_name)
-    series.add(0, 0, b"\0\1\0\0\xff\xff")
-    with pytest.raises(BagError, match="/joint_states is not a sensor_msgs/msg/JointState"):
-        series.table(NAMES)
+    messages = many(8)
+    for number, content in enumerate(messages):
+        series.add(number, number, b"\0\1\0\0\xff\xff" if number in (0, 5) else bytes(TYPES.serialize_cdr(content, JOINT_STATE)))
+    kept = [content for number, content in enumerate(messages) if number not in (0, 5)]
+    assert np.array_equal(series.table(NAMES).values, expected(kept), equal_nan=True)
+    assert (len(series), series.readable, series.unreadable) == (8, 6, 2)
+    assert series.why.startswith("6 bytes are no message of type sensor_msgs/msg/JointState: ")
 
 
 def test_an_empty_topic_has_an_empty_table() -> None:
@@ -98,3 +101,12 @@ def test_slow_topics_give_the_selected_messages_in_order() -> None:
         content = message("std_msgs/msg/String", data=str(number))
         series.add(number, number, bytes(TYPES.serialize_cdr(content, content.__msgtype__)))
     assert [content.data for content in series.messages()] == [str(number) for number in range(2 * WAITING + 1)]
+
+
+def test_a_topic_of_which_hardly_two_messages_are_alike_is_read_by_the_library() -> None:
+    count = 2 * MOST_LAYOUTS
+    messages = [joint_state(number, [*("pqrs"[: number % 4]), f"n{number}", "q11", "q21"], np.arange(number % 4 + 3.0))
+                for number in range(count)]  # fmt: skip
+    series = filled(messages)
+    assert np.array_equal(series.table(NAMES).values, expected(messages), equal_nan=True)
+    assert len(series._layouts) == MOST_LAYOUTS

@@ -34,7 +34,8 @@ DOORS = {
     "dextar_control.faults": {"dextar_control.faults", "dextar_control.core", "dextar_control.contract"},
     "dextar_sim": {"dextar_sim", "dextar_control.contract"},
 }
-NO_ROS_MODULES = {"dextar_control/contract": {"robot.py", "topics.py", "tables.py", "errors.py", "resources.py"},
+NO_ROS_MODULES = {"dextar_control/contract": {"robot.py", "topics.py", "tables.py", "errors.py", "resources.py",
+                                             "decoding.py"},
                   "dextar_sim": {"plant.py", "cartesian.py", "platform_motion.py", "rig.py", "state.py", "sensors.py",
                                  "geometry.py", "urdf.py", "world.py", "replay.py"}}  # fmt: skip
 

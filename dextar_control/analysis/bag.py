@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
-import struct
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,23 +9,28 @@ from pathlib import Path
 
 import numpy as np
 from mcap.records import Channel, Metadata, Schema
-from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.rosbag2 import Reader
 
 from dextar_control.analysis.series import TYPES, Columns, Select, Series
+from dextar_control.analysis.words import counted
+from dextar_control.bags.compression import ZSTD, plain_name, unpack_message
 from dextar_control.bags.folder import (
     METADATA_FILE,
+    Opened,
+    bag_files,
     check_one_recording,
     holes_of,
     in_order,
-    one_bag_by_name,
+    of_one_bag,
+    opened,
     read_listing,
-    split_name,
 )
 from dextar_control.bags.records import MAGIC, PER_MESSAGE, RECOVERY_NAME, Hole, Messages, Progress, Scan
 from dextar_control.contract.errors import BagError
-from dextar_control.contract.topics import TOPICS
+from dextar_control.contract.robot import JOINT_NAMES
+from dextar_control.contract.topics import JOINT_STATES, TOPICS, Topic
 
-SQLITE = b"SQLite format 3\0"
+BROKEN_MESSAGE = "its compressed content is damaged"
 
 
 @dataclass
@@ -36,10 +39,12 @@ class Bag:
 
     Attributes:
         path: of the file.
-        messages: per topic name.
+        messages: per topic name; where a topic has two types, the second with its type behind the name.
         metadata: per record name, the last record's texts.
         holes: what is missing in its middle.
         truncated: the file whose end is missing, where nothing comes after it, or None.
+        undescribed: messages per number of a channel that no record describes.
+        faults: what else is wrong with it, each in words.
     """
 
     path: Path
@@ -47,56 +52,81 @@ class Bag:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     holes: list[Hole] = field(default_factory=list)
     truncated: Path | None = None
+    undescribed: dict[int, int] = field(default_factory=dict)
+    faults: list[str] = field(default_factory=list)
 
     @property
     def damage(self) -> str:
         """What is missing, in one sentence; "" where nothing is known to be."""
-        parts, recovered = [], RECOVERY_NAME in self.metadata
+        parts, recovered, unit = [], RECOVERY_NAME in self.metadata, "chunk"
         for hole in self.holes:
             what = f"{hole.chunks} damaged chunk{'s' * (hole.chunks > 1)}" if hole.chunks else "the missing end"
             parts.append(f"{what} of {hole.path}, {_span(hole)}")
         text = f"no message is left of {'; '.join(parts)}" if parts else ""
         if self.truncated:
             was = "was recovered from a file that breaks off or" if recovered else "breaks off or"
-            cut = f"{self.truncated} {was} is damaged: read up to its last complete chunk"
+            unit = "message" if plain_name(self.truncated.name).endswith(".db3") else "chunk"
+            cut = f"{self.truncated} {was} is damaged: read up to its last complete {unit}"
             text = f"{cut}; {text}" if text else cut
+        lost = [f"{counted(count, 'message')} of channel {channel}, which no record describes, cannot be read"
+                for channel, count in self.undescribed.items()]  # fmt: skip
+        if not text and not lost and self.faults:
+            return f"{self.path}: {'; '.join(self.faults)}"
+        if lost or self.faults:
+            text = "; ".join([text or f"{self.path} is damaged", *lost, *self.faults])
         if not text or recovered:
             return text
-        return f"{text}; dextar recover saves what can be"
+        return text if unit == "message" else f"{text}; dextar recover saves what can be"
 
-    def of(self, contract_name: str, resolved: dict[str, str], namespace: str | None = None) -> Series:
-        """Messages of a contract topic, maybe none.
+    def of(
+        self, contract_name: str, resolved: Mapping[str, str], namespace: str | None = None, near: str | None = None
+    ) -> Series:
+        """Messages of a contract topic, maybe none. What only has its name, and not its type, is passed over.
 
         Args:
             contract_name: of the topic.
             resolved: the recorder's own table of names; where that says nothing the end of the name decides.
             namespace: of the robot, where the bag holds several.
+            near: the namespace of the robot's joint states, which decides between several topics.
 
         Raises:
-            BagError: it has another type, or there are several robots and none was named.
+            BagError: of the joint states: they have another type, or there are several robots and none was named.
         """
         topic = next(topic for topic in TOPICS if topic.name == contract_name)
-        name = resolved.get(contract_name) or self._find(contract_name, namespace)
-        found = self.messages.get(name)
-        if found is not None and found.type != topic.type:
-            raise BagError(f"{self.path}: {name} is a {found.type}; a run of this robot has a {topic.type} there")
-        return Series(contract_name, topic.type) if found is None else found
+        names = self._names(topic, resolved, namespace)
+        named = [series for name in names for series in self.messages.values() if series.topic == name]
+        found = [series for series in named if series.type == topic.type]
+        if len(found) > 1 and topic is JOINT_STATES:
+            found = [series for series in found if all(series.knows(f"position.{joint}") for joint in JOINT_NAMES)] or found
+        elif len(found) > 1:
+            listed = ", ".join(series.topic for series in found)
+            found = [series for series in found if series.topic == f"{near}/{contract_name}"]
+            if not found:
+                warnings.warn(f"{contract_name} is there as {listed}, and none is the robot's own: not read", stacklevel=5)
+        if len(found) > 1:
+            listed = ", ".join(series.topic for series in found)
+            raise BagError(f"{self.path} holds {contract_name} of {len(found)} robots ({listed}); name one's namespace")
+        if not found and topic is JOINT_STATES:
+            for other in named:
+                raise BagError(f"{self.path}: {other.topic} is a {other.type}; a run of this robot has a {topic.type} there")
+        return found[0] if found else Series(contract_name, topic.type)
 
-    def _find(self, contract_name: str, namespace: str | None) -> str:
-        if contract_name.startswith("/") or namespace is not None:
-            own = contract_name if contract_name.startswith("/") else f"/{(namespace or '').strip('/')}/{contract_name}"
-            return own.replace("//", "/")
-        longer = [topic.name for topic in TOPICS if topic.name.endswith("/" + contract_name)]
-        names = sorted(name for name in self.messages if name.endswith("/" + contract_name)
-                       and not any(name.endswith("/" + other) for other in longer))  # fmt: skip
-        if len(names) > 1:
-            raise BagError(f"{self.path} holds {contract_name} of {len(names)} robots ({', '.join(names)}); name one's namespace")
-        return names[0] if names else ""
+    def _names(self, topic: Topic, resolved: Mapping[str, str], namespace: str | None) -> list[str]:
+        """What a topic may be called here."""
+        if topic.name in resolved:
+            return [resolved[topic.name]]
+        if topic.name.startswith("/") or namespace is not None:
+            own = topic.name if topic.name.startswith("/") else f"/{(namespace or '').strip('/')}/{topic.name}"
+            return [own.replace("//", "/")]
+        longer = [other.name for other in TOPICS if other.name.endswith("/" + topic.name)]
+        topics = {series.topic for series in self.messages.values()}
+        return sorted({name for name in topics if name.endswith("/" + topic.name)
+                       and not any(name.endswith("/" + other) for other in longer)})  # fmt: skip
 
 
 def read_bag(
     path: str | Path, columns: Mapping[str, Columns] | None = None, select: Mapping[str, Select] | None = None,
-    progress: Progress | None = None,
+    progress: Progress | None = None, tell: bool = True,
 ) -> Bag:  # fmt: skip
     """A bag: a file, MCAP or sqlite3, or a folder in rosbag2's layout, also a split one. Damaged chunks are passed over.
 
@@ -107,6 +137,7 @@ def read_bag(
         columns: per message type, what is kept of each message of a fast topic.
         select: per message type, which messages of a slow topic are kept.
         progress: told the bytes read and those there are; not for what only the library reads.
+        tell: warn of its damage; otherwise the caller does.
 
     Raises:
         BagError: no such file, empty, no bag, of several recordings, or without a message of a known type.
@@ -114,17 +145,14 @@ def read_bag(
     path = Path(path)
     try:
         files, listed = _files(path) if path.is_dir() else ([path], True)
-        bag = Bag(files[0] if files else path)
-        fill = _Filling(bag, columns or {}, select or {})
-        if files and all(_storage(file) is MAGIC for file in files):
-            fill.from_files(files, listed, progress)
-        else:
-            fill.with_library(path)
+        bag = Bag(files[0])
+        with opened(files) as parts:
+            _Filling(bag, columns or {}, select or {}).from_files(parts, listed, progress)
     except OSError as error:
         raise BagError(f"cannot read {path}: {error.strerror or error}") from error
     if not any(len(series) for series in bag.messages.values()):
         raise BagError(f"{path} holds no ROS 2 message" + (f": {bag.damage}" if bag.damage else ""))
-    if bag.damage:
+    if tell and bag.damage:
         warnings.warn(bag.damage, stacklevel=2)
     return bag
 
@@ -136,39 +164,23 @@ def _span(hole: Hole) -> str:
 
 
 def _files(folder: Path) -> tuple[list[Path], bool]:
-    """(the files of a bag folder in order, whether ``metadata.yaml`` lists them); none where only the library reads them."""
+    """(the files of a bag folder in order, whether ``metadata.yaml`` lists them)."""
     if not (folder / METADATA_FILE).is_file():
-        files = in_order([*folder.glob("*.mcap"), *folder.glob("*.db3")])
-        if not files or not one_bag_by_name(files):
-            raise BagError(f"folder {folder} has no {METADATA_FILE} and holds {len(files)} .mcap files; one is needed")
+        files = in_order(found := bag_files(folder))
+        if not files:
+            raise BagError(f"folder {folder} has no {METADATA_FILE} and holds {len(found)} .mcap files; one is needed")
         return files, False
-    document = read_listing(folder)
-    files = [folder / name for name in document["relative_file_paths"]]
+    files = [folder / name for name in read_listing(folder)["relative_file_paths"]]
     for file in files:
         if not file.is_file():
             raise BagError(f"{folder / METADATA_FILE} lists {file.name}, which is not there; dextar recover saves the rest")
-    names = {split_name(file)[0] for file in files}
-    more = sorted(file.name for file in folder.glob("*.mcap") if file not in files and split_name(file)[0] in names)
+    if not files:
+        raise BagError(f"{folder / METADATA_FILE} lists no file; dextar recover saves what is beside it")
+    more = sorted(file.name for file in bag_files(folder, ["mcap"]) if file not in files and of_one_bag(file, files))
     if more:
         text = f"{folder / METADATA_FILE} does not list {', '.join(more)} beside it: not read; dextar recover puts them together"
         warnings.warn(text, stacklevel=3)
-    return ([] if document.get("compression_mode") else files), True
-
-
-def _storage(file: Path) -> bytes:
-    """The magic bytes of the file's storage.
-
-    Raises:
-        BagError: it is empty or neither MCAP nor sqlite3.
-    """
-    with file.open("rb") as stream:
-        start = stream.read(len(SQLITE))
-    if not start:
-        raise BagError(f"{file} is empty")
-    for magic in (MAGIC, SQLITE):
-        if start.startswith(magic):
-            return magic
-    raise BagError(f"{file} is not an MCAP file, nor a sqlite3 bag")
+    return files, True
 
 
 class _Filling:
@@ -176,29 +188,35 @@ class _Filling:
 
     def __init__(self, bag: Bag, columns: Mapping[str, Columns], select: Mapping[str, Select]) -> None:
         self._bag, self._columns, self._select = bag, columns, select
+        self._count = 0  # messages read
 
-    def from_files(self, files: list[Path], listed: bool, progress: Progress | None) -> None:
-        """From MCAP files in order."""
-        scans = [Scan(file) for file in files]
-        sizes = [file.stat().st_size for file in files]
-        for index, scan in enumerate(scans):
+    def from_files(self, parts: list[Opened], listed: bool, progress: Progress | None) -> None:
+        """From files in order."""
+        sizes = [part.content.stat().st_size for part in parts]
+        scans: list[Scan] = []
+        for index, part in enumerate(parts):
             before = sum(sizes[:index])
 
             def told(done: int, _: int, before: int = before) -> None:
                 if progress is not None:
                     progress(before + done, sum(sizes))
 
-            self._from_file(scan, told)
+            if part.storage is not MAGIC:
+                self._with_library(part)
+                continue
+            scans.append(Scan(part.file, part.content))
+            self._from_file(scans[-1], told)
             if not listed:
-                check_one_recording(scans[: index + 1])
-        self._bag.holes, self._bag.truncated = holes_of(scans)
+                check_one_recording(scans)
+        self._bag.holes, truncated = holes_of(scans)
+        self._bag.truncated = self._bag.truncated or truncated
 
     def _from_file(self, scan: Scan, progress: Progress) -> None:
         schemas: dict[int, Schema] = {}
         series: dict[int, Series | None] = {}
         for record in scan.records(progress):
             if isinstance(record, Messages):
-                self._take(scan.path, record, series)
+                self._take(record, series)
             elif isinstance(record, Schema):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
@@ -209,38 +227,59 @@ class _Filling:
             elif isinstance(record, Metadata):
                 self._bag.metadata[record.name] = dict(record.metadata)
 
-    def _take(self, path: Path, batch: Messages, series: Mapping[int, Series | None]) -> None:
+    def _take(self, batch: Messages, series: Mapping[int, Series | None]) -> None:
         numbers = np.frombuffer(batch.numbers, dtype=np.uint64).reshape(-1, PER_MESSAGE)
+        places = self._count + np.arange(len(numbers), dtype=np.int64)
+        self._count += len(numbers)
         channels = numbers[:, 0]
         for channel in np.unique(channels).tolist():
+            mine = channels == channel
             if channel not in series:
-                raise BagError(f"{path} is damaged: a message is of channel {channel}, which no record describes")
+                undescribed = self._bag.undescribed
+                undescribed[channel] = undescribed.get(channel, 0) + int(mine.sum())
+                continue
             found = series[channel]
-            if found is not None:
-                try:
-                    found.extend(batch.data, numbers[channels == channel][:, 2:])
-                except BagError as error:
-                    raise BagError(f"{path}: {error}") from error
+            if found is None:
+                continue
+            messages = numbers[mine][:, 2:]
+            if any(batch.data[begin : begin + len(ZSTD)] == ZSTD for begin in messages[:, 2].tolist()):
+                for place, (log_time, publish_time, first, last) in zip(places[mine].tolist(), messages.tolist(), strict=True):
+                    self._take_one(found, log_time, publish_time, batch.data[first:last], place)
+            else:
+                found.extend(batch.data, messages, places[mine])
 
-    def with_library(self, path: Path) -> None:
-        """What is not plain MCAP: sqlite3, and what rosbag2 compressed itself. It has no publish times."""
+    @staticmethod
+    def _take_one(series: Series, log_time: int, publish_time: int, data: bytes, place: int) -> None:
+        """Take a message that rosbag2 may have compressed by itself: no message of CDR begins as such a one."""
+        content = unpack_message(data) if data.startswith(ZSTD) else data
+        if content is None:
+            series.lose(log_time, BROKEN_MESSAGE)
+        else:
+            series.add(log_time, publish_time, content, place)
+
+    def _with_library(self, part: Opened) -> None:
+        """A sqlite3 file. It has no publish times."""
+        before = self._count
         try:
-            with Reader(path) as reader:
+            with Reader(part.content) as reader:
                 series = {connection.id: self._series(connection.topic, connection.msgtype) for connection in reader.connections}
                 for connection, time, data in reader.messages():
+                    self._count += 1
                     found = series[connection.id]
                     if found is not None:
-                        found.add(time, time, bytes(data))
-        except (ReaderError, sqlite3.Error, AssertionError, ValueError, LookupError, struct.error) as error:
-            raise BagError(f"{path} cannot be read: {error}") from error
+                        self._take_one(found, time, time, bytes(data), self._count)
+        except (OSError, BagError):
+            raise
+        except Exception as error:  # what the library and sqlite3 raise at a damaged file is listed nowhere
+            if self._count == before:
+                raise BagError(f"{part.file} cannot be read: {error}") from error
+            self._bag.truncated = part.file
 
     def _series(self, topic: str, type_name: str) -> Series | None:
         if type_name not in TYPES.fielddefs:
             return None
-        found = self._bag.messages.get(topic)
-        if found is None:
-            found = Series(topic, type_name, self._columns.get(type_name), self._select.get(type_name))
-            self._bag.messages[topic] = found
-        if found.type != type_name:
-            raise BagError(f"{self._bag.path}: {topic} is a {found.type} and a {type_name}")
-        return found
+        known = self._bag.messages
+        name = topic if topic not in known or known[topic].type == type_name else f"{topic} ({type_name})"
+        if name not in known:
+            known[name] = Series(topic, type_name, self._columns.get(type_name), self._select.get(type_name))
+        return known[name]

@@ -8,9 +8,7 @@ from dextar_control.analysis.run import Run, Stamps
 from dextar_control.contract import topics
 from dextar_control.contract.errors import BagError
 
-LEAST_JUMP = 500_000_000  # ns by which stamps must fall back before they count as those of another run
 BLOCK = 4096  # stamps looked at together
-LEAST_SIDE = 10  # messages on either side of such a jump: fewer are single wrong stamps
 
 
 def check_run(run: Run) -> None:
@@ -41,28 +39,3 @@ def _has_one_of(known: Stamps, stamps: Stamps) -> bool:
         if (known[np.minimum(np.searchsorted(known, part), len(known) - 1)] == part).any():
             return True
     return False
-
-
-def check_order(name: str, stamps: Stamps) -> None:
-    """A run's stamps go on; they do not begin anew.
-
-    Args:
-        name: of the topic.
-        stamps: (n,) ns in the order of the bag.
-
-    Raises:
-        BagError: they fall back, and go on from there.
-    """
-    if len(stamps) < 2 * LEAST_SIDE:
-        return
-    falls = np.diff(stamps)
-    row = int(falls.argmin())
-    if -falls[row] < LEAST_JUMP:
-        return
-    ahead = int((stamps[: row + 1] > stamps[row + 1]).sum())
-    behind = int((stamps[row + 1 :] < stamps[row]).sum())
-    if min(ahead, behind) >= LEAST_SIDE:
-        raise BagError(
-            f"the stamps of {name} fall back by {-falls[row] * 1e-9:.3f} s after {row + 1} of {len(stamps)} messages: two runs"
-            " in one bag, or a plant that was reset; record each run into a bag of its own"
-        )

@@ -13,6 +13,7 @@ from bokeh.embed import components
 from rich.measure import Measurement
 from rich.table import Table
 
+from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.crossings import CrossingMetrics
 from dextar_control.analysis.curves import Curve, Panel, beyond, error_height, panels
 from dextar_control.analysis.load import load_run
@@ -339,7 +340,9 @@ def _remarks(names: Sequence[str], runs: Sequence[Run], metrics: Sequence[Metric
                        " goes by the true s where the bag holds it, else by the estimated one.")  # fmt: skip
     for name, one in zip(names, metrics, strict=True):
         remarks += [f"{name}: no trajectory was tracked; it has no curves."] if one.start_stamp is None else []
-        remarks += [f"{name}: {text}." for text in damage_lines(one.holes, one.truncated)]
+        remarks += [f"{name}: {text}." for text in damage_lines(one.holes, one.truncated, one.unreadable)]
+        if stepped := clock_in_words(one.stamp_steps, one.clock_steps):
+            remarks.append(f"{name}: {stepped}.")
     if len({run.robot for run in runs if run.robot is not None}) > 1:
         remarks.append("The runs have different robots.")
     counts = [len(one.crossings) for one in metrics]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -13,19 +14,35 @@ import numpy as np
 import yaml
 
 from dextar_control.analysis.bag import Bag, read_bag
-from dextar_control.analysis.coherence import check_order, check_run
-from dextar_control.analysis.run import Control, Criterion, Floats, Hole, Joints, RecordedTopic, Run, Served, Stamps, Truth
-from dextar_control.analysis.series import Columns, Select, Series
+from dextar_control.analysis.clock import clock_in_words, clock_of
+from dextar_control.analysis.coherence import check_run
+from dextar_control.analysis.run import (
+    Control,
+    Criterion,
+    Floats,
+    Hole,
+    Joints,
+    RecordedTopic,
+    Run,
+    Served,
+    Stamps,
+    Truth,
+    Unreadable,
+)
+from dextar_control.analysis.series import Columns, Select, Series, Steady
+from dextar_control.analysis.words import counted
 from dextar_control.bags.records import Progress
 from dextar_control.contract import topics
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.robot import JOINT_NAMES, ROBOT_KEYS, RobotParameters, from_flat
+from dextar_control.core.verdicts import Verdict
 
 NANOSECONDS = 1_000_000_000
 PARAMETER_PREFIX = "parameters."
 MEMORY = 250_000  # bytes of memory of its own for each recorded second at 1 kHz, at most: loaded and measured
 ANSWERED = 100_000_000  # ns beside a hole within which a stream that has no stamp lacks it because of the hole
 _KINDS = ("position", "velocity", "effort")
+JOINT_COLUMNS = [f"{kind}.{name}" for kind in _KINDS for name in JOINT_NAMES]
 _POINT_FIELDS = (
     ("positions", "velocities", "accelerations"),
     ("positions", "velocities"),
@@ -57,53 +74,112 @@ def load_run(
     Raises:
         BagError: the file is missing, empty, foreign or holds no joint states of one robot, or of another than was named.
     """
-    bag = read_bag(path, COLUMNS, SELECT, progress)
+    bag = read_bag(path, COLUMNS, SELECT, progress, tell=False)
     record = bag.metadata.get("dextar", {})
     try:
-        resolved: dict[str, str] = json.loads(record.get("contract", "{}"))
-        losses = json.loads(record.get("topics", "{}"))
-        parameters = {
-            key.removeprefix(PARAMETER_PREFIX): yaml.safe_load(text) or {}
-            for key, text in record.items()
-            if key.startswith(PARAMETER_PREFIX)
-        }
-        for table in (resolved, losses, *losses.values(), *parameters.values()):
-            if not isinstance(table, dict):
-                raise ValueError(f"{table!r} is no table")
-    except (ValueError, AttributeError, yaml.YAMLError) as error:
+        resolved = _table_of(record, "contract", str)
+        losses = _losses(_table_of(record, "topics", dict))
+        parameters = _parameters(record)
+    except (ValueError, yaml.YAMLError) as error:
         why = " ".join(str(error).split())
-        raise BagError(f"{bag.path}: its metadata record 'dextar' cannot be read: {why}") from error
+        bag.faults.append(f"its metadata record 'dextar' cannot be read and is passed over: {why}")
+        record, resolved, losses, parameters = {}, {}, {}, {}
+    if bag.damage:
+        warnings.warn(bag.damage, stacklevel=2)
 
     recorded = _namespace(resolved)
     if namespace is not None and recorded is not None and namespace.strip("/") != recorded.strip("/"):
         raise BagError(f"{bag.path} is of the robot in namespace '{recorded or '/'}', not '{namespace}'")
-
-    def of(topic: topics.Topic) -> Series:
-        return bag.of(topic.name, resolved, namespace)
-
     try:
-        run = _run(bag, of, record, resolved, parameters, losses)
+        run = _run(_Topics(bag, resolved, namespace), record, parameters, losses)
     except BagError as error:
         text = str(error) if str(bag.path) in str(error) else f"{bag.path}: {error}"
         raise BagError(f"{text} ({bag.damage})" if bag.damage else text) from error
     return run if robot is None or run.robot is not None else replace(run, robot=robot)
 
 
+def _table_of(record: dict[str, str], key: str, kind: type) -> dict[str, Any]:
+    table = json.loads(record.get(key, "{}"))
+    if not isinstance(table, dict) or not all(isinstance(value, kind) for value in table.values()):
+        raise ValueError(f"{key} = {table!r} is no table")
+    return table
+
+
+def _losses(table: dict[str, dict[str, Any]]) -> dict[str, dict[str, int | None]]:
+    """Counts per topic; what is no number is not known."""
+    return {topic: {key: value if isinstance(value, int) else None for key, value in counts.items()}
+            for topic, counts in table.items()}  # fmt: skip
+
+
+def _parameters(record: dict[str, str]) -> dict[str, dict[str, Any]]:
+    found = {key.removeprefix(PARAMETER_PREFIX): yaml.safe_load(text) or {} for key, text in record.items()
+             if key.startswith(PARAMETER_PREFIX)}  # fmt: skip
+    for values in found.values():
+        if not isinstance(values, dict):
+            raise ValueError(f"{values!r} is no table")
+    return found
+
+
+class _Topics:
+    """The topics of a bag that a run needs; what cannot be read of them is told once."""
+
+    def __init__(self, bag: Bag, resolved: dict[str, str], namespace: str | None) -> None:
+        self.bag, self.resolved = bag, resolved
+        self._namespace = namespace
+        self._near: str | None = None
+        self.used: list[Series] = []
+
+    def of(self, topic: topics.Topic) -> Series:
+        found = self.bag.of(topic.name, self.resolved, self._namespace, self._near)
+        if topic is topics.JOINT_STATES:
+            self._near = found.topic.removesuffix(f"/{topic.name}")
+        self.used.append(found)
+        return found
+
+    def unreadable(self) -> dict[str, Unreadable]:
+        """What could not be decoded of those that were taken, per topic; warned of."""
+        for series in self.used:
+            if series.unreadable:
+                whole = counted(len(series), "message")
+                warnings.warn(
+                    f"{series.unreadable} of {whole} on {series.topic} cannot be read and count as not recorded: {series.why}",
+                    stacklevel=4,
+                )
+            if series.untimed:
+                warnings.warn(
+                    f"{series.topic}: the time of {counted(series.untimed, 'message')} is none ({series.odd_time} ns); the other"
+                    " of its two times, or that of the message before, stands for it",
+                    stacklevel=4,
+                )
+        return {series.topic: Unreadable(series.unreadable, len(series), series.why) for series in self.used if series.unreadable}
+
+
 def _run(
-    bag: Bag, of: Callable[[topics.Topic], Series], record: dict[str, str], resolved: dict[str, str],
-    parameters: dict[str, dict[str, Any]], losses: dict[str, dict[str, int | None]],
+    bag_topics: _Topics, record: dict[str, str], parameters: dict[str, dict[str, Any]],
+    losses: dict[str, dict[str, int | None]],
 ) -> Run:  # fmt: skip
+    bag, of = bag_topics.bag, bag_topics.of
     recorded = of(topics.JOINT_STATES)
-    if not recorded.rising:
-        check_order(topics.JOINT_STATES.name, recorded.stamps())
-    states = _joints(recorded)
-    if len(states.stamps) == 0:
-        raise BagError(f"{bag.path} holds no message of {topics.JOINT_STATES.name}: not a run of this robot")
+    name = topics.JOINT_STATES.name
+    if len(recorded) == 0:
+        raise BagError(f"{bag.path} holds no message of {name}: not a run of this robot")
+    if recorded.readable == 0:
+        why = recorded.why
+        if recorded.untimed:
+            why += f"; one has the time {recorded.odd_time} ns: the file is damaged"
+        raise BagError(f"{bag.path}: none of {counted(len(recorded), 'message')} on {recorded.topic} can be read: {why}")
+    served = of(topics.TRAJECTORY)
+    clock = clock_of(recorded, served.places)
+    steady = clock.steady if clock.steps else None
+    states = _joints(recorded, steady)
     if np.isnan(states.position).all():
-        raise BagError(f"{bag.path}: {topics.JOINT_STATES.name} never holds the joints {', '.join(JOINT_NAMES)} of this robot")
-    commands, control = _joints(of(topics.JOINT_COMMANDS)), _control(of(topics.CONTROLLER_STATE))
-    criterion, truth = _criterion(of(topics.CRITERION)), _truth(of(topics.SIM_END_EFFECTOR), of(topics.SIM_JOINT_STATES))
+        raise BagError(f"{bag.path}: {name} never holds the joints {', '.join(JOINT_NAMES)} of this robot")
+    commands, control = _joints(of(topics.JOINT_COMMANDS), steady), _control(of(topics.CONTROLLER_STATE), steady)
+    criterion = _criterion(of(topics.CRITERION), steady)
+    truth = _truth(of(topics.SIM_END_EFFECTOR), of(topics.SIM_JOINT_STATES), steady)
     answers = [commands.stamps, control.stamps, criterion.stamps, *([] if truth is None else [truth.stamps])]
+    trajectory = _trajectory(served)
+    diagnostics = _diagnostics(of(topics.DIAGNOSTICS), _namespace(bag_topics.resolved))
     run = Run(
         path=bag.path,
         states=states,
@@ -112,8 +188,8 @@ def _run(
         criterion=criterion,
         truth=truth,
         holes=_holes(bag, states, answers),
-        trajectory=_trajectory(of(topics.TRAJECTORY)),
-        diagnostics=_diagnostics(of(topics.DIAGNOSTICS), _namespace(resolved)),
+        trajectory=trajectory,
+        diagnostics=diagnostics,
         parameters=parameters,
         robot=_robot(parameters),
         losses=losses,
@@ -122,10 +198,15 @@ def _run(
             key: text for key, text in record.items()
             if key not in ("contract", "topics") and not key.startswith(PARAMETER_PREFIX)
         },
-        topics={name: _topic(series) for name, series in bag.messages.items()},
+        topics=_recorded_topics(bag),
         truncated=bag.truncated is not None,
+        unreadable=bag_topics.unreadable(),
+        stamp_steps=clock.steps,
+        clock_steps=clock.system_steps,
     )
     check_run(run)
+    if text := clock_in_words(run.stamp_steps, run.clock_steps):
+        warnings.warn(text, stacklevel=3)
     return run
 
 
@@ -133,8 +214,9 @@ def _nanoseconds(time: Any) -> int:
     return int(time.sec) * NANOSECONDS + int(time.nanosec)
 
 
-def _topic(series: Series) -> RecordedTopic:
-    return RecordedTopic(series.type, len(series), series.first, series.last)
+def _recorded_topics(bag: Bag) -> dict[str, RecordedTopic]:
+    return {name: RecordedTopic(series.type, len(series), series.first, series.last, series.fallen)
+            for name, series in bag.messages.items()}  # fmt: skip
 
 
 def _joint_paths(message: Any) -> dict[str, str]:
@@ -197,22 +279,23 @@ def _holes(bag: Bag, states: Joints, answers: Sequence[Stamps]) -> list[Hole]:
     return found
 
 
-def _joints(series: Series) -> Joints:
-    table = series.table([f"{kind}.{name}" for kind in _KINDS for name in JOINT_NAMES])
+def _joints(series: Series, steady: Steady | None) -> Joints:
+    table = series.table(JOINT_COLUMNS, steady)
     position, velocity, effort = (table.values[:, 2 * k : 2 * k + 2] for k in range(3))
     return Joints(table.stamps, position, velocity, effort, table.published, table.logged)
 
 
-def _control(series: Series) -> Control:
-    table = series.table(_CONTROL_NAMES)
+def _control(series: Series, steady: Steady | None) -> Control:
+    table = series.table(_CONTROL_NAMES, steady)
     time = (table.values[:, 0] * NANOSECONDS + table.values[:, 1]) / NANOSECONDS
     return Control(table.stamps, time, *(table.values[:, 2 * k : 2 * k + 2] for k in range(1, 10)))
 
 
-def _criterion(series: Series) -> Criterion:
-    table = series.table([f"position.{name}" for name in topics.CRITERION_NAMES])
+def _criterion(series: Series, steady: Steady | None) -> Criterion:
+    table = series.table([f"position.{name}" for name in topics.CRITERION_NAMES], steady)
     columns = dict(zip(topics.CRITERION_NAMES, table.values.T, strict=True))
-    phase = np.nan_to_num(columns.pop("phase"), nan=-1.0).astype(np.int64)
+    phase = _codes(columns.pop("phase"), range(len(topics.PHASES)), -1.0).astype(np.int64)
+    columns["verdict"] = _codes(columns["verdict"], list(Verdict), np.nan)
     return Criterion(
         stamps=table.stamps, phase=phase,
         **{name: columns[name] for name in ("residual", "s", "sigma_min", "projection_weight", "assembly_mode",
@@ -220,8 +303,13 @@ def _criterion(series: Series) -> Criterion:
     )  # fmt: skip
 
 
-def _truth(platform: Series, joints: Series) -> Truth | None:
-    motion, active = platform.table(_MOTION_NAMES), _joints(joints)
+def _codes(values: Floats, known: Iterable[int], unknown: float) -> Floats:
+    """Values (n,) that are codes; what is none is unknown."""
+    return np.where(np.isin(values, [float(code) for code in known]), values, unknown)
+
+
+def _truth(platform: Series, joints: Series, steady: Steady | None) -> Truth | None:
+    motion, active = platform.table(_MOTION_NAMES, steady), _joints(joints, steady)
     if np.array_equal(motion.stamps, active.stamps):
         return Truth(motion.stamps, motion.values[:, 0:2], motion.values[:, 2:4], active.position) if len(motion.stamps) else None
     common, rows, joint_rows = np.intersect1d(motion.stamps, active.stamps, assume_unique=True, return_indices=True)
@@ -235,6 +323,9 @@ def _truth(platform: Series, joints: Series) -> Truth | None:
 
 def _trajectory(series: Series) -> Served | None:
     for message in _served(reversed(series.messages())):
+        if problem := _incomplete(message.points):
+            warnings.warn(f"{series.topic}: the trajectory cannot be used: {problem}", stacklevel=4)
+            return None
         time = np.array([_nanoseconds(point.time_from_start) / NANOSECONDS for point in message.points])
 
         def vectors(pick: Callable[[Any], Any], points: Any = message.points) -> Floats:
@@ -247,6 +338,15 @@ def _trajectory(series: Series) -> Served | None:
             vectors(lambda p: p.accelerations[0].linear),
         )
     return None
+
+
+def _incomplete(points: Sequence[Any]) -> str:
+    """What a trajectory's points lack; "" nothing."""
+    for number, point in enumerate(points, start=1):
+        for field in ("transforms", "velocities", "accelerations"):
+            if len(getattr(point, field)) == 0:
+                return f"point {number} of {len(points)} has no {field}"
+    return ""
 
 
 def _namespace(resolved: dict[str, str]) -> str | None:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from dextar_control.analysis.crossings import CrossingMetrics, judge_crossings, peak
-from dextar_control.analysis.run import Floats, Hole, Phase, Run
+from dextar_control.analysis.run import Floats, Hole, Phase, Run, Unreadable
 from dextar_control.analysis.timing import PhaseSpan, Timing, measure_timing, periods, phase_name, phase_spans, recorded, within
 from dextar_control.analysis.tracking import plan_of, tracked
-from dextar_control.analysis.verdict import Verdict, judge
+from dextar_control.analysis.verdict import Verdict, judge, late_share
 from dextar_control.contract.errors import DextarError
 from dextar_control.core.certificate import NEAR_LOCUS
 
@@ -50,10 +50,14 @@ class Metrics:
             beside a hole of the bag.
         late_commands, late_ticks, plant_steps: as the plant counted over its whole run (commands that
             came too late for their step, steps taken without their command); None when it did not.
+        late_share: of the steps, those without a command in time: late_ticks of plant_steps, or timing.late_share where that is
+            greater.
         lost: samples lost per topic, as the recorder counted last; None where not known. What a damaged or cut-off file no
             longer holds is not in it.
         truncated: the end of the bag is missing.
         holes: what is missing before.
+        unreadable: per topic name, what could not be decoded of what is needed; it counts as not recorded.
+        stamp_steps, clock_steps: by how much the clock of the stamps, and the recorder's system clock, stepped back each time, s.
         timing: rates, jitter and round trips.
         phases: the controller's, one after the other.
     """
@@ -94,10 +98,14 @@ class Metrics:
     late_commands: int | None
     late_ticks: int | None
     plant_steps: int | None
+    late_share: float
     timing: Timing
     phases: list[PhaseSpan]
     lost: dict[str, int | None] = field(default_factory=dict)
     holes: list[Hole] = field(default_factory=list)
+    unreadable: dict[str, Unreadable] = field(default_factory=dict)
+    stamp_steps: list[float] = field(default_factory=list)
+    clock_steps: list[float] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON: what is not a number is None."""
@@ -133,6 +141,9 @@ def compute_metrics(run: Run) -> Metrics:
     controller = run.diagnostics.get("controller", {})
     stopped = phase in (Phase.SAFE_STOP.name, Phase.FAULT.name)
     reason = str(controller.get("reason") or controller.get("message") or "") if stopped else ""
+    plant = run.diagnostics.get("plant", {})
+    late_ticks, steps = _whole(plant.get("late_ticks")), _whole(plant.get("steps"))
+    timing = measure_timing(run, track)
     values: dict[str, Any] = {
         "bag": str(run.path),
         "version": run.version,
@@ -159,19 +170,22 @@ def compute_metrics(run: Run) -> Metrics:
         "planned_peak_torque_near": planned_near,
         "torque_ratio_near": _ratio(peak(torque[near]), planned_peak),
         "truth_share": float(np.isfinite(track.true_error).sum() / len(track.stamps)) if track else 0.0,
-        "drive_saturated": _whole(run.diagnostics.get("plant", {}).get("saturated_ticks")),
+        "drive_saturated": _whole(plant.get("saturated_ticks")),
         "saturated": int((np.abs(torque) >= limit * SATURATED).any(axis=1).sum()),
-        "loop_rate": float(1.0 / np.median(spans)) if len(spans) else math.nan,
-        "mean_rate": float(1.0 / np.mean(spans)) if len(spans) else math.nan,
+        "loop_rate": _ratio(1.0, float(np.median(spans))) if len(spans) else math.nan,
+        "mean_rate": _ratio(1.0, float(np.mean(spans))) if len(spans) else math.nan,
         "states": len(asked),
         "answered": answered,
         "missed": len(asked) - answered,
-        **{
-            name: _whole(run.diagnostics.get("plant", {}).get(key))
-            for name, key in (("late_commands", "late_commands"), ("late_ticks", "late_ticks"), ("plant_steps", "steps"))
-        },
-        "timing": measure_timing(run, track),
+        "late_commands": _whole(plant.get("late_commands")),
+        "late_ticks": late_ticks,
+        "plant_steps": steps,
+        "timing": timing,
+        "late_share": late_share(late_ticks, steps, timing.late_share),
         "phases": phase_spans(run, track),
+        "unreadable": run.unreadable,
+        "stamp_steps": run.stamp_steps,
+        "clock_steps": run.clock_steps,
         "lost": {topic: _add(count.get("lost"), count.get("dropped")) for topic, count in run.losses.items()},
     }
     verdict: Verdict = judge(values, has_truth=run.truth is not None, tracked=track is not None, problem=problem)
@@ -189,7 +203,7 @@ def _ratio(value: float, plan: float) -> float:
 def _whole(text: Any) -> int | None:
     try:
         return int(float(text))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None
 
 

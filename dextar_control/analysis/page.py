@@ -15,6 +15,7 @@ from bokeh.embed import components
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
+from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.crossings import CrossingMetrics, crossed_in_words
 from dextar_control.analysis.curves import checked_plan, panels
 from dextar_control.analysis.metrics import Metrics
@@ -23,7 +24,7 @@ from dextar_control.analysis.run import RecordedTopic, Run
 from dextar_control.analysis.thin import POINTS
 from dextar_control.analysis.timing import Spread, lockstep, periods, round_trips, within
 from dextar_control.analysis.tracking import tracked
-from dextar_control.analysis.verdict import in_words
+from dextar_control.analysis.verdict import in_words, unreadable_lines
 from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band
 from dextar_control.analysis.words import counted
 from dextar_control.contract.topics import TOPICS
@@ -316,7 +317,8 @@ def _recording(run: Run) -> dict[str, Any]:
         ])  # fmt: skip
     began, ended = run.record.get("started", ""), run.record.get("ended", "")
     sentence = f"Recorded from {_short(began)} to {_short(ended)} (UTC). " if began and ended else ""
-    sentence += "".join(f"{text[:1].upper()}{text[1:]}. " for text in map(in_words, run.holes))
+    told = [*map(in_words, run.holes), *unreadable_lines(run.unreadable), clock_in_words(run.stamp_steps, run.clock_steps)]
+    sentence += "".join(f"{text[:1].upper()}{text[1:]}. " for text in told if text)
     if run.truncated:
         sentence += "The end is missing: all up to the last complete chunk is here, and what was lost after it is unknown. "
     if not run.losses:
@@ -338,7 +340,7 @@ def _rates(name: str, topic: RecordedTopic) -> tuple[float | None, float | None]
                   default=None)  # fmt: skip
     if longest is None or longest.type != topic.type or longest.rate == 0.0 or longest.rate_text:
         return None, None
-    span = (topic.last - topic.first) * 1e-9
+    span = (topic.last - topic.first + topic.fallen) * 1e-9
     return longest.rate, (topic.count - 1) / span if topic.count > 1 and span > 0.0 else None
 
 
@@ -397,7 +399,8 @@ def _certificate(run: Run, plan: Certificate | None) -> list[str]:
     recorded = _parsed(run.record.get("certificate", ""), dict)
     if not recorded:
         return []
-    crossings = recorded.get("crossings") or []
+    listed = recorded.get("crossings")
+    crossings = [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
     lines = [
         f"{words} {number(recorded[name], '.6g')}{unit}"
         for name, words, unit in (
@@ -411,7 +414,8 @@ def _certificate(run: Run, plan: Certificate | None) -> list[str]:
     lines.append(f"{counted(len(crossings), 'crossing')} listed")
     if plan is not None and isinstance(recorded.get("peak_torque"), (int, float)):
         torque = abs(plan.peak_torque - recorded["peak_torque"])
-        instants = [abs(one["time"] - time) for one, time in zip(crossings, plan.crossing_times, strict=False)]
+        instants = [abs(one["time"] - time) for one, time in zip(crossings, plan.crossing_times, strict=False)
+                    if isinstance(one.get("time"), (int, float))]  # fmt: skip
         lines.append(
             f"the plan computed anew differs by {torque:.2g} N m in peak torque"
             + (f" and by at most {max(instants):.2g} s in the instants of the crossings" if instants else "")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.crossings import crossed_in_words
 from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.load import load_run
@@ -98,7 +99,9 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
         ("lost in recording", _lost(metrics)),
         ("verdict", verdict),
     ]  # fmt: skip
-    lines += [("bag", text) for text in damage_lines(metrics.holes, metrics.truncated)]
+    lines += [("bag", text) for text in damage_lines(metrics.holes, metrics.truncated, metrics.unreadable)]
+    if stepped := clock_in_words(metrics.stamp_steps, metrics.clock_steps):
+        lines.append(("clock", stepped))
     return lines + [("", reason) for reason in metrics.reasons]
 
 
@@ -136,7 +139,8 @@ def _verdicts(metrics: Metrics) -> str:
 def _late(metrics: Metrics) -> str:
     if metrics.late_ticks is None:
         return "not counted"
-    return f"{metrics.late_ticks} of {metrics.plant_steps}; {counted(metrics.late_commands or 0, 'command')} came later"
+    share = f" ({metrics.late_ticks / metrics.plant_steps:.0%})" if metrics.plant_steps else ""
+    return f"{metrics.late_ticks} of {metrics.plant_steps}{share}; {counted(metrics.late_commands or 0, 'command')} came later"
 
 
 def _true_error(metrics: Metrics) -> str:

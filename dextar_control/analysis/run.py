@@ -21,7 +21,7 @@ class Joints:
     """Joint states or commands; columns in the order of the contract's joint names.
 
     Attributes:
-        stamps: (n,) ns, rising.
+        stamps: (n,) ns, rising; where their clock stepped back they are put in the order of record, and go on from there.
         position, velocity: (n, k) rad, rad/s; nan where not sent.
         effort: (n, k) N m; nan where not sent.
         published, logged: (n,) when the message was published and when the recorder had it, ns of the system clock.
@@ -127,12 +127,29 @@ class RecordedTopic:
         type: ``package/msg/Type``.
         count: of its messages.
         first, last: log times, ns of the recorder's system clock.
+        fallen: by how much that clock fell back between them, ns.
     """
 
     type: str
     count: int
     first: int
     last: int
+    fallen: int = 0
+
+
+@dataclass(frozen=True)
+class Unreadable:
+    """What cannot be decoded of a topic that is needed.
+
+    Attributes:
+        count: of these messages.
+        messages: all of the topic.
+        reason: what is wrong with the first of them.
+    """
+
+    count: int
+    messages: int
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -173,6 +190,9 @@ class Run:
         topics: per topic name, how much of it there is.
         truncated: the end of the bag is missing.
         holes: what is missing before.
+        unreadable: per topic name, what could not be decoded of what is needed.
+        stamp_steps: by how much the clock of the states' stamps stepped back, each time, s.
+        clock_steps: the same of the recorder's system clock.
     """
 
     path: Path
@@ -191,3 +211,6 @@ class Run:
     topics: dict[str, RecordedTopic] = field(default_factory=dict)
     truncated: bool = False
     holes: list[Hole] = field(default_factory=list)
+    unreadable: dict[str, Unreadable] = field(default_factory=dict)
+    stamp_steps: list[float] = field(default_factory=list)
+    clock_steps: list[float] = field(default_factory=list)

@@ -3,7 +3,7 @@
 A kilohertz topic repeats one structure: the same names, the same array lengths. Its layout is found once, by having the
 library serialize a message whose numbers are marks, and whole blocks of messages are then read by numpy at the marks'
 places. A message of another structure gets a layout of its own; one whose bytes are not reproduced by the library is read
-by it alone. Only the columns that are asked for are kept.
+by it alone; one that cannot be decoded is counted and passed over. Only the columns that are asked for are kept.
 """
 
 from __future__ import annotations
@@ -18,24 +18,25 @@ from itertools import chain
 from typing import IO, Any, NamedTuple
 
 import numpy as np
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
 
 from dextar_control.analysis.run import Floats, Stamps
-from dextar_control.contract.errors import BagError
+from dextar_control.bags.records import LATEST
+from dextar_control.contract.decoding import read_message, types
+from dextar_control.contract.errors import BagError, StateError
 
-LATEST = 2**63 - 1  # ns since the epoch
 BLOCK = 4096  # messages at a time, where they come one by one or are sorted
+MOST_LAYOUTS = 64  # of a topic; what fits none of them is read by the library alone
 WAITING = 16  # messages of a slow topic that wait for being selected from
 FIRST_MARK = 0x5A5A0001  # of the integers
 MARK = 7.25e211  # of the floats, times 1 + their number
-TYPES = get_typestore(Stores.ROS2_JAZZY)
+TYPES = types()
 SECONDS, NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
 _SECONDS, _NANOSECONDS = "(s)", "(ns)"  # names that no column has
-_STAMP, _PUBLISHED, _LOGGED, _TIMES = range(4)  # the first words of a row; numbers follow
+_STAMP, _PUBLISHED, _LOGGED, _ORDER, _TIMES = range(5)  # the first words of a row; numbers follow
 
 Columns = Callable[[Any], Mapping[str, str]]
 Select = Callable[[Iterable[Any]], list[Any]]
+Steady = Callable[[Stamps, Stamps], Stamps]  # (stamps, places in the bag) to stamps of a clock that does not step
 
 
 class Table(NamedTuple):
@@ -45,6 +46,15 @@ class Table(NamedTuple):
     published: Stamps  # (n,) ns of the publisher's system clock
     logged: Stamps  # (n,) ns of the recorder's system clock
     values: Floats  # (n, k); nan where a message has no such number
+
+
+class Recorded(NamedTuple):
+    """A topic's columns in the order of the bag; as in ``Table``, with the place of each message among all of the bag."""
+
+    stamps: Stamps
+    logged: Stamps
+    places: Stamps
+    values: Floats
 
 
 class Series:
@@ -60,15 +70,23 @@ class Series:
     With neither the messages are counted only.
 
     Attributes:
-        first, last: log time of the first message, and the latest, ns.
+        first, last: log times of the first message and of the last one, ns.
+        fallen: by how much the log times fell back between them, ns.
+        unreadable: messages that cannot be decoded; ``why`` says what is wrong with the first of them.
+        untimed: messages with a log or publish time beyond LATEST or none, ``odd_time`` the first of these, ns. The other time
+            stands for it, or that of the message before.
+        places: of a slow topic's messages, among all of the bag.
     """
 
     def __init__(self, topic: str, type_name: str, columns: Columns | None = None, select: Select | None = None) -> None:
         self.topic, self.type = topic, type_name
-        self.first = self.last = 0
+        self.first = self.last = self.fallen = 0
+        self.unreadable, self.why = 0, ""
+        self.untimed = self.odd_time = 0
+        self.places: list[int] = []
         self._columns, self._select = columns, select
-        self._count = 0
-        self._waiting: list[tuple[int, int, bytes]] = []
+        self._count = self._rows = 0
+        self._waiting: list[tuple[int, int, int, bytes]] = []
         self._selected: list[Any] = []
         self._layouts: list[_Layout] = []
         self._names: list[str] = []
@@ -79,45 +97,52 @@ class Series:
     def __len__(self) -> int:
         return self._count
 
-    def add(self, log_time: int, publish_time: int, data: bytes) -> None:
+    def add(self, log_time: int, publish_time: int, data: bytes, place: int | None = None) -> None:
         """Take one serialized message; raises as ``extend`` does."""
-        self._see(log_time, log_time, max(log_time, publish_time), 1)
+        place = self._count if place is None else place
+        ((log_time, publish_time),) = self._see(np.array([[log_time, publish_time]], dtype=np.uint64)).tolist()
         if self._columns is None and self._select is None:
             return
-        self._waiting.append((log_time, publish_time, data))
+        if self._select is not None:
+            self.places.append(place)
+        self._waiting.append((log_time, publish_time, place, data))
         if len(self._waiting) >= (WAITING if self._select else BLOCK):
             self._settle()
 
-    def extend(self, data: bytes, messages: Any) -> None:
+    def extend(self, data: bytes, messages: Any, places: Any) -> None:
         """Take serialized messages.
 
         Args:
             data: what holds them.
             messages: (m, 4) log time, publish time in ns, begin and end of each in ``data``.
+            places: (m,) of each among all messages of the bag.
 
         Raises:
-            BagError: some bytes are no message of the type, a time is none, or the temporary file cannot be written.
+            BagError: the temporary file cannot be written.
         """
-        if self._columns is None:
-            if self._select is None:
-                self._see(int(messages[0, 0]), int(messages[:, 0].max()), int(messages[:, :2].max()), len(messages))
-                return
-            for log_time, publish_time, begin, end in messages.tolist():
-                self.add(log_time, publish_time, data[begin:end])
+        if self._columns is None and self._select is not None:
+            for place, (log_time, publish_time, begin, end) in zip(places.tolist(), messages.tolist(), strict=True):
+                self.add(log_time, publish_time, data[begin:end], place)
             return
-        self._see(int(messages[0, 0]), int(messages[:, 0].max()), int(messages[:, :2].max()), len(messages))
-        self._settle()
-        self._append(data, messages.astype(np.int64))
+        times = self._see(messages[:, :2])
+        if self._columns is not None:
+            self._settle()
+            self._append(data, np.column_stack([times, messages[:, 2:].astype(np.int64), places]))
+
+    def lose(self, log_time: int, why: str) -> None:
+        """Count a message whose content cannot even be taken."""
+        self._see(np.array([[log_time, log_time]], dtype=np.uint64))
+        self._refuse(why)
 
     def messages(self) -> list[Any]:
         """The selected messages of a slow topic in the order of the bag, as the library's classes."""
         self._settle()
         return self._selected[::-1]
 
-    def stamps(self) -> Stamps:
-        """(n,) ns of the messages' headers, in the order of the bag; before ``table``."""
-        self._settle()
-        return np.concatenate([rows[:, _STAMP] for _, rows in self._blocks()] or [np.zeros(0, dtype=np.int64)])
+    def recorded(self, names: Sequence[str]) -> Recorded:
+        """The columns of these names in the order of the bag; before ``table``."""
+        words = self._words(names)
+        return Recorded(words[_STAMP], words[_LOGGED], words[_ORDER], words[_TIMES:].view(np.float64).T)
 
     @property
     def rising(self) -> bool:
@@ -125,22 +150,33 @@ class Series:
         self._settle()
         return self._rising
 
-    def table(self, names: Sequence[str]) -> Table:
+    @property
+    def readable(self) -> int:
+        """How many messages of a fast topic could be decoded."""
+        self._settle()
+        return self._rows
+
+    def knows(self, name: str) -> bool:
+        """Whether some message has a column of this name."""
+        self._settle()
+        return name in self._names
+
+    def table(self, names: Sequence[str], steady: Steady | None = None) -> Table:
         """The columns of these names, nan where no message has them; once, for the temporary file is given back.
 
+        Args:
+            names: of the columns.
+            steady: what makes the stamps go on where the clock that they are from stepped.
+
         Raises:
-            BagError: some bytes are no message of the type, or the temporary file cannot be written.
+            BagError: the temporary file cannot be written.
         """
-        order = None if self.rising else np.unique(self.stamps(), return_index=True)[1]
-        words = self._mapped(_TIMES + len(names), self._count)
-        for start, rows in self._blocks():
-            place = slice(start, start + len(rows))
-            words[:_TIMES, place] = rows[:, :_TIMES].T
-            known = dict(zip(self._names, range(_TIMES, rows.shape[1]), strict=False))
-            numbers = rows.view(np.float64)
-            for row, name in enumerate(names, start=_TIMES):
-                words.view(np.float64)[row, place] = numbers[:, known[name]] if name in known else np.nan
-        if order is not None:
+        words, rising = self._words(names), self._rising
+        if steady is not None:
+            words[_STAMP] = steady(words[_STAMP], words[_ORDER])
+            rising = bool((np.diff(words[_STAMP]) > 0).all())
+        if not rising:
+            order = np.unique(words[_STAMP], return_index=True)[1]
             unsorted, words = words, self._mapped(len(words), len(order))
             for row, place in zip(unsorted, words, strict=True):
                 np.take(row, order, out=place)
@@ -148,12 +184,44 @@ class Series:
             self._spool.close()
         return Table(words[_STAMP], words[_PUBLISHED], words[_LOGGED], words[_TIMES:].view(np.float64).T)
 
-    def _see(self, first: int, last: int, latest: int, count: int) -> None:
-        if latest > LATEST:
-            raise BagError(f"a message on {self.topic} has the time {latest} ns: the file is damaged")
-        self.first = self.first if self._count else first
-        self.last = max(self.last, last)
-        self._count += count
+    def _words(self, names: Sequence[str]) -> Any:
+        """Times and columns of these names in the order of the bag, a row for each, in a mapped file."""
+        self._settle()
+        words = self._mapped(_TIMES + len(names), self._rows)
+        for start, rows in self._blocks():
+            place = slice(start, start + len(rows))
+            words[:_TIMES, place] = rows[:, :_TIMES].T
+            known = dict(zip(self._names, range(_TIMES, rows.shape[1]), strict=False))
+            numbers = rows.view(np.float64)
+            for row, name in enumerate(names, start=_TIMES):
+                words.view(np.float64)[row, place] = numbers[:, known[name]] if name in known else np.nan
+        return words
+
+    def _see(self, raw: Any) -> Stamps:
+        """Count messages; their (m, 2) log and publish times, with another for each that is none."""
+        wrong = (raw > LATEST) | ((raw == 0) & (raw[:, ::-1] > 0))
+        times = raw.astype(np.int64)
+        if wrong.any():
+            beyond = raw[raw > LATEST]
+            if len(beyond):
+                self.odd_time = self.odd_time or int(beyond[0])
+                self.untimed += int((raw > LATEST).any(axis=1).sum())
+            for row in np.flatnonzero(wrong.any(axis=1)).tolist():
+                before = int(times[row - 1, 0]) if row else self.last
+                good = times[row, ~wrong[row]]
+                times[row, wrong[row]] = good[0] if len(good) else before
+        if self._count == 0:
+            self.first = self.last = int(times[0, 0])
+        logged = np.concatenate([[self.last], times[:, 0]])
+        falls = np.diff(logged)
+        self.fallen -= int(falls[falls < 0].sum())
+        self.last = int(times[-1, 0])
+        self._count += len(times)
+        return times
+
+    def _refuse(self, why: str) -> None:
+        self.unreadable += 1
+        self.why = self.why or why
 
     def _settle(self) -> None:
         """Make what waits into columns, or select from it."""
@@ -161,32 +229,41 @@ class Series:
         if not waiting:
             return
         if self._select is not None:
-            newest = (self._message(data) for _, _, data in reversed(waiting))
+            newest = (message for *_, data in reversed(waiting) if (message := self._message(data)) is not None)
             self._selected = self._select(chain(newest, self._selected))
             return
-        ends = np.cumsum([len(data) for _, _, data in waiting])
+        ends = np.cumsum([len(data) for *_, data in waiting])
         begins = np.concatenate([[0], ends[:-1]])
-        times = np.array([(log_time, publish_time) for log_time, publish_time, _ in waiting], dtype=np.int64)
-        self._append(b"".join([data for _, _, data in waiting]), np.column_stack([times, begins, ends]))
+        numbers = np.array([line[:3] for line in waiting], dtype=np.int64)
+        joined = b"".join([data for *_, data in waiting])
+        self._append(joined, np.column_stack([numbers[:, :2], begins, ends, numbers[:, 2]]))
 
     def _message(self, data: bytes) -> Any:
+        """The message, or None where the bytes are none, which is counted."""
         try:
-            return TYPES.deserialize_cdr(data, self.type)
-        except (SerdeError, ValueError, IndexError, struct.error) as error:
-            raise BagError(f"a message on {self.topic} is not a {self.type}: {error}") from error
+            return read_message(data, self.type)
+        except StateError as error:
+            self._refuse(str(error))
+            return None
 
     def _append(self, data: bytes, messages: Any) -> None:
         begins, sizes = messages[:, 2], messages[:, 3] - messages[:, 2]
         found: list[tuple[Any, Any, Mapping[str, Any]]] = []  # places, stamps, numbers
+        refused: list[int] = []
         left = np.arange(len(messages))
         for layout in self._layouts:
             left = layout.take(data, begins, sizes, left, found)
         while len(left):
             raw = data[begins[left[0]] : messages[left[0], 3]]
             message = self._message(raw)
+            if message is None:
+                refused.append(int(left[0]))
+                left = left[1:]
+                continue
             paths = self._columns(message) if self._columns is not None else {}
-            layout_of_it = _Layout.of(message, raw, self.type, paths)
-            if layout_of_it is None:  # its bytes are not those that the library writes
+            room = len(self._layouts) < MOST_LAYOUTS
+            layout_of_it = _Layout.of(message, raw, self.type, paths) if room else None
+            if layout_of_it is None:  # its bytes are not those that the library writes, or hardly two messages are alike
                 own = dict(_numbers(message))
                 stamp = int(own[SECONDS]) * 1_000_000_000 + int(own[NANOSECONDS])
                 found.append((left[:1], stamp, {name: own[path] for name, path in paths.items() if path in own}))
@@ -197,13 +274,17 @@ class Series:
         self._names += [name for _, _, numbers in found for name in numbers if name not in self._names]
         rows = np.full((len(messages), _TIMES + len(self._names)), np.nan)
         times = rows.view(np.int64)
-        times[:, _PUBLISHED], times[:, _LOGGED] = messages[:, 1], messages[:, 0]
+        times[:, _PUBLISHED], times[:, _LOGGED], times[:, _ORDER] = messages[:, 1], messages[:, 0], messages[:, 4]
         places = dict(zip(self._names, range(_TIMES, rows.shape[1]), strict=True))
         for where, stamps, numbers in found:
             times[where, _STAMP] = stamps
             for name, values in numbers.items():
                 rows[where, places[name]] = values
-        stamps = times[:, _STAMP]
+        if refused:
+            rows = np.delete(rows, refused, axis=0)
+            if len(rows) == 0:
+                return
+        stamps = rows.view(np.int64)[:, _STAMP]
         self._rising = self._rising and self._latest < stamps[0] and bool((stamps[1:] > stamps[:-1]).all())
         self._latest = int(stamps[-1])
         self._write(rows)
@@ -215,6 +296,7 @@ class Series:
             self._spool.write(rows.data)
         except OSError as error:
             raise self._no_room(error) from error
+        self._rows += len(rows)
         if self._segments and self._segments[-1][0] == rows.shape[1]:
             self._segments[-1][1] += len(rows)
         else:

@@ -1,18 +1,19 @@
-"""A run as tables for pandas and MATLAB: one row for each state, or each topic in its own rows."""
+"""A run as tables for pandas and MATLAB: one row for each state, or each topic in its own rows.
+
+Only Parquet needs pyarrow.
+"""
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet
 from scipy.io import savemat
 
 from dextar_control.analysis.geometry import singularity_measure
@@ -24,8 +25,12 @@ from dextar_control.contract.robot import JOINT_NAMES, flatten
 from dextar_control.contract.topics import PHASES
 from dextar_control.core.verdicts import Verdict
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 FORMATS = ("parquet", "csv", "mat")
 MAT_LIMIT = 2**31 - 1  # bytes of one variable in MATLAB's format 5
+BLOCK = 4096  # rows written together
 NS, SECOND, METRE, SPEED, ACCELERATION, ANGLE, RATE, TORQUE, FORCE, ONE = (
     "ns", "s", "m", "m/s", "m/s^2", "rad", "rad/s", "N m", "N", "1"
 )  # fmt: skip
@@ -45,6 +50,21 @@ CRITERION_MEANINGS = {
 }
 
 
+class Words(NamedTuple):
+    """Words as codes.
+
+    Attributes:
+        codes: (n,) rows of ``names``; -1 where there is no word.
+        names: all words.
+    """
+
+    codes: Any
+    names: list[str]
+
+    def __len__(self) -> int:
+        return len(self.codes)
+
+
 class Field(NamedTuple):
     """One column.
 
@@ -52,7 +72,7 @@ class Field(NamedTuple):
         name: of the column.
         unit: "" for words: a dictionary column in Parquet (a categorical in pandas), text elsewhere.
         meaning: in a few words.
-        values: (n,).
+        values: (n,) numbers, masked or nan where there is none, or ``Words``.
     """
 
     name: str
@@ -60,12 +80,42 @@ class Field(NamedTuple):
     meaning: str
     values: Any
 
+    @property
+    def title(self) -> str:
+        """Its name with its unit, for files that have no other place for it: ``true_x [m]``."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def about(self) -> dict[str, str]:
+        """Unit and meaning, where there is one."""
+        return {key: text for key, text in (("unit", self.unit), ("meaning", self.meaning)) if text}
+
+
+class Sheet(NamedTuple):
+    """A table.
+
+    Attributes:
+        fields: its columns, all of one length.
+        about: what it is of.
+    """
+
+    fields: list[Field]
+    about: dict[str, str]
+
 
 def state_table(run: Run) -> pa.Table:
     """One row for each recorded state, the others joined to it by their stamps; null where there is none.
 
     Units and meanings stand in the metadata of each column, the robot, the parameters and time zero in that of the table.
     """
+    return _arrow(_states(run))
+
+
+def topic_tables(run: Run) -> dict[str, pa.Table]:
+    """Each topic in its own rows, by rising stamp: states, commands, controller_state, criterion, truth, trajectory."""
+    return {name: _arrow(sheet) for name, sheet in _topics(run).items()}
+
+
+def _states(run: Run) -> Sheet:
     stamps = run.states.stamps
     track = tracked(run)
     zero = track.start if track else int(stamps[0])
@@ -79,11 +129,10 @@ def state_table(run: Run) -> pa.Table:
               _joined(run.commands.stamps, run.commands.published, stamps)),
         *_control(run, stamps), *_criterion(run, stamps), *_truth(run, stamps),
     ]  # fmt: skip
-    return _table(fields, run, {"time_zero": str(zero)})
+    return _sheet(fields, run, {"time_zero": str(zero)})
 
 
-def topic_tables(run: Run) -> dict[str, pa.Table]:
-    """Each topic in its own rows, by rising stamp: states, commands, controller_state, criterion, truth, trajectory."""
+def _topics(run: Run) -> dict[str, Sheet]:
     found: dict[str, list[Field]] = {}
     for name, joints, fields in (
         ("states", run.states, _measured(run.states, run.states.stamps)),
@@ -103,7 +152,21 @@ def topic_tables(run: Run) -> dict[str, pa.Table]:
         found["trajectory"] = [Field("time", SECOND, "since the trajectory's start", served.time)]
         for kind, unit in (("x", METRE), ("x_dot", SPEED), ("x_ddot", ACCELERATION)):
             found["trajectory"] += _pair(f"planned_{kind}", unit, "served", getattr(served, kind))
-    return {name: _table(fields, run, {}) for name, fields in found.items() if len(fields[0].values)}
+    return {name: _sheet(fields, run, {}) for name, fields in found.items() if len(fields[0].values)}
+
+
+def check_formats(formats: list[str]) -> None:
+    """Whether what the formats need is there.
+
+    Raises:
+        ParameterError: it is not.
+    """
+    if "parquet" in formats:
+        try:
+            import pyarrow.parquet  # noqa: F401
+        except ImportError as error:
+            text = "parquet needs the package pyarrow, which cannot be imported: install it by pip, or give --format csv"
+            raise ParameterError(f"{text} ({error})") from error
 
 
 def export(
@@ -113,9 +176,10 @@ def export(
 
     Raises:
         BagError: a file cannot be written.
-        ParameterError: the table does not fit into the format.
+        ParameterError: the table does not fit into the format, or that needs a package that is not there.
     """
-    tables = {"run": state_table(run)} | (topic_tables(run) if topics else {})
+    check_formats(formats)
+    tables = {"run": _states(run)} | (_topics(run) if topics else {})
     files = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -127,7 +191,7 @@ def export(
                 files.append(file)
         if "csv" in formats:
             files.append(folder / "columns.json")
-            files[-1].write_text(json.dumps({name: _describe(table) for name, table in tables.items()}, indent=1) + "\n")
+            files[-1].write_text(json.dumps({name: _describe(sheet) for name, sheet in tables.items()}, indent=1) + "\n")
     except OSError as error:
         raise BagError(f"cannot write to {folder}: {error.strerror or error}") from error
     return files
@@ -217,79 +281,95 @@ def _truth(run: Run, stamps: Stamps) -> list[Field]:
     return fields
 
 
-def _table(fields: list[Field], run: Run, extra: dict[str, str]) -> pa.Table:
-    arrays, schema = [], []
-    for field in fields:
-        arrays.append(_array(field.values))
-        about = {"unit": field.unit, "meaning": field.meaning}
-        schema.append(pa.field(field.name, arrays[-1].type, metadata={key: text for key, text in about.items() if text}))
-    about = {
+def _sheet(fields: list[Field], run: Run, extra: dict[str, str]) -> Sheet:
+    return Sheet(fields, {
         "bag": run.path.name, "version": run.version, "parameters": json.dumps(run.parameters),
         "robot": json.dumps(flatten(run.robot)) if run.robot else "", **extra,
-    }  # fmt: skip
-    return pa.Table.from_arrays(arrays, schema=pa.schema(schema, metadata=about))
+    })  # fmt: skip
 
 
-def _words(numbers: Any, names: Mapping[int, str]) -> pa.DictionaryArray:
-    """The names of numbers (n,); null where one is masked, not a number, or has no name."""
+def _words(numbers: Any, names: Mapping[int, str]) -> Words:
+    """The names of numbers (n,); none where one is masked, not a number, or has no name."""
     codes = {number: row for row, number in enumerate(names)}
-    rows = [codes.get(int(number)) if number is not np.ma.masked and number == number else None for number in numbers]
-    return pa.DictionaryArray.from_arrays(pa.array(rows, type=pa.int8()), pa.array(list(names.values()), type=pa.string()))
+    rows = [codes.get(int(number), -1) if number is not np.ma.masked and number == number else -1 for number in numbers]
+    return Words(np.array(rows, dtype=np.int8), list(names.values()))
 
 
-def _array(values: Any) -> pa.Array:
-    """Without a value where it is masked or not a number."""
-    if isinstance(values, pa.Array):
-        return values
-    mask = np.ma.getmaskarray(values)
-    data = np.ma.getdata(values)
-    if data.dtype.kind == "f":
-        mask = mask | np.isnan(data)
-    return pa.array(np.ascontiguousarray(data), mask=mask)
+def _plain(values: Any) -> tuple[Any, Any]:
+    """(numbers (n,), (n,) whether there is none)."""
+    mask, data = np.ma.getmaskarray(values), np.ma.getdata(values)
+    return data, mask | np.isnan(data) if data.dtype.kind == "f" else mask
 
 
-def _describe(table: pa.Table) -> dict[str, dict[str, str]]:
-    return {
-        field.name: {key.decode(): text.decode() for key, text in (field.metadata or {}).items()} for field in table.schema
-    }
+def _describe(sheet: Sheet) -> dict[str, dict[str, str]]:
+    return {field.name: field.about() for field in sheet.fields}
 
 
-def _titles(table: pa.Table) -> list[str]:
-    """Names with their units, for files that have no other place for them: ``true_x [m]``."""
-    units = [_describe(table)[name].get("unit", "") for name in table.column_names]
-    return [f"{name} [{unit}]" if unit else name for name, unit in zip(table.column_names, units, strict=True)]
+def _arrow(sheet: Sheet) -> pa.Table:
+    import pyarrow as pa
 
-
-def _write_parquet(table: pa.Table, file: Path) -> None:
-    with file.open("wb") as stream:  # pyarrow takes no name that is not UTF-8
-        pyarrow.parquet.write_table(table, stream, compression="zstd")
-
-
-def _write_csv(table: pa.Table, file: Path) -> None:
-    plain = [column.cast(pa.string()) if pa.types.is_dictionary(column.type) else column for column in table.columns]
-    with file.open("wb") as stream:
-        pyarrow.csv.write_csv(pa.table(plain, names=_titles(table)), stream)
-
-
-def _write_mat(table: pa.Table, file: Path) -> None:
-    columns: dict[str, Any] = {}
-    for name in table.column_names:
-        column = table.column(name)
-        if pa.types.is_dictionary(column.type):
-            columns[name] = np.array([text or "" for text in column.to_pylist()], dtype=object)
-        elif pa.types.is_integer(column.type):
-            columns[name] = column.fill_null(-1).to_numpy().astype(np.int64)
+    arrays, schema = [], []
+    for field in sheet.fields:
+        if isinstance(field.values, Words):
+            codes = pa.array(field.values.codes, mask=field.values.codes < 0)
+            arrays.append(pa.DictionaryArray.from_arrays(codes, pa.array(field.values.names, type=pa.string())))
         else:
-            columns[name] = column.to_numpy().astype(np.float64)
+            data, mask = _plain(field.values)
+            arrays.append(pa.array(np.ascontiguousarray(data), mask=mask))
+        schema.append(pa.field(field.name, arrays[-1].type, metadata=field.about()))
+    return pa.Table.from_arrays(arrays, schema=pa.schema(schema, metadata=sheet.about))
+
+
+def _write_parquet(sheet: Sheet, file: Path) -> None:
+    import pyarrow.parquet
+
+    with file.open("wb") as stream:  # pyarrow takes no name that is not UTF-8
+        pyarrow.parquet.write_table(_arrow(sheet), stream, compression="zstd")
+
+
+def _write_csv(sheet: Sheet, file: Path) -> None:
+    with file.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(field.title for field in sheet.fields)
+        for block in _blocks(sheet):
+            writer.writerows(zip(*block, strict=True))
+
+
+def _blocks(sheet: Sheet) -> Iterator[list[list[Any]]]:
+    """The columns as lists of some rows, None where there is no value."""
+    columns = [field.values if isinstance(field.values, Words) else _plain(field.values) for field in sheet.fields]
+    for first in range(0, len(sheet.fields[0].values), BLOCK):
+        rows, block = slice(first, first + BLOCK), []
+        for column in columns:
+            if isinstance(column, Words):
+                names = [*column.names, None]
+                block.append([names[code] for code in column.codes[rows].tolist()])
+                continue
+            data, mask = column
+            values = data[rows].tolist()
+            for row in np.flatnonzero(mask[rows]).tolist():
+                values[row] = None
+            block.append(values)
+        yield block
+
+
+def _write_mat(sheet: Sheet, file: Path) -> None:
+    columns: dict[str, Any] = {}
+    for field in sheet.fields:
+        if isinstance(field.values, Words):
+            columns[field.name] = np.array([*field.values.names, ""], dtype=object)[field.values.codes]
+            continue
+        data, mask = _plain(field.values)
+        whole = data.dtype.kind in "iu"
+        columns[field.name] = np.where(mask, -1, data).astype(np.int64) if whole else np.where(mask, np.nan, data)
     largest = max((column.nbytes for column in columns.values()), default=0)
     if not math.isfinite(largest) or largest > MAT_LIMIT:
         raise ParameterError(f"{file.name}: a column of {largest} bytes; MATLAB's format 5 takes {MAT_LIMIT}: use parquet")
-    units = {name: about.get("unit", "") for name, about in _describe(table).items()}
-    about = {key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()}
-    content = {file.stem: columns, "units": units, "about": about}
+    units = {field.name: field.unit for field in sheet.fields}
+    content = {file.stem: columns, "units": units, "about": sheet.about}
     savemat(file, content, do_compression=True, oned_as="column", long_field_names=True)
 
 
-_WRITERS: dict[str, Callable[[pa.Table, Path], None]] = {
+_WRITERS: dict[str, Callable[[Sheet, Path], None]] = {
     "parquet": _write_parquet, "csv": _write_csv, "mat": _write_mat,
 }  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dextar_control.analysis.clock import LEAST_SYSTEM_STEP
 from dextar_control.analysis.run import Floats, Hole, Joints, Phase, Run, Stamps
 from dextar_control.analysis.tracking import Tracked
 
@@ -55,6 +56,8 @@ class Timing:
         stamp_period: s, median of the states' stamps: the period that the robot was sampled with.
         missed_runs: lengths of the stretches of successive states without a command, in the order of the run.
         longest_miss: the longest of them, in states; 0 when every state was answered.
+        late_share: of the states, those whose command was published later than one of the robot's sample periods after them, or
+            never; nan where time is not known to be real, and without commands.
     """
 
     lockstep: bool | None
@@ -64,6 +67,7 @@ class Timing:
     stamp_period: float
     missed_runs: list[int]
     longest_miss: int
+    late_share: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -84,22 +88,29 @@ class PhaseSpan:
 
 
 def round_trips(run: Run, stamps: Stamps) -> tuple[Stamps, Floats]:
-    """(stamps of the answered states, s from the publishing of each to that of its command)."""
+    """(stamps of the answered states, s from the publishing of each to that of its command; nan where the clock stepped)."""
     states, state_rows, command_rows = np.intersect1d(
         run.states.stamps, run.commands.stamps, assume_unique=True, return_indices=True
     )
     wanted = np.isin(states, stamps)
     trips = _seconds(run.commands.published[command_rows] - run.states.published[state_rows])
+    if run.clock_steps and len(trips):
+        trips[np.abs(trips - np.median(trips)) > 0.5 * min(run.clock_steps)] = np.nan
     return np.asarray(states[wanted], dtype=np.int64), trips[wanted]
 
 
 def periods(joints: Joints, stamps: Stamps, holes: Sequence[Hole] = ()) -> Floats:
-    """Between the publishing of successive messages that have one of the stamps, s; not across a hole of the bag."""
+    """Between the publishing of successive messages that have one of the stamps, s.
+
+    Not across a hole of the bag, nor where the system clock stepped back.
+    """
     mine = np.isin(joints.stamps, stamps)
     published, own = joints.published[mine], joints.stamps[mine]
-    order = np.argsort(published, kind="stable")
+    stretch = np.concatenate([[0], np.cumsum(np.diff(published) < -LEAST_SYSTEM_STEP)]) if len(published) else published
+    order = np.lexsort((published, stretch))
     spans = _seconds(np.diff(published[order]))
-    return spans[recorded(own[order][:-1], holes, own[order][1:])] if holes else spans
+    known = np.diff(stretch[order]) == 0
+    return spans[known & recorded(own[order][:-1], holes, own[order][1:])]
 
 
 def recorded(stamps: Stamps, holes: Sequence[Hole], until: Stamps | None = None) -> NDArray[np.bool_]:
@@ -123,20 +134,25 @@ def measure_timing(run: Run, track: Tracked | None) -> Timing:
     missed = ~np.isin(asked, run.commands.stamps) & recorded(asked, run.holes)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missed, [False]]).astype(int)))
     lengths = (edges[1::2] - edges[::2]).tolist()
+    trips = round_trips(run, asked)[1]
+    stamp_period = float(np.median(np.diff(asked))) * 1e-9 if len(asked) > 1 else math.nan
+    waits = lockstep(run)
     return Timing(
-        lockstep=lockstep(run),
+        lockstep=waits,
         state_period=Spread.of(periods(run.states, asked, run.holes)),
         command_period=Spread.of(periods(run.commands, told, run.holes)),
-        round_trip=Spread.of(round_trips(run, asked)[1]),
-        stamp_period=float(np.median(np.diff(asked))) * 1e-9 if len(asked) > 1 else math.nan,
+        round_trip=Spread.of(trips),
+        stamp_period=stamp_period,
         missed_runs=lengths,
         longest_miss=max(lengths, default=0),
+        late_share=math.nan if waits is not False or len(trips) == 0
+        else float((int(missed.sum()) + int((trips > stamp_period).sum())) / len(asked)),
     )
 
 
 def lockstep(run: Run) -> bool | None:
-    """Whether the plant waited for its commands; None when no node's parameters tell."""
-    mode = run.parameters.get("plant", {}).get("mode")
+    """Whether the plant waited for its commands; None when neither its diagnostics nor a node's parameters tell."""
+    mode = run.parameters.get("plant", {}).get("mode") or run.diagnostics.get("plant", {}).get("mode")
     waits = run.parameters.get("controller", {}).get("lockstep")
     if mode is None and waits is None:
         return None

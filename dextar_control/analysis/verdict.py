@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from dextar_control.analysis.run import Hole
+from dextar_control.analysis.run import Hole, Unreadable
 
 MAX_ERROR = 5.0e-3  # m, true, while tracking
 FINAL_ERROR = 1.0e-3  # m, true, at the end
 LEAST_TRUTH = 0.95  # share of the tracked ticks whose truth is recorded
 END_MARGIN = 0.02  # s that may be missing at the trajectory's end
+MOST_LATE = 0.2  # share of the steps without a command in time; a run with fewer did not fail by that
 
 
 class Verdict(NamedTuple):
@@ -30,6 +31,36 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
         tracked: a trajectory was tracked.
         problem: why the plan could not be computed.
     """
+    verdict = _judge(values, has_truth, tracked, problem)
+    late = late_in_words(values)
+    return verdict._replace(reasons=[late, *verdict.reasons]) if late and verdict.success is False else verdict
+
+
+def late_share(late_ticks: int | None, steps: int | None, by_stamps: float) -> float:
+    """Share of the steps without a command in time, nan where it is not known.
+
+    Args:
+        late_ticks, steps: as the plant counted; None where it did not.
+        by_stamps: the share by the recorded times, or nan; the greater counts.
+    """
+    counted = late_ticks / steps if late_ticks is not None and steps else math.nan
+    return max((share for share in (counted, by_stamps) if math.isfinite(share)), default=math.nan)
+
+
+def late_in_words(values: Mapping[str, Any]) -> str:
+    """That commands came too late for a run to be judged by it, and what to do; "" where they did not, or nothing was late."""
+    timing, share = values["timing"], values["late_share"]
+    if timing.lockstep or not share >= MOST_LATE:
+        return ""
+    trip, period = 1e3 * timing.round_trip.median, 1e3 * timing.stamp_period
+    took = f"; from a state to its command it took {trip:.1f} ms (median), and a step is {period:.1f} ms" if trip > 0.0 else ""
+    return (
+        f"commands came too late: {share:.0%} of the steps had none in time (below {MOST_LATE:.0%} a run can do without){took}."
+        " The machine was too busy for real time: free it, or let each simulated step wait for its command (--lockstep)"
+    )
+
+
+def _judge(values: Mapping[str, Any], has_truth: bool, tracked: bool, problem: str) -> Verdict:
     reasons: list[str] = []
     stopped = values["phase"] in ("SAFE_STOP", "FAULT")
     if stopped:
@@ -103,9 +134,16 @@ def in_words(hole: Hole) -> str:
     return f"no message is left of {what} of {hole.file}, {length}"
 
 
-def damage_lines(holes: Sequence[Hole], truncated: bool) -> list[str]:
+def damage_lines(holes: Sequence[Hole], truncated: bool, unreadable: Mapping[str, Unreadable]) -> list[str]:
     """What is missing of a damaged or cut-off bag, each in a sentence without its stop."""
-    return [*map(in_words, holes), *["the end is missing: read up to the last complete chunk"] * truncated]
+    lines = [*map(in_words, holes), *["the end is missing: read up to the last complete chunk"] * truncated]
+    return [*lines, *unreadable_lines(unreadable)]
+
+
+def unreadable_lines(unreadable: Mapping[str, Unreadable]) -> list[str]:
+    """What could not be decoded of each topic, in a sentence without its stop."""
+    return [f"{one.count} of {one.messages} messages on {topic} cannot be read and count as not recorded: {one.reason}"
+            for topic, one in unreadable.items()]  # fmt: skip
 
 
 def _stamp(values: Mapping[str, Any], *names: str) -> float:

@@ -1,36 +1,127 @@
-"""Which files of a folder are one bag, in which order."""
+"""Which files of a folder are one bag, in which order, and how each is opened."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
-from dextar_control.bags.records import Hole, Scan
+from dextar_control.bags.compression import SUFFIXES, ZSTD, plain_name, refuse_compressed, unpack
+from dextar_control.bags.records import MAGIC, Hole, Scan
 from dextar_control.contract.errors import BagError
 
 METADATA_FILE = "metadata.yaml"
 METADATA_ROOT = "rosbag2_bagfile_information"
 OVERLAP = 1_000_000_000  # ns by which the log times of a split bag's files may overlap
+SQLITE, SQLITE_SUFFIX = b"SQLite format 3\0", ".db3"  # rosbags knows such a file by its suffix
+# As recorders put it at the end of a file's name: 2026_01_30-12_00_00, 20260130T120000Z, 2026-01-30T12-00-00.
+_TIME = re.compile(r"_*\d{4}[-_]?\d{2}[-_]?\d{2}[-_T]?\d{2}[-_]?\d{2}[-_]?\d{2}Z?$")
 
 
-def split_name(file: Path) -> tuple[str, int]:
-    """(name, number) of a split bag's file, ``run_3.mcap``; the number is -1 where it has none."""
-    name, _, last = file.stem.rpartition("_")
-    return (name, int(last)) if name and last.isdecimal() else (file.stem, -1)
+class Opened(NamedTuple):
+    """A file of a bag.
+
+    Attributes:
+        file: as it is named.
+        content: where its content lies: the file itself, or what was unpacked from it.
+        storage: MAGIC or SQLITE.
+    """
+
+    file: Path
+    content: Path
+    storage: bytes
 
 
-def in_order(files: Sequence[Path]) -> list[Path]:
-    """Files of a split bag by their numbers."""
-    return sorted(files, key=lambda file: (split_name(file)[1], file.name))
+@contextlib.contextmanager
+def opened(files: Sequence[Path]) -> Iterator[list[Opened]]:
+    """The files of a bag, those that are compressed with zstd unpacked into TMPDIR for as long as they are open.
+
+    Raises:
+        BagError: one is empty, compressed in another way, or neither MCAP nor sqlite3.
+        OSError: one cannot be read or unpacked.
+    """
+    with contextlib.ExitStack() as stack:
+        found = []
+        for file in files:
+            if file.exists() and not file.is_file():
+                raise BagError(f"{file} is a pipe or a device, and a bag is not read in one go: copy it into a file first")
+            content, start = file, _start(file)
+            if not start:
+                raise BagError(f"{file} is empty")
+            packed = start.startswith(ZSTD)
+            if packed or (start.startswith(SQLITE) and file.suffix != SQLITE_SUFFIX):
+                folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dextar-")))
+                content = folder / f"content{SQLITE_SUFFIX}"
+            if content is not file and not packed:
+                content.symlink_to(file.absolute())
+            elif packed:
+                try:
+                    unpack(file, content)
+                except OSError as error:
+                    why = error.strerror or error
+                    text = f"cannot unpack {file} into {tempfile.gettempdir()} (set TMPDIR to name another): {why}"
+                    raise BagError(text) from error
+                start = _start(content)
+                if not start:
+                    raise BagError(f"{file} is compressed with zstd and breaks off or is damaged before its first bytes")
+            storage = next((magic for magic in (MAGIC, SQLITE) if start.startswith(magic)), None)
+            if storage is None:
+                refuse_compressed(file, start)
+                raise BagError(f"{file} is not an MCAP file, nor a sqlite3 bag")
+            found.append(Opened(file, content, storage))
+        yield found
 
 
-def one_bag_by_name(files: Sequence[Path]) -> bool:
-    """Whether the names are those of one bag: a single file, or the files of a split one."""
-    names = {split_name(file)[0] for file in files}
-    return len(files) == 1 or (len(names) == 1 and all(split_name(file)[1] >= 0 for file in files))
+def _start(file: Path) -> bytes:
+    with file.open("rb") as stream:
+        return stream.read(len(SQLITE))
+
+
+def bag_files(folder: Path, kinds: Sequence[str] = ("mcap", "db3")) -> list[Path]:
+    """The files of a folder that may be of a bag, compressed or not; in any order."""
+    return [file for kind in kinds for suffix in ("", *SUFFIXES) for file in folder.glob(f"*.{kind}{suffix}")]
+
+
+def patterns(file: Path) -> dict[str, int]:
+    """The names that a split bag may have of which this is a file, with ``#`` for the number, and its number.
+
+    ``run_3.mcap`` is of ``run_#``, and rosbag2's later ``3_run_2026_01_30-12_00_00.mcap`` (number, name, time) of ``#_run``. A
+    time behind the number is that of the file alone.
+    """
+    stem = Path(plain_name(file.name)).stem
+    bare = _TIME.sub("", stem)
+    found = {}
+    for text in dict.fromkeys((bare, stem)):
+        name, _, last = text.rpartition("_")
+        if name and last.isdecimal() and not (text == stem != bare):
+            found[f"{name}_#"] = int(last)
+        first, _, name = text.partition("_")
+        if first.isdecimal() and (name or text != stem):
+            found[f"#_{name}"] = int(first)
+    return found
+
+
+def in_order(files: Sequence[Path]) -> list[Path] | None:
+    """The files of one bag by their numbers; None where their names are not those of one: a single file, or a split one's."""
+    if len(files) <= 1:
+        return list(files)
+    read = [patterns(file) for file in files]
+    for pattern in read[0]:
+        numbers = [names.get(pattern) for names in read]
+        if None not in numbers and len(set(numbers)) == len(files):
+            return [file for _, file in sorted(zip(numbers, files, strict=True), key=lambda pair: pair[0] or 0)]
+    return None
+
+
+def of_one_bag(file: Path, others: Sequence[Path]) -> bool:
+    """Whether a file's name is that of some others' bag."""
+    mine = set(patterns(file)) or {plain_name(file.name)}
+    return any(mine & (set(patterns(other)) or {plain_name(other.name)}) for other in others)
 
 
 def read_listing(folder: Path) -> dict[str, Any]:
@@ -43,13 +134,20 @@ def read_listing(folder: Path) -> dict[str, Any]:
     listing = folder / METADATA_FILE
     try:
         document = yaml.safe_load(listing.read_text(encoding="utf-8"))[METADATA_ROOT]
-        names = [Path(name).name for name in document["relative_file_paths"]]
+        names = [_there(folder, Path(name).name) for name in document["relative_file_paths"]]
     except (yaml.YAMLError, RecursionError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise BagError(
             f"{listing} is no {METADATA_FILE} of rosbag2; the .mcap file beside it may be given instead, or dextar recover"
             " writes a new one"
         ) from error
     return {**document, "relative_file_paths": names}
+
+
+def _there(folder: Path, name: str) -> str:
+    """The name of a listed file; that of its unpacked or compressed content where only that is there."""
+    plain = plain_name(name)
+    others = (plain, *(f"{plain}{suffix}" for suffix in SUFFIXES))
+    return next((other for other in (name, *others) if (folder / other).is_file()), name)
 
 
 def check_one_recording(scans: Sequence[Scan]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
 from array import array
@@ -19,6 +20,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from zstandard import ZstdError
 
 MAGIC = b"\x89MCAP0\r\n"
+LATEST = 2**63 - 1  # ns since the epoch: what is beyond is no time
 RECOVERY_NAME = "dextar_recovery"  # of the metadata record that tells of a recovery
 PER_MESSAGE = 6  # numbers
 BATCH = 1 << 20  # bytes of messages outside chunks that are gathered
@@ -71,17 +73,21 @@ class Scan:
         path: of the file.
         whole: its end was reached.
         end: bytes up to the end of the last record that could be read.
+        size: bytes of the content.
         holes: in the order of the file.
         damaged: chunks whose content does not agree with their check sum, or is none.
-        first, last: least and greatest log time of its messages, ns; None before there was one.
+        first, last: least and greatest log time of its messages, ns; None before there was one. What is no time does not count.
         started: when its recording began, as the recorder says; "" where it does not.
         inherited: holes of the file that it was recovered from.
         cut: it was recovered from a file whose end was missing.
+        content: where its content lies, where the file itself is compressed.
     """
 
     path: Path
+    content: Path | None = None
     whole: bool = False
     end: int = 0
+    size: int = 0
     holes: list[Hole] = field(default_factory=list)
     first: int | None = None
     last: int | None = None
@@ -104,10 +110,11 @@ class Scan:
         """
         self.whole, self.end, self.holes, self.first, self.last, self.started = False, 0, [], None, None, ""
         self._opened, self._count, self.inherited, self.cut = False, 0, [], False
-        size = self.path.stat().st_size
+        source = self.content or self.path
+        self.size = size = source.stat().st_size
         loose: list[bytes] = []
         gathered = 0
-        with self.path.open("rb", buffering=BUFFER) as stream:
+        with source.open("rb", buffering=BUFFER) as stream:
             if stream.read(len(MAGIC)) != MAGIC:
                 return
             for opcode, content in self._frames(stream, size, progress):
@@ -202,7 +209,10 @@ class Scan:
     def _counted(self, messages: Messages) -> Messages:
         times = messages.numbers[2::PER_MESSAGE]
         self._count += len(times)
-        first, last = min(times), max(times)
+        known = times if max(times) <= LATEST else [time for time in times if time <= LATEST]
+        if len(known) == 0:
+            return messages
+        first, last = min(known), max(known)
         if self._opened:
             self.holes[-1].last = first
             self._opened = False
@@ -237,7 +247,8 @@ def _break_up(content: bytes) -> tuple[list[Any], Messages]:
             numbers.extend(_MESSAGE.unpack_from(data, begin))
             numbers.extend((begin + _MESSAGE.size, place))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            records.append(_READ[opcode].read(ReadDataStream(BytesIO(data[begin:place]))))
+            with contextlib.suppress(UnicodeDecodeError):  # its messages are then of a channel that nothing describes
+                records.append(_READ[opcode].read(ReadDataStream(BytesIO(data[begin:place]))))
     return records, Messages(data, numbers)
 
 

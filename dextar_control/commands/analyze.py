@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -70,7 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(summary_table(metrics))
         names = ["metrics.json", "figure.png", "report.html", *(f"paper.{name}" for name in dict.fromkeys(arguments.formats))]
         console.print(f"{folder or Path(metrics.bag).parent}: {' '.join(names)}", soft_wrap=True)
-        code = code or (EXIT_FAILED if metrics.success is False or metrics.truncated or metrics.holes else 0)
+        damaged = metrics.truncated or metrics.holes or metrics.unreadable
+        code = code or (EXIT_FAILED if metrics.success is False or damaged else 0)
     return code
 
 
@@ -80,9 +82,9 @@ def folders(bags: list[Path], output: Path | None) -> list[Path | None]:
     Bags that would share a folder get one each in it, by their own names, whatever links lead to them. A bag that is named
     twice has one folder.
     """
-    real = [bag.resolve() for bag in bags]
+    real = [Path(os.path.realpath(bag)) for bag in bags]
     shared = [output if output is not None else bag if bag.is_dir() else bag.parent for bag in bags]
-    places = [folder.resolve() for folder in shared]
+    places = [Path(os.path.realpath(folder)) for folder in shared]
     found: list[Path | None] = []
     taken: dict[Path, Path] = {}  # bag per folder
     for bag, folder, place in zip(real, shared, places, strict=True):

@@ -6,12 +6,12 @@ import argparse
 from pathlib import Path
 
 from dextar_control.commands.bags import add_robot, given_robot, shown_progress, spoken_warnings
-from dextar_control.contract.errors import ParameterError
 
 SUMMARY = "a recorded run as a table for pandas or MATLAB"
 DESCRIPTION = (
     "Writes run.parquet, run.csv or run.mat: one row for each state, everything else joined to it by its stamp, with units (in"
-    " Parquet's column metadata, in CSV's column names, in MATLAB's struct units). Exit code 0, or 2 for a bad file."
+    " Parquet's column metadata, in CSV's column names, in MATLAB's struct units). Only Parquet needs pyarrow. Exit code 0, or 2"
+    " for a bad file."
 )
 FORMATS = ("parquet", "csv", "mat")
 
@@ -31,18 +31,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """The exit code."""
     from dextar_control.analysis.load import load_run
+    from dextar_control.analysis.table import check_formats, export
     from dextar_control.contract.terminal import Terminal
 
-    try:
-        from dextar_control.analysis.table import export
-    except ImportError as error:
-        if str(error.name).startswith("dextar"):
-            raise
-        raise ParameterError(f"an export needs the packages named in setup.py, installed by pip: {error}") from error
-    console = Terminal()
+    console, formats = Terminal(), arguments.formats or ["parquet", "csv"]
+    check_formats(formats)
     with spoken_warnings("export"), shown_progress(f"reading {arguments.bag}") as shown:
         recorded = load_run(arguments.bag, arguments.namespace, shown.read, given_robot(arguments))
         folder = arguments.output or recorded.path.parent / "export"
-        files = export(recorded, folder, arguments.formats or ["parquet", "csv"], arguments.topics, shown.stage)
+        files = export(recorded, folder, formats, arguments.topics, shown.stage)
     console.print(f"{folder}: {' '.join(file.name for file in files)}", soft_wrap=True)
     return 0

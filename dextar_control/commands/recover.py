@@ -55,5 +55,9 @@ def run(arguments: argparse.Namespace) -> int:
         lines.append(f"{result.lost_bytes} bytes at the end are no complete record")
     if result.damaged:
         lines.append(f"{counted(result.damaged, 'damaged chunk')} left out")
+    if result.unpacked:
+        lines.append(f"{counted(result.unpacked, 'message')} that the recorder had compressed one by one are written plain")
+    for (name, why), count in result.left_out.items():
+        lines.append(f"{counted(count, 'message')} of {name} left out: {why}")
     console.print("\n".join(lines), soft_wrap=True)
     return 0

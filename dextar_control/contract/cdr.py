@@ -8,19 +8,15 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import Any
 
 from builtin_interfaces.msg import Duration, Time
 from rclpy.serialization import serialize_message
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
-from dextar_control.contract.errors import StateError
+from dextar_control.contract.decoding import read_message as read_message
+from dextar_control.contract.decoding import types
 
 NANOSECONDS = 1_000_000_000
-_SLACK = 128  # bytes that rclpy's serialisation may leave behind a message
 
 
 def to_time(stamp: int) -> Time:
@@ -31,11 +27,6 @@ def to_time(stamp: int) -> Time:
 def from_time(time: Time) -> int:
     """A ROS stamp to integer nanoseconds."""
     return time.sec * NANOSECONDS + time.nanosec
-
-
-@cache
-def _types() -> Typestore:
-    return get_typestore(Stores.ROS2_JAZZY)
 
 
 def canonical(message: Any) -> bytes:
@@ -50,21 +41,7 @@ def canonical(message: Any) -> bytes:
     package = type(message).__module__.partition(".")[0]
     name = f"{package}/msg/{type(message).__name__}"
     raw = bytes(serialize_message(message))
-    return bytes(_types().serialize_cdr(read_message(raw, name), name))
-
-
-def read_message(raw: bytes, type_name: str) -> Any:
-    """A message from CDR bytes in rosbags' classes: the fields of rclpy's, read without holding other threads up.
-
-    Raises:
-        StateError: the bytes are no message of that type.
-    """
-    for length in range(len(raw), max(len(raw) - _SLACK, 0), -1):
-        try:
-            return _types().deserialize_cdr(raw[:length], type_name)
-        except SerdeError:
-            continue
-    raise StateError(f"{len(raw)} bytes are no message of type {type_name}")
+    return bytes(types().serialize_cdr(read_message(raw, name), name))
 
 
 class CdrTemplate:

@@ -9,6 +9,7 @@ from typing import IO, NamedTuple, cast
 from mcap.records import Attachment
 from mcap.writer import CompressionType, Writer
 
+from dextar_control.bags.records import LATEST
 from dextar_control.ros.bag_metadata import RECORD_NAME, FileSummary, TopicDescription, bag_metadata, qos_text
 from dextar_control.ros.bag_stream import RESERVE, BagStream
 
@@ -37,7 +38,7 @@ class McapFile:
 
     Attributes:
         stream: how far it is written.
-        first, last: log times of what was written, ns.
+        first, last: log times of what was written, ns; what is no time does not count.
         counts: messages per topic.
 
     Raises:
@@ -77,8 +78,9 @@ class McapFile:
         """Write samples in order of log time."""
         if not batch:
             return
-        self.first = min(self.first or batch[0].log_time, batch[0].log_time)
-        self.last = max(self.last, batch[-1].log_time)
+        if batch[-1].log_time <= LATEST:
+            self.first = min(self.first or batch[0].log_time, batch[0].log_time)
+            self.last = max(self.last, batch[-1].log_time)
         add, channels, counts = self._writer.add_message, self._channels, self.counts
         for log_time, topic, publish_time, sequence, data in batch:
             counts[topic] += 1

@@ -7,17 +7,20 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import yaml
-from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Metadata, Schema
 
+from dextar_control.bags.compression import ZSTD, plain_name, unpack_message
 from dextar_control.bags.folder import (
     METADATA_FILE,
+    bag_files,
     check_one_recording,
     in_order,
-    one_bag_by_name,
+    of_one_bag,
+    opened,
     read_listing,
-    split_name,
 )
 from dextar_control.bags.records import MAGIC, PER_MESSAGE, RECOVERY_NAME, Messages, Progress, Scan
 from dextar_control.contract.errors import BagError
@@ -37,6 +40,9 @@ class Recovery:
         first, last: log times of what was saved, ns since the epoch.
         lost_bytes: at the end of the file that breaks off.
         damaged: chunks whose content does not agree with its check sum.
+        metadata: what was wrong with ``metadata.yaml``.
+        left_out: messages that were not copied, per channel and reason.
+        unpacked: messages that the recorder had compressed one by one.
     """
 
     folder: Path
@@ -46,6 +52,26 @@ class Recovery:
     lost_bytes: int = 0
     damaged: int = 0
     metadata: str = ""
+    left_out: dict[tuple[str, str], int] = field(default_factory=dict)
+    unpacked: int = 0
+
+    def leave_out(self, channel: str, why: str, count: int = 0) -> None:
+        """Note what is not copied."""
+        self.left_out[channel, why] = self.left_out.get((channel, why), 0) + count
+
+
+class _Content(NamedTuple):
+    """What a file holds.
+
+    Attributes:
+        messages: all.
+        copied: those that can be copied: of a ROS 2 topic, and not damaged where they are compressed one by one.
+        damaged: of a channel that nothing describes, or damaged where they are compressed one by one.
+    """
+
+    messages: int
+    copied: int
+    damaged: int
 
 
 def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> Recovery:
@@ -56,21 +82,37 @@ def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> R
         progress: called with each file, gives what to call while it is read.
 
     Raises:
-        BagError: it is whole, was recovered before, is no ROS 2 recording or holds nothing, or cannot be written.
+        BagError: it is whole, was recovered before, holds nothing of ROS 2, or cannot be read or written.
     """
-    files, fault = _files(path)
-    whole_path = path.resolve()
-    folder = whole_path.with_name(whole_path.name.removesuffix(".mcap") + SUFFIX)
+    whole_path = Path(os.path.realpath(path))  # also of links in a circle, which are told when they are opened
+    folder = whole_path.with_name(plain_name(whole_path.name).removesuffix(".mcap") + SUFFIX)
     if folder.exists():
         raise BagError(f"{path} was recovered before: {folder} is there")
-    scans = [Scan(file) for file in files]
-    counts = [_count(scan, progress(scan.path) if progress else None) for scan in scans]
+    try:
+        files, fault = _files_of_folder(path) if path.is_dir() else ([path], "")
+        with opened(files) as parts:
+            for part in parts:
+                if part.storage != MAGIC:
+                    raise BagError(f"{part.file} is not an MCAP file but a sqlite3 bag: dextar recover takes MCAP alone")
+            scans = [Scan(part.file, part.content) for part in parts]
+            return _recover(path, scans, fault, folder, progress)
+    except OSError as error:
+        raise BagError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _recover(
+    path: Path, scans: list[Scan], fault: str, folder: Path, progress: Callable[[Path], Progress] | None
+) -> Recovery:
+    contents = [_look(scan, progress(scan.path) if progress else None) for scan in scans]
     if path.is_dir():
         if fault:
             check_one_recording(scans)
         else:
-            fault = _wrong_counts(path, files, counts)
-    if all(scan.whole and not scan.damaged for scan in scans) and not fault:
+            fault = _wrong_counts(path, [scan.path for scan in scans], [content.messages for content in contents])
+    whole = all(scan.whole and not scan.damaged for scan in scans) and not any(content.damaged for content in contents)
+    if whole and not fault:
+        if not any(content.copied for content in contents):
+            raise BagError(f"{path} holds no message of a ROS 2 topic: nothing can be recovered")
         raise BagError(f"{path} is whole: there is nothing to recover")
     working = folder.with_name(f".{folder.name}.{os.getpid()}")
     try:
@@ -85,19 +127,8 @@ def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> R
     return result
 
 
-def _files(path: Path) -> tuple[list[Path], str]:
-    """(the bag's files in order, what is wrong with the list of them)."""
-    try:
-        files, fault = _files_of_folder(path) if path.is_dir() else ([path], "")
-        for file in files:
-            _check(file)
-        return files, fault
-    except OSError as error:
-        raise BagError(f"cannot read {path}: {error.strerror or error}") from error
-
-
 def _files_of_folder(folder: Path) -> tuple[list[Path], str]:
-    files = in_order([*folder.glob("*.mcap")])
+    files = bag_files(folder, ["mcap"])
     if not files:
         raise BagError(f"folder {folder} holds no .mcap file")
     fault, listed = f"there was no {METADATA_FILE}", list[str]()
@@ -107,12 +138,7 @@ def _files_of_folder(folder: Path) -> tuple[list[Path], str]:
             fault, listed = "", document["relative_file_paths"]
         except BagError:
             fault = f"{METADATA_FILE} could not be read"
-        else:
-            if document.get("compression_mode"):
-                raise BagError(f"{folder} was compressed by rosbag2 itself ({document['compression_mode']}): dextar recover"
-                               " reads only MCAP's own compression")  # fmt: skip
-    names = {split_name(Path(name))[0] for name in listed}
-    own = [file for file in files if split_name(file)[0] in names] or files
+    own = [file for file in files if of_one_bag(file, [Path(name) for name in listed])] or files
     missing = [name for name in listed if not (folder / name).is_file()]
     more = [file.name for file in own if file.name not in listed]
     if listed and missing:
@@ -121,9 +147,10 @@ def _files_of_folder(folder: Path) -> tuple[list[Path], str]:
         fault = f"{METADATA_FILE} does not list {', '.join(more)}"
     elif not listed and not fault:
         fault = f"{METADATA_FILE} lists no file"
-    if not one_bag_by_name(own):
+    ordered = in_order(own)
+    if ordered is None:
         raise BagError(f"folder {folder} holds {len(own)} .mcap files of different bags; name one of them")
-    return own, fault
+    return ordered, fault
 
 
 def _wrong_counts(folder: Path, files: Sequence[Path], counts: Sequence[int]) -> str:
@@ -133,7 +160,7 @@ def _wrong_counts(folder: Path, files: Sequence[Path], counts: Sequence[int]) ->
     entries = document.get("files")
     for entry in entries if isinstance(entries, list) else []:
         for file, count in zip(files, counts, strict=True):
-            if isinstance(entry, dict) and entry.get("path") == file.name:
+            if isinstance(entry, dict) and plain_name(str(entry.get("path"))) == plain_name(file.name):
                 told[file.name] = entry.get("message_count"), count
     for name, (said, count) in told.items():
         if said is not None and said != count:
@@ -141,18 +168,26 @@ def _wrong_counts(folder: Path, files: Sequence[Path], counts: Sequence[int]) ->
     return ""
 
 
-def _count(scan: Scan, progress: Progress | None) -> int:
-    """Messages of a file."""
-    return sum(len(record.numbers) for record in scan.records(progress) if isinstance(record, Messages)) // PER_MESSAGE
-
-
-def _check(file: Path) -> None:
-    with file.open("rb") as stream:
-        start = stream.read(len(MAGIC))
-        if not start:
-            raise BagError(f"{file} is empty")
-        if start != MAGIC:
-            raise BagError(f"{file} is not an MCAP file")
+def _look(scan: Scan, progress: Progress | None) -> _Content:
+    """How many messages a file holds, and how many can be copied."""
+    ours: dict[int, bool] = {}
+    schemas: set[int] = set()
+    messages = copied = damaged = 0
+    for record in scan.records(progress):
+        if isinstance(record, Schema):
+            schemas.add(record.id)
+        elif isinstance(record, Channel):
+            ours[record.id] = record.message_encoding == "cdr" and record.schema_id in schemas
+        elif isinstance(record, Messages):
+            numbers = iter(record.numbers)
+            for channel, _, _, _, begin, end in zip(*[numbers] * PER_MESSAGE, strict=True):
+                messages += 1
+                good = ours.get(channel)
+                if good and record.data[begin : begin + len(ZSTD)] == ZSTD:
+                    good = None if unpack_message(record.data[begin:end]) is None else True
+                copied += good is True
+                damaged += good is None
+    return _Content(messages, copied, damaged)
 
 
 def _rebuild(scans: list[Scan], working: Path, folder: Path, progress: Callable[[Path], Progress] | None) -> Recovery:
@@ -160,10 +195,10 @@ def _rebuild(scans: list[Scan], working: Path, folder: Path, progress: Callable[
     summaries: list[FileSummary] = []
     topics: dict[str, TopicDescription] = {}
     for scan in scans:
-        target = McapFile(working / scan.path.name, library="dextar recover")
+        target = McapFile(working / plain_name(scan.path.name), library="dextar recover")
         try:
-            _copy(scan, target, topics, progress(scan.path) if progress else None)
-            lost = 0 if scan.whole else scan.path.stat().st_size - scan.end
+            _copy(scan, target, topics, result, progress(scan.path) if progress else None)
+            lost = 0 if scan.whole else scan.size - scan.end
             target.add_metadata(RECOVERY_NAME, {"source": scan.path.name, "read_bytes": str(scan.end), "lost_bytes": str(lost),
                                                 "damaged_chunks": str(scan.damaged), **scan.told()})  # fmt: skip
             target.finish({"recovered_from": scan.path.name})
@@ -177,41 +212,58 @@ def _rebuild(scans: list[Scan], working: Path, folder: Path, progress: Callable[
             result.counts[name] = result.counts.get(name, 0) + count
     filled = [summary for summary in summaries if sum(summary.counts.values())]
     if not filled:
-        raise BagError(f"{scans[0].path} holds no complete message: nothing can be recovered")
+        left = "; ".join(f"messages of {name}: {why}" for name, why in result.left_out)
+        what = f"message of a ROS 2 topic ({left})" if left else "complete message"
+        raise BagError(f"{scans[0].path} holds no {what}: nothing can be recovered")
     result.first, result.last = min(summary.first for summary in filled), max(summary.last for summary in filled)
     write_metadata_file(working, summaries, topics.values(), {"recovered_from": scans[0].path.parent.name})
     return result
 
 
-def _copy(scan: Scan, target: McapFile, topics: dict[str, TopicDescription], progress: Progress | None) -> None:
+def _copy(
+    scan: Scan, target: McapFile, topics: dict[str, TopicDescription], result: Recovery, progress: Progress | None
+) -> None:
     schemas: dict[int, Schema] = {}
     channels: dict[int, str] = {}
+    others: dict[int, tuple[str, str]] = {}
     for record in scan.records(progress):
         if isinstance(record, Messages):
             numbers = iter(record.numbers)
             for channel, sequence, log_time, publish_time, begin, end in zip(*[numbers] * PER_MESSAGE, strict=True):
                 if channel not in channels:
-                    raise BagError(f"{scan.path} is damaged: a message is of channel {channel}, which no record describes")
-                target.write([Sample(log_time, channels[channel], publish_time, sequence, record.data[begin:end])])
+                    unknown = f"channel {channel}, which no record describes", "nothing says what they are"
+                    result.leave_out(*others.get(channel, unknown), 1)
+                    continue
+                data: bytes | None = record.data[begin:end]
+                if record.data[begin : begin + len(ZSTD)] == ZSTD:
+                    data = unpack_message(record.data[begin:end])
+                    result.unpacked += data is not None
+                if data is None:
+                    result.leave_out(channels[channel], "their compressed content is damaged", 1)
+                else:
+                    target.write([Sample(log_time, channels[channel], publish_time, sequence, data)])
         elif isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel) and record.id not in channels:
-            topic = _topic(scan.path, record, schemas.get(record.schema_id))
+            schema = schemas.get(record.schema_id)
+            if schema is None or record.message_encoding != "cdr":
+                why = f"its messages are '{record.message_encoding}'" if schema else "it has no schema"
+                others[record.id] = record.topic, f"it is no ROS 2 topic, {why}"
+                result.leave_out(*others[record.id])
+                continue
+            topic = _topic(record, schema)
             if topics.setdefault(topic.name, topic).type != topic.type:
-                raise BagError(f"{scan.path}: {topic.name} is a {topics[topic.name].type} and a {topic.type}")
+                others[record.id] = topic.name, f"it is a {topics[topic.name].type} before, and a {topic.type} here"
+                continue
             channels[record.id] = topic.name
             target.register(topic)
         elif isinstance(record, Metadata) and record.name != RECORD_NAME:
             target.add_metadata(record.name, record.metadata)
         elif isinstance(record, Attachment):
             target.attach(record)
-        elif isinstance(record, Header) and record.profile != "ros2":
-            raise BagError(f"{scan.path} is no ROS 2 recording: its profile is '{record.profile}'")
 
 
-def _topic(path: Path, channel: Channel, schema: Schema | None) -> TopicDescription:
-    if schema is None or channel.message_encoding != "cdr":
-        raise BagError(f"{path}: {channel.topic} is no ROS 2 topic: its messages are '{channel.message_encoding}'")
+def _topic(channel: Channel, schema: Schema) -> TopicDescription:
     details: Mapping[str, str] = channel.metadata
     try:
         qos = yaml.safe_load(details.get("offered_qos_profiles", "")) or []
