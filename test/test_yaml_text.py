@@ -200,7 +200,7 @@ def test_a_node_refuses_such_a_file_in_the_same_sentence(
     file = tmp_path / "robot.yaml"
     content, said = ODD_FILES[name]
     file.write_bytes(content)
-    assert run_node(lambda: None, ["node", "--ros-args", "--params-file", str(file)]) == 2
+    assert run_node(lambda: None, ["--ros-args", "--params-file", str(file)]) == 2
     written = capfd.readouterr().err
     assert said in written and str(file) in written and written.count("\n") == 1
 

@@ -310,7 +310,6 @@ def run_node(
         words = sys.argv[1:] if args is None else args
         if (code := _answer(make, words)) is not None:
             return code
-        check_parameter_files(words)
         rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
         stop.starting = False
@@ -348,6 +347,7 @@ def _answer(make: Callable[[], Any], words: list[str]) -> int | None:
     if own:
         instead = f"write --ros-args -p {own[0]}" if ":=" in own[0] else "--help says what there is"
         return _refuse(f"argument '{own[0]}' is not known: a node takes --help, and what stands behind --ros-args; {instead}")
+    check_parameter_files(words)
     try:
         remove_ros_args(words)
     except Exception as error:  # rcl raises its own types for a bad --ros-args or parameter file
