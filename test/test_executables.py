@@ -148,7 +148,7 @@ def test_the_contract_says_what_a_node_publishes_reads_and_offers(kind: Any) -> 
         (["--ros-args", "--frob"], "unknown ROS argument '--frob'"),
         (["--ros-args", "-p", "law"], "'-p law'. It must be NAME:=VALUE."),
         (["--ros-args", "-r", "law"], "'-r law'. It must be OLD:=NEW."),
-        (["--ros-args", "--params-file", "/no/such.yaml"], "Couldn't parse params file: '--params-file /no/such.yaml'"),
+        (["--ros-args", "--params-file", "/no/such.yaml"], "parameter file /no/such.yaml: No such file or directory"),
     ],
 )
 @pytest.mark.parametrize("kind", [ControllerNode, EchoNode], ids=["controller", "echo"])
