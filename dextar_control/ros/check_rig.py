@@ -348,7 +348,7 @@ def _second(node: RigWatch) -> Line:
     return failed("only commander", f"{node.others} other while torque was to be sent ({names})", "0")
 
 
-STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.SKIP: "yellow"}
+STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.SKIP: "yellow", Result.NOTE: "cyan"}
 
 
 def table(lines: Sequence[Line], graph: Graph) -> Table:
@@ -363,7 +363,9 @@ def table(lines: Sequence[Line], graph: Graph) -> Table:
 
 def _note(console: Console, lines: Sequence[Line]) -> None:
     counts = {result: sum(line.result is result for line in lines) for result in Result}
-    console.print(f"{counts[Result.PASS]} passed, {counts[Result.FAIL]} failed, {counts[Result.SKIP]} skipped", highlight=False)
+    notes = f", {counts[Result.NOTE]} noted: not needed by the controller" if counts[Result.NOTE] else ""
+    told = f"{counts[Result.PASS]} passed, {counts[Result.FAIL]} failed, {counts[Result.SKIP]} skipped{notes}"
+    console.print(told, highlight=False)
     for line in lines:
         if line.result is Result.FAIL:
             text = f"FAIL {line.name} ({LINES[line.name]}): {line.measured}; limit {line.limit}"
