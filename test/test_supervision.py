@@ -170,7 +170,9 @@ def test_a_reset_is_refused_while_the_cause_lasts(rig: Rig, q_a: np.ndarray) -> 
     other = rig.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
     rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
     refused = _reset(rig)
-    assert (refused.success, refused.message) == (False, "2 publishers on /joint_commands; the limit is 1")
+    assert (refused.success, refused.message) == (
+        False, "2 publishers on /joint_commands; the limit is 1: end all but one (/controller, /rig)"
+    )  # fmt: skip
     rig.node.destroy_publisher(other)
     rig.until(lambda: rig.controller("other_commanders") == "", "the other is still counted")
     assert _reset(rig).success

@@ -147,4 +147,7 @@ def test_a_trip_needs_an_active_controller(robot: Rig) -> None:
     assert _call(robot, ChangeState, "controller/change_state", deactivate).success
     robot.until(lambda: robot.controller("lifecycle") == "inactive", "not inactive")
     refused = _call(robot, Trigger, "trajectory_server/start", Trigger.Request())
-    assert (refused.success, refused.message) == (False, "the controller is inactive; a trip needs an active one")
+    assert not refused.success
+    assert refused.message == (
+        "the controller is inactive; a trip needs an active one: type ros2 lifecycle set /left/controller activate"
+    )

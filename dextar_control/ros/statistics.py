@@ -15,6 +15,9 @@ SETTLED = 200  # intervals below which a rate says nothing
 RATE_TOLERANCE = 0.05  # of the nominal rate: what ros2_control tells of its own loop (5 Hz at 100 Hz)
 STAMP_TOLERANCE = 0.2  # of the period, by which a stamp may lie off it: at full speed that is 3 mrad of a joint
 JITTER_TOLERANCE = 0.5  # standard deviation of the intervals over the period: states come in pairs from there on
+RECENT = 200  # states, over which an answer's lateness is judged when a motion ends
+MOST_LATE = 0.1  # of the answers late by a period, above which that is told; the plant tells its late steps from there on
+LONG = 10.0  # periods: the lateness of a single one that is told
 SAME_CLOCK = 10.0  # s between a stamp and its arrival beyond which it is of another clock, as in simulated time
 
 
@@ -30,6 +33,8 @@ class Statistics:
         names = ("states", "missed_states", "refused_states", "repeated_states", "irregular_stamps", "stalls")
         self.counts = dict.fromkeys(names, 0)
         self._intervals, self._latencies, self._work = Window(WINDOW), Window(WINDOW), Window(WINDOW)
+        self._ages: deque[float] = deque(maxlen=RECENT)  # s of the recent states when they were answered
+        self._gaps: deque[float] = deque(maxlen=RECENT)  # s between their arrivals
         self._arrival = math.nan
         self._before: deque[dict[str, int]] = deque([dict(self.counts)], maxlen=LATELY)
         self._reported = (0, 0)
@@ -39,6 +44,8 @@ class Statistics:
         self._arrival = math.nan
         self._intervals.clear()
         self._latencies.clear()
+        self._ages.clear()
+        self._gaps.clear()
         self._before.clear()
         self._before.append(dict(self.counts))
 
@@ -58,10 +65,12 @@ class Statistics:
         self.counts["states"] += 1
         if not math.isnan(self._arrival):
             self._intervals.add(now - self._arrival)
+            self._gaps.append(now - self._arrival)
         self._arrival = now
         latency = (time.time_ns() - stamp) / NANOSECONDS
         if abs(latency) < SAME_CLOCK:
             self._latencies.add(latency)
+            self._ages.append(latency)
 
     def worked(self, duration: float) -> None:
         """What one state cost, s."""
@@ -78,6 +87,25 @@ class Statistics:
                 limit = JITTER_TOLERANCE * period
                 told.append(f"the states' period varies by {1e3 * found.jitter:.2f} ms; the limit is {1e3 * limit:.2f} ms")
         return told + self.missed_lately()
+
+    def lateness(self, period: float) -> str:
+        """Whether commands came too late for the robot lately, in words with the numbers; empty where they did not.
+
+        An answer is late by what its state was older than that of the promptest one, so that a clock of another machine that is
+        ahead or behind counts for nothing. Where stamps are of another clock altogether the arrivals alone tell.
+
+        Args:
+            period: the nominal one, s.
+        """
+        told = []
+        delays = [age - min(self._ages) for age in self._ages]
+        gaps = [gap - period for gap in self._gaps]
+        for numbers, what in ((delays, "answers"), (gaps, "states")):
+            share, worst = sum(number > period for number in numbers) / max(len(numbers), 1), max(numbers, default=0.0)
+            if share > MOST_LATE or worst > LONG * period:
+                count = f"{100 * share:.0f} % of the last {len(numbers)} {what}"
+                told.append(f"{count} were late by more than a period of {1e3 * period:g} ms, by {1e3 * worst:.1f} ms at most")
+        return f"commands came too late: {'; '.join(told)}" if told else ""
 
     def missed_lately(self) -> list[str]:
         """Whether states were missed, or stamps were off the period, within the last LATELY reports."""
