@@ -353,8 +353,8 @@ class ControllerNode(ManagedNode):
         """Tell a change of phase; one that no state has answered yet takes the torque away at once."""
         loop = self._loop
         assert loop is not None
-        if loop.phase is Phase.SAFE_STOP and self._said[0] is not Phase.SAFE_STOP and loop.tripped:
-            loop.reason = "; ".join([loop.reason, *self._what_disturbed()])
+        if loop.phase in LATCHED and self._said[0] is not loop.phase:
+            loop.reason = "; ".join([loop.reason, *self._what_disturbed(loop)])
         before, self._said = self._said, (loop.phase, loop.reason)
         if not answered and loop.phase in LIMP:
             self._outputs.release()
@@ -398,12 +398,12 @@ class ControllerNode(ManagedNode):
         """Whether two publishers send joint states: there are two, and another's state came lately. A silent one does no harm."""
         return bool(self._rivals) and self._stream.mixed(time.perf_counter())
 
-    def _what_disturbed(self) -> list[str]:
-        """What else was wrong when a watch tripped, which may be why."""
-        told = [self._rivals] if self._contested else []
-        if not self._lockstep and (late := self._statistics.lateness(self._period)):
-            told.append(late)
-        return told
+    def _what_disturbed(self, loop: ControlLoop) -> list[str]:
+        """What else was wrong when the loop let go, and may be why: a second rig, or in real time commands that came too late."""
+        told = [self._rivals] if self._contested and self._rivals not in loop.reason else []
+        if loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep:
+            told.append(self._statistics.lateness(self._period))
+        return [text for text in told if text]
 
     def _next_step(self) -> str:
         """What to call for a robot that is held."""

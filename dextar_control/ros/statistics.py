@@ -101,10 +101,10 @@ class Statistics:
         delays = [age - min(self._ages) for age in self._ages]
         gaps = [gap - period for gap in self._gaps]
         for numbers, what in ((delays, "answers"), (gaps, "states")):
-            share, worst = sum(number > period for number in numbers) / max(len(numbers), 1), max(numbers, default=0.0)
-            if share > MOST_LATE or worst > LONG * period:
-                count = f"{100 * share:.0f} % of the last {len(numbers)} {what}"
-                told.append(f"{count} were late by more than a period of {1e3 * period:g} ms, by {1e3 * worst:.1f} ms at most")
+            late, worst = sum(number > period for number in numbers), max(numbers, default=0.0)
+            if late > MOST_LATE * len(numbers) or worst > LONG * period:
+                told.append(f"{late} of the last {len(numbers)} {what} were late by more than a period of {1e3 * period:g} ms,"
+                            f" by {1e3 * worst:.1f} ms at most")  # fmt: skip
         return f"commands came too late: {'; '.join(told)}" if told else ""
 
     def missed_lately(self) -> list[str]:
