@@ -97,3 +97,12 @@ def test_lateness_is_told_with_its_share_and_only_where_it_was(
 ) -> None:
     told = _answers(ages, intervals, monkeypatch).lateness(PERIOD)
     assert told.startswith(f"commands came too late: {words}") if words else told == ""
+
+
+def test_a_rig_whose_stamps_fall_behind_the_clock_is_answered_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a slow simulation: what counts is when a state was sent, where the middleware tells."""
+    monkeypatch.setattr("dextar_control.ros.statistics.time.time_ns", lambda: 10**18)
+    statistics = Statistics()
+    for k in range(200):
+        statistics.arrived(10**18 - 2_000_000 * k, PERIOD * k, 10**18 - 300_000)
+    assert statistics.lateness(PERIOD) == ""

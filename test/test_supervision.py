@@ -308,5 +308,9 @@ def test_a_refusal_says_what_to_call_next(rig: Rig, q_a: np.ndarray, trip: Plan)
     told = f"the controller is in FAULT: {calls}, then serve it again"
     rig.until(lambda: told in rig.controller("trajectory"), "not refused with what to call")
     assert _reset(rig).success
+    nothing = _reset(rig)  # nothing is latched any more
+    assert (nothing.success, nothing.message) == (True, "phase IDLE")
     rig.until(lambda: rig.controller("next_step") == "call /controller/enable with data true", "no next step")
     assert _enable(rig).success
+    refused = _reset(rig)
+    assert (refused.success, refused.message) == (False, "phase HOLD: there is nothing to reset")

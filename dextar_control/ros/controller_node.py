@@ -292,7 +292,7 @@ class ControllerNode(ManagedNode):
         self._outputs.answer(stamp, tau, loop.tick, self._verdict(loop, loop.tick))
         if (loop.phase, loop.reason) != self._said:
             self._say(answered=True)
-        self._statistics.arrived(stamp, begin)
+        self._statistics.arrived(stamp, begin, info.get("source_timestamp", 0))
         self._statistics.worked(time.perf_counter() - begin)
         if loop.refusal != self._refusal:
             self._refusal = loop.refusal
@@ -510,6 +510,8 @@ class ControllerNode(ManagedNode):
                 loop.reset()
         except StateError as error:
             return self._answer(response, False, str(error))
+        if loop is not None and self._active and loop.phase not in (Phase.IDLE, *LATCHED):
+            return self._answer(response, False, f"phase {loop.phase.name}: there is nothing to reset")
         return self._answer(response, loop is not None and loop.phase is Phase.IDLE)
 
     def _answer(self, response: Any, success: bool, message: str = "") -> Any:

@@ -33,7 +33,7 @@ class Statistics:
         names = ("states", "missed_states", "refused_states", "repeated_states", "irregular_stamps", "stalls")
         self.counts = dict.fromkeys(names, 0)
         self._intervals, self._latencies, self._work = Window(WINDOW), Window(WINDOW), Window(WINDOW)
-        self._ages: deque[float] = deque(maxlen=RECENT)  # s of the recent states when they were answered
+        self._ages: deque[float] = deque(maxlen=RECENT)  # s from the sending of the recent states to their answers
         self._gaps: deque[float] = deque(maxlen=RECENT)  # s between their arrivals
         self._arrival = math.nan
         self._before: deque[dict[str, int]] = deque([dict(self.counts)], maxlen=LATELY)
@@ -60,17 +60,26 @@ class Statistics:
         self.counts["missed_states"] += max(periods - 1, 0)
         self.counts["irregular_stamps"] += abs(gap - max(periods, 1) * period) > STAMP_TOLERANCE * period
 
-    def arrived(self, stamp: int, now: float) -> None:
-        """A state that was answered; stamp in ns, now of ``time.perf_counter``, s."""
+    def arrived(self, stamp: int, now: float, published: int = 0) -> None:
+        """A state that was answered.
+
+        Args:
+            stamp: of its header, ns.
+            now: of ``time.perf_counter``, s.
+            published: when its publisher sent it, ns of that machine's system clock; 0 where the middleware does not tell.
+        """
         self.counts["states"] += 1
         if not math.isnan(self._arrival):
             self._intervals.add(now - self._arrival)
             self._gaps.append(now - self._arrival)
         self._arrival = now
-        latency = (time.time_ns() - stamp) / NANOSECONDS
+        answered = time.time_ns()
+        latency = (answered - stamp) / NANOSECONDS
         if abs(latency) < SAME_CLOCK:
             self._latencies.add(latency)
-            self._ages.append(latency)
+        age = (answered - published) / NANOSECONDS if published else latency
+        if abs(age) < SAME_CLOCK:
+            self._ages.append(age)
 
     def worked(self, duration: float) -> None:
         """What one state cost, s."""
@@ -91,8 +100,8 @@ class Statistics:
     def lateness(self, period: float) -> str:
         """Whether commands came too late for the robot lately, in words with the numbers; empty where they did not.
 
-        An answer is late by what its state was older than that of the promptest one, so that a clock of another machine that is
-        ahead or behind counts for nothing. Where stamps are of another clock altogether the arrivals alone tell.
+        An answer is late by what it took longer than the promptest one from its state's sending, so that a clock of another
+        machine that is ahead or behind counts for nothing. A state is late by what its arrival's distance exceeds a period.
 
         Args:
             period: the nominal one, s.
