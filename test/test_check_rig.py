@@ -32,7 +32,7 @@ from dextar_control import cli
 from dextar_control.contract.errors import GeometryError, ParameterError, StateError
 from dextar_control.contract.node import qos
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.contract.topics import JOINT_COMMANDS
+from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
 from dextar_control.core.kinematics import elbows
 from dextar_control.core.loop import ControlLoop
 from dextar_control.core.model import make_model
@@ -744,3 +744,22 @@ def test_a_signal_under_torque_leaves_zero_torque(
     for _ in range(50):
         rclpy.spin_once(node, timeout_sec=0.01)
     assert list(heard[-1].effort) == [0.0, 0.0]
+
+
+def test_a_second_driver_under_torque_ends_it(
+    tmp_path: Path, driver: Callable[[str], None], listener: tuple[Node, list[JointState]]
+) -> None:
+    node, heard = listener
+    driver("none")
+    file = tmp_path / "report.json"
+    process = check_rig("--yes", "--json", str(file), "--pulse", "2")
+    until(node, lambda: any(max(message.effort) > 0.0 for message in heard))
+    other = node.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
+    text, _ = process.communicate(timeout=2 * PATIENCE)
+    lines = {line["name"]: line for line in json.loads(file.read_text())["lines"]}
+    assert process.returncode == 1, text
+    assert lines["topics"]["result"] == "FAIL"
+    assert "2 publishers of states while torque was sent" in lines["topics"]["measured"]
+    assert "another publisher of joint states came" in lines["refuses NaN"]["measured"]
+    until(node, lambda: list(heard[-1].effort) == [0.0, 0.0])
+    assert other

@@ -118,6 +118,11 @@ class RigWatch(Node):
         return self.count_publishers(self._commands_name) - (self._commands is not None)
 
     @property
+    def drivers(self) -> int:
+        """Publishers of states."""
+        return int(self.count_publishers(self._states.topic_name))
+
+    @property
     def heard(self) -> bool:
         """Somebody receives our commands."""
         return self._commands is not None and self._commands.get_subscription_count() > 0
@@ -294,7 +299,7 @@ def _permission(console: Console, stop: StopSignal, limits: Limits, arguments: a
 
 
 def _torque(console: Console, node: RigWatch, stop: StopSignal, tests: TorqueTests) -> Line | None:
-    """Run the tests with torque; the line that another commander earns, or None."""
+    """Run the tests with torque; the line that another commander or another driver earns, or None."""
     if node.others:
         tests.stop("another commander came")
         return _second(node)
@@ -324,6 +329,10 @@ def _torque(console: Console, node: RigWatch, stop: StopSignal, tests: TorqueTes
                     node.command(NO_TORQUE)
                     tests.stop("another commander came")
                     return _second(node)
+                if node.drivers > 1:
+                    node.command(NO_TORQUE)
+                    tests.stop("another publisher of joint states came")
+                    return _second_driver(node)
             _answer(node, tests)
     node.release()
     return None
@@ -346,6 +355,11 @@ def _answer(node: RigWatch, tests: TorqueTests) -> None:
 def _second(node: RigWatch) -> Line:
     names = ", ".join(end.node for end in _settled(node, 0.0).commanders) or "unknown"
     return failed("only commander", f"{node.others} other while torque was to be sent ({names})", "0")
+
+
+def _second_driver(node: RigWatch) -> Line:
+    names = ", ".join(sorted(end.node for end in _settled(node, 0.0).drivers)) or "unknown"
+    return failed("topics", f"{node.drivers} publishers of states while torque was sent ({names})", "1 publisher")
 
 
 STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.SKIP: "yellow", Result.NOTE: "cyan"}

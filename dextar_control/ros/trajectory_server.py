@@ -269,7 +269,8 @@ class TrajectoryServer(DextarNode):
         """Where planning is, and the certificate; ``whole``: with all its crossings, however many."""
         worker = self._worker
         planning = f"{worker.fraction:.0%}, {worker.stage}" if worker.stage else ""
-        values: dict[str, object] = {"served": self._served, "error": self._error, "planning": planning}
+        values: dict[str, object] = {"served": self._served, "error": self._error, "planning": planning,
+                                     "waiting_for": self._why_not() if self._waiting else ""}  # fmt: skip
         certificate = self._certificate
         if certificate is not None:
             told = certificate if whole else certificate._replace(crossings=certificate.crossings[:MOST_TOLD])
