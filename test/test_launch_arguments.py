@@ -64,6 +64,9 @@ def test_values_have_the_type_of_the_parameter_they_become() -> None:
         ("params_file", "/no/such/file.yaml", "a parameter file that exists"),
         ("robot_file", "/no/such/file.yaml", "a parameter file that exists"),
         ("params_file", "/", "a parameter file, not a folder"),
+        ("params_file", "/dev/zero", "not a folder or a device"),
+        ("params_file", "~no_such_user/params.yaml", "a file that can be found"),
+        ("params_file", "x" * 5000, "a file that can be read: File name too long"),
         ("params_file", "", "a parameter file, not a folder"),
     ],
 )

@@ -192,7 +192,7 @@ def _stamps(samples: Sequence[Sample], limits: Limits) -> list[Line]:
 
 def _rise(samples: Sequence[Sample], limits: Limits) -> Line:
     """A step back is a fault of the controller; a repetition only begins its healthy time anew."""
-    stream, last, back, repeated, healthy = StateStream(), -1, 0, 0, 0.0
+    stream, last, back, repeated, healthy = StateStream(), samples[0].stamp - 1, 0, 0, 0.0
     for sample in samples:
         if sample.stamp > last:
             last = sample.stamp

@@ -109,9 +109,7 @@ def _value(name: str, argument: Argument, text: str) -> Any:
             raise fail("true or false")
         return plain.lower() in TRUE
     if kind == "parameter file":
-        path = Path(plain).expanduser()
-        _check_file(path, fail)
-        return str(path)
+        return _checked_file(plain, fail)
     if kind == "namespace":
         try:
             validate_namespace(f"/{plain.strip('/')}")
@@ -144,15 +142,19 @@ def _number(spec: Parameter, text: str, fail: Callable[[str], ParameterError]) -
         raise fail(str(error).rpartition("it must be ")[2]) from error
 
 
-def _check_file(path: Path, fail: Callable[[str], ParameterError]) -> None:
-    """Raise where nobody could read a YAML mapping from it: launch finds that out only when the nodes start."""
-    if not path.is_file():
-        raise fail("a parameter file that exists" if not path.exists() else "a parameter file, not a folder")
+def _checked_file(text: str, fail: Callable[[str], ParameterError]) -> str:
+    """The path; raises where nobody could read a YAML mapping from it: launch finds that out only when the nodes start."""
     try:
+        path = Path(text).expanduser()
+        if not path.is_file():
+            raise fail("a parameter file, not a folder or a device" if path.exists() else "a parameter file that exists")
         document = yaml.safe_load(path.read_bytes())
     except OSError as error:
         raise fail(f"a file that can be read: {error.strerror}") from error
+    except RuntimeError as error:  # no such user's home
+        raise fail(f"a file that can be found: {error}") from error
     except (yaml.YAMLError, UnicodeError) as error:
         raise fail(f"a YAML file in UTF-8: {' '.join(str(error).split())}") from error
     if not isinstance(document, dict):
         raise fail("a parameter file with sections such as '/**/controller:'")
+    return str(path)
