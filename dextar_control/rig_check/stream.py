@@ -38,7 +38,7 @@ def judge_graph(graph: Graph) -> list[Line]:
     drivers, readers = graph.drivers, graph.readers
     found = f"{graph.states}: {_who(drivers, 'publisher')}; {graph.commands}: {_who(readers, 'subscriber')}"
     if len(drivers) > 1:
-        found += ": their states mix and the controller takes none; end all but one"
+        found += ": once both speak the controller takes neither; end all but one (one that was killed stays for up to 20 s)"
     lines = [judged(len(drivers) == 1 and bool(readers), "topics", found, "1 publisher; at least 1 subscriber")]
     wanted = "; ".join(dict.fromkeys((graph.state_type, graph.command_type)))
     if not drivers and not readers:
