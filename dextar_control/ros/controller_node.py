@@ -116,7 +116,6 @@ WATCH_PERIOD = 0.01  # s
 SERVED_PER_WATCH = 2  # requests: 200 a second are plenty for an operator; the longest, all parameters at once, costs about 1 ms
 DIAGNOSTICS_PERIOD = 0.2  # s
 TELL_PERIOD = 1.0  # s between two lines about the external pose
-NO_INFO: Mapping[str, int] = {}  # of a state that no middleware brought
 LATCHED = (Phase.SAFE_STOP, Phase.FAULT)  # left by ~/reset only
 
 
@@ -144,6 +143,7 @@ class ControllerNode(ManagedNode):
         self._latched: tuple[str, int] = ("", 0)
         self._others = self._rivals = ""
         self._stamp = -1
+        self._published = 0
         self._stalled = False
         self._refusal = ""
         self._said: tuple[Phase, str] = (Phase.IDLE, "")
@@ -180,7 +180,7 @@ class ControllerNode(ManagedNode):
         if self._poses is not None:
             self._closers.append(self._poses.close)
         states = self.create_subscription(
-            JointState, JOINT_STATES.name, WithInfo(self._on_state), qos(JOINT_STATES, reliable=self._lockstep), raw=True
+            JointState, JOINT_STATES.name, WithInfo(self._hear), qos(JOINT_STATES, reliable=self._lockstep), raw=True
         )
         self._closers.append(lambda: self.destroy_subscription(states))
         self._automatic = values["enabled"] and not self._latched[0]  # after a fault somebody has to ask
@@ -265,12 +265,17 @@ class ControllerNode(ManagedNode):
         """The steady clock, s; None in lockstep, where states may come at any pace."""
         return None if self._lockstep else time.perf_counter()
 
-    def _on_state(self, raw: bytes, info: Mapping[str, int] = NO_INFO) -> None:
+    def _hear(self, raw: bytes, info: Mapping[str, int]) -> None:
+        """A state, and what the middleware tells of it: its publisher's number, and when it was sent."""
+        self._stream.hear(info.get("publication_sequence_number"), time.perf_counter())
+        self._published = info.get("source_timestamp", 0)
+        self._on_state(raw)
+
+    def _on_state(self, raw: bytes) -> None:
         loop = self._loop
         if loop is None or not self._active:
             return
         begin = time.perf_counter()
-        self._stream.hear(info.get("publication_sequence_number"), begin)
         try:
             stamp, q_a = self._read_state(raw)
             if stamp == self._stamp and self._outputs.answered:
@@ -292,7 +297,7 @@ class ControllerNode(ManagedNode):
         self._outputs.answer(stamp, tau, loop.tick, self._verdict(loop, loop.tick))
         if (loop.phase, loop.reason) != self._said:
             self._say(answered=True)
-        self._statistics.arrived(stamp, begin, info.get("source_timestamp", 0))
+        self._statistics.arrived(stamp, begin, self._published)
         self._statistics.worked(time.perf_counter() - begin)
         if loop.refusal != self._refusal:
             self._refusal = loop.refusal
