@@ -12,10 +12,9 @@ state is taken as in real time (the newest stamp wins) and does not let time go 
 
 from __future__ import annotations
 
-import inspect
 import time
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -27,7 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS
 from dextar_control.contract.errors import ParameterError, StateError
-from dextar_control.contract.node import DextarNode, qos, run_node
+from dextar_control.contract.node import DextarNode, WithInfo, qos, run_node
 from dextar_control.contract.topics import (
     EFFORT_COMMANDS,
     EXTERNAL_POSE,
@@ -38,7 +37,7 @@ from dextar_control.contract.topics import (
     SIM_JOINT_STATES,
 )
 from dextar_sim.messages import CommandReader, StateWriter, read_efforts
-from dextar_sim.pace import Schedule, spin
+from dextar_sim.pace import Schedule, keeping_pace, spin
 from dextar_sim.parameters import PARAMETERS
 from dextar_sim.sensors import Acknowledgement, Command, CommandDelay, CommandHold, Encoder, PoseSensor
 from dextar_sim.speakers import SPEAKING, Speakers
@@ -52,21 +51,14 @@ COMMANDER_PERIOD = 0.1
 """s between two looks at who publishes commands."""
 
 
-class WithInfo:
-    """A subscription's callback that wants the MessageInfo too, for both kinds of executor.
+class Reported(NamedTuple):
+    """What stood in a report, from which the next one counts."""
 
-    rclpy's events executor (7.1) hands message and info over as one tuple, the others as two arguments.
-    """
-
-    __signature__ = inspect.signature(lambda message, info: None)  # noqa: ARG005  by which rclpy tells what is wanted
-
-    def __init__(self, take: Callable[[bytes, Mapping[str, int]], None]) -> None:
-        self._take = take
-
-    def __call__(self, *given: Any) -> None:
-        """One message."""
-        message, info = given if len(given) == 2 else given[0]
-        self._take(message, info)
+    time: float  # s, steady
+    ran: int  # ns, steady, without the pauses
+    steps: int
+    late: int
+    refused: int
 
 
 class PlantNode(DextarNode):
@@ -122,7 +114,7 @@ class PlantNode(DextarNode):
             ("commands_received", "commands_refused", "late_ticks", "late_commands", "repeated_states", "acknowledgements"), 0
         )
         self._max_loop_gap = 0.0
-        self._reported = (time.monotonic(), 0, 0)
+        self._reported = Reported(time.monotonic(), 0, 0, 0, 0)
         self._warned_at = -1.0
         self._states = self.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
         self._true_platform = self.create_publisher(Odometry, SIM_END_EFFECTOR.name, qos(SIM_END_EFFECTOR))
@@ -287,7 +279,7 @@ class PlantNode(DextarNode):
         if count <= 1:
             return f"a message on {name} is numbered as another publisher's"
         if self._speakers.several:
-            return f"{count} publishers on {name}, more than one speaks; the limit is 1"
+            return f"{count} publishers on {name}, more than one speaks; the limit is 1: end all but one"
         return f"{count} publishers on {name}; one must have spoken alone for {1.0e-9 * SPEAKING:g} s"
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -297,7 +289,8 @@ class PlantNode(DextarNode):
 
     def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._budget is None:
-            response.success, response.message = False, "not paused; call ~/pause with data true first"
+            pause = f"{self.get_fully_qualified_name()}/pause"
+            response.success, response.message = False, f"not paused; call {pause} with data true first"
             return response
         count = self.values["step_count"]
         self._budget += count
@@ -320,19 +313,15 @@ class PlantNode(DextarNode):
         return response
 
     def report(self) -> None:
-        """Counters since the start on ``/diagnostics``; the real-time factor since the last report."""
-        now, steps = time.monotonic(), max(self._index, 0)
-        before, steps_before, refused_before = self._reported
-        self._reported = (now, steps, self.counts["commands_refused"])
-        factor = (steps - steps_before) * 1.0e-9 * self.period_ns / max(now - before, 1.0e-9)
+        """Counters since the start on ``/diagnostics``; the real-time factor, and what is judged, since the last report."""
+        before, counts = self._reported, self.counts
+        steps, late, refused = max(self._index, 0), counts["late_ticks"], counts["commands_refused"]
+        self._reported = after = Reported(time.monotonic(), self._ran() or 0, steps, late, refused)
+        factor = (steps - before.steps) * 1.0e-9 * self.period_ns / max(after.time - before.time, 1.0e-9)
         commanders, taken = self._speakers.count, self._speakers.clear(time.monotonic_ns())
-        level, message = DiagnosticStatus.OK, "paused" if self.paused else "running"
-        if commanders > 1:
-            words = f"{commanders} publishers on {self._command_name}"
-            level, message = DiagnosticStatus.WARN, f"{words}, one speaks" if taken else f"{words}; no torque"
-        elif self.counts["commands_refused"] > refused_before:
-            level, message = DiagnosticStatus.WARN, f"commands on {self._command_name} were refused"
-        self.publish_diagnostics(level, message, {
+        message = self._trouble(before, after)
+        level = DiagnosticStatus.WARN if message else DiagnosticStatus.OK
+        self.publish_diagnostics(level, message or ("paused" if self.paused else "running"), {
             "mode": self.values["mode"],
             "steps": steps,
             **self.counts,
@@ -347,6 +336,21 @@ class PlantNode(DextarNode):
             "saturated_ticks": self._hold.saturated,
             "watchdog_trips": self._hold.trips,
         })  # fmt: skip
+
+    def _trouble(self, before: Reported, after: Reported) -> str:
+        """What is wrong since the report before, the worst of it; empty when nothing is."""
+        commanders = self._speakers.count
+        if rivals := self.too_many_publishers(self._states.topic_name):
+            return f"{rivals}: another rig or plant"
+        if commanders > 1:
+            words = f"{commanders} publishers on {self._command_name}"
+            return f"{words}, one speaks" if self._speakers.clear(time.monotonic_ns()) else f"{words}; no torque"
+        if after.refused > before.refused:
+            return f"commands on {self._command_name} were refused"
+        if self.lockstep:  # at the pace of the answers
+            return ""
+        ran = after.ran - before.ran
+        return "; ".join(keeping_pace(after.steps - before.steps, after.late - before.late, ran, self.period_ns))
 
     def close(self) -> None:
         """The last report, then PyBullet."""

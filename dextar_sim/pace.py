@@ -22,6 +22,36 @@ MOST_BEHIND = 50_000_000
 """ns up to which lateness is made up for."""
 
 
+LEAST_FACTOR = 0.95
+"""Real-time factor below which a real-time plant is too slow: the rate that its states then miss is warned of there too."""
+MOST_LATE = 0.1
+"""Share of the steps without their command in time, above which that is told: a held command is an older one."""
+JUDGED = 500_000_000
+"""ns of running from which on they are judged."""
+
+
+def keeping_pace(steps: int, late: int, ran: int, period: int) -> list[str]:
+    """What is wrong with the pace of a real-time plant over some time, in words with number, limit and meaning.
+
+    Args:
+        steps: that were simulated.
+        late: of them, without their command in time.
+        ran: for which it ran, ns; pauses do not count.
+        period: of the steps, ns.
+    """
+    if ran < JUDGED:
+        return []
+    told = []
+    factor, share = steps * period / ran, late / max(steps, 1)
+    if factor < LEAST_FACTOR:
+        told.append(f"real-time factor {factor:.2f} over the last {1e-9 * ran:.1f} s; the limit is {LEAST_FACTOR:g}:"
+                    " this machine is too slow or too busy, states come too seldom")  # fmt: skip
+    if share > MOST_LATE:
+        told.append(f"{100 * share:.0f} % of the steps without their command in time; the limit is {100 * MOST_LATE:.0f} %:"
+                    " the drives go on under an older one")  # fmt: skip
+    return told
+
+
 class Paced(Protocol):
     """What the loops need of the plant node."""
 

@@ -9,6 +9,7 @@ from launch.actions import (
     DeclareLaunchArgument,
     ExecuteProcess,
     LogInfo,
+    OpaqueFunction,
     RegisterEventHandler,
     SetEnvironmentVariable,
     Shutdown,
@@ -17,83 +18,63 @@ from launch.event_handlers import OnProcessExit
 from launch.events.process import ProcessExited
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from dextar_control.ros.launch_arguments import ARGUMENTS, misspelt, read
 
 WARMUP = Path(get_package_prefix("dextar")) / "lib" / "dextar" / "warmup"
 CONFIG = Path(get_package_share_directory("dextar")) / "config"
-SWITCH = ["true", "false"]
 DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
-ARGUMENTS = [
-    DeclareLaunchArgument("law", default_value="", description="near the locus; empty: params_file's",
-                          choices=["", "consistent", "projected", "classic", "multi_model", "joint_space"]),
-    DeclareLaunchArgument("estimator", default_value="", choices=["", "observer", "dgm", "plain", "external"],
-                          description="of the platform state; external needs poses, of a camera or the plant's pose_rate;"
-                          " empty: params_file's"),
-    DeclareLaunchArgument("tour", default_value="", description="crossings spread over the locus; empty: params_file's"),
-    DeclareLaunchArgument("lockstep", default_value="false", choices=SWITCH,
-                          description="each simulated step waits for its command: repeatable, not in real time"),
-    DeclareLaunchArgument("duration", default_value="", description="of one way, s; empty: params_file's"),
-    DeclareLaunchArgument("window", default_value="false", choices=SWITCH, description="PyBullet's own window"),
-    DeclareLaunchArgument("record", default_value="true", choices=SWITCH, description="start the recorder"),
-    DeclareLaunchArgument("markers", default_value="false", choices=SWITCH, description="draw for RViz and Foxglove"),
-    DeclareLaunchArgument("output", default_value="", description="the recording, .mcap; empty: params_file's"),
-    DeclareLaunchArgument("autostart", default_value="true", choices=SWITCH,
-                          description="serve the trip as soon as it is planned"),
-    DeclareLaunchArgument("activate", default_value="true", choices=SWITCH,
-                          description="configure and activate the controller at its start; false: ros2 lifecycle set does"),
-    DeclareLaunchArgument("plant", default_value="true", choices=SWITCH,
-                          description="start the simulated rig; false where a real one publishes the joint states"),
-    DeclareLaunchArgument("namespace", default_value="/", description="of all nodes, e.g. /left: two robots in one domain"),
-    DeclareLaunchArgument("robot_file", default_value=str(CONFIG / "dextar.yaml"),
-                          description="parameter file of the robot"),
-    DeclareLaunchArgument("params_file", default_value=str(CONFIG / "crossing.yaml"),
-                          description="parameter file of the nodes"),
-    DeclareLaunchArgument("enclaves", default_value="false", choices=SWITCH,
-                          description="each node in its enclave of config/sros2/policy.xml; with ROS_SECURITY_ENABLE=true"),
-    DeclareLaunchArgument("discovery_range", default_value=EnvironmentVariable(DISCOVERY, default_value="LOCALHOST"),
-                          choices=["LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT"],
-                          description="who may see and command the nodes; LOCALHOST: this machine only"),
-]  # fmt: skip
+DEFAULTS: dict[str, Any] = {
+    "robot_file": str(CONFIG / "dextar.yaml"),
+    "params_file": str(CONFIG / "crossing.yaml"),
+}
+
+
+def declared(name: str, default: Any) -> DeclareLaunchArgument:
+    """One argument; what it may be is checked in ``check``, by a message that names it."""
+    return DeclareLaunchArgument(name, default_value=default, description=ARGUMENTS[name].told)
+
+
+def given(context: LaunchContext) -> dict[str, Any]:
+    """The arguments' values, checked."""
+    return read({name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS})
+
+
+def check(context: LaunchContext) -> list[Any]:
+    """Before anything is compiled or started; raises what launch prints as one line."""
+    values = given(context)
+    context.launch_configurations["discovery_range"] = values["discovery_range"] or "LOCALHOST"  # the variable was empty
+    return [LogInfo(msg=text) for text in misspelt(context.launch_configurations)]
 
 
 def nodes(context: LaunchContext) -> list[Node]:
     """The nodes; only arguments that were given override the parameter files."""
-
-    def value(argument: str) -> str:
-        return LaunchConfiguration(argument).perform(context)
-
-    def on(argument: str) -> bool:
-        return value(argument) == "true"
-
+    values = given(context)
     overrides: dict[str, dict[str, Any]] = {
-        "plant": {"mode": "lockstep" if on("lockstep") else "realtime", "window": on("window")},
-        "controller": {"lockstep": on("lockstep"), "autostart": on("activate")},
-        "trajectory_server": {"autostart": on("autostart")},
+        "plant": {"mode": "lockstep" if values["lockstep"] else "realtime", "window": values["window"]},
+        "controller": {"lockstep": values["lockstep"], "autostart": values["activate"]},
+        "trajectory_server": {"autostart": values["autostart"]},
         "recorder": {},
         "markers": {},
     }
-    if value("law"):
-        overrides["controller"]["law"] = value("law")
-    if value("law") == "multi_model":
+    for name, arguments in (("controller", ("law", "estimator")), ("trajectory_server", ("tour", "duration"))):
+        overrides[name] |= {argument: values[argument] for argument in arguments if values[argument] != ""}
+    if values["output"]:
+        overrides["recorder"]["output"] = ParameterValue(values["output"], value_type=str)  # a text, whatever YAML makes of it
+    if values["law"] == "multi_model":
         overrides["trajectory_server"]["criterion"] = "zero_wrench"
-    if value("estimator"):
-        overrides["controller"]["estimator"] = value("estimator")
-    if value("tour"):
-        overrides["trajectory_server"]["tour"] = int(value("tour"))
-    if value("duration"):
-        overrides["trajectory_server"]["duration"] = float(value("duration"))
-    if value("output"):
-        overrides["recorder"]["output"] = value("output")
-    unwanted = {"plant": not on("plant"), "recorder": not on("record"), "markers": not on("markers")}
-    namespace = value("namespace").rstrip("/")
+    unwanted = {"plant": not values["plant"], "recorder": not values["record"], "markers": not values["markers"]}
+    namespace = values["namespace"].rstrip("/")
     return [
         Node(
             package="dextar",
             executable=name,
             name=name,
-            namespace=value("namespace"),  # a full name lets an override win over the node's own section of params_file
-            parameters=[value("robot_file"), value("params_file"), overrides[name]],
-            ros_arguments=["--enclave", f"{namespace}/dextar/{name}"] if on("enclaves") else None,
+            namespace=values["namespace"],  # a full name lets an override win over the node's own section of params_file
+            parameters=[values["robot_file"], values["params_file"], overrides[name]],
+            ros_arguments=["--enclave", f"{namespace}/dextar/{name}"] if values["enclaves"] else None,
             output="screen",
             on_exit=None if name == "markers" else Shutdown(reason=f"{name} has ended"),  # a display is nobody's need
         )
@@ -114,10 +95,14 @@ def generate_launch_description() -> LaunchDescription:
     warmup = ExecuteProcess(cmd=[str(WARMUP)], name="warmup", output="screen")
     return LaunchDescription(
         [
-            *ARGUMENTS,
+            *(declared(name, DEFAULTS.get(name, argument.default)) for name, argument in ARGUMENTS.items()
+              if name != "discovery_range"),
+            DeclareLaunchArgument("discovery_range", default_value=EnvironmentVariable(DISCOVERY, default_value="LOCALHOST"),
+                                  description=ARGUMENTS["discovery_range"].told),
+            OpaqueFunction(function=check),
             SetEnvironmentVariable(DISCOVERY, LaunchConfiguration("discovery_range")),
             LogInfo(msg="loading the model; the first start compiles it, about a minute"),
             RegisterEventHandler(OnProcessExit(target_action=warmup, on_exit=after_warmup)),
             warmup,
         ]
-    )
+    )  # fmt: skip

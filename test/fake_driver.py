@@ -19,8 +19,8 @@ PAUSE_EVERY, PAUSE = 40, 0.2  # states, s: of the driver that jitters
 
 FAULTS = (
     "none", "state_type", "command_type", "best_effort", "latched_reader", "names", "order", "slow", "jitter", "stamps_back",
-    "stamps_old", "sizes", "nan_position", "no_effort", "ignores_torque", "inverted", "no_watchdog", "accepts_nan",
-    "clamps_nan", "dies_of_nan", "open", "wrong_velocity", "no_velocity", "swapped_motors",
+    "stamps_old", "nan_position", "ignores_torque", "inverted", "no_watchdog", "accepts_nan",
+    "clamps_nan", "dies_of_nan", "open", "no_velocity", "swapped_motors", "stamps_jump",
 )  # fmt: skip
 
 
@@ -76,18 +76,12 @@ class FakeDriver:
             names = ["left", "right"]
         if self.fault == "order":
             names, position, velocity, effort = (values[::-1] for values in (names, position, velocity, effort))
-        if self.fault == "sizes":
-            velocity = velocity[:1]
         if self.fault == "nan_position" and self.index % 50 == 7:
             position[0] = math.nan
-        if self.fault == "no_effort":
-            effort = []
         if self.fault == "open":
             position[0] += 1.0
         if self.fault == "no_velocity":
             velocity = []
-        if self.fault == "wrong_velocity":
-            velocity = [-value for value in velocity]
         return {"name": names, "position": position, "velocity": velocity, "effort": effort}
 
     def stamp(self, now: float) -> float:
@@ -96,6 +90,8 @@ class FakeDriver:
             return now - OLD
         if self.fault == "stamps_back" and self.index % 20 == 11:
             return now - 4.5 * self.period
+        if self.fault == "stamps_jump":  # a clock that is set: 25 ms more from the 20th state on
+            return now - 0.04 + 0.025 * (self.index >= 20)
         return now
 
 

@@ -6,6 +6,7 @@ processes they are generous, because the machine may be busy, and the faults are
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -28,18 +29,21 @@ from rig import PATIENCE, start, stop
 from sensor_msgs.msg import JointState
 
 from dextar_control import cli
-from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.errors import GeometryError, ParameterError, StateError
 from dextar_control.contract.node import qos
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.contract.topics import JOINT_COMMANDS
+from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
 from dextar_control.core.kinematics import elbows
+from dextar_control.core.loop import ControlLoop
 from dextar_control.core.model import make_model
+from dextar_control.core.warmup import default_settings
 from dextar_control.rig_check.check import report, torque_obstacle, torque_tests, watch_lines
 from dextar_control.rig_check.limits import Limits
-from dextar_control.rig_check.report import LINES, TORQUE_LINES, Line, Result
+from dextar_control.rig_check.report import LINES, TORQUE_LINES, Line, Result, has_failed
 from dextar_control.rig_check.samples import Endpoint, Graph, Sample
 from dextar_control.rig_check.stream import elbow_distance
 from dextar_control.rig_check.torque import TorqueTests
+from dextar_control.ros import messages
 
 ROOT = Path(__file__).resolve().parents[1]
 STATE = "sensor_msgs/msg/JointState"
@@ -94,7 +98,13 @@ def check(
     robot: RobotParameters, fault: str, graph: Graph = GRAPH, limits: Limits = LIMITS
 ) -> tuple[dict[str, Line], SimulatedRig]:
     """The whole of ``dextar check-rig`` without DDS."""
-    rig, samples = watch(FakeDriver(fault))
+    return check_driver(robot, FakeDriver(fault), graph, limits)
+
+
+def check_driver(
+    robot: RobotParameters, driver: FakeDriver, graph: Graph = GRAPH, limits: Limits = LIMITS
+) -> tuple[dict[str, Line], SimulatedRig]:
+    rig, samples = watch(driver)
     lines = watch_lines(graph, samples, robot, limits, WATCHED / LIMITS.rate)
     torque: TorqueTests | str = torque_obstacle(lines)
     if not torque:
@@ -124,13 +134,11 @@ def test_a_sound_driver_passes_every_line(robot: RobotParameters) -> None:
         ("order", set()),
         ("no_velocity", set()),
         ("names", {"joint names"}),
-        ("sizes", {"array sizes"}),
         ("nan_position", {"finite numbers"}),
         ("stamps_back", {"stamps rise"}),
+        ("stamps_jump", {"longest gap"}),
         ("stamps_old", {"stamp age"}),
         ("open", {"closes"}),
-        ("wrong_velocity", {"velocity"}),
-        ("no_effort", {"effort feedback"}),
         ("ignores_torque", {"response q11", "response q21"}),
         ("inverted", {"response q11"}),
         ("swapped_motors", {"response q11", "response q21"}),
@@ -151,6 +159,204 @@ def test_each_fault_fails_its_own_line_alone(robot: RobotParameters, fault: str,
     assert np.nanmax(np.abs([(0.0, 0.0), *rig.commands])) <= LIMITS.torque
 
 
+Fields = dict[str, Any]
+
+
+class ChangedDriver(FakeDriver):
+    """A sound driver whose states are changed before they are sent."""
+
+    def __init__(self, change: Callable[[Fields, int], Fields]) -> None:
+        super().__init__()
+        self._change = change
+
+    def fields(self) -> Fields:
+        return self._change(super().fields(), self.index)
+
+
+def put(**fields: Any) -> Callable[[Fields, int], Fields]:
+    return lambda state, _: state | fields
+
+
+def third_joint(state: Fields, _: int) -> Fields:
+    """As a joint_state_broadcaster sends a gripper of which nothing is measured."""
+    return {key: [*values, "gripper" if key == "name" else math.nan] for key, values in state.items()}
+
+
+def twice(state: Fields, _: int) -> Fields:
+    return {key: [*values, values[0]] for key, values in state.items()}
+
+
+def every_other_order(state: Fields, index: int) -> Fields:
+    return {key: values[::-1] for key, values in state.items()} if index % 2 else state
+
+
+def wrapping(state: Fields, _: int) -> Fields:
+    """Encoders of one turn, whose end lies a hundredth of a rad from where the robot stands."""
+    ends = np.array(START) + [0.01, -0.01]
+    return state | {"position": (ends - 2.0 * np.pi + np.remainder(np.array(state["position"]) - ends, 2.0 * np.pi)).tolist()}
+
+
+def one_joint(state: Fields, index: int) -> Fields:
+    """As two broadcasters on one topic, each with one of the joints."""
+    return {key: values[index % 2 : index % 2 + 1] for key, values in state.items()}
+
+
+def other_turn(state: Fields, _: int) -> Fields:
+    return state | {"position": [state["position"][0] + 2.0 * math.pi, state["position"][1] - 4.0 * math.pi]}
+
+
+def no_zero(state: Fields, _: int) -> Fields:
+    return {key: values if key == "name" else [value or -0.0 for value in values] for key, values in state.items()}
+
+
+NEITHER = {"watchdog"}  # cannot be seen without effort
+
+
+@pytest.mark.parametrize(
+    ("change", "noted", "skipped"),
+    [
+        (put(effort=[math.nan, math.nan]), {"finite numbers", "effort feedback"}, NEITHER),
+        (put(velocity=[math.nan, math.nan]), {"finite numbers"}, {"velocity"}),
+        (put(velocity=[math.inf, 0.0]), {"finite numbers"}, {"velocity"}),
+        (put(velocity=[], effort=[]), {"effort feedback"}, {"velocity", *NEITHER}),
+        (put(effort=[0.0]), {"array sizes", "effort feedback"}, NEITHER),
+        (put(velocity=[0.0, 0.0, 0.0]), {"array sizes"}, {"velocity"}),
+        (third_joint, {"finite numbers"}, set()),
+        (twice, {"joint names"}, set()),
+        (every_other_order, set(), set()),
+        (wrapping, set(), set()),
+        (other_turn, set(), set()),
+        (no_zero, set(), set()),
+        (lambda state, _: state | {"velocity": [-value for value in state["velocity"]]}, {"velocity"}, set()),
+    ],
+    ids=["effort NaN", "velocity NaN", "velocity infinite", "positions alone", "one effort", "three velocities", "third joint",
+         "a name twice", "order changes", "encoder wraps", "other turns", "minus zero", "velocity of the other sign"],
+)  # fmt: skip
+def test_what_the_controller_does_without_is_a_remark(
+    robot: RobotParameters, change: Callable[[Fields, int], Fields], noted: set[str], skipped: set[str]
+) -> None:
+    """Every line that is left is judged, those with torque too, and with the numbers of a sound driver."""
+    lines, rig = check_driver(robot, ChangedDriver(change))
+    assert (results(lines, Result.NOTE), results(lines, Result.SKIP), results(lines, Result.FAIL)) == (noted, skipped, set())
+    moved = 0.5 * LIMITS.torque / INERTIA * LIMITS.pulse**2
+    assert lines["response q11"].numbers["up"] == pytest.approx(moved, rel=0.01)
+    assert rig.commands[-1] == (0.0, 0.0)
+    assert not has_failed(lines.values())
+
+
+def test_the_remarks_say_what_is_not_as_it_should_be(robot: RobotParameters) -> None:
+    lines, _ = check_driver(robot, ChangedDriver(third_joint))
+    said = lines["finite numbers"].measured
+    assert f"other joints' positions in {WATCHED}, velocities in {WATCHED}, efforts in {WATCHED} of {WATCHED} states" in said
+    lines, _ = check_driver(robot, ChangedDriver(twice))
+    assert "takes the first q11" in lines["joint names"].measured
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_check_fails_a_state_where_the_controller_refuses_it_and_only_there(robot: RobotParameters, seed: int) -> None:
+    """Names, sizes and numbers at random, judged here and by the controller's own reader."""
+    random = np.random.default_rng(seed)
+    names = [str(name) for name in random.permutation(["q11", "q21", "gripper", "q11", "left/q11"])[: random.integers(1, 6)]]
+    if random.random() < 0.6:
+        names = [str(name) for name in random.permutation(["q11", "q21", *names])]
+    size = len(names)
+
+    def numbers(sound: float) -> list[float]:
+        count = size if random.random() < sound else int(random.integers(0, size + 2))
+        return [float(random.choice([1.5, -0.0, 7.0, math.nan, math.inf], p=[0.7, 0.1, 0.1, 0.05, 0.05])) for _ in range(count)]
+
+    fields = {"name": names, "position": numbers(0.8), "velocity": numbers(0.3), "effort": numbers(0.3)}
+    try:
+        messages.active_joints(JointState(**fields))
+        taken = True
+    except StateError:
+        taken = False
+    samples = [Sample(BEGIN + PERIOD * k, BEGIN + PERIOD * k, *(tuple(values) for values in fields.values())) for k in range(50)]
+    failing = results(judge(robot, samples), Result.FAIL) & {"joint names", "array sizes", "finite numbers"}
+    assert bool(failing) is not taken, (fields, failing)
+
+
+def test_two_broadcasters_with_a_joint_each_fail_with_the_reason(robot: RobotParameters) -> None:
+    lines, rig = check_driver(robot, ChangedDriver(one_joint))
+    assert results(lines, Result.FAIL) == {"joint names"}
+    assert f"{WATCHED} of {WATCHED} states without both" in lines["joint names"].measured
+    assert "two publishers" in lines["joint names"].measured
+    assert not rig.commands
+
+
+def test_a_drive_that_tells_nan_efforts_under_nan_alone_has_taken_it(robot: RobotParameters) -> None:
+    class Leaks(FakeDriver):
+        def command(self, names: list[str], efforts: list[float], now: float) -> None:
+            self.leaks = not np.isfinite(efforts).all()
+            super().command(names, efforts, now)
+
+        def fields(self) -> Fields:
+            return super().fields() | ({"effort": [math.nan, math.nan]} if getattr(self, "leaks", False) else {})
+
+    lines, _ = check_driver(robot, Leaks())
+    assert results(lines, Result.FAIL) == {"refuses NaN"}
+    assert lines["refuses NaN"].numbers["odd"] > 0
+
+
+def test_repeated_stamps_are_judged_by_the_healthy_time_that_enabling_needs(robot: RobotParameters) -> None:
+    even = [0.005 * index for index in range(401)]
+
+    def repeating(every: int) -> dict[str, Line]:
+        return judge(robot, stream(even, [0.005 * (index - (index % every == every - 1)) for index in range(401)]))
+
+    seldom, often = repeating(150), repeating(50)  # 0.75 s and 0.25 s apart; 0.5 s are needed
+    assert (seldom["stamps rise"].result, often["stamps rise"].result) == (Result.NOTE, Result.FAIL)
+    assert "never 0.5 s without" in often["stamps rise"].measured
+
+
+def test_a_driver_that_does_not_stamp_is_not_taken_for_a_lockstep_plant(robot: RobotParameters) -> None:
+    lines = judge(robot, stream([0.005 * index for index in range(200)], [0.0] * 200))
+    assert "does not stamp each state" in lines["states"].measured
+    assert "lockstep" not in lines["states"].measured
+
+
+def test_the_working_mode_and_the_side_are_the_controllers(robot: RobotParameters) -> None:
+    """At random poses that close: the line passes where a loop takes the joints for its first state, on the side it expects."""
+    random = np.random.default_rng(3)
+    settings, low, high = default_settings(), 0.0, sum(leg.distal_length for leg in robot.legs)
+    seen: set[Result] = set()
+    for q_a in random.uniform(-np.pi, np.pi, (60, 2)):
+        if not low < elbow_distance(robot, q_a[None])[0] < high:
+            continue
+        taken = {}
+        for mode in (1, -1):
+            with contextlib.suppress(StateError, GeometryError):
+                ControlLoop(robot, settings, mode, enabled=False).step(0.0, q_a)
+                taken[mode] = True
+        samples = [sample._replace(position=tuple(q_a)) for sample in stream([0.005 * k for k in range(50)])]
+        expected = Result.PASS if 1 in taken else Result.NOTE if taken else Result.FAIL
+        assert judge(robot, samples)["mode and range"].result is expected, q_a
+        seen.add(expected)
+    assert {Result.PASS, Result.FAIL} <= seen
+
+
+def test_a_joint_outside_its_range_fails_as_it_would_trip_the_controller(robot: RobotParameters) -> None:
+    narrow = robot.replace(**{"left.min_angle": 0.0, "left.max_angle": START[0] - 0.06})
+    line = judge(narrow, stream([0.005 * k for k in range(50)]))["mode and range"]
+    assert line.result is Result.FAIL
+    assert line.numbers["beyond"] == pytest.approx(0.06)
+    wider = narrow.replace(**{"left.max_angle": START[0] - 0.04})
+    assert judge(wider, stream([0.005 * k for k in range(50)]))["mode and range"].result is Result.PASS
+
+
+def test_best_effort_states_are_a_remark(robot: RobotParameters) -> None:
+    lines, rig = check(robot, "none", GRAPH._replace(drivers=(Endpoint("/driver", STATE, False),)))
+    assert results(lines, Result.NOTE) == {"QoS"}
+    assert not has_failed(lines.values())
+    assert rig.commands
+
+
+def test_two_publishers_of_states_are_named(robot: RobotParameters) -> None:
+    lines, _ = check(robot, "none", GRAPH._replace(drivers=(Endpoint("/plant", STATE, True),) * 2))
+    assert "2 publishers (2 x /plant)" in lines["topics"].measured
+    assert "end all but one" in lines["topics"].measured
+
+
 @pytest.mark.parametrize(
     ("change", "failing"),
     [
@@ -159,7 +365,6 @@ def test_each_fault_fails_its_own_line_alone(robot: RobotParameters, fault: str,
         ({"readers": ()}, {"topics"}),
         ({"drivers": (Endpoint("/driver", "std_msgs/msg/String", True),)}, {"types"}),
         ({"readers": (Endpoint("/driver", "std_msgs/msg/String", True),)}, {"types"}),
-        ({"drivers": (Endpoint("/driver", STATE, False),)}, {"QoS"}),
         ({"readers": (Endpoint("/driver", STATE, True, "wants transient local"),)}, {"QoS"}),
         ({"commanders": (Endpoint("/somebody", STATE, True),)}, {"only commander"}),
     ],
@@ -406,7 +611,6 @@ def test_the_plant_passes_with_arrays_too(tmp_path: Path) -> None:
     ("fault", "failing", "torque"),
     [
         ("accepts_nan", {"refuses NaN"}, True),
-        ("best_effort", {"QoS"}, False),
         ("latched_reader", {"QoS"}, False),
     ],
 )
@@ -417,6 +621,13 @@ def test_a_broken_driver_fails_on_its_line_over_dds(
     code, lines, text = outcome(tmp_path, "--yes" if torque else "--no-torque")
     assert named(lines, "FAIL") == failing, text
     assert code == 1
+
+
+def test_states_offered_best_effort_are_read_and_noted_over_dds(tmp_path: Path, driver: Callable[[str], None]) -> None:
+    driver("best_effort")
+    code, lines, text = outcome(tmp_path, "--no-torque")
+    assert (named(lines, "NOTE"), named(lines, "FAIL"), code) == ({"QoS"}, set(), 0), text
+    assert "1 noted" in text
 
 
 def test_who_looks_at_the_wrong_topic_is_told_the_right_one(tmp_path: Path, driver: Callable[[str], None]) -> None:
@@ -533,3 +744,22 @@ def test_a_signal_under_torque_leaves_zero_torque(
     for _ in range(50):
         rclpy.spin_once(node, timeout_sec=0.01)
     assert list(heard[-1].effort) == [0.0, 0.0]
+
+
+def test_a_second_driver_under_torque_ends_it(
+    tmp_path: Path, driver: Callable[[str], None], listener: tuple[Node, list[JointState]]
+) -> None:
+    node, heard = listener
+    driver("none")
+    file = tmp_path / "report.json"
+    process = check_rig("--yes", "--json", str(file), "--pulse", "2")
+    until(node, lambda: any(max(message.effort) > 0.0 for message in heard))
+    other = node.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
+    text, _ = process.communicate(timeout=2 * PATIENCE)
+    lines = {line["name"]: line for line in json.loads(file.read_text())["lines"]}
+    assert process.returncode == 1, text
+    assert lines["topics"]["result"] == "FAIL"
+    assert "2 publishers of states while torque was sent" in lines["topics"]["measured"]
+    assert "another publisher of joint states came" in lines["refuses NaN"]["measured"]
+    until(node, lambda: list(heard[-1].effort) == [0.0, 0.0])
+    assert other

@@ -133,7 +133,7 @@ def test_states_that_stop_coming_take_the_torque_away_and_then_are_a_fault_that_
         assert rig.controller("stalls") == "1"
         refused = _call(rig, Trigger, "controller/reset", Trigger.Request())
         assert not refused.success
-        assert re.fullmatch(r"no state for \d+ ms; the limit is 20.0 ms", refused.message)
+        assert re.fullmatch(r"no state for \d+ ms; the limit is 20.0 ms: see that the rig or plant runs", refused.message)
         assert "latency_p50_us" in rig.status["controller"]
 
 

@@ -216,3 +216,24 @@ def test_the_distance_to_the_locus_is_that_of_the_nearest_point_to_first_order(c
 
     found = [reached(angle) for angle in angles]
     assert distance_to_locus(loop) == pytest.approx(min(found), rel=0.1)
+
+
+@pytest.mark.parametrize(("way", "told"), [(0.3e-3, False), (4e-3, True)], ids=["in time", "late"])
+def test_a_motion_that_trips_says_whether_commands_came_too_late(controller: _Unspun, way: float, told: bool) -> None:
+    node, begin = controller.node, time.perf_counter()
+    node._loop.fault("before")
+    node._say()
+    node._statistics.restart()
+    for k in range(200):  # every second state on its way for so long; they arrive a period apart
+        node._statistics.arrived(time.time_ns() - round(1e9 * way * (k % 2)), begin + 1e-3 * k)
+    node._loop.phase, node._loop.reason, node._loop.tripped = Phase.SAFE_STOP, "torque 0.300 N m for 20 ms", "saturation"
+    node._lockstep = False
+    try:
+        node._say()
+    finally:
+        node._lockstep = True
+    assert node._loop.reason.startswith("torque 0.300 N m for 20 ms")
+    assert ("commands came too late: 100 of the last 200 answers" in node._loop.reason) is told
+    assert node._latched[0] == node._loop.reason
+    node._loop.phase, node._loop.reason, node._loop.tripped = Phase.IDLE, "", ""
+    node._say()

@@ -26,7 +26,7 @@ ROS = {"rclpy", "builtin_interfaces", "rcl_interfaces", "sensor_msgs", "trajecto
 DOORS = {
     "dextar_control.contract": {"dextar_control.contract"},
     "dextar_control.core": {"dextar_control.core", "dextar_control.contract"},
-    "dextar_control.rig_check": {"dextar_control.rig_check", "dextar_control.contract"},
+    "dextar_control.rig_check": {"dextar_control.rig_check", "dextar_control.core", "dextar_control.contract"},
     "dextar_control.bags": {"dextar_control.bags", "dextar_control.contract"},
     "dextar_control.analysis": {"dextar_control.analysis", "dextar_control.bags", "dextar_control.core",
                                 "dextar_control.contract"},

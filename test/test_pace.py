@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from dextar_sim import pace
-from dextar_sim.pace import MOST_BEHIND, PATIENT, SHORTEST, Schedule
+from dextar_sim.pace import MOST_BEHIND, PATIENT, SHORTEST, Schedule, keeping_pace
 
 PERIOD = 1_000_000
 CLOSEST = round(SHORTEST * PERIOD)
@@ -179,3 +179,25 @@ def test_the_rigs_clock_keeps_up_with_the_steady_one(monkeypatch: Any, stall: in
     gaps = [after - before for before, after in zip(rig.published, rig.published[1:], strict=False)]
     assert min(gaps) >= closest - PERIOD // 1000
     assert rig.schedule.overruns == bool(stall)
+
+
+SECOND = 1_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("steps", "late", "ran", "words"),
+    [
+        (1000, 0, SECOND, []),
+        (960, 90, SECOND, []),
+        (560, 0, SECOND, ["real-time factor 0.56 over the last 1.0 s; the limit is 0.95"]),
+        (560, 358, SECOND, ["real-time factor 0.56 over", "64 % of the steps without their command in time; the limit is 10 %"]),
+        (1000, 640, SECOND, ["64 % of the steps without their command in time"]),
+        (0, 0, SECOND, ["real-time factor 0.00"]),
+        (1, 1, 400_000_000, []),  # it hardly ran
+        (0, 0, 0, []),
+    ],
+)
+def test_a_plant_that_falls_behind_says_so_with_the_numbers(steps: int, late: int, ran: int, words: list[str]) -> None:
+    told = keeping_pace(steps, late, ran, PERIOD)
+    assert len(told) == len(words)
+    assert all(text.startswith(word) for text, word in zip(told, words, strict=True))

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.signals import SignalHandlerOptions
@@ -36,6 +36,7 @@ from dextar_control.contract.topics import (
     SIM_END_EFFECTOR,
     SIM_JOINT_STATES,
 )  # fmt: skip
+from dextar_sim.node import PlantNode
 from dextar_sim.plant import Plant
 
 WAIT = 60.0
@@ -491,3 +492,70 @@ def test_after_sigkill_of_a_commander_its_successor_moves_the_robot_at_once(star
     commander.answer = lambda state: command(state, [1.0e-4, -1.0e-4])
     commander.until(lambda: list(commander.states[-1].effort) == [1.0e-4, -1.0e-4])
     commander.until(lambda: commander.health.get("message") == "2 publishers on joint_commands, one speaks")
+
+
+@pytest.fixture
+def plant(ros: None) -> Iterator[Callable[[str], tuple[PlantNode, list[tuple[bytes, str]]]]]:
+    """Makes a plant in this process, which nobody spins, and what its reports say."""
+    made: list[PlantNode] = []
+
+    def make(mode: str) -> tuple[PlantNode, list[tuple[bytes, str]]]:
+        node = PlantNode(cli_args=["--ros-args", "-p", f"mode:={mode}"])
+        told: list[tuple[bytes, str]] = []
+        node.publish_diagnostics = lambda level, message, values: told.append((level, message))  # type: ignore[method-assign]
+        made.append(node)
+        return node, told
+
+    yield make
+    for node in made:
+        node.close()
+        node.destroy_node()
+
+
+def run_for(node: PlantNode, duration: float, steps: int) -> None:
+    """As if it had run for so long, s, and made these steps, all without their commands."""
+    node.schedule.start(time.monotonic_ns() - round(1e9 * duration), 0)
+    node._index = max(node._index, 0) + steps
+    node.counts["late_ticks"] += steps
+
+
+def test_a_slow_plant_warns_with_the_numbers_since_the_last_report_and_not_in_lockstep_or_a_pause(plant: Any) -> None:
+    node, told = plant("realtime")
+    run_for(node, 2.0, 1000)
+    node.report()
+    assert told[-1][0] == DiagnosticStatus.WARN
+    assert "real-time factor 0.50 over the last 2.0 s; the limit is 0.95" in told[-1][1]
+    assert "100 % of the steps without their command in time" in told[-1][1]
+    node.schedule.stop(time.monotonic_ns())
+    node._budget = 0
+    node.report()
+    assert told[-1] == (DiagnosticStatus.OK, "paused")
+    node._budget = None
+    node.schedule.start(time.monotonic_ns() - 10**9, 0)
+    node._index += 100_000  # whatever the machine does meanwhile: enough
+    node.report()
+    assert told[-1] == (DiagnosticStatus.OK, "running")
+    waiting, told = plant("lockstep")
+    run_for(waiting, 2.0, 10)
+    assert told == []
+    waiting.report()
+    assert DiagnosticStatus.OK in told[-1] or "publishers" in told[-1][1]  # of the first one's states
+
+
+def test_a_second_plant_is_seen_by_the_first(plant: Any) -> None:
+    node, told = plant("lockstep")
+    node.report()
+    assert told[-1] == (DiagnosticStatus.OK, "running")
+    plant("lockstep")
+    deadline = time.monotonic() + WAIT
+    while "2 publishers on /joint_states; the limit is 1: end all but one (2 x /plant)" not in told[-1][1]:
+        assert time.monotonic() < deadline, told
+        node.report()
+        time.sleep(0.02)
+    assert told[-1][0] == DiagnosticStatus.WARN
+
+
+def test_a_step_that_is_refused_says_which_service_pauses(start: Callable[..., Commander]) -> None:
+    commander = start(mode="realtime")
+    answer = commander.call("step", Trigger)
+    assert (answer.success, answer.message) == (False, "not paused; call /plant/pause with data true first")

@@ -236,11 +236,11 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
     until(lambda: seen.get("recording") == "False", lambda: executor.spin_once(timeout_sec=0.02))
     assert not file.exists()
     refused = service("stop")
-    assert (refused.success, refused.message) == (False, "not recording")
+    assert (refused.success, refused.message) == (False, "not recording; call /recorder/start first")
     begun = service("start")
     assert (begun.success, begun.message) == (True, f"recording to {file}")
     again = service("start")
-    assert (again.success, again.message) == (False, f"already recording to {file}")
+    assert (again.success, again.message) == (False, f"already recording to {file}; call /recorder/stop first")
     say("first")
     until(lambda: seen.get("recording") == "True" and seen["parameters_missing"] == "none",
           lambda: executor.spin_once(timeout_sec=0.02))  # fmt: skip

@@ -63,3 +63,46 @@ def test_stamps_off_the_period_are_counted_and_told_and_gaps_of_whole_periods_ar
         statistics.spaced(gap, 1e-3)
     assert (statistics.counts["missed_states"], statistics.counts["irregular_stamps"]) == (3, 2)
     assert statistics.missed_lately() == ["3 states were missed lately", "2 stamps were off the period lately"]
+
+
+def _answers(ages: np.ndarray, intervals: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> Statistics:
+    """States of these ages, s, when they were answered, so far apart, s."""
+    statistics, now = Statistics(), 0.0
+    monkeypatch.setattr("dextar_control.ros.statistics.time.time_ns", lambda: 10**18)
+    for age, interval in zip(ages, intervals, strict=True):
+        now += float(interval)
+        statistics.arrived(10**18 - round(1e9 * age), now)
+    return statistics
+
+
+EVEN = np.full(300, PERIOD)
+
+
+@pytest.mark.parametrize(
+    ("ages", "intervals", "words"),
+    [
+        (np.full(300, 0.3e-3), EVEN, ""),
+        (np.full(300, 40e-3), EVEN, ""),  # another machine's clock, ahead by that
+        (np.full(300, -40e-3), EVEN, ""),  # or behind
+        (np.full(300, 1e9), EVEN, ""),  # or one of its own
+        (np.tile([0.3e-3] * 19 + [2e-3], 15), EVEN, ""),  # one in twenty
+        (np.tile([0.5e-3, 10.5e-3], 150), EVEN, "100 of the last 200 answers were late by more than a period of 1 ms, by 10.0"),
+        (np.r_[np.full(250, 0.5e-3), [15.5e-3], np.full(49, 0.5e-3)], EVEN, "1 of the last 200 answers were late by more"),
+        (np.full(300, 1e9), np.tile([PERIOD] * 4 + [3.5 * PERIOD], 60), "40 of the last 200 states were late by more"),
+        (np.r_[np.full(100, 50e-3), np.full(200, 0.5e-3)], EVEN, ""),  # long over
+    ],
+)  # fmt: skip
+def test_lateness_is_told_with_its_share_and_only_where_it_was(
+    ages: np.ndarray, intervals: np.ndarray, words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = _answers(ages, intervals, monkeypatch).lateness(PERIOD)
+    assert told.startswith(f"commands came too late: {words}") if words else told == ""
+
+
+def test_a_rig_whose_stamps_fall_behind_the_clock_is_answered_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a slow simulation: what counts is when a state was sent, where the middleware tells."""
+    monkeypatch.setattr("dextar_control.ros.statistics.time.time_ns", lambda: 10**18)
+    statistics = Statistics()
+    for k in range(200):
+        statistics.arrived(10**18 - 2_000_000 * k, PERIOD * k, 10**18 - 300_000)
+    assert statistics.lateness(PERIOD) == ""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dextar_control.contract.errors import StateError
-from dextar_control.core.stream import StateStream
+from dextar_control.core.stream import MIXED, StateStream
 from dextar_control.core.timing import Window
 
 MS = 1_000_000  # ns
@@ -89,3 +89,17 @@ def test_a_window_forgets_and_tells_what_numpy_tells_of_the_rest() -> None:
     assert (found.p99, found.longest) == (pytest.approx(np.percentile(kept, 99)), kept.max())
     window.clear()
     assert math.isnan(window.percentile(50.0))
+
+
+def test_a_second_publisher_is_told_by_a_number_that_does_not_rise() -> None:
+    stream = StateStream()
+    for number in (7, 8, 12, 13):  # some were lost
+        stream.hear(number, 1.0)
+    stream.hear(None, 1.0)
+    stream.hear(0, 1.0)
+    stream.hear(2**64 - 1, 1.0)
+    assert not stream.mixed(1.0)
+    stream.hear(1, 2.0)
+    assert stream.mixed(2.0)
+    assert stream.mixed(2.0 + MIXED)
+    assert not stream.mixed(2.1 + MIXED)

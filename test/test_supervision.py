@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from rig import Rig, controlled, matched
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, Header
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from dextar_control.contract.cdr import from_time
+from dextar_control.contract.cdr import from_time, to_time
 from dextar_control.contract.node import qos
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.contract.topics import CRITERION, CRITERION_NAMES, EFFORT_COMMANDS, JOINT_COMMANDS
+from dextar_control.contract.topics import CRITERION, CRITERION_NAMES, EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES, TRAJECTORY
 from dextar_control.core.kinematics import inverse_model
 from dextar_control.core.loop import Phase
 from dextar_control.core.model import make_model
@@ -170,7 +171,8 @@ def test_a_reset_is_refused_while_the_cause_lasts(rig: Rig, q_a: np.ndarray) -> 
     other = rig.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
     rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
     refused = _reset(rig)
-    assert (refused.success, refused.message) == (False, "2 publishers on /joint_commands; the limit is 1")
+    assert not refused.success
+    assert refused.message.startswith("2 publishers on /joint_commands; the limit is 1: end all but one (/controller")
     rig.node.destroy_publisher(other)
     rig.until(lambda: rig.controller("other_commanders") == "", "the other is still counted")
     assert _reset(rig).success
@@ -245,3 +247,70 @@ def test_a_fault_outlives_cleanup_and_nothing_is_enabled_by_itself_after_it(rig:
     assert not any(rig.answer((3 * HEALTHY + 2000) * MS, q_a).effort)
     assert rig.controller("enabling") == "off"
     assert _enable(rig).success
+
+
+def test_a_second_publisher_of_states_is_told_and_named_and_a_fault_once_it_speaks(rig: Rig, q_a: np.ndarray) -> None:
+    """Its states are in order and could be the robot's: their numbers tell that there are two."""
+    told = "2 publishers on /joint_states; the limit is 1: end all but one (2 x /rig)"
+    rig.hold((k * MS for k in range(HEALTHY + 5)), q_a)
+    rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+    other = rig.node.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
+    rig.until(lambda: other.get_subscription_count() == 1, "the other does not match")
+    rig.until(lambda: rig.controller("state_publishers") == told, "not named")
+    rig.until(lambda: f"{told}; one speaks" in rig.controller("message"), "not told")
+    assert (rig.controller("phase"), rig.controller("level")) == ("HOLD", "1")
+    message = JointState(name=["q11", "q21"], position=q_a.tolist(), header=Header(stamp=to_time((HEALTHY + 5) * MS)))
+    other.publish(message)
+    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    assert rig.controller("reason") == told
+    for refused in (_reset(rig), _enable(rig)):
+        assert (refused.success, refused.message) == (False, told)
+    rig.node.destroy_publisher(other)
+    rig.until(lambda: rig.controller("state_publishers") == "", "still counted")
+    rig.hold(((HEALTHY + 6 + k) * MS for k in range(HEALTHY + 5)), q_a)
+    assert _reset(rig).success
+
+
+def test_a_state_that_cannot_be_used_is_told_with_who_sends_states(rig: Rig, q_a: np.ndarray) -> None:
+    """As of a second plant in lockstep, whose time begins at 0."""
+    rig.hold(((k + 1) * MS for k in range(HEALTHY + 5)), q_a)
+    rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+    other = rig.node.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
+    rig.until(lambda: other.get_subscription_count() == 1, "the other does not match")
+    other.publish(JointState(name=["q11", "q21"], position=q_a.tolist()))
+    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    assert rig.controller("reason").startswith("state at 0.000000 s is not after the last one at 0.055000 s; 2 publishers on")
+    assert "2 publishers on /joint_states" in rig.controller("last_trouble")
+    rig.node.destroy_publisher(other)
+    rig.until(lambda: rig.controller("state_publishers") == "", "still counted")
+
+
+def test_a_second_server_of_trajectories_is_told(rig: Rig) -> None:
+    other = rig.node.create_publisher(MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY))
+    rig.until(lambda: "2 publishers on /trajectory" in rig.controller("message"), "not told")
+    rig.node.destroy_publisher(other)
+    rig.until(lambda: "/trajectory" not in rig.controller("message"), "still counted")
+
+
+def test_a_refusal_says_what_to_call_next(rig: Rig, q_a: np.ndarray, trip: Plan) -> None:
+    calls = "call /controller/reset, then /controller/enable with data true"
+    rig.hold((k * MS for k in range(HEALTHY + 5)), q_a)
+    rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
+    assert rig.controller("next_step") == ""
+    rig.answer((HEALTHY + 40) * MS, q_a)
+    rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
+    rig.hold(((HEALTHY + 40 + k) * MS for k in range(1, HEALTHY + 5)), q_a)
+    refused = _enable(rig)
+    assert not refused.success
+    assert refused.message.startswith("phase FAULT no state for 36.0 ms")
+    assert refused.message.endswith(f"; {calls}")
+    _serve(rig, trip)
+    told = f"the controller is in FAULT: {calls}, then serve it again"
+    rig.until(lambda: told in rig.controller("trajectory"), "not refused with what to call")
+    assert _reset(rig).success
+    nothing = _reset(rig)  # nothing is latched any more
+    assert (nothing.success, nothing.message) == (True, "phase IDLE")
+    rig.until(lambda: rig.controller("next_step") == "call /controller/enable with data true", "no next step")
+    assert _enable(rig).success
+    refused = _reset(rig)
+    assert (refused.success, refused.message) == (False, "phase HOLD: there is nothing to reset")

@@ -10,7 +10,7 @@ DESCRIPTION = (
     "Watches the driver of a real-time rig: topics, types, QoS, names, sizes, numbers, rate, stamps, geometry. Then, after a"
     " yes on the terminal or with --yes, sends small torques, stops sending, and sends NaN, and watches what the robot does;"
     " zero torque comes last, whatever happens. A real rig's own limits and emergency stop must work before. Exit code 0 when"
-    " nothing failed (lines may be skipped), 1 when a line failed, 2 for a wrong argument."
+    " nothing failed (lines may be skipped, or noted: the controller does without), 1 when a line failed, 2 for a wrong argument."
 )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -113,6 +115,23 @@ def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoS
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
     )
+
+
+class WithInfo:
+    """A subscription's callback that wants the MessageInfo too, for both kinds of executor.
+
+    rclpy's events executor (7.1) hands message and info over as one tuple, the others as two arguments.
+    """
+
+    __signature__ = inspect.signature(lambda message, info: None)  # noqa: ARG005  by which rclpy tells what is wanted
+
+    def __init__(self, take: Callable[[bytes, Mapping[str, int]], None]) -> None:
+        self._take = take
+
+    def __call__(self, *given: Any) -> None:
+        """One message."""
+        message, info = given if len(given) == 2 else given[0]
+        self._take(message, info)
 
 
 class DextarNode(Node):
@@ -240,6 +259,19 @@ class DextarNode(Node):
 
     def on_parameters(self, changes: Mapping[str, Any]) -> None:
         """Take live changes, already in ``values``; raise a DextarError to refuse them all."""
+
+    def too_many_publishers(self, topic: str) -> str:
+        """Who publishes a topic that may have one publisher, in words, where it has more; empty otherwise.
+
+        The graph keeps a publisher that was killed for some time (Fast DDS: up to 20 s), and knows it before its node's name.
+        """
+        count = self.count_publishers(topic)
+        if count <= 1:
+            return ""
+        infos = [info for info in self.get_publishers_info_by_topic(topic) if "UNKNOWN" not in info.node_name]
+        named = Counter(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
+        names = ", ".join(name if many == 1 else f"{many} x {name}" for name, many in sorted(named.items()))
+        return f"{count} publishers on {topic}; the limit is 1: end all but one{f' ({names})' if names else ''}"
 
     def publish_diagnostics(self, level: bytes, message: str, values: Mapping[str, Any]) -> None:
         """One DiagnosticStatus on ``/diagnostics``, numbers as their shortest exact text."""

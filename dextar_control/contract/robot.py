@@ -4,17 +4,36 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.errors import ParameterError, StateError
 from dextar_control.contract.yaml_text import load_parameters
 
 PREFIX = "robot."  # of the robot's parameters in a node
 JOINT_NAMES = ("q11", "q21")
 SIM_JOINT_NAMES = ("q11", "q12", "q21", "q22")
+
+
+def joint_positions(names: Sequence[str], positions: Sequence[float]) -> tuple[float, ...]:
+    """Positions of q11 and q21, rad, by name: all that a controller uses of a joint state beside its stamp.
+
+    Other joints, velocities and efforts may be there or not, and may be NaN. Of a name that stands there twice the first counts.
+
+    Raises:
+        StateError: a name is missing, sizes differ or a number is not finite.
+    """
+    missing = [name for name in JOINT_NAMES if name not in names]
+    if missing:
+        raise StateError(f"joint state names are {list(names)}; '{missing[0]}' is missing")
+    if len(positions) != len(names):
+        raise StateError(f"joint state has {len(positions)} positions for {len(names)} names")
+    q_a = tuple(float(positions[names.index(name)]) for name in JOINT_NAMES)
+    if not all(math.isfinite(angle) for angle in q_a):
+        raise StateError(f"joint state positions are {list(q_a)}; they must be finite")
+    return q_a
 
 
 @dataclass(frozen=True)

@@ -225,10 +225,13 @@ class ControlLoop:
         if not distance <= self.settings.max_start_distance:
             raise TrajectoryError(
                 f"the trajectory starts in ({first[0]:.4f}, {first[1]:.4f}) m, {distance:.4f} m from the robot;"
-                f" the limit is {self.settings.max_start_distance} m"
+                f" the limit is {self.settings.max_start_distance} m: serve one that starts where the robot stands"
             )
         if start is not None and time - start > START_MARGIN:
-            raise TrajectoryError(f"the trajectory starts at {start:.6f} s; the last state is of {time:.6f} s")
+            raise TrajectoryError(
+                f"the trajectory starts at {start:.6f} s; the last state is of {time:.6f} s:"
+                " serve it with a later start, or with 0"
+            )
 
     def enable(self) -> None:
         """Leave IDLE and hold the present point.
@@ -285,7 +288,9 @@ class ControlLoop:
             StateError: the loop is holding or moving, or the robot stands where the estimator would not keep it.
         """
         if self.phase not in LIMP:
-            raise StateError(f"the assembly mode can be told in IDLE, SAFE_STOP or FAULT; the phase is {self.phase.name}")
+            raise StateError(
+                f"the assembly mode can be told in IDLE, SAFE_STOP or FAULT; the phase is {self.phase.name}: disable first"
+            )
         if not math.isnan(self._time) and not self._standing()[0] >= self.estimator.unknown_s:
             raise StateError(f"{self._too_near()} move it by hand to |s| >= {self.hold_s:.2f}, then set assembly_mode")
         self._assembly_mode = assembly_mode
@@ -359,7 +364,7 @@ class ControlLoop:
         if not np.hypot(*wrapped(kin.q_a - q_a)) < 1e-6:
             raise StateError(
                 f"active joints ({q_a[0]:.4f}, {q_a[1]:.4f}) rad with assembly mode {self._assembly_mode:+d} are not in"
-                f" working mode {self.robot.working_mode}"
+                f" working mode {self.robot.working_mode}: check offset and sign of the encoders, assembly_mode, working_mode"
             )
         s = abs(float(singularity(self.model, kin.A_r)))
         if self.phase == Phase.HOLD and s < self.hold_s:

@@ -1,4 +1,4 @@
-"""Whether joint states come as they should, and for how long they have."""
+"""Whether joint states come as they should, for how long they have, and whether one publisher alone sends them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ import math
 from dextar_control.contract.errors import StateError
 
 NANOSECONDS = 1_000_000_000
+UNNUMBERED = (0, 2**64 - 1)
+"""What stands for a message's number where the middleware does not count them."""
+MIXED = 2.0
+"""s for which a number that steps back says that a second publisher speaks; a plant in lockstep repeats each 0.5 s."""
 
 
 class StateStream:
@@ -23,6 +27,25 @@ class StateStream:
         self.trouble = ""
         self._first = self._last = -1  # ns, stamps
         self._first_arrival = self._last_arrival = math.nan  # s
+        self._number: int | None = None
+        self._stepped_back = -math.inf  # s
+
+    def hear(self, number: int | None, now: float) -> None:
+        """A state has come, used or not; each publisher numbers its own, so a number that does not rise is another's.
+
+        Args:
+            number: None or one of ``UNNUMBERED`` where there is none.
+            now: on the steady clock, s.
+        """
+        if number is None or number in UNNUMBERED:
+            return
+        if self._number is not None and number <= self._number:
+            self._stepped_back = now
+        self._number = number
+
+    def mixed(self, now: float) -> bool:
+        """Whether another publisher's state came within the last ``MIXED``: a second one, or one that was started again."""
+        return now - self._stepped_back <= MIXED
 
     def take(self, stamp: int, limit: float, arrival: float | None = None) -> None:
         """A state that can be used.
@@ -74,7 +97,8 @@ class StateStream:
         """
         age = math.nan if now is None or self._last < 0 else now - self._last_arrival
         if age > limit:
-            raise StateError(f"no state for {1e3 * age:.0f} ms; the limit is {1e3 * limit:.1f} ms")
+            told = f"no state for {1e3 * age:.0f} ms; the limit is {1e3 * limit:.1f} ms"
+            raise StateError(f"{told}: see that the rig or plant runs")
         healthy = self.healthy_for(limit, now)
         if healthy < needed:
             cause = f" (last: {self.trouble})" if self.trouble else ""

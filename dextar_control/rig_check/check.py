@@ -15,7 +15,7 @@ NEEDED_FOR_TORQUE = (
     "topics", "types", "QoS", "only commander", "states", "joint names", "array sizes", "finite numbers", "stamp period",
     "closes",
 )  # fmt: skip
-"""Lines that must hold before a torque is sent."""
+"""Lines that must hold, as far as the controller needs them, before a torque is sent."""
 
 
 def watch_lines(
@@ -37,7 +37,7 @@ def torque_obstacle(lines: Sequence[Line]) -> str:
     """Why no torque may be sent after these lines; empty when it may."""
     results = {line.name: line.result for line in lines}
     bad = [name for name in NEEDED_FOR_TORQUE if results.get(name) is Result.FAIL]
-    bad = bad or [name for name in NEEDED_FOR_TORQUE if results.get(name) is not Result.PASS]
+    bad = bad or [name for name in NEEDED_FOR_TORQUE if results.get(name) not in (Result.PASS, Result.NOTE)]
     return f"needs the line{'s' if len(bad) > 1 else ''} {', '.join(bad)}" if bad else ""
 
 

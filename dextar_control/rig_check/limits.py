@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.resources import node_defaults
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,9 @@ class Limits:
         closing: by which the distal links may miss each other, m.
         watchdog: the drive's declared time-out, s.
         watchdog_margin: for the way of a command and of a state, beyond two periods, s.
+        healthy_time: for which states must come as they should before the controller enables, s.
+        joint_margin: by which a joint may be outside its range, rad.
+        assembly_mode: sign of s where the controller expects the robot to stand.
         torque: of the tests, N m.
         pulse: shortest time at one torque, s.
         max_move: of a joint from where a test began, rad; more ends the tests.
@@ -42,6 +46,9 @@ class Limits:
     ahead: float = 0.005
     closing: float = 1.0e-3
     watchdog_margin: float = 0.01
+    healthy_time: float = field(default_factory=lambda: float(node_defaults("controller")["healthy_time"]))
+    joint_margin: float = field(default_factory=lambda: float(node_defaults("controller")["joint_margin"]))
+    assembly_mode: int = field(default_factory=lambda: int(node_defaults("controller")["assembly_mode"]))
     torque: float = 0.005
     pulse: float = 0.1
     max_move: float = 0.1
@@ -50,7 +57,7 @@ class Limits:
     def __post_init__(self) -> None:
         for item in fields(self):
             value = getattr(self, item.name)
-            if not (math.isfinite(value) and value > 0.0):
+            if item.name not in FREE and not (math.isfinite(value) and value > 0.0):
                 raise ParameterError(f"{item.name} = {value}; it must be > 0")
         if self.torque > self.max_torque:
             raise ParameterError(f"test torque = {self.torque} N m; it must be <= {self.max_torque} N m, the robot's max_torque")
@@ -69,6 +76,8 @@ class Limits:
         return self.watchdog + self.watchdog_margin + 2.0 * self.period
 
 
+FREE = ("healthy_time", "joint_margin", "assembly_mode")
+"""Limits that are the controller's own parameters, and in their ranges."""
 MIN_SAMPLES = 20
 """States in one pulse at the expected rate, so that a response can be judged."""
 MIN_DOUBLET = 30

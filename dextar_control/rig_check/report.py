@@ -13,6 +13,7 @@ class Result(Enum):
     PASS = "PASS"
     FAIL = "FAIL"
     SKIP = "SKIP"
+    NOTE = "NOTE"
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class Line:
 
     Attributes:
         name: of the requirement, one of ``LINES``.
-        result: whether it is met; SKIP where it could not be tried.
+        result: whether it is met; SKIP where it could not be tried, NOTE where it is not met and the controller does without.
         measured: in words, with unit.
         limit: in words, with unit.
         numbers: the measured ones, SI units, for machines.
@@ -37,19 +38,20 @@ class Line:
 LINES = {
     "topics": "states have one publisher, commands a subscriber",
     "types": "of both topics",
-    "QoS": "states are offered reliably, commands are received from a reliable, volatile publisher",
+    "QoS": "states can be read, reliably too; commands are received from a reliable, volatile publisher",
     "only commander": "nobody else publishes commands",
     "states": "a stream of new states, in real time",
-    "joint names": "q11 and q21, each once, in any order",
+    "joint names": "q11 and q21 in each state, each once, in any order, beside other joints or not",
     "array sizes": "as many positions as names; velocities and efforts too, or none",
-    "finite numbers": "no NaN, no infinity",
+    "finite numbers": "the positions of q11 and q21 are neither NaN nor infinite",
     "rate": "mean, by arrival",
     "jitter": "99th percentile of how far an interval between arrivals is from the period",
-    "longest gap": "between two arrivals",
-    "stamps rise": "strictly",
+    "longest gap": "between two arrivals, and between their stamps",
+    "stamps rise": "from each state to the next",
     "stamp age": "median at arrival, against the system clock",
     "stamp period": "the same as that of the arrivals",
     "closes": "the distal links can meet at the measured angles",
+    "mode and range": "the measured angles are those of the robot's working mode, and in the joints' ranges",
     "velocity": "the integral of the velocity is the change of position",
     "effort feedback": "of both motors, in each state",
     "response q11": "effort follows a small torque and the joint moves its way, both signs",
@@ -76,6 +78,11 @@ def failed(name: str, measured: str, limit: str = "", **numbers: float) -> Line:
 def skipped(name: str, reason: str) -> Line:
     """The requirement could not be tried, and why."""
     return Line(name, Result.SKIP, reason)
+
+
+def noted(name: str, measured: str, limit: str = "", **numbers: float) -> Line:
+    """The requirement is not met, but the controller does without."""
+    return Line(name, Result.NOTE, measured, limit, numbers)
 
 
 def judged(ok: bool, name: str, measured: str, limit: str = "", **numbers: float) -> Line:

@@ -7,7 +7,7 @@ import numpy as np
 from dextar_control.contract.robot import JOINT_NAMES
 from dextar_control.rig_check.limits import EFFORT_SHARE, MIN_DOUBLET, MIN_MOVE, Limits
 from dextar_control.rig_check.report import Line, failed, judged, skipped
-from dextar_control.rig_check.samples import NANOSECOND, Array, by_name, times
+from dextar_control.rig_check.samples import NANOSECOND, Array, by_name, joint_angles, times
 from dextar_control.rig_check.trial import Torque, Trial
 
 SETTLED = 0.5  # of a pulse, after which the effort counts
@@ -46,7 +46,7 @@ def movements(trial: Trial) -> tuple[float, float, float]:
 
     Positions are fitted by a drift and the torques integrated twice, + and - apart; noise is what the fit leaves.
     """
-    kept, q_a = by_name(trial.samples, "position")
+    kept, q_a = joint_angles(trial.samples)
     answer = dict(zip((id(sample) for sample in trial.samples), trial.answers, strict=True))
     commands: list[Torque | None] = [answer[id(sample)] for sample in kept]
     torque = np.nan_to_num([0.0 if command is None else command[trial.joint] for command in commands])  # NaN is refused
@@ -113,13 +113,13 @@ def nan_line(trial: Trial, limits: Limits, *, responds: bool) -> Line:
     """
     tolerance = EFFORT_SHARE * limits.torque
     wanted = f"effort below {tolerance:.2g} N m, finite numbers, then follows again"
-    under = trial.of("nan")
-    worst, odd = 0.0, 0
-    for sample in under:
-        numbers = np.array([*sample.position, *sample.velocity, *sample.effort])
-        odd += not np.isfinite(numbers).all()
-        worst = max([worst, *(abs(value) for value in sample.effort if np.isfinite(value))])
-    text = f"under NaN: effort at most {worst:.4f} N m, {odd} of {len(under)} states not finite"
+    rest, under = trial.of("rest"), trial.of("nan")
+    told = [field for field in ("position", "velocity", "effort") if by_name(rest, field)[0]]  # what is NaN anyway tells nothing
+    finite = [{id(sample) for sample in by_name(under, field)[0]} for field in told]
+    odd = sum(any(id(sample) not in good for good in finite) for sample in under)
+    worst = float(np.abs(by_name(under, "effort")[1]).max(initial=0.0))
+    effort = f"effort at most {worst:.4f} N m" if "effort" in told else "no effort is told"
+    text = f"under NaN: {effort}, {odd} of {len(under)} states not finite"
     if trial.trouble:
         return failed("refuses NaN", f"{text}; {trial.trouble}", wanted, effort=worst, odd=odd)
     if odd or worst > tolerance or len(under) < FEW:

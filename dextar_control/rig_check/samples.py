@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dextar_control.contract.robot import JOINT_NAMES
+from dextar_control.contract.errors import StateError
+from dextar_control.contract.robot import JOINT_NAMES, joint_positions
 
 Array = NDArray[np.float64]
 NANOSECOND = 1.0e-9  # s
@@ -79,6 +80,21 @@ def by_name(samples: Iterable[Sample], field: str) -> tuple[list[Sample], Array]
             kept.append(sample)
             rows.append(row)
     return kept, np.array(rows, dtype=np.float64).reshape(-1, 2)
+
+
+def joint_angles(samples: Iterable[Sample]) -> tuple[list[Sample], Array]:
+    """The samples that the controller can use, and their joint angles (n, 2), rad, without the encoders' whole turns.
+
+    The controller takes an angle on any turn: one that wraps has moved as little as it can have.
+    """
+    kept, rows = [], []
+    for sample in samples:
+        try:
+            rows.append(joint_positions(sample.names, sample.position))
+        except StateError:
+            continue
+        kept.append(sample)
+    return kept, np.unwrap(np.array(rows, dtype=np.float64).reshape(-1, 2), axis=0)
 
 
 def times(samples: Sequence[Sample]) -> Array:

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dextar_control.contract.robot import JOINT_NAMES
+from dextar_control.contract.errors import StateError
+from dextar_control.contract.robot import JOINT_NAMES, joint_positions
 from dextar_control.rig_check.limits import Limits
 from dextar_control.rig_check.samples import NANOSECOND, Sample
 
@@ -105,6 +106,7 @@ class Trial:
     finished: bool = False
     _start: int = 0
     _origin: np.ndarray | None = None
+    _last: np.ndarray | None = None
     _recent: deque[tuple[Sample, np.ndarray]] = field(default_factory=deque)
 
     def __post_init__(self) -> None:
@@ -157,16 +159,15 @@ class Trial:
         self.finished = True
 
     def _watch(self, sample: Sample) -> None:
-        """End the test when a position is no number, too far from the start, or changes too quickly."""
-        if len(sample.position) != len(sample.names) or any(name not in sample.names for name in JOINT_NAMES):
-            self._end(f"a state with names {list(sample.names)} and {len(sample.position)} positions")
+        """End the test when the controller could not use the state, or a joint is too far from the start or too quick."""
+        try:
+            q_a = np.array(joint_positions(sample.names, sample.position))
+        except StateError as error:
+            self._end(str(error))
             return
-        q_a = np.array([sample.position[sample.names.index(name)] for name in JOINT_NAMES])
-        if not np.isfinite(q_a).all():
-            self._end(f"position {q_a.tolist()} rad is not finite")
-            return
-        if self._origin is None:
-            self._origin = q_a
+        if self._origin is None or self._last is None:
+            self._origin = self._last = q_a
+        self._last = q_a = np.unwrap([self._last, q_a], axis=0)[1]
         move = np.abs(q_a - self._origin)
         worst = int(np.argmax(move))
         if move[worst] > self.limits.max_move:

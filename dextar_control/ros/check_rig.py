@@ -125,6 +125,11 @@ class RigWatch(Node):
         return self.count_publishers(self._commands_name) - (self._commands is not None)
 
     @property
+    def drivers(self) -> int:
+        """Publishers of states."""
+        return int(self.count_publishers(self._states.topic_name))
+
+    @property
     def heard(self) -> bool:
         """Somebody receives our commands."""
         return self._commands is not None and self._commands.get_subscription_count() > 0
@@ -297,7 +302,7 @@ def _permission(console: Terminal, stop: StopSignal, limits: Limits, arguments: 
 
 
 def _torque(console: Terminal, node: RigWatch, stop: StopSignal, tests: TorqueTests) -> Line | None:
-    """Run the tests with torque; the line that another commander earns, or None."""
+    """Run the tests with torque; the line that another commander or another driver earns, or None."""
     if node.others:
         tests.stop("another commander came")
         return _second(node)
@@ -327,6 +332,10 @@ def _torque(console: Terminal, node: RigWatch, stop: StopSignal, tests: TorqueTe
                     node.command(NO_TORQUE)
                     tests.stop("another commander came")
                     return _second(node)
+                if node.drivers > 1:
+                    node.command(NO_TORQUE)
+                    tests.stop("another publisher of joint states came")
+                    return _second_driver(node)
             _answer(node, tests)
     node.release()
     return None
@@ -351,7 +360,12 @@ def _second(node: RigWatch) -> Line:
     return failed("only commander", f"{node.others} other while torque was to be sent ({names})", "0")
 
 
-STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.SKIP: "yellow"}
+def _second_driver(node: RigWatch) -> Line:
+    names = ", ".join(sorted(end.node for end in _settled(node, 0.0).drivers)) or "unknown"
+    return failed("topics", f"{node.drivers} publishers of states while torque was sent ({names})", "1 publisher")
+
+
+STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.SKIP: "yellow", Result.NOTE: "cyan"}
 
 
 def table(lines: Sequence[Line], graph: Graph) -> Table:
@@ -366,7 +380,8 @@ def table(lines: Sequence[Line], graph: Graph) -> Table:
 
 def _note(console: Terminal, lines: Sequence[Line]) -> None:
     counts = {result: sum(line.result is result for line in lines) for result in Result}
-    console.print(f"{counts[Result.PASS]} passed, {counts[Result.FAIL]} failed, {counts[Result.SKIP]} skipped")
+    notes = f", {counts[Result.NOTE]} noted: not needed by the controller" if counts[Result.NOTE] else ""
+    console.print(f"{counts[Result.PASS]} passed, {counts[Result.FAIL]} failed, {counts[Result.SKIP]} skipped{notes}")
     for line in lines:
         if line.result is Result.FAIL:
             text = f"FAIL {line.name} ({LINES[line.name]}): {line.measured}; limit {line.limit}"

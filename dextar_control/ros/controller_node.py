@@ -19,8 +19,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS, from_time
 from dextar_control.contract.errors import DextarError, ParameterError, StateError
-from dextar_control.contract.node import Parameter, qos, run_node
-from dextar_control.contract.topics import JOINT_STATES
+from dextar_control.contract.node import Parameter, WithInfo, qos, run_node
+from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
 from dextar_control.core.law import Law
 from dextar_control.core.loop import LIMP, OPEN_BEFORE, ControlLoop, Passed, Phase, Tick
 from dextar_control.core.settings import Estimation, Settings
@@ -30,6 +30,7 @@ from dextar_control.ros import messages
 from dextar_control.ros.controller_report import loop_values, waiting_for
 from dextar_control.ros.external_pose import ExternalPoseReader
 from dextar_control.ros.lifecycle import ManagedNode
+from dextar_control.ros.next_step import next_step
 from dextar_control.ros.outputs import Outputs
 from dextar_control.ros.reference import ReferenceReader
 from dextar_control.ros.statistics import Statistics
@@ -146,8 +147,9 @@ class ControllerNode(ManagedNode):
         self._enabling = "off"
         self._side_unknown = False
         self._latched: tuple[str, int] = ("", 0)
-        self._others = ""
+        self._others = self._rivals = ""
         self._stamp = -1
+        self._published = 0
         self._stalled = False
         self._refusal = ""
         self._said: tuple[Phase, str] = (Phase.IDLE, "")
@@ -184,7 +186,7 @@ class ControllerNode(ManagedNode):
         if self._poses is not None:
             self._closers.append(self._poses.close)
         states = self.create_subscription(
-            JointState, JOINT_STATES.name, self._on_state, qos(JOINT_STATES, reliable=self._lockstep), raw=True
+            JointState, JOINT_STATES.name, WithInfo(self._hear), qos(JOINT_STATES, reliable=self._lockstep), raw=True
         )
         self._closers.append(lambda: self.destroy_subscription(states))
         self._automatic = values["enabled"] and not self._latched[0]  # after a fault somebody has to ask
@@ -232,7 +234,7 @@ class ControllerNode(ManagedNode):
 
     def cleanup(self) -> None:
         """Drop the loop and everything on the network but services and diagnostics; a latched fault still is."""
-        self._loop, self._others = None, ""
+        self._loop, self._others, self._rivals = None, "", ""
         while self._closers:
             self._closers.pop()()
 
@@ -269,6 +271,12 @@ class ControllerNode(ManagedNode):
         """The steady clock, s; None in lockstep, where states may come at any pace."""
         return None if self._lockstep else time.perf_counter()
 
+    def _hear(self, raw: bytes, info: Mapping[str, int]) -> None:
+        """A state, and what the middleware tells of it: its publisher's number, and when it was sent."""
+        self._stream.hear(info.get("publication_sequence_number"), time.perf_counter())
+        self._published = info.get("source_timestamp", 0)
+        self._on_state(raw)
+
     def _on_state(self, raw: bytes) -> None:
         loop = self._loop
         if loop is None or not self._active:
@@ -295,7 +303,7 @@ class ControllerNode(ManagedNode):
         self._outputs.answer(stamp, tau, loop.tick, self._verdict(loop, loop.tick))
         if (loop.phase, loop.reason) != self._said:
             self._say(answered=True)
-        self._statistics.arrived(stamp, begin)
+        self._statistics.arrived(stamp, begin, self._published)
         self._statistics.worked(time.perf_counter() - begin)
         if loop.refusal != self._refusal:
             self._refusal = loop.refusal
@@ -342,11 +350,13 @@ class ControllerNode(ManagedNode):
     def _refuse(self, loop: ControlLoop, error: DextarError) -> None:
         """No torque for a state that cannot be used; a broken first state or a bad number is a fault."""
         self._statistics.counts["refused_states"] += 1
-        self._stream.spoil(str(error))
+        self._look_at_publishers()
+        reason = f"{error}; {self._rivals}" if self._rivals else str(error)
+        self._stream.spoil(reason)
         if loop.phase not in (Phase.IDLE, Phase.FAULT) and isinstance(error, StateError):
-            loop.fault(str(error))
+            loop.fault(reason)
         else:
-            self.get_logger().error(str(error), throttle_duration_sec=1.0)
+            self.get_logger().error(reason, throttle_duration_sec=1.0)
         if (loop.phase, loop.reason) != self._said:
             self._say()
 
@@ -354,13 +364,15 @@ class ControllerNode(ManagedNode):
         """Tell a change of phase; one that no state has answered yet takes the torque away at once."""
         loop = self._loop
         assert loop is not None
+        if loop.phase in LATCHED and self._said[0] is not loop.phase:
+            loop.reason = "; ".join([loop.reason, *self._what_disturbed(loop)])
         before, self._said = self._said, (loop.phase, loop.reason)
         if not answered and loop.phase in LIMP:
             self._outputs.release()
         if loop.phase in LATCHED:
             self._latched = (loop.reason, self._latched[1] if before[0] is loop.phase else self.unstepped_clock.now())
             self._reference.drop()
-            self.get_logger().error(f"{loop.phase.name}: {loop.reason}")
+            self.get_logger().error(f"{loop.phase.name}: {loop.reason}; {self._next_step()}")
         else:
             self._latched = ("", 0)
             self.get_logger().info(f"phase {loop.phase.name}")
@@ -373,6 +385,7 @@ class ControllerNode(ManagedNode):
         if loop is None:
             return
         self._others = self._outputs.others()
+        self._look_at_publishers()
         if not self._active:
             return
         now = self._stamp / NANOSECONDS if self._stamp >= 0 else math.nan
@@ -382,11 +395,31 @@ class ControllerNode(ManagedNode):
         self._tell_pose()
         if loop.phase in (Phase.IDLE, Phase.FAULT):
             return
-        if self._others:
-            loop.fault(self._others)
+        if self._others or self._contested:
+            loop.fault(self._others or self._rivals)
         self._watch_stall(loop)
         if (loop.phase, loop.reason) != self._said:
             self._say()
+
+    def _look_at_publishers(self) -> None:
+        self._rivals = self.too_many_publishers(self.resolve_topic_name(JOINT_STATES.name))
+
+    @property
+    def _contested(self) -> bool:
+        """Whether two publishers send joint states: there are two, and another's state came lately. A silent one does no harm."""
+        return bool(self._rivals) and self._stream.mixed(time.perf_counter())
+
+    def _what_disturbed(self, loop: ControlLoop) -> list[str]:
+        """What else was wrong when the loop let go, and may be why: a second rig, or in real time commands that came too late."""
+        told = [self._rivals] if self._contested and self._rivals not in loop.reason else []
+        if loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep:
+            told.append(self._statistics.lateness(self._period))
+        return [text for text in told if text]
+
+    def _next_step(self) -> str:
+        """What to call for a robot that is held."""
+        phase = self._loop.phase.name if self._loop is not None else ""
+        return next_step(self.get_fully_qualified_name(), self.lifecycle, phase, self._enabling)
 
     def _watch_stall(self, loop: ControlLoop) -> None:
         """No state on the steady clock: no torque at once, and after a while a fault."""
@@ -424,9 +457,9 @@ class ControllerNode(ManagedNode):
     def _check_ready(self) -> None:
         """Raise StateError where torque may not be asked for: somebody else commands, or the states are not healthy."""
         if not self._active:
-            raise StateError(f"the controller is {self.lifecycle}; activate it first")
-        if self._others:
-            raise StateError(self._others)
+            raise StateError(f"the controller is {self.lifecycle}; {self._next_step()}")
+        if self._others or self._contested:
+            raise StateError(self._others or self._rivals)
         self._stream.check(self.values["healthy_time"], self.values["state_timeout"], self._now())
 
     def _enable_itself(self) -> None:
@@ -434,12 +467,13 @@ class ControllerNode(ManagedNode):
         assert self._loop is not None
         self._automatic = False
         try:
-            if self._others:
-                raise StateError(self._others)
+            self._look_at_publishers()
+            if self._others or self._contested:
+                raise StateError(self._others or self._rivals)
             self._enable(self._loop)
         except StateError as error:
             self._enabling = f"refused: {error}"
-            self.get_logger().error(f"not enabled: {error}; ~/enable asks again")
+            self.get_logger().error(f"not enabled: {error}; then {self._next_step()}")
             if self._reference.waiting is not None:
                 self._reference.refuse(f"the controller was not enabled: {error}")
             self._diagnose()
@@ -487,6 +521,8 @@ class ControllerNode(ManagedNode):
                 loop.reset()
         except StateError as error:
             return self._answer(response, False, str(error))
+        if loop is not None and self._active and loop.phase not in (Phase.IDLE, *LATCHED):
+            return self._answer(response, False, f"phase {loop.phase.name}: there is nothing to reset")
         return self._answer(response, loop is not None and loop.phase is Phase.IDLE)
 
     def _answer(self, response: Any, success: bool, message: str = "") -> Any:
@@ -495,6 +531,8 @@ class ControllerNode(ManagedNode):
         if loop is not None and self._active and (loop.phase, loop.reason) != self._said:
             self._say()
         state = f"phase {loop.phase.name} {loop.reason}".strip() if loop is not None and self._active else self.lifecycle
+        if not success and (step := self._next_step()):
+            state = f"{state}; {step}"
         response.success, response.message = success, message or state
         return response
 
@@ -511,7 +549,8 @@ class ControllerNode(ManagedNode):
             "healthy": round(self._stream.healthy_for(limit, self._now()), 3), "last_trouble": self._stream.trouble,
             "trajectory": self._reference.note,
             "waiting_for": waiting_for(self._reference), **loop_values(loop, self._begun + 1),
-            "other_commanders": self._others, "requests": self.desk.served,
+            "other_commanders": self._others, "state_publishers": self._rivals, "next_step": self._next_step(),
+            "requests": self.desk.served,
         }  # fmt: skip
         if self._poses is not None:
             values |= {"poses": self._poses.received, "refused_poses": self._poses.refused, "pose_note": self._pose_complaint()}
@@ -526,7 +565,7 @@ class ControllerNode(ManagedNode):
 
     def _warnings(self, limit: float) -> list[str]:
         """What an operator should look at."""
-        told = [self._others, self._pose_complaint()]
+        told = [self._others, self._told_rivals(), self._other_servers(), self._pose_complaint()]
         if self._active and not self._lockstep:
             age = time.perf_counter() - self._statistics.arrival
             told += [f"no state for {age:.1f} s"] if age > limit else self._statistics.warnings(self._period)
@@ -535,6 +574,13 @@ class ControllerNode(ManagedNode):
         if self._enabling.startswith("refused"):
             told.append(f"enabling was {self._enabling}")
         return [text for text in told if text]
+
+    def _told_rivals(self) -> str:
+        return self._rivals if self._contested or not self._rivals else f"{self._rivals}; one speaks"
+
+    def _other_servers(self) -> str:
+        """Trajectories by two hands: the newest one counts, whoever serves it."""
+        return self.too_many_publishers(self.resolve_topic_name(TRAJECTORY.name))
 
     def close(self) -> None:
         """A last word, and zero torque in answer to the last state."""

@@ -21,7 +21,7 @@ from trajectory_msgs.msg import (
 
 from dextar_control.contract.cdr import NANOSECONDS, CdrTemplate, to_time
 from dextar_control.contract.errors import StateError, TrajectoryError
-from dextar_control.contract.robot import JOINT_NAMES
+from dextar_control.contract.robot import JOINT_NAMES, joint_positions
 from dextar_control.contract.topics import BASE_FRAME, CRITERION_NAMES, END_EFFECTOR_NAME, PLATFORM_NAMES
 from dextar_control.core.model import Array
 from dextar_control.core.trajectory import Trajectory, quintic
@@ -113,16 +113,7 @@ def active_joints(message: JointState) -> Array:
     Raises:
         StateError: a name is missing, sizes differ or a number is not finite.
     """
-    names = list(message.name)
-    missing = [name for name in JOINT_NAMES if name not in names]
-    if missing:
-        raise StateError(f"joint state names are {names}; '{missing[0]}' is missing")
-    if len(message.position) != len(names):
-        raise StateError(f"joint state has {len(message.position)} positions for {len(names)} names")
-    q_a = np.array([message.position[names.index(name)] for name in JOINT_NAMES])
-    if not np.isfinite(q_a).all():
-        raise StateError(f"joint state positions are {q_a.tolist()}; they must be finite")
-    return q_a
+    return np.array(joint_positions(list(message.name), message.position))
 
 
 def to_trajectory(message: MultiDOFJointTrajectory) -> Trajectory:

@@ -98,9 +98,8 @@ class Outputs:
     def others(self) -> str:
         """Who else publishes commands, in words; empty when nobody does. About 5 us for each topic."""
         for name in self._command_topics:
-            count = self._node.count_publishers(name)
-            if count > 1:
-                return f"{count} publishers on {name}; the limit is 1"
+            if told := self._node.too_many_publishers(name):
+                return told
         return ""
 
     def close(self) -> None:

@@ -173,7 +173,8 @@ class RecorderNode(DextarNode):
 
     def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._recording is not None:
-            response.message = f"already recording to {self._recording.writer.path}"
+            stop = f"{self.get_fully_qualified_name()}/stop"
+            response.message = f"already recording to {self._recording.writer.path}; call {stop} first"
             return response
         self.poll()
         try:
@@ -187,7 +188,7 @@ class RecorderNode(DextarNode):
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         recording = self._recording
         if recording is None:
-            response.message = "not recording"
+            response.message = f"not recording; call {self.get_fully_qualified_name()}/start first"
             return response
         self.poll()
         error = self._end(recording)

@@ -18,6 +18,7 @@ from dextar_control.core.certificate import Certificate
 from dextar_control.core.loop import ControlLoop
 from dextar_control.core.trajectory import Trajectory
 from dextar_control.ros import messages
+from dextar_control.ros.next_step import next_step
 from dextar_control.ros.task import in_words
 
 
@@ -185,9 +186,17 @@ class ReferenceReader:
         if reference.start is not None and reference.start - now > limit:
             raise TrajectoryError(f"the trajectory starts {reference.start - now:.1f} s from now; the limit is {limit:g} s")
         if not keep:
-            loop.schedule(*reference)
+            self._schedule(loop, reference)
         self.note, self.waiting = "accepted", Waiting(reference, clock, not keep)
         self._node.get_logger().info(f"trajectory accepted: {in_words(reference.certificate)}")
+
+    def _schedule(self, loop: ControlLoop, reference: Reference) -> None:
+        """Hand over to the loop; a refusal because of its phase says what to call."""
+        try:
+            loop.schedule(*reference)
+        except TrajectoryError as error:
+            step = next_step(self._node.get_fully_qualified_name(), "active", loop.phase.name)
+            raise TrajectoryError(f"{error}: {step}, then serve it again" if step else str(error)) from error
 
     def _drop_old(self, loop: ControlLoop, limit: float, clock: float) -> None:
         waiting = self.waiting

@@ -22,6 +22,7 @@ from dextar_control.core.model import Array
 from dextar_control.core.planner import PLAN_RESIDUAL, Plan, plan_approach
 from dextar_control.core.trajectory import Trajectory, join
 from dextar_control.ros import messages, task
+from dextar_control.ros.next_step import next_step
 from dextar_control.ros.planning import Worker
 from dextar_control.ros.task import Task, in_words
 
@@ -166,11 +167,11 @@ class TrajectoryServer(DextarNode):
     def _check_robot(self) -> None:
         """Raise TrajectoryError unless the controller holds the robot somewhere known."""
         if time.monotonic() - self._controller_time > FRESH:
-            raise TrajectoryError(f"no word of the controller on {DIAGNOSTICS.name} for {FRESH:.1f} s")
+            raise TrajectoryError(f"no word of {self._controller_name} on {DIAGNOSTICS.name} for {FRESH:.1f} s; see that it runs")
         if reason := self._why_not():
             raise TrajectoryError(reason)
         if not np.isfinite([float(self._controller[axis]) for axis in ("x", "y")]).all():
-            raise TrajectoryError("the controller has had no state yet")
+            raise TrajectoryError("the controller has had no joint state yet; see that the rig or plant runs")
 
     def _why_not(self) -> str:
         """Why the controller would not take a trajectory now, as far as it has told; empty when it would.
@@ -178,18 +179,23 @@ class TrajectoryServer(DextarNode):
         It takes one while it holds, and while it waits to enable itself.
         """
         if not self._controller:
-            return f"no word of the controller on {DIAGNOSTICS.name}"
+            return f"no word of {self._controller_name} on {DIAGNOSTICS.name}; see that it runs"
         lifecycle, phase = self._controller.get("lifecycle", "active"), self._controller.get("phase", "")
+        enabling, reason = self._controller.get("enabling", ""), self._controller.get("reason", "")
+        step = next_step(self._controller_name, lifecycle, phase, enabling)
         if lifecycle != "active":
-            return f"the controller is {lifecycle}; a trip needs an active one"
-        if phase == "HOLD" or (phase == "IDLE" and self._controller.get("enabling") == "waiting"):
+            return f"the controller is {lifecycle}; a trip needs an active one: {step}"
+        if phase == "HOLD" or (phase == "IDLE" and enabling == "waiting"):
             return ""
-        return f"the controller is in phase {phase}; a trip starts from HOLD"
+        return f"the controller is in phase {phase}{f' ({reason})' if reason else ''}; a trip starts from HOLD: {step}"
+
+    @property
+    def _controller_name(self) -> str:
+        return f"{self.get_namespace().rstrip('/')}/controller"
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        wanted = f"{self.get_namespace().rstrip('/')}/controller"
         for status in message.status:
-            if status.name == wanted:
+            if status.name == self._controller_name:
                 self._controller = {item.key: item.value for item in status.values}
                 self._controller_time = time.monotonic()
 
@@ -266,7 +272,8 @@ class TrajectoryServer(DextarNode):
         """Where planning is, and the certificate; ``whole``: with all its crossings, however many."""
         worker = self._worker
         planning = f"{worker.fraction:.0%}, {worker.stage}" if worker.stage else ""
-        values: dict[str, object] = {"served": self._served, "error": self._error, "planning": planning}
+        values: dict[str, object] = {"served": self._served, "error": self._error, "planning": planning,
+                                     "waiting_for": self._why_not() if self._waiting else ""}  # fmt: skip
         certificate = self._certificate
         if certificate is not None:
             told = certificate if whole else certificate._replace(crossings=certificate.crossings[:MOST_TOLD])
@@ -274,9 +281,10 @@ class TrajectoryServer(DextarNode):
                 "crossings": len(certificate.crossings), "peak_torque": certificate.peak_torque,
                 "duration": certificate.duration, "certificate": told.to_json(),
             }  # fmt: skip
-        level = DiagnosticStatus.WARN if self._error else DiagnosticStatus.OK
+        trouble = self._error or self.too_many_publishers(self._trajectory_publisher.topic_name)
+        level = DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK
         state = "planning" if certificate is None or planning else "planned"
-        self.publish_diagnostics(level, self._error or state, values)
+        self.publish_diagnostics(level, trouble or state, values)
 
     def close(self) -> None:
         """A last word; a plan under way is given up."""

@@ -1,0 +1,157 @@
+"""The launch file's arguments: their meaning, and what they may be, checked before anything is compiled or started."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.validate_namespace import validate_namespace
+
+from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.node import Parameter, check_value
+from dextar_control.contract.resources import node_defaults
+from dextar_control.contract.yaml_text import load_parameters
+from dextar_control.core.law import Law
+from dextar_control.core.settings import Estimation
+from dextar_control.ros import task
+
+TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
+"""In any case; launch's own conditions take the first two of each."""
+TASK = {spec.name: spec for spec in task.PARAMETERS}
+
+
+class Argument(NamedTuple):
+    """One launch argument.
+
+    Attributes:
+        default: as it would be typed; empty leaves it to the parameter files.
+        description: for ``--show-args``.
+        kind: switch, word, number, parameter file, bag, or namespace.
+        choices: of a word.
+    """
+
+    default: str
+    description: str
+    kind: str = "switch"
+    choices: tuple[str, ...] = ()
+
+    @property
+    def told(self) -> str:
+        """The description with what may be given."""
+        choices = ("true", "false") if self.kind == "switch" else self.choices
+        return f"{self.description}. One of: {', '.join(choices)}" if choices else self.description
+
+
+ARGUMENTS = {
+    "law": Argument("", "near the locus; empty: params_file's", "word", tuple(law.name.lower() for law in Law)),
+    "estimator": Argument("", "of the platform state; external needs poses, of a camera or the plant's pose_rate; empty:"
+                          " params_file's", "word", tuple(estimator.name.lower() for estimator in Estimation)),
+    "tour": Argument("", "crossings spread over the locus; empty: params_file's", "number"),
+    "lockstep": Argument("false", "each simulated step waits for its command: repeatable, not in real time"),
+    "duration": Argument("", "of one way, s; empty: params_file's", "number"),
+    "window": Argument("false", "PyBullet's own window"),
+    "record": Argument("true", "start the recorder"),
+    "markers": Argument("false", "draw for RViz and Foxglove"),
+    "output": Argument("", "the recording, .mcap; empty: params_file's", "bag"),
+    "autostart": Argument("true", "serve the trip as soon as it is planned"),
+    "activate": Argument("true", "configure and activate the controller at its start; false: ros2 lifecycle set does"),
+    "plant": Argument("true", "start the simulated rig; false where a real one publishes the joint states"),
+    "namespace": Argument("/", "of all nodes, e.g. /left: two robots in one domain", "namespace"),
+    "robot_file": Argument("", "parameter file of the robot", "parameter file"),
+    "params_file": Argument("", "parameter file of the nodes", "parameter file"),
+    "enclaves": Argument("false", "each node in its enclave of config/sros2/policy.xml; with ROS_SECURITY_ENABLE=true"),
+    "discovery_range": Argument("", "who may see and command the nodes; LOCALHOST: this machine only", "word",
+                                ("LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT")),
+}  # fmt: skip
+"""Every argument of the launch file; where its default depends on the installation the launch file sets it."""
+
+
+def read(given: Mapping[str, str]) -> dict[str, Any]:
+    """The arguments' values, of their types; an empty text stands for what is left to the parameter files.
+
+    Args:
+        given: as typed; others than ``ARGUMENTS`` are passed over.
+
+    Raises:
+        ParameterError: one cannot be used; names the argument, its value and what it may be.
+    """
+    values = {name: _value(name, argument, given[name]) for name, argument in ARGUMENTS.items()}
+    numbers = {name: values[name] for name in TASK if name in values and values[name] != ""}
+    if numbers:
+        try:
+            task.Task.from_values({**node_defaults("trajectory_server"), **numbers})
+        except ParameterError as error:
+            shown = ", ".join(f"{name}:={given[name]}" for name in numbers)
+            raise ParameterError(f"launch argument {shown} cannot be used: {error}") from error
+    return values
+
+
+def misspelt(given: Iterable[str]) -> list[str]:
+    """Sentences about names that are no arguments and look like one; launch itself says nothing about them."""
+    told = []
+    for name in given:
+        close = difflib.get_close_matches(name, ARGUMENTS, n=1)
+        if name not in ARGUMENTS and close:
+            told.append(f"launch argument '{name}' is unknown and has no effect; did you mean '{close[0]}'?")
+    return told
+
+
+def _value(name: str, argument: Argument, text: str) -> Any:
+    def fail(limit: str) -> ParameterError:
+        return ParameterError(f"launch argument '{name}' = '{text}'; it must be {limit}")
+
+    plain, kind = text.strip(), argument.kind
+    if kind == "switch":
+        if plain.lower() not in TRUE + FALSE:
+            raise fail("true or false")
+        return plain.lower() in TRUE
+    if kind == "parameter file":
+        return _checked_file(plain, fail)
+    if kind == "namespace":
+        try:
+            validate_namespace(f"/{plain.strip('/')}")
+        except InvalidNamespaceException as error:
+            why = " ".join(str(error).partition(":")[2].replace("^", "").split())
+            raise fail(f"a ROS namespace such as /left: {why}") from error
+        return plain
+    if not plain and argument.default == "":
+        return ""
+    if kind == "word":
+        words = {choice.lower(): choice for choice in argument.choices}
+        if plain.lower() not in words:
+            raise fail(f"one of {', '.join(argument.choices)}")
+        return words[plain.lower()]
+    if kind == "number":
+        return _number(TASK[name], plain, fail)
+    if Path(plain).suffix != ".mcap":
+        raise fail("a name that ends in .mcap")
+    return plain
+
+
+def _number(spec: Parameter, text: str, fail: Callable[[str], ParameterError]) -> Any:
+    try:
+        number = float(text)
+    except ValueError:
+        raise fail("a number") from None
+    try:
+        return check_value(spec, number, node_defaults("trajectory_server")[spec.name])
+    except ParameterError as error:
+        raise fail(str(error).rpartition("it must be ")[2]) from error
+
+
+def _checked_file(text: str, fail: Callable[[str], ParameterError]) -> str:
+    """The path; raises where no node could take it: launch finds that out only when the nodes start."""
+    try:
+        path = Path(text).expanduser()
+    except RuntimeError as error:  # no such user's home
+        raise fail(f"a file that can be found: {error}") from error
+    try:
+        sections = load_parameters(path)
+    except ParameterError as error:
+        raise fail(f"a parameter file that nodes take: {str(error).removeprefix(f'parameter file {path}: ')}") from error
+    if not sections:
+        raise fail("a parameter file with sections such as '/**/controller:'")
+    return str(path)

@@ -1,0 +1,77 @@
+"""A refusal of the trajectory server ends with what to call, with the names of its own namespace."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.signals import SignalHandlerOptions
+
+from dextar_control.contract.errors import TrajectoryError
+from dextar_control.ros.next_step import next_step
+from dextar_control.ros.trajectory_server import TrajectoryServer
+
+ENABLE = "/left/controller/enable with data true"
+
+
+@pytest.mark.parametrize(
+    ("lifecycle", "phase", "enabling", "step"),
+    [
+        ("active", "HOLD", "done", ""),
+        ("active", "IDLE", "off", f"call {ENABLE}"),
+        ("active", "IDLE", "waiting", "wait until it enables by itself"),
+        ("active", "FAULT", "done", f"call /left/controller/reset, then {ENABLE}"),
+        ("active", "SAFE_STOP", "done", f"once the robot rests call /left/controller/reset, then {ENABLE}"),
+        ("active", "CROSSING", "done", "wait until it holds, or call /left/controller/stop"),
+        ("inactive", "", "", "type ros2 lifecycle set /left/controller activate"),
+        ("unconfigured", "", "",
+         "type ros2 lifecycle set /left/controller configure, then ros2 lifecycle set /left/controller activate"),
+        ("activating", "", "", "wait, then ask again"),
+        ("finalized", "", "", "start another controller"),
+    ],
+)  # fmt: skip
+def test_every_state_has_its_way_to_a_held_robot(lifecycle: str, phase: str, enabling: str, step: str) -> None:
+    assert next_step("/left/controller", lifecycle, phase, enabling) == step
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[TrajectoryServer]:
+    arguments = ["--ros-args", "-r", "__ns:=/left", "-p", "autostart:=true"]
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    node = TrajectoryServer()
+    yield node
+    node.close()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def refusal(server: TrajectoryServer, **values: str) -> str:
+    """What a start is refused with, once the controller has told this."""
+    told = [KeyValue(key=key, value=value) for key, value in values.items()]
+    server._on_diagnostics(DiagnosticArray(status=[DiagnosticStatus(name="/left/controller", values=told)]))
+    with pytest.raises(TrajectoryError) as refused:
+        server._check_robot()
+    return str(refused.value)
+
+
+def test_a_start_is_refused_with_phase_reason_and_what_to_call(server: TrajectoryServer) -> None:
+    with pytest.raises(TrajectoryError, match="no word of /left/controller on /diagnostics for 2.0 s; see that it runs"):
+        server._check_robot()
+    fault = refusal(server, lifecycle="active", phase="FAULT", reason="no state for 21 ms")
+    assert fault == (
+        "the controller is in phase FAULT (no state for 21 ms); a trip starts from HOLD:"
+        f" call /left/controller/reset, then {ENABLE}"
+    )
+    assert refusal(server, lifecycle="active", phase="IDLE", enabling="off").endswith(f"a trip starts from HOLD: call {ENABLE}")
+    assert refusal(server, lifecycle="inactive").endswith(": type ros2 lifecycle set /left/controller activate")
+    assert refusal(server, lifecycle="active", phase="HOLD", x="nan", y="nan").endswith("see that the rig or plant runs")
+
+
+def test_a_server_that_waits_to_serve_says_for_what(server: TrajectoryServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+    monkeypatch.setattr(server, "publish_diagnostics", lambda level, message, values: seen.append(values["waiting_for"]))
+    refusal(server, lifecycle="active", phase="IDLE", enabling="off")
+    server._diagnose()
+    assert seen == [f"the controller is in phase IDLE; a trip starts from HOLD: call {ENABLE}"]
