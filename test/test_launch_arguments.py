@@ -64,7 +64,7 @@ def test_values_have_the_type_of_the_parameter_they_become() -> None:
         ("params_file", "/no/such/file.yaml", "No such file or directory"),
         ("robot_file", "/no/such/file.yaml", "No such file or directory"),
         ("params_file", "/", "it is a folder, not a file"),
-        ("params_file", "/dev/zero", "not a folder or a device"),
+        ("params_file", "/dev/zero", "it is larger than 4 MB"),
         ("params_file", "~no_such_user/params.yaml", "a file that can be found"),
         ("params_file", "x" * 5000, "File name too long"),
         ("params_file", "", "it is a folder, not a file"),
@@ -83,8 +83,12 @@ def test_what_cannot_be_used_is_refused_with_argument_value_and_limit(name: str,
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [(b"robot: [1, 2\n", "a parameter file that nodes take"), (b"# caf\xe9\na: {}\n", "line 1 is not UTF-8"), (b"", "with sections"),
-     (b"- a\n", "with sections")],
+    [
+        (b"robot: [1, 2\n", "a parameter file that nodes take"),
+        (b"# caf\xe9\na: {}\n", "line 1 is not UTF-8"),
+        (b"", "with sections"),
+        (b"- a\n", "a list stands where a node's name is wanted"),
+    ],
     ids=["broken", "Latin-1", "empty", "a list"],
 )  # fmt: skip
 def test_a_parameter_file_that_no_node_can_read_is_refused_before_they_start(tmp_path: Path, content: bytes, words: str) -> None:

@@ -56,10 +56,9 @@ def read_text(path: str | Path, what: str) -> str:
         ParameterError: it cannot be read, is no text in UTF-8, or is far too large.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY)
-        with open(descriptor, "rb") as stream:
-            if stat.S_ISDIR(os.fstat(descriptor).st_mode):
-                raise IsADirectoryError(errno.EISDIR, "it is a folder, not a file")
+        if stat.S_ISDIR(_mode(os.fspath(path))):
+            raise IsADirectoryError(errno.EISDIR, "it is a folder, not a file")
+        with open(os.open(path, os.O_RDONLY | os.O_NOCTTY), "rb") as stream:
             content = stream.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:  # a path with a NUL byte is a ValueError
         raise ParameterError(f"{what} {path}: {getattr(error, 'strerror', None) or error}") from error
