@@ -151,7 +151,8 @@ def _checked_file(text: str, fail: Callable[[str], ParameterError]) -> str:
     try:
         sections = load_parameters(path)
     except ParameterError as error:
-        raise fail(f"a parameter file that nodes take: {str(error).removeprefix(f'parameter file {path}').lstrip(':, ')}") from error
+        why = str(error).removeprefix(f"parameter file {path}").lstrip(":, ")
+        raise fail(f"a parameter file that nodes take: {why}") from error
     if not sections:
         raise fail("a parameter file with sections such as '/**/controller:'")
     return str(path)
