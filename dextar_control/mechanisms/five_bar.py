@@ -1,0 +1,85 @@
+"""The planar five-bar: two legs of a motor, a proximal link, a passive elbow and a distal link that meet in the end effector.
+
+Frame: origin midway between the motor axes, x towards the right one. Leg i runs from the motor axis e_i over the elbow
+P_i = e_i + l1 u_i, u_i = (cos q_i, sin q_i), to the end effector x, |x - P_i| = l2.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter, Symbol
+from dextar_control.mechanisms.planar import circles, direction, friction, leg_parameters, rod, two_link_angle
+
+SIDES = ("left", "right")
+class FiveBar(Mechanism):
+    """Two 2R legs closed at the end effector; q_a = (q11, q21), x = (x, y)."""
+
+    name = "five_bar"
+    joints = (Coordinate("q11", "rad"), Coordinate("q21", "rad"))
+    coordinates = (Coordinate("x", "m"), Coordinate("y", "m"))
+    parameters = (
+        Parameter("base_distance", "m", "between the motor axes", above=0.0),
+        *(number for side in SIDES for number in leg_parameters(side)),
+        Parameter("end_effector_mass", "kg", "point mass at the end effector", 0.0),
+        Parameter("gravity", "m/s^2", "in the robot's plane", size=2),
+        Parameter("coulomb_speed", "rad/s", "over which Coulomb friction changes sign", above=0.0),
+        Parameter("working_mode", "1", "elbow side of the legs: +1 left of the line base -> end effector", -1.0, 1.0, size=2),
+    )
+
+    def elbow(self, leg: int, angle: Symbol, p: Any) -> Symbol:
+        """P_i (2,), m, at a motor's angle."""
+        base = ca.vertcat((leg - 0.5) * p.base_distance, 0.0)
+        return base + getattr(p, SIDES[leg]).proximal_length * direction(angle)
+
+    def closures(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """Half of |x - P_i|^2 - l2^2, m^2."""
+        rods = [x - self.elbow(leg, q_a[leg], p) for leg in range(2)]
+        lengths = [getattr(p, side).distal_length for side in SIDES]
+        return ca.vertcat(*(0.5 * (ca.sumsqr(r) - l2**2) for r, l2 in zip(rods, lengths, strict=True)))
+
+    def lagrangian(self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any) -> Symbol:
+        """Each distal rod is seen from its two ends, the elbow and the end effector."""
+        energy = 0.5 * p.end_effector_mass * ca.sumsqr(x_dot) + p.end_effector_mass * ca.dot(p.gravity, x)
+        for leg, side in enumerate(SIDES):
+            link, base = getattr(p, side), ca.vertcat((leg - 0.5) * p.base_distance, 0.0)
+            P = self.elbow(leg, q_a[leg], p)
+            P_dot = ca.jtimes(P, q_a, q_a_dot)
+            energy += 0.5 * link.rotor_inertia * q_a_dot[leg] ** 2
+            energy += rod(link.proximal_mass, link.proximal_center, link.proximal_inertia, link.proximal_length,
+                          (base, P), (ca.SX.zeros(2), P_dot), p.gravity)
+            energy += rod(link.distal_mass, link.distal_center, link.distal_inertia, link.distal_length,
+                          (P, x), (P_dot, x_dot), p.gravity)
+        return energy
+
+    def inverse_geometric_model(self, x: Symbol, p: Any) -> Symbol:
+        """In closed form, in [-pi, pi)."""
+        angles = []
+        for leg, side in enumerate(SIDES):
+            link, base = getattr(p, side), ca.vertcat((leg - 0.5) * p.base_distance, 0.0)
+            angles.append(two_link_angle(x - base, link.proximal_length, link.distal_length, p.working_mode[leg]))
+        return ca.vertcat(*angles)
+
+    def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> Symbol:
+        """The distal links' circles about the elbows; elbows that coincide define no point: nan."""
+        left, right = (self.elbow(leg, q_a[leg], p) for leg in range(2))
+        return circles(left, p.left.distal_length, right, p.right.distal_length, assembly_mode)
+
+    def singularity_scale(self, p: Any) -> Symbol:
+        """s is then the sine of the angle between the distal links."""
+        return p.left.distal_length * p.right.distal_length
+
+    def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """Sines of the elbows' angles."""
+        sines = []
+        for leg, side in enumerate(SIDES):
+            link, u = getattr(p, side), direction(q_a[leg])
+            r = x - self.elbow(leg, q_a[leg], p)
+            sines.append((u[0] * r[1] - u[1] * r[0]) / link.distal_length)
+        return ca.vertcat(*sines)
+
+    def friction(self, q_a_dot: Symbol, p: Any) -> Symbol:
+        """Of the motors."""
+        return friction(q_a_dot, [getattr(p, side) for side in SIDES], p.coulomb_speed)

@@ -1,0 +1,191 @@
+"""From symbols to fast functions: compiled together once where there is a C compiler, interpreted otherwise.
+
+CasADi writes all functions of a mechanism as one file of C; the system's compiler makes it a library, which is kept by the hash of
+that text, the compiler and the machine, so that nothing stale can be called. Where there is no compiler, or it fails or hangs,
+CasADi's own virtual machine serves, some four times slower, and says so once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+import warnings
+from collections import namedtuple
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from dextar_control.mechanisms.mechanism import Array, Symbol
+
+FLAGS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")  # no fused operations: the same numbers on every machine of a kind
+COMPILE_TIMEOUT = 60.0  # s
+COMPILER_VARIABLE = "DEXTAR_CC"
+"""Environment variable that names the C compiler; empty for none."""
+
+
+class Fast:
+    """One function with places of its own for arguments and results: not for two threads at once.
+
+    Args:
+        function: with names, dense arguments and dense results.
+
+    Attributes:
+        arguments: by name, arrays that ``run`` reads, (size,); a matrix column by column.
+        results: by name, arrays that ``run`` fills, (size,) or (rows, columns).
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self.arguments = SimpleNamespace()
+        self._buffer, self.run = function.buffer()
+        self._places: list[Array] = []
+        for i, name in enumerate(function.name_in()):
+            place = _place(function.sparsity_in(i))
+            self._buffer.set_arg(i, memoryview(place))
+            self._places.append(place)
+            setattr(self.arguments, name, place)
+        results = []
+        for i in range(function.n_out()):
+            place = _place(function.sparsity_out(i))
+            self._buffer.set_res(i, memoryview(place))
+            results.append(place.reshape(function.size_out(i), order="F") if function.size2_out(i) > 1 else place)
+        self._record = _record(function)
+        self.results = self._record(*results)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The results as a record of new arrays."""
+        for place, argument in zip(self._places, arguments, strict=True):
+            place[:] = argument
+        self.run()
+        return self._record(*[result.copy() for result in self.results])
+
+
+class Library:
+    """Functions of one mechanism that are compiled together.
+
+    Args:
+        functions: on symbols, with names of their own.
+        folder: where compiled libraries are kept; None keeps none and interprets.
+
+    Attributes:
+        compiled: whether they are.
+        symbolic: by name, as they were given.
+    """
+
+    def __init__(self, functions: Sequence[ca.Function], folder: Path | None) -> None:
+        self.symbolic: Mapping[str, ca.Function] = {function.name(): function for function in functions}
+        loaded = _compiled(self.symbolic, folder) if folder is not None else None
+        self.compiled = loaded is not None
+        self._functions = self.symbolic if loaded is None else loaded
+
+    def fast(self, name: str) -> Fast:
+        """A function with places of its own."""
+        return Fast(self._functions[name])
+
+    def batch(self, name: str) -> Callable[..., Any]:
+        """The same for many states: a record of (m, size) or (m, rows, columns), of arguments (m, size) or (size,)."""
+        function = self._functions[name]
+        record = _record(function)
+
+        def call(*arguments: Any) -> Any:
+            given = [np.asarray(argument, dtype=np.float64) for argument in arguments]
+            count = max((len(argument) for argument in given if argument.ndim == 2), default=1)
+            columns = [np.broadcast_to(argument.reshape(-1, argument.shape[-1]) if argument.ndim else argument.reshape(1, 1),
+                                       (count, function.numel_in(i))).T for i, argument in enumerate(given)]  # fmt: skip
+            results = function.map(count)(*columns)
+            results = results if isinstance(results, tuple) else (results,)
+            return record(*(_rows(np.array(result), function.size_out(i)) for i, result in enumerate(results)))
+
+        return call
+
+
+def named(name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Symbol]) -> ca.Function:
+    """A function on symbols with dense results, its common parts computed once."""
+    dense = [ca.densify(result) for result in results.values()]
+    return ca.Function(name, list(arguments.values()), dense, list(arguments), list(results), {"cse": True})
+
+
+def _record(function: ca.Function) -> Any:
+    return namedtuple(function.name(), function.name_out())  # noqa: PYI024  the names are the function's
+
+
+def _rows(result: Array, size: tuple[int, int]) -> Array:
+    """(m, rows) or (m, rows, columns) of results (rows, columns m) side by side."""
+    rows, columns = size
+    table = result.reshape(rows, -1, columns).transpose(1, 0, 2)
+    return table[:, :, 0] if columns == 1 else table
+
+
+def _place(sparsity: ca.Sparsity) -> Array:
+    assert sparsity.is_dense(), "a function's arguments and results are dense"
+    return np.zeros(sparsity.numel())
+
+
+def cache_folder() -> Path:
+    """Where compiled functions are kept."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dextar"
+
+
+def compiler() -> str | None:
+    """Path of the C compiler, or None."""
+    named = os.environ.get(COMPILER_VARIABLE)
+    if named is not None:
+        return shutil.which(named) if named else None
+    return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+
+
+def _compiled(functions: Mapping[str, ca.Function], folder: Path) -> Mapping[str, ca.Function] | None:
+    """The functions from a library, compiled unless it is there already; None where that cannot be done, which is told."""
+    command = compiler()
+    if command is None:
+        _tell("no C compiler (cc) was found")
+        return None
+    generator = ca.CodeGenerator("dextar_model", {"with_header": False, "main": False})
+    for function in functions.values():
+        generator.add(function)
+    text = generator.dump()
+    key = hashlib.sha256("\0".join([text, *FLAGS, command, platform.machine(), ca.__version__]).encode()).hexdigest()[:32]
+    library = folder / f"model-{key}.so"
+    if (known := _loaded(functions, library)) is not None:
+        return known
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".model-", dir=folder) as working:
+            source, target = Path(working) / "model.c", Path(working) / "model.so"
+            source.write_text(text, encoding="utf-8")
+            subprocess.run([command, *FLAGS, "-o", str(target), str(source), "-lm"], check=True, capture_output=True,
+                           stdin=subprocess.DEVNULL, timeout=COMPILE_TIMEOUT)  # fmt: skip
+            os.replace(target, library)  # whole or not at all, whoever else compiles the same
+    except subprocess.TimeoutExpired:
+        _tell(f"the C compiler {command} took more than {COMPILE_TIMEOUT:g} s")
+    except subprocess.CalledProcessError as error:
+        lines = error.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
+        _tell(f"the C compiler {command} failed: {lines[0]}")
+    except OSError as error:
+        _tell(f"{folder} cannot be written: {error.strerror or error}")
+    else:
+        if (made := _loaded(functions, library)) is not None:
+            return made
+        _tell(f"what the C compiler {command} made cannot be loaded")
+    return None
+
+
+def _loaded(functions: Mapping[str, ca.Function], library: Path) -> Mapping[str, ca.Function] | None:
+    """The functions of a compiled library; None where it is none."""
+    if not library.is_file():
+        return None
+    try:
+        return {name: ca.external(name, str(library)) for name in functions}
+    except RuntimeError:  # cut off, of another machine, or not ours
+        return None
+
+
+def _tell(why: str) -> None:
+    warnings.warn(f"the model's equations are interpreted, about four times slower: {why}", stacklevel=4)
