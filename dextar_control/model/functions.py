@@ -36,24 +36,27 @@ class Fast:
 
     Args:
         function: with names, dense arguments and dense results.
+        shared: arrays that serve as places of arguments or results of these names: of one function's result and another's
+            argument, or of a record. The caller keeps them.
 
     Attributes:
         arguments: by name, arrays that ``run`` reads, (size,); a matrix column by column.
         results: by name, arrays that ``run`` fills, (size,) or (rows, columns).
     """
 
-    def __init__(self, function: ca.Function) -> None:
+    def __init__(self, function: ca.Function, shared: Mapping[str, Array] | None = None) -> None:
+        given = dict(shared or {})
         self.arguments = SimpleNamespace()
         self._buffer, self.run = function.buffer()
         self._places: list[Array] = []
         for i, name in enumerate(function.name_in()):
-            place = _place(function.sparsity_in(i))
+            place = _place(name, function.sparsity_in(i), given)
             self._buffer.set_arg(i, memoryview(place))
             self._places.append(place)
             setattr(self.arguments, name, place)
         results = []
-        for i in range(function.n_out()):
-            place = _place(function.sparsity_out(i))
+        for i, name in enumerate(function.name_out()):
+            place = _place(name, function.sparsity_out(i), given)
             self._buffer.set_res(i, memoryview(place))
             results.append(place.reshape(function.size_out(i), order="F") if function.size2_out(i) > 1 else place)
         self._record = _record(function)
@@ -85,9 +88,9 @@ class Library:
         self.compiled = loaded is not None
         self._functions = self.symbolic if loaded is None else loaded
 
-    def fast(self, name: str) -> Fast:
-        """A function with places of its own."""
-        return Fast(self._functions[name])
+    def fast(self, name: str, **shared: Array) -> Fast:
+        """A function with places of its own, but for those of these names."""
+        return Fast(self._functions[name], shared)
 
     def batch(self, name: str) -> Callable[..., Any]:
         """The same for many states: a record of (m, size) or (m, rows, columns), of arguments (m, size) or (size,)."""
@@ -123,9 +126,13 @@ def _rows(result: Array, size: tuple[int, int]) -> Array:
     return table[:, :, 0] if columns == 1 else table
 
 
-def _place(sparsity: ca.Sparsity) -> Array:
-    assert sparsity.is_dense(), "a function's arguments and results are dense"
-    return np.zeros(sparsity.numel())
+def _place(name: str, sparsity: ca.Sparsity, given: Mapping[str, Array]) -> Array:
+    assert sparsity.is_dense(), f"{name} is not dense"
+    place = given.get(name)
+    if place is None:
+        return np.zeros(sparsity.numel())
+    assert place.dtype == np.float64 and place.flags.c_contiguous and place.shape == (sparsity.numel(),), name
+    return place
 
 
 def cache_folder() -> Path:
