@@ -9,12 +9,22 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter, Symbol
-from dextar_control.mechanisms.planar import circles, direction, friction, leg_parameters, rod, two_link_angle
+from dextar_control.mechanisms.five_bar_locus import SIDES, FiveBarLocus
+from dextar_control.mechanisms.mechanism import Array, Coordinate, Parameter, Symbol
+from dextar_control.mechanisms.planar import (
+    circles,
+    direction,
+    friction,
+    leg_parameters,
+    nearest_two_link_angle,
+    rod,
+    two_link_angle,
+)
 
-SIDES = ("left", "right")
-class FiveBar(Mechanism):
+
+class FiveBar(FiveBarLocus):
     """Two 2R legs closed at the end effector; q_a = (q11, q21), x = (x, y)."""
 
     name = "five_bar"
@@ -31,8 +41,7 @@ class FiveBar(Mechanism):
 
     def elbow(self, leg: int, angle: Symbol, p: Any) -> Symbol:
         """P_i (2,), m, at a motor's angle."""
-        base = ca.vertcat((leg - 0.5) * p.base_distance, 0.0)
-        return base + getattr(p, SIDES[leg]).proximal_length * direction(angle)
+        return self.base(leg, p) + getattr(p, SIDES[leg]).proximal_length * direction(angle)
 
     def closures(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
         """Half of |x - P_i|^2 - l2^2, m^2."""
@@ -44,7 +53,7 @@ class FiveBar(Mechanism):
         """Each distal rod is seen from its two ends, the elbow and the end effector."""
         energy = 0.5 * p.end_effector_mass * ca.sumsqr(x_dot) + p.end_effector_mass * ca.dot(p.gravity, x)
         for leg, side in enumerate(SIDES):
-            link, base = getattr(p, side), ca.vertcat((leg - 0.5) * p.base_distance, 0.0)
+            link, base = getattr(p, side), self.base(leg, p)
             P = self.elbow(leg, q_a[leg], p)
             P_dot = ca.jtimes(P, q_a, q_a_dot)
             energy += 0.5 * link.rotor_inertia * q_a_dot[leg] ** 2
@@ -56,11 +65,30 @@ class FiveBar(Mechanism):
 
     def inverse_geometric_model(self, x: Symbol, p: Any) -> Symbol:
         """In closed form, in [-pi, pi)."""
-        angles = []
-        for leg, side in enumerate(SIDES):
-            link, base = getattr(p, side), ca.vertcat((leg - 0.5) * p.base_distance, 0.0)
-            angles.append(two_link_angle(x - base, link.proximal_length, link.distal_length, p.working_mode[leg]))
-        return ca.vertcat(*angles)
+        return ca.vertcat(*(
+            two_link_angle(x - self.base(leg, p), getattr(p, side).proximal_length, getattr(p, side).distal_length,
+                           p.working_mode[leg])
+            for leg, side in enumerate(SIDES)
+        ))
+
+    def nearest_joints(self, x: Symbol, p: Any) -> tuple[Symbol, Symbol]:
+        """In closed form."""
+        found = [
+            nearest_two_link_angle(x - self.base(leg, p), getattr(p, side).proximal_length, getattr(p, side).distal_length,
+                                   p.working_mode[leg])
+            for leg, side in enumerate(SIDES)
+        ]
+        return ca.vertcat(*(q for q, _ in found)), ca.vertcat(*(extension for _, extension in found))
+
+    def unreached(self, x: Array, q_a: Array, p: Any) -> str:
+        """The distance of the first leg that does not reach, and its limits."""
+        leg = int(np.argmin(np.isfinite(q_a)))
+        link, distance = getattr(p, SIDES[leg]), float(np.hypot(*(x - np.array(self.base(leg, p)).ravel())))
+        l1, l2 = float(link.proximal_length[0]), float(link.distal_length[0])
+        return (
+            f"point ({x[0]:.4f}, {x[1]:.4f}) m is {distance:.4f} m from the {SIDES[leg]} motor axis; "
+            f"the leg reaches {abs(l1 - l2):.4f} to {l1 + l2:.4f} m"
+        )
 
     def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> Symbol:
         """The distal links' circles about the elbows; elbows that coincide define no point: nan."""

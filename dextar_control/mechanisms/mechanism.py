@@ -110,6 +110,19 @@ class Mechanism(ABC):
     def inverse_geometric_model(self, x: Symbol, p: Any) -> Symbol:
         """q_a (n,) of a platform position in the working mode of ``p``; nan where it is not reached."""
 
+    def nearest_joints(self, x: Symbol, p: Any) -> tuple[Symbol, Symbol]:
+        """(q_a (n,), extension (n,)): the inverse geometric model with finite numbers and derivatives everywhere.
+
+        The extension of a leg is within [-1, 1] where it reaches x, +-1 at Type 1 and beyond that by how far it misses; there the
+        joint is the one that comes nearest. What optimises needs it; a mechanism for which nothing is planned does without.
+        """
+        raise NotImplementedError(f"mechanism {self.name} has no geometric model for what it does not reach")
+
+    def unreached(self, x: Array, q_a: Array, p: Any) -> str:
+        """Why q_a is nan at x, in words; ``p`` has numbers."""
+        joint = self.joints[int(np.argmin(np.isfinite(q_a)))].name
+        return f"x = {np.round(x, 6).tolist()} is out of reach: {joint} has no angle there"
+
     @abstractmethod
     def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> Symbol | None:
         """x (n,) of joint positions with sign(s) = assembly_mode, its root clamped at zero; None where it has no closed form."""
@@ -129,6 +142,10 @@ class Mechanism(ABC):
     def symbols(self) -> tuple[Symbol, Any]:
         """(all parameters as one vector, the same by their dotted names)."""
         vector = ca.SX.sym("p", sum(parameter.size for parameter in self.parameters))
+        return vector, self.named(vector)
+
+    def named(self, vector: Any) -> Any:
+        """The parameters of a vector of symbols or numbers by their dotted names."""
         named, place = SimpleNamespace(), 0
         for parameter in self.parameters:
             *groups, last = parameter.name.split(".")
@@ -139,7 +156,7 @@ class Mechanism(ABC):
                 owner = getattr(owner, group)
             setattr(owner, last, vector[place : place + parameter.size])
             place += parameter.size
-        return vector, named
+        return named
 
     def values(self, flat: Mapping[str, Any]) -> Array:
         """The vector of ``symbols`` for dotted names and values; others' keys are ignored.

@@ -11,6 +11,9 @@ from dextar_control.mechanisms.mechanism import Parameter, Symbol
 
 Ends = tuple[Symbol, Symbol]
 
+MOST_COSINE = 1.0 - 1e-6  # where the arc cosine of a leg that does not reach is taken: its derivative is finite
+LEAST_REACH = 1e-6  # of the proximal length, below which a leg's end has no direction
+
 
 def leg_parameters(leg: str) -> tuple[Parameter, ...]:
     """Of a leg with a motor, a proximal and a distal link, under the leg's name."""
@@ -69,15 +72,45 @@ def two_link_angle(reach: Symbol, l1: Symbol, l2: Symbol, working_mode: Symbol) 
     return wrapped(ca.atan2(reach[1], reach[0]) + working_mode * ca.acos(cosine))
 
 
+def nearest_two_link_angle(reach: Symbol, l1: Symbol, l2: Symbol, working_mode: Symbol) -> tuple[Symbol, Symbol]:
+    """(``two_link_angle``, extension): finite everywhere, with its derivatives.
+
+    The extension is minus the cosine of the angle between the links: -1 folded, 1 stretched, and beyond that out of reach.
+    """
+    square = ca.fmax(ca.sumsqr(reach), (LEAST_REACH * l1) ** 2)
+    cosine = (square + l1**2 - l2**2) / (2.0 * l1 * ca.sqrt(square))
+    clamped = ca.fmin(ca.fmax(cosine, -MOST_COSINE), MOST_COSINE)
+    angle = ca.atan2(reach[1], reach[0]) + working_mode * ca.acos(clamped)
+    return wrapped(angle), (square - l1**2 - l2**2) / (2.0 * l1 * l2)
+
+
 def wrapped(angle: Symbol) -> Symbol:
     """An angle in [-pi, pi), rad."""
     return angle - 2.0 * ca.pi * ca.floor((angle + ca.pi) / (2.0 * ca.pi))
 
 
-def circles(first: Symbol, first_radius: Symbol, second: Symbol, second_radius: Symbol, side: Symbol) -> Symbol:
-    """Where two circles meet (2,): left (+1) or right (-1) of the line of their centres, on it where they do not touch."""
-    d = second - first
-    distance = ca.sqrt(ca.sumsqr(d))
-    along = 0.5 * (distance + (first_radius**2 - second_radius**2) / distance)
-    height = ca.sqrt(ca.fmax(first_radius**2 - along**2, 0.0))
+def circles(
+    first: Symbol, first_radius: Symbol, second: Symbol, second_radius: Symbol, side: Symbol, least: float = 0.0
+) -> Symbol:
+    """Where two circles meet (2,): left (+1) or right (-1) of the line of their centres, on it where they do not touch.
+
+    Args:
+        first, second: centres (2,), m.
+        first_radius, second_radius: m.
+        side: +1 or -1.
+        least: square of their half common chord, m^2, from which on it counts; above zero it has a derivative everywhere.
+    """
+    along, distance = _chord(first, first_radius, second, second_radius)
+    d, height = second - first, ca.sqrt(ca.fmax(first_radius**2 - along**2, least))
     return first + (along * d + side * height * ca.vertcat(-d[1], d[0])) / distance
+
+
+def overlap(first: Symbol, first_radius: Symbol, second: Symbol, second_radius: Symbol) -> Symbol:
+    """Square of half the circles' common chord, m^2; below zero where they do not touch."""
+    return first_radius**2 - _chord(first, first_radius, second, second_radius)[0] ** 2
+
+
+def _chord(first: Symbol, first_radius: Symbol, second: Symbol, second_radius: Symbol) -> tuple[Symbol, Symbol]:
+    """(from the first centre to the common chord, between the centres), m."""
+    distance = ca.sqrt(ca.sumsqr(second - first))
+    return 0.5 * (distance + (first_radius**2 - second_radius**2) / distance), distance

@@ -15,7 +15,7 @@ import subprocess
 import tempfile
 import warnings
 from collections import namedtuple
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -26,6 +26,7 @@ import numpy as np
 from dextar_control.mechanisms.mechanism import Array, Symbol
 
 FLAGS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")  # no fused operations: the same numbers on every machine of a kind
+BLOCK = 64  # states of a batch that one call takes
 COMPILE_TIMEOUT = 60.0  # s
 COMPILER_VARIABLE = "DEXTAR_CC"
 """Environment variable that names the C compiler; empty for none."""
@@ -70,6 +71,43 @@ class Fast:
         return self._record(*[result.copy() for result in self.results])
 
 
+class Batch:
+    """One function of many states, block by block: not for two threads at once.
+
+    Args:
+        function: with names, dense arguments and dense results.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._buffer, self._run = function.map(BLOCK).buffer()
+        self._places = [np.zeros((BLOCK, function.numel_in(i))) for i in range(function.n_in())]
+        self._results = [np.zeros((BLOCK, function.numel_out(i))) for i in range(function.n_out())]
+        for i, place in enumerate(self._places):
+            self._buffer.set_arg(i, memoryview(place.reshape(-1)))
+        for i, place in enumerate(self._results):
+            self._buffer.set_res(i, memoryview(place.reshape(-1)))
+        self._shapes = [function.size_out(i) for i in range(function.n_out())]
+        self._record = _record(function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """A record of (m, size) or (m, rows, columns), of arguments (m, size), or (size,) for all states."""
+        given = [np.asarray(argument, dtype=np.float64) for argument in arguments]
+        many = [(place, argument) for place, argument in zip(self._places, given, strict=True) if argument.ndim == 2]
+        for place, argument in zip(self._places, given, strict=True):
+            if argument.ndim < 2:
+                place[:] = argument
+        count = len(many[0][1]) if many else 1
+        tables = [np.empty((count, result.shape[1])) for result in self._results]
+        for begin in range(0, count, BLOCK):
+            rows = min(BLOCK, count - begin)
+            for place, argument in many:
+                place[:rows] = argument[begin : begin + rows]
+            self._run()
+            for table, result in zip(tables, self._results, strict=True):
+                table[begin : begin + rows] = result[:rows]
+        return self._record(*(_matrices(table, shape) for table, shape in zip(tables, self._shapes, strict=True)))
+
+
 class Library:
     """Functions of one mechanism that are compiled together.
 
@@ -92,21 +130,9 @@ class Library:
         """A function with places of its own, but for those of these names."""
         return Fast(self._functions[name], shared)
 
-    def batch(self, name: str) -> Callable[..., Any]:
-        """The same for many states: a record of (m, size) or (m, rows, columns), of arguments (m, size) or (size,)."""
-        function = self._functions[name]
-        record = _record(function)
-
-        def call(*arguments: Any) -> Any:
-            given = [np.asarray(argument, dtype=np.float64) for argument in arguments]
-            count = max((len(argument) for argument in given if argument.ndim == 2), default=1)
-            columns = [np.broadcast_to(argument.reshape(-1, argument.shape[-1]) if argument.ndim else argument.reshape(1, 1),
-                                       (count, function.numel_in(i))).T for i, argument in enumerate(given)]  # fmt: skip
-            results = function.map(count)(*columns)
-            results = results if isinstance(results, tuple) else (results,)
-            return record(*(_rows(np.array(result), function.size_out(i)) for i, result in enumerate(results)))
-
-        return call
+    def batch(self, name: str) -> Batch:
+        """The same for many states at once."""
+        return Batch(self._functions[name])
 
 
 def named(name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Symbol]) -> ca.Function:
@@ -119,11 +145,10 @@ def _record(function: ca.Function) -> Any:
     return namedtuple(function.name(), function.name_out())  # noqa: PYI024  the names are the function's
 
 
-def _rows(result: Array, size: tuple[int, int]) -> Array:
-    """(m, rows) or (m, rows, columns) of results (rows, columns m) side by side."""
-    rows, columns = size
-    table = result.reshape(rows, -1, columns).transpose(1, 0, 2)
-    return table[:, :, 0] if columns == 1 else table
+def _matrices(table: Array, shape: tuple[int, int]) -> Array:
+    """(m, rows) or (m, rows, columns) of a table whose rows hold matrices column by column."""
+    rows, columns = shape
+    return table if columns == 1 else table.reshape(-1, columns, rows).transpose(0, 2, 1)
 
 
 def _place(name: str, sparsity: ca.Sparsity, given: Mapping[str, Array]) -> Array:
@@ -195,4 +220,4 @@ def _loaded(functions: Mapping[str, ca.Function], library: Path) -> Mapping[str,
 
 
 def _tell(why: str) -> None:
-    warnings.warn(f"the model's equations are interpreted, about four times slower: {why}", stacklevel=4)
+    warnings.warn(f"the model's equations are interpreted, about four times slower: {why}", stacklevel=1)  # one place: once

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from dextar_control.contract.errors import GeometryError, ParameterError
+from dextar_control.contract.robot import RobotParameters, flatten
+from dextar_control.mechanisms import mechanism_named
 from dextar_control.mechanisms.mechanism import Array, Mechanism
 from dextar_control.model.equations import Equations, equations
 from dextar_control.model.functions import Fast, Library, cache_folder, named
+
+AnyModel = TypeVar("AnyModel", bound="Model")
 
 CLOSED = 1e-9  # of the closures' own size, beyond which a geometric model does not satisfy them
 
@@ -44,6 +48,11 @@ class Model:
             self._bound(name) for name in ("state", "wrenches", "platform_dynamics")
         )
 
+    @classmethod
+    def of(cls: type[AnyModel], robot: RobotParameters) -> AnyModel:
+        """That of a robot's description."""
+        return cls(mechanism_named("five_bar"), flatten(robot))
+
     def _bound(self, name: str) -> Any:
         fast: Fast = self.library.fast(name)
         return lambda *arguments: fast(self.p, *arguments)
@@ -56,8 +65,7 @@ class Model:
         """
         (q_a,) = self._inverse(self.p, x)
         if not np.isfinite(q_a).all():
-            joint = self.mechanism.joints[int(np.argmin(np.isfinite(q_a)))].name
-            raise GeometryError(f"x = {np.round(x, 6).tolist()} is out of reach: {joint} has no angle there")
+            raise GeometryError(self.mechanism.unreached(np.asarray(x), q_a, self.mechanism.named(self.p)))
         return np.asarray(q_a)
 
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from dextar_control.mechanisms.mechanism import Array, Symbol
 
@@ -124,6 +125,11 @@ class Layout:
     def of(self, numbers: Array) -> Record:
         """The record whose numbers are in this array (size,)."""
         return self._class(numbers)  # type: ignore[no-any-return]
+
+    def indices(self, *names: str) -> NDArray[np.int64]:
+        """Where the numbers of these fields lie in the vector, rising."""
+        every = np.arange(self.size)
+        return np.sort(np.concatenate([np.atleast_1d(every[self.places[name][0]]) for name in names]))
 
     def symbols(self, name: str = "") -> tuple[Symbol, dict[str, Symbol]]:
         """(a vector of symbols, its fields by name)."""
