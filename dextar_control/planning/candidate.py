@@ -25,6 +25,7 @@ _END = np.linalg.inv(
 )  # of the four highest powers, from what position, velocity, acceleration and jerk lack at the end
 _BUMP = 256.0 * np.array([[1.0, -4.0, 6.0, -4.0, 1.0, 0.0], [-1.0, 6.0, -14.0, 16.0, -9.0, 2.0]])  # powers 4 to 9
 ROWS = 10  # coefficients of a half
+ARGUMENTS = "p", "limits", "task", "variables"  # of a candidate's functions
 
 HALF_SAMPLES = 24  # of each half while optimising, none of them on the locus
 DENSITY = 0.35  # spacing of those samples at the crossing over their mean spacing
@@ -97,43 +98,34 @@ def layouts(n: int) -> Layouts:
     )  # fmt: skip
 
 
-def half(state: Any, end: Any, span: Any, bends: Any) -> Any:
-    """Coefficients (n, ROWS) by rising power of the share of the span, from state at its begin to end at its end.
+def half(n: int) -> ca.Function:
+    """The coefficients (n, ROWS) of a half by rising power of the share of its span, for n degrees of freedom.
 
-    Args:
-        state, end: (n, 4) columns x, x_dot, x_ddot, jerk.
-        span: s; may be < 0.
-        bends: (n, 2) heights of the bumps, m, one column a bump.
+    It takes ``begin`` and ``end``, (n, 4) columns x, x_dot, x_ddot, jerk; ``span``, s, may be < 0; and ``bends``, (n, 2) heights of
+    the bumps, m, one column a bump.
     """
-    low = ca.horzcat(state[:, 0], state[:, 1] * span, state[:, 2] * span**2 / 2.0, state[:, 3] * span**3 / 6.0)
+    begin, end, bends, span = ca.SX.sym("begin", n, 4), ca.SX.sym("end", n, 4), ca.SX.sym("bends", n, 2), ca.SX.sym("span")
+    low = ca.horzcat(begin[:, 0], begin[:, 1] * span, begin[:, 2] * span**2 / 2.0, begin[:, 3] * span**3 / 6.0)
     lack = ca.horzcat(
         end[:, 0] - low @ ca.DM([1, 1, 1, 1]), end[:, 1] * span - low @ ca.DM([0, 1, 2, 3]),
         end[:, 2] * span**2 - low @ ca.DM([0, 0, 2, 6]), end[:, 3] * span**3 - low @ ca.DM([0, 0, 0, 6]),
     )  # fmt: skip
-    return ca.horzcat(low, ca.horzcat(lack @ _END.T, ca.SX.zeros(lack.shape[0], 2)) + bends @ _BUMP)
-
-
-def _rest(x: Symbol) -> Symbol:
-    return ca.horzcat(x, ca.SX.zeros(x.shape[0], 3))
+    coefficients = ca.horzcat(low, ca.horzcat(lack @ _END.T, ca.SX.zeros(n, 2)) + bends @ _BUMP)
+    return named("half", {"begin": begin, "end": end, "span": span, "bends": bends}, {"half": coefficients})
 
 
 def candidates(mechanism: Mechanism, e: Equations) -> list[ca.Function]:
     """``half``, ``crossing`` and ``leg``: the halves of a candidate, and what its own variables cost."""
-    n, p, layout = mechanism.n, mechanism.named(e.p), layouts(mechanism.n)
-    span, bends = ca.SX.sym("span"), ca.SX.sym("bends", n, 2)
-    begin, end = ca.SX.sym("state", n, 4), ca.SX.sym("end", n, 4)
-    limits, limit = layout.limits.symbols()
-    return [
-        named("half", {"state": begin, "end": end, "span": span, "bends": bends}, {"half": half(begin, end, span, bends)}),
-        _crossing(mechanism, e, p, limits, layout),
-        _leg(e.p, limits, limit, layout),
-    ]
+    layout, curve = layouts(mechanism.n), half(mechanism.n)
+    parts = _crossing(mechanism, e, layout), _leg(e.p, layout)
+    return [curve, *(_joined(name, part, curve) for name, part in zip(("crossing", "leg"), parts, strict=True))]
 
 
-def _crossing(mechanism: Any, e: Equations, p: Any, limits: Symbol, layout: Layouts) -> ca.Function:
+def _crossing(mechanism: Any, e: Equations, layout: Layouts) -> ca.Function:
+    """What the halves of a crossing are made of."""
     given, task = layout.crossing_task.symbols("task")
     free, z = layout.crossing.symbols("variables")
-    unit = task["length"] / task["duration"]
+    unit, p = task["length"] / task["duration"], mechanism.named(e.p)
     _, x, closing = mechanism.type2_locus(task["family"], task["branch"], z["place"], p)
     q_a, _ = mechanism.nearest_joints(x, p)
     x_dot = task["directions"] @ z["velocity"] * unit
@@ -142,44 +134,54 @@ def _crossing(mechanism: Any, e: Equations, p: Any, limits: Symbol, layout: Layo
         e.singular.v_strong, e.singular.v_weak,
     ])  # fmt: skip
     state = e.p, q_a, x, x_dot
-    *_, v_strong, t_s = at_crossing(*state, ca.SX.zeros(x.shape))
+    _, _, w_d, mass, v_strong, t_s = at_crossing(*state, ca.SX.zeros(x.shape))
     strong = v_strong @ z["strong"] * unit / task["duration"]
     residual, slope, *_ = at_crossing(*state, strong)
-    _, _, w_d, mass, *_ = at_crossing(*state, ca.SX.zeros(x.shape))
     reciprocal = strong - residual / slope * t_s  # Eq. 5: t_s . w_d = 0
     x_ddot = ca.if_else(task["zero_wrench"] > 0.5, -ca.solve(mass, w_d), reciprocal)
-    at = ca.horzcat(x, x_dot, x_ddot, z["jerk"] * unit / task["duration"] ** 2)
+    begin = ca.horzcat(x, x_dot, x_ddot, z["jerk"] * unit / task["duration"] ** 2)
     before = ca.fmin(ca.fmax(z["split"], SPLIT_LEAST), 1.0 - SPLIT_LEAST) * task["duration"]
-    after = task["duration"] - before
-    ends = [_rest(z[name] * task["length"]) for name in ("start", "goal")]
-    return _candidate("crossing", {"p": e.p, "limits": limits, "task": given, "variables": free}, {
-        "first": half(at, ends[0], -before, z["first_bends"] * task["length"]),
-        "second": half(at, ends[1], after, z["second_bends"] * task["length"]),
-        "spans": ca.vertcat(-before, after), "signs": ca.vertcat(-task["sign"], task["sign"]), "state": at,
-        "own": 10.0 * _over(ca.fabs(z["split"] - 0.5), 0.5 - SPLIT_LEAST) + UNCLOSED * _over(0.0, closing),
+    rests = [ca.horzcat(z[name] * task["length"], ca.SX.zeros(mechanism.n, 3)) for name in ("start", "goal")]
+    own = 10.0 * _over(ca.fabs(z["split"] - 0.5), 0.5 - SPLIT_LEAST) + UNCLOSED * _over(0.0, closing)
+    return _parts([e.p, layout.limits.symbols()[0], given, free], {
+        "first_begin": begin, "second_begin": begin, "first_end": rests[0], "second_end": rests[1],
+        "first_bends": z["first_bends"] * task["length"], "second_bends": z["second_bends"] * task["length"],
+        "spans": ca.vertcat(-before, task["duration"] - before), "signs": ca.vertcat(-task["sign"], task["sign"]), "own": own,
     })  # fmt: skip
 
 
-def _leg(p: Symbol, limits: Symbol, limit: dict[str, Symbol], layout: Layouts) -> ca.Function:
+def _leg(p: Symbol, layout: Layouts) -> ca.Function:
+    """What the halves of a leg are made of."""
+    limits, limit = layout.limits.symbols()
     given, task = layout.leg_task.symbols("task")
     free, z = layout.leg.symbols("variables")
-    lengths = [task["length"] / task["duration"] ** order for order in range(4)]
-    meeting = ca.horzcat(*(z[name] * unit for name, unit in zip(("x", "x_dot", "x_ddot", "jerk"), lengths, strict=True)))
+    units = [task["length"] / task["duration"] ** order for order in range(4)]
+    meeting = ca.horzcat(*(z[name] * unit for name, unit in zip(("x", "x_dot", "x_ddot", "jerk"), units, strict=True)))
     spans = ca.exp(ca.fmin(z["spans"], SPAN_MOST)) * task["duration"]
-    over = _over(ca.fabs(z["spans"]), SPAN_MOST)
-    return _candidate("leg", {"p": p, "limits": limits, "task": given, "variables": free}, {
-        "first": half(task["left"], meeting, spans[0], z["first_bends"] * task["length"]),
-        "second": half(task["reached"], meeting, -spans[1], z["second_bends"] * task["length"]),
-        "spans": ca.vertcat(spans[0], -spans[1]), "signs": ca.vertcat(task["sign"], task["sign"]), "state": meeting,
-        "own": 10.0 * ca.sum1(over) + ca.sum1(spans) / limit["time"],
+    own = 10.0 * ca.sum1(_over(ca.fabs(z["spans"]), SPAN_MOST)) + ca.sum1(spans) / limit["time"]
+    return _parts([p, limits, given, free], {
+        "first_begin": task["left"], "second_begin": task["reached"], "first_end": meeting, "second_end": meeting,
+        "first_bends": z["first_bends"] * task["length"], "second_bends": z["second_bends"] * task["length"],
+        "spans": ca.vertcat(spans[0], -spans[1]), "signs": ca.vertcat(task["sign"], task["sign"]), "own": own,
     })  # fmt: skip
 
 
-def _candidate(name: str, arguments: dict[str, Symbol], results: dict[str, Symbol]) -> ca.Function:
-    """Differentiable by its last argument alone, the variables."""
-    only = [False] * (len(arguments) - 1) + [True]
-    dense = [ca.densify(result) for result in results.values()]
-    return ca.Function(name, [*arguments.values()], dense, [*arguments], [*results], {"cse": True, "is_diff_in": only})
+def _parts(arguments: list[Symbol], results: dict[str, Symbol]) -> ca.Function:
+    """Differentiable by the last argument alone, the variables."""
+    dense, only = [ca.densify(result) for result in results.values()], [False] * (len(arguments) - 1) + [True]
+    return ca.Function("parts", arguments, dense, [*ARGUMENTS], [*results], {"cse": True, "is_diff_in": only})
+
+
+def _joined(name: str, parts: ca.Function, curve: ca.Function) -> ca.Function:
+    """A candidate's halves, of what they are made of."""
+    arguments = [ca.MX.sym(given, parts.size1_in(i)) for i, given in enumerate(ARGUMENTS)]
+    part = dict(zip(parts.name_out(), parts(*arguments), strict=True))
+    halves = [
+        curve(part[f"{which}_begin"], part[f"{which}_end"], part["spans"][row], part[f"{which}_bends"])
+        for row, which in enumerate(("first", "second"))
+    ]
+    results = [*halves, part["spans"], part["signs"], part["own"]]
+    return ca.Function(name, arguments, results, [*ARGUMENTS], ["first", "second", "spans", "signs", "own"])
 
 
 def _over(value: Any, limit: Any) -> Any:
@@ -229,8 +231,8 @@ def costs(mechanism: Mechanism, e: Equations, made: list[ca.Function]) -> list[c
 
 
 def _cost(candidate: ca.Function, samples: ca.Function, end: ca.Function) -> ca.Function:
-    p, limits, task, variables = (ca.MX.sym(name, candidate.size1_in(i)) for i, name in enumerate(candidate.name_in()))
-    first, second, spans, signs, _, own = candidate(p, limits, task, variables)
+    arguments = p, limits, _, variables = [ca.MX.sym(name, candidate.size1_in(i)) for i, name in enumerate(ARGUMENTS)]
+    first, second, spans, signs, own = candidate(*arguments)
     peak = near = total = 0.0
     for row, coefficients in enumerate((first, second)):
         span = spans[row]
@@ -245,6 +247,6 @@ def _cost(candidate: ca.Function, samples: ca.Function, end: ca.Function) -> ca.
     near_cost = limits[place["near_weight"][0]] * near / limits[place["near_time"][0]]
     cost = ca.fmax(peak / ca.fmax(total, 1e-9), 1e-12) ** (1.0 / SOFT_MAXIMUM) + near_cost + own
     return ca.Function(
-        f"{candidate.name()}_cost", [p, limits, task, variables], [cost, ca.densify(ca.gradient(cost, variables))],
-        candidate.name_in(), ["cost", "gradient"],
+        f"{candidate.name()}_cost", arguments, [cost, ca.densify(ca.gradient(cost, variables))], [*ARGUMENTS],
+        ["cost", "gradient"],
     )  # fmt: skip
