@@ -67,9 +67,23 @@ class FiveBar(Mechanism):
         left, right = (self.elbow(leg, q_a[leg], p) for leg in range(2))
         return circles(left, p.left.distal_length, right, p.right.distal_length, assembly_mode)
 
+    def mirror_image(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """Mirrored on the line of the elbows."""
+        first, second = (x - self.elbow(leg, q_a[leg], p) for leg in range(2))
+        side = first[0] * second[1] - first[1] * second[0]  # of the sign of s
+        return self.direct_geometric_model(q_a, ca.if_else(side > 0.0, -1.0, 1.0), p)
+
+    def folded(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """Of the distal links: the image is a whole turn of them away where they point the same way."""
+        return ca.dot(x - self.elbow(0, q_a[0], p), x - self.elbow(1, q_a[1], p))
+
     def singularity_scale(self, p: Any) -> Symbol:
         """s is then the sine of the angle between the distal links."""
         return p.left.distal_length * p.right.distal_length
+
+    def singularity_length(self, p: Any) -> Symbol:
+        """Geometric mean of the distal lengths, m."""
+        return ca.sqrt(p.left.distal_length * p.right.distal_length)
 
     def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
         """Sines of the elbows' angles."""

@@ -13,7 +13,9 @@ from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.mechanisms.mechanism import Array, Mechanism
 from dextar_control.model.equations import Equations, equations
 from dextar_control.model.functions import Fast, Library, cache_folder, named
+from dextar_control.model.solved import closed_near, mirror_image
 
+SOLVED = 1e-12  # m^2, of a closure that counts as closed
 CLOSED = 1e-9  # of the closures' own size, beyond which a geometric model does not satisfy them
 
 
@@ -60,6 +62,21 @@ class Model:
             raise GeometryError(f"x = {np.round(x, 6).tolist()} is out of reach: {joint} has no angle there")
         return np.asarray(q_a)
 
+    def direct_geometric_model(self, q_a: Array, assembly_mode: float, near: Array) -> Array:
+        """x (n,) of joints q_a (n,) with sign(s) = assembly_mode, clamped on the locus; nan where the loops do not close.
+
+        Args:
+            near: (n,) where the search begins that a mechanism without a closed form needs.
+        """
+        if "direct_geometric_model" in self.library.symbolic:
+            return np.asarray(self.library.fast("direct_geometric_model")(self.p, q_a, assembly_mode).x)
+        solve = self.library.fast("closed_near")
+        found = solve(self.p, q_a, near)
+        if found.s[0] * assembly_mode < 0.0:
+            found = solve(self.p, q_a, found.image)
+        good = found.gap[0] < SOLVED and found.s[0] * assembly_mode > 0.0
+        return np.asarray(found.x if good else np.full(self.n, np.nan))
+
 
 @lru_cache
 def equations_of(mechanism: Mechanism) -> Equations:
@@ -92,9 +109,22 @@ def library_of(mechanism: Mechanism) -> Library:
     ]  # fmt: skip
     q_a, mode = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("assembly_mode")
     direct = mechanism.direct_geometric_model(q_a, mode, p)
-    if direct is not None:
+    if direct is None:
+        functions.append(_closed_near(mechanism, e))
+    else:
         functions.append(named("direct_geometric_model", {"p": vector, "q_a": q_a, "assembly_mode": mode}, {"x": direct}))
     return Library(functions, cache_folder())
+
+
+def _closed_near(mechanism: Mechanism, e: Equations) -> ca.Function:
+    """The platform of given joints by Newton's method from a place near it, and its mirror image."""
+    vector, p = mechanism.symbols()
+    q_a, near = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("near", mechanism.n)
+    x = closed_near(mechanism, q_a, near, p)
+    s = e.at(vector, q_a, x, ca.SX.zeros(mechanism.n)).s
+    return named("closed_near", {"p": vector, "q_a": q_a, "near": near}, {
+        "x": x, "gap": ca.norm_inf(mechanism.closures(q_a, x, p)), "s": s, "image": mirror_image(mechanism, q_a, x, p),
+    })  # fmt: skip
 
 
 def check_geometry(model: Model, places: Array) -> None:
