@@ -118,9 +118,20 @@ class Mechanism(ABC):
         """The other place (n,) of the platform that the joints q_a leave, with -sign(s); None where it has no closed form."""
         return None
 
+    def why_open(self, q_a: Array, p: Any) -> str:
+        """Why no place of the platform closes the loops at joints q_a (n,), in words; "" where one does or that is not known.
+
+        ``p`` has numbers.
+        """
+        return ""
+
     def folded(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
         """Positive where that other place is far away even near the locus, so that joints that fit one do not fit the other."""
         return ca.SX(-1.0)
+
+    def singularity_of_joints(self, q_a: Symbol, p: Any) -> Symbol | None:
+        """|s| from the active joints alone, the same in both assembly modes, 0 where they do not close; None where unknown."""
+        return None
 
     @abstractmethod
     def singularity_scale(self, p: Any) -> Symbol:
@@ -141,6 +152,10 @@ class Mechanism(ABC):
     def symbols(self) -> tuple[Symbol, Any]:
         """(all parameters as one vector, the same by their dotted names)."""
         vector = ca.SX.sym("p", sum(parameter.size for parameter in self.parameters))
+        return vector, self.named(vector)
+
+    def named(self, vector: Any) -> Any:
+        """The parameters of a vector of symbols or numbers by their dotted names."""
         named, place = SimpleNamespace(), 0
         for parameter in self.parameters:
             *groups, last = parameter.name.split(".")
@@ -151,7 +166,7 @@ class Mechanism(ABC):
                 owner = getattr(owner, group)
             setattr(owner, last, vector[place : place + parameter.size])
             place += parameter.size
-        return vector, named
+        return named
 
     def values(self, flat: Mapping[str, Any]) -> Array:
         """The vector of ``symbols`` for dotted names and values; others' keys are ignored.

@@ -10,6 +10,8 @@ import casadi as ca
 import numpy as np
 
 from dextar_control.contract.errors import GeometryError, ParameterError
+from dextar_control.contract.robot import RobotParameters, flatten
+from dextar_control.mechanisms import mechanism_named
 from dextar_control.mechanisms.mechanism import Array, Mechanism
 from dextar_control.model.equations import Equations, equations
 from dextar_control.model.functions import Fast, Library, cache_folder, named
@@ -46,6 +48,11 @@ class Model:
             self._bound(name) for name in ("state", "wrenches", "platform_dynamics")
         )
 
+    @classmethod
+    def of(cls, robot: RobotParameters) -> Model:
+        """The model of a robot description."""
+        return cls(mechanism_named("five_bar"), flatten(robot))
+
     def _bound(self, name: str) -> Any:
         fast: Fast = self.library.fast(name)
         return lambda *arguments: fast(self.p, *arguments)
@@ -62,6 +69,11 @@ class Model:
             raise GeometryError(f"x = {np.round(x, 6).tolist()} is out of reach: {joint} has no angle there")
         return np.asarray(q_a)
 
+    def type1_distance(self, x: Array) -> float:
+        """Least sine of a leg's angle at a platform position x (n,): zero at a Type 1 singularity; nan out of reach."""
+        (q_a,) = self._inverse(self.p, x)
+        return float(self.state(q_a, x, np.zeros(self.n)).type1[0])
+
     def direct_geometric_model(self, q_a: Array, assembly_mode: float, near: Array) -> Array:
         """x (n,) of joints q_a (n,) with sign(s) = assembly_mode, clamped on the locus; nan where the loops do not close.
 
@@ -76,6 +88,18 @@ class Model:
             found = solve(self.p, q_a, found.image)
         good = found.gap[0] < SOLVED and found.s[0] * assembly_mode > 0.0
         return np.asarray(found.x if good else np.full(self.n, np.nan))
+
+    def close(self, q_a: Array, assembly_mode: float) -> Array:
+        """x (n,) of joints q_a (n,) with sign(s) = assembly_mode.
+
+        Raises:
+            GeometryError: the loops do not close there.
+        """
+        problem = self.mechanism.why_open(np.asarray(q_a), self.mechanism.named(self.p))
+        x = self.direct_geometric_model(q_a, assembly_mode, np.zeros(self.n))
+        if problem or not np.isfinite(x).all():
+            raise GeometryError(problem or f"the loops of {self.mechanism.name} do not close at joints {np.round(q_a, 6).tolist()}")
+        return x
 
 
 @lru_cache

@@ -1,0 +1,1 @@
+from dextar_control.core.certificate import *  # noqa

@@ -1,0 +1,2 @@
+from dextar_control.core.trajectory import *  # noqa
+from dextar_control.core.trajectory import Trajectory, hold
