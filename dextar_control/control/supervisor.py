@@ -81,7 +81,7 @@ ESTIMATE_LOST = ("finite", "joint_jump", "estimator")  # watches that say that t
 
 @lru_cache
 def watch_of(mechanism: Mechanism) -> Library:
-    """``watch``: (p, middle, half, last, estimate, output, q_meas, dt) -> values, last_next."""
+    """``watch``: (p, middle, half, limits, last, estimate, output, q_meas, dt) -> values, passed, any, last_next."""
     n = mechanism.n
     vector, p = mechanism.symbols()
     (last_vector, last), (hat_vector, hat), (out_vector, out) = (
@@ -107,11 +107,15 @@ def watch_of(mechanism: Mechanism) -> Library:
         "saturation": largest(out["tau"], finite),
         "torque_rate": largest(out["tau"] - last["tau"], ca.logic_and(known, finite)) / dt,
     }
+    limits_vector, limits = Layout("watched", n, VALUES).symbols("limits")
+    passed = {name: ca.logic_not(value <= limits[name]) for name, value in values.items()}
+    passed |= {"locus": values["locus"] < limits["locus"], "saturation": values["saturation"] >= limits["saturation"]}
     now = {"known": ca.SX(1.0), "q_meas": q_meas, "q_a": hat["q_a"], "q_a_dot": hat["q_a_dot"], "tau": out["tau"]}
-    arguments = {"p": vector, "middle": middle, "half": half, "last": last_vector, "estimate": hat_vector, "output": out_vector,
+    arguments = {"p": vector, "middle": middle, "half": half, "limits": limits_vector, "last": last_vector, "estimate": hat_vector, "output": out_vector,
                  "q_meas": q_meas, "dt": dt}
     return Library([named("watch", arguments, {
-        "values": Layout("watched", n, VALUES).join(values), "last_next": Layout("last", n, LAST).join(now),
+        "values": Layout("watched", n, VALUES).join(values), "passed": Layout("watched", n, VALUES).join(passed),
+        "any": ca.mmax(ca.vertcat(*passed.values())), "last_next": Layout("last", n, LAST).join(now),
     })], cache_folder())
 
 
@@ -127,29 +131,28 @@ class Supervisor:
     def __init__(self, robot: RobotParameters, model: Model, estimate: Record, output: Record) -> None:
         self._robot, self._joints = robot, [joint.name for joint in model.mechanism.joints]
         low, high = (np.array(bounds) for bounds in robot.joint_range)
-        self._values = Layout("watched", model.n, VALUES).make()
+        watched = Layout("watched", model.n, VALUES)
+        self._values, self._limits = watched.make(), watched.make()
         self._last = Layout("last", model.n, LAST).make()
         self._watch = watch_of(model.mechanism).fast(
             "watch", p=model.p, middle=0.5 * (low + high), half=0.5 * (high - low), last=self._last.numbers,
-            estimate=estimate.numbers, output=output.numbers, values=self._values.numbers,
+            estimate=estimate.numbers, output=output.numbers, values=self._values.numbers, limits=self._limits.numbers,
         )
-        self._limits = dict.fromkeys(NAMES, 0.0)
         self._times = dict.fromkeys(NAMES, -1.0)
         self._timers = dict.fromkeys(NAMES, 0.0)
+        self._counting = False
         self._locus_s = 0.0
         self.tripped = ""
 
     def configure(self, settings: Settings) -> None:
         """Take the limits, also while running."""
-        self._limits |= {
-            "tracking_error": settings.max_tracking_error,
-            "joint_speed": settings.speed_margin * self._robot.max_joint_speed,
-            "platform_speed": settings.speed_margin * self._robot.max_platform_speed,
-            "joint_range": settings.joint_margin,
-            "joint_jump": settings.max_joint_jump,
-            "estimator": settings.max_joint_misfit,
-            "torque_rate": settings.max_torque_rate * self._robot.max_torque,
-        }
+        limits = self._limits
+        limits.tracking_error = settings.max_tracking_error
+        limits.joint_speed = settings.speed_margin * self._robot.max_joint_speed
+        limits.platform_speed = settings.speed_margin * self._robot.max_platform_speed
+        limits.joint_range, limits.joint_jump = settings.joint_margin, settings.max_joint_jump
+        limits.estimator = settings.max_joint_misfit
+        limits.torque_rate = settings.max_torque_rate * self._robot.max_torque
         self._times |= {
             "joint_speed": settings.speed_time, "platform_speed": settings.speed_time, "estimator": settings.misfit_time,
             "torque_rate": settings.torque_rate_time, "saturation": settings.watch_time,
@@ -159,6 +162,7 @@ class Supervisor:
     def begin(self) -> None:
         """Another trajectory: the times count anew."""
         self._timers = dict.fromkeys(NAMES, 0.0)
+        self._counting = False
 
     def forget(self) -> None:
         """The robot was left to itself: what follows is not compared with what was before."""
@@ -175,31 +179,28 @@ class Supervisor:
             torque_limit: at which the torques were cut, N m.
             crossing: the reference is near the locus because a crossing is planned there.
         """
-        given, limits, times, timers = self._watch.arguments, self._limits, self._times, self._timers
-        limits["locus"] = 0.0 if crossing else self._locus_s
-        limits["saturation"] = torque_limit
-        given.q_meas[:] = q_a
-        given.dt[0] = dt
-        self._watch.run()
-        self._last.numbers[:] = self._watch.results.last_next
+        watch = self._watch
+        self._limits.locus, self._limits.saturation = 0.0 if crossing else self._locus_s, torque_limit
+        watch.arguments.q_meas[:] = q_a
+        watch.arguments.dt[0] = dt
+        watch.run()
+        self._last.numbers[:] = watch.results.last_next
         self.tripped = ""
-        for name, value in zip(NAMES, self._values.numbers.tolist(), strict=True):
-            limit, time = limits[name], times[name]
-            if name == "locus":
-                passed = value < limit
-            elif name == "saturation":
-                passed = value >= limit
-            else:
-                passed = not value <= limit
-            if time >= 0.0:
-                if passed:
-                    timers[name] += dt
-                elif timers[name] > 0.0:
-                    timers[name] = max(timers[name] - RECOVERY * dt, 0.0)
-                passed = timers[name] > time
-            if passed and not self.tripped:
-                self.tripped = name
+        if self._counting or watch.results.any.item() > 0.0:
+            self._count(watch.results.passed.tolist(), dt)
         return self._sentence(self.tripped, q_a) if self.tripped else ""
+
+    def _count(self, passed: list[float], dt: float) -> None:
+        """Count the times of watches that may be passed for a while, and find the first one that trips."""
+        self._counting = False
+        for name, over in zip(NAMES, passed, strict=True):
+            trips, time = over > 0.0, self._times[name]
+            if time >= 0.0:
+                timer = self._timers[name] + dt if trips else max(self._timers[name] - RECOVERY * dt, 0.0)
+                self._timers[name], trips = timer, timer > time
+                self._counting = self._counting or timer > 0.0
+            if trips and not self.tripped:
+                self.tripped = name
 
     @property
     def estimate_lost(self) -> bool:
@@ -209,15 +210,16 @@ class Supervisor:
     @property
     def saturated(self) -> bool:
         """Whether a torque of the last sample was cut."""
-        return self._values.saturation >= self._limits["saturation"]
+        return bool(self._values.saturation >= self._limits.saturation)
 
     @property
     def watches(self) -> dict[str, tuple[float, float]]:
         """Each watch's last value and its limit, by name; zero limits do not bind."""
-        return {name: (value, self._limits[name]) for name, value in zip(NAMES, self._values.numbers.tolist(), strict=True)}
+        pairs = zip(self._values.numbers.tolist(), self._limits.numbers.tolist(), strict=True)
+        return dict(zip(NAMES, pairs, strict=True))
 
     def _sentence(self, name: str, q_a: Array) -> str:
-        value, limit = getattr(self._values, name), self._limits[name]
+        value, limit = getattr(self._values, name), getattr(self._limits, name)
         if name == "finite":
             return "the law gave a number that is not finite"
         if name == "tracking_error":

@@ -92,7 +92,7 @@ class ExternalEstimator(ObserverEstimator):
             self.outages += 1
             self._last_fate = Fate.TAKEN
             self.note = f"no external position for {self._silence:.3f} s (limit {self._timeout} s): the encoders serve alone"
-        self._fill()
+        self.observer.tell_side()
 
     def _take(self, pose: Pose, age: float) -> None:
         x = np.array(pose.x, dtype=np.float64)

@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import casadi as ca
 
+from dextar_control.estimation.records import ESTIMATE
 from dextar_control.mechanisms.mechanism import Mechanism, Symbol
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
@@ -41,8 +42,6 @@ NOISE = (
     Field("shock_speed", "m/s", "of x_dot after a blow"),
 )
 LOOK = (
-    Field("q_a", "rad", "joints of the mean, b included", "n"),
-    Field("q_a_dot", "rad/s", "their velocities", "n"),
     Field("s", "1", "singularity measure"),
     Field("s_variance", "1", "of s, by the covariance"),
     Field("type1", "1", "least distance of a leg to Type 1"),
@@ -55,8 +54,9 @@ class _Filters:
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism, self.n = mechanism, mechanism.n
-        self.filter, self.noise, self.look = (
-            Layout(name, self.n, fields) for name, fields in (("filter", FILTER), ("noise", NOISE), ("look", LOOK))
+        self.filter, self.noise, self.look, self.estimate = (
+            Layout(name, self.n, fields)
+            for name, fields in (("filter", FILTER), ("noise", NOISE), ("look", LOOK), ("estimate", ESTIMATE))
         )
         self._equations = equations_of(mechanism)
         self.vector, self.p = mechanism.symbols()
@@ -167,15 +167,17 @@ class _Filters:
         return image, ca.if_else(off < 1e-6, 1.0, 0.0)  # still in this working mode
 
     def seen(self, state: dict[str, Symbol]) -> dict[str, Symbol]:
-        """Where the mean is with respect to the locus."""
+        """Where the mean is with respect to the locus, and the estimate that it makes but for the side."""
         n, x = self.n, ca.SX.sym("x", self.n)
-        s = self.at(x, ca.SX.zeros(n)).s
-        slope = ca.substitute(ca.jacobian(s, x), x, state["x"])
+        slope = ca.substitute(ca.jacobian(self.at(x, ca.SX.zeros(n)).s, x), x, state["x"])
         e = self.at(state["x"], state["x_dot"])
-        return {
-            "q_a": e.q_a + state["b"], "q_a_dot": e.q_a_dot, "s": e.s, "s_variance": slope @ state["covariance"][:n, :n] @ slope.T,
-            "type1": e.type1, "folded": self.mechanism.folded(e.q_a, state["x"], self.p),
+        look = {
+            "s": e.s, "s_variance": slope @ state["covariance"][:n, :n] @ slope.T, "type1": e.type1,
+            "folded": self.mechanism.folded(e.q_a, state["x"], self.p),
         }
+        estimate = {"x": state["x"], "x_dot": state["x_dot"], "q_a": e.q_a + state["b"], "q_a_dot": e.q_a_dot,
+                    "assembly_mode": 0.0, "confidence": 0.0, "s": e.s}
+        return {"look": self.look.join(look), "estimate": self.estimate.join(estimate)}
 
 
 def _gain_parts(P: Symbol, H: Symbol, variance: Symbol) -> tuple[Symbol, Symbol]:
@@ -222,10 +224,10 @@ def filters_of(mechanism: Mechanism) -> Library:
                "distance": ca.norm_2(x_meas - state["x"])}),
         named("unseen_blow", p | told | whole, {"filter_next": f.filter.join(f.unseen_blow(noise, state))}),
         named("mirror", p | whole, {"image": f.filter.join(image), "near": near}),
-        named("look", p | whole, {"look": f.look.join(f.seen(state))}),
+        named("look", p | whole, f.seen(state)),
         named("advance", p | told | {"test_noise": test_vector} | whole | {"same": same_vector, "tau": tau, "dt": dt, "gap": gap,
                                                                           "q_meas": q_meas},
               {"filter_next": f.filter.join(main), "same_next": f.filter.join(same), "struck": hit, "square": fit,
-               "spread": fit_spread, "look": f.look.join(f.seen(main)),
+               "spread": fit_spread, **f.seen(main),
                "finite": is_finite(ca.vertcat(main["x"], main["x_dot"], main["b"]))}),
     ], cache_folder())

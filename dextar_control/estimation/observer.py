@@ -9,6 +9,7 @@ import numpy as np
 
 from dextar_control.estimation.belief import CERTAIN, DOUBT_S, Belief, log_odds_of_side
 from dextar_control.estimation.filters import FILTER, LOOK, NOISE, filters_of
+from dextar_control.estimation.records import ESTIMATE
 from dextar_control.mechanisms.mechanism import Array
 from dextar_control.model.model import Model
 from dextar_control.model.record import Layout, Record
@@ -40,7 +41,8 @@ class Observer:
         image: from its mirror image, likewise.
         noise: that the main filter is told of; test_noise: that the other two are.
         belief: about the assembly mode.
-        look: where the main filter's mean is; of the last sample.
+        look: where the main filter's mean is with respect to the locus.
+        estimate: what it makes, with the side as ``tell_side`` was last called.
     """
 
     def __init__(self, model: Model, min_type1: float) -> None:
@@ -50,6 +52,7 @@ class Observer:
         self.main, self.same, self.image = (self.layout.make() for _ in range(3))
         self.noise, self.test_noise = noise.make(), noise.make()
         self.look = Layout("look", model.n, LOOK).make()
+        self.estimate = Layout("estimate", model.n, ESTIMATE).make(s=math.nan)
         self.belief = Belief()
         self.passage = Passage(0.0, 0.0, 0.0)
         self._finite = True
@@ -57,7 +60,7 @@ class Observer:
         self._model = model
         self._advance = self._library.fast(
             "advance", p=model.p, noise=self.noise.numbers, test_noise=self.test_noise.numbers, filter=self.main.numbers,
-            same=self.same.numbers, look=self.look.numbers,
+            same=self.same.numbers, look=self.look.numbers, estimate=self.estimate.numbers,
         )
         self._steps = {name: self._library.fast(name) for name in (
             "begin", "predict", "innovate", "correct", "correct_position", "unseen_blow", "mirror", "look",
@@ -110,7 +113,8 @@ class Observer:
 
     def look_again(self) -> None:
         """After the main filter was changed."""
-        self.look.numbers[:] = self._steps["look"](self._p, self.main.numbers).look
+        found = self._steps["look"](self._p, self.main.numbers)
+        self.look.numbers[:], self.estimate.numbers[:] = found.look, found.estimate
 
     def direct_model(self, q_a: Array, assembly_mode: float) -> Array:
         """Platform (n,) of the joints (n,), rad, with sign(s) = assembly_mode; the nearest to the last one where it is solved."""
@@ -228,6 +232,10 @@ class Observer:
         if belief.testing or belief.armed:
             belief.misfit_now = 0.0
         belief.mode = mode
+
+    def tell_side(self) -> None:
+        """Into the estimate."""
+        self.estimate.assembly_mode, self.estimate.confidence = self.belief.as_seen()
 
     def is_folded(self) -> bool:
         """Whether the main filter's distal links are nearer to folded than to stretched."""

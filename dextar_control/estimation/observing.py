@@ -9,10 +9,9 @@ from dextar_control.estimation.belief import CERTAIN, Belief
 from dextar_control.estimation.estimate import Pose
 from dextar_control.estimation.joint_filter import JointFilter
 from dextar_control.estimation.observer import REST_SPEED, Observer, Passage
-from dextar_control.estimation.records import ESTIMATE
 from dextar_control.mechanisms.mechanism import Array
 from dextar_control.model.model import Model
-from dextar_control.model.record import Layout, Record
+from dextar_control.model.record import Record
 
 
 class ObserverEstimator:
@@ -27,7 +26,7 @@ class ObserverEstimator:
     def __init__(self, model: Model, settings: Settings, min_type1: float) -> None:
         self.observer = Observer(model, min_type1)
         self._joints = JointFilter(model.mechanism)
-        self.estimate: Record = Layout("estimate", model.n, ESTIMATE).make(s=np.nan)
+        self.estimate: Record = self.observer.estimate
         self.note = ""
         self.configure(settings)
 
@@ -67,7 +66,7 @@ class ObserverEstimator:
         self.observer.begin(x, speed)
         self._joints.set(q_a, 0.0)
         self.observer.belief = Belief(mode=float(assembly_mode), log_odds=CERTAIN)
-        self.estimate.assembly_mode, self.estimate.confidence = float(assembly_mode), 1.0
+        self.observer.tell_side()
 
     def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
         """See ``Estimator``."""
@@ -82,14 +81,7 @@ class ObserverEstimator:
 
     def _advance(self, dt: float, q_a: Array, tau: Array) -> None:
         self.observer.observe(tau, dt, q_a)
-        self._fill()
-
-    def _fill(self) -> None:
-        """The estimate from the main filter and the belief."""
-        estimate, main, look = self.estimate, self.observer.main, self.observer.look
-        estimate.x, estimate.x_dot, estimate.q_a, estimate.q_a_dot = main.x, main.x_dot, look.q_a, look.q_a_dot
-        estimate.s = look.s
-        estimate.assembly_mode, estimate.confidence = self.observer.belief.as_seen()
+        self.observer.tell_side()
 
     def track(self, dt: float, q_a: Array, tau: Array, reference: Record, zone: float, width: float) -> None:
         """See ``Estimator``."""

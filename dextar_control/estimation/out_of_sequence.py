@@ -70,7 +70,7 @@ class Distances(NamedTuple):
 class _Entry:
     """What came in at one instant, and the filters after it."""
 
-    __slots__ = ("belief", "dt", "filters", "look", "q_meas", "tau", "time")
+    __slots__ = ("belief", "dt", "filters", "q_meas", "tau", "time")
 
     def __init__(self, time: float, dt: float, tau: Array, q_meas: Array, observer: Observer) -> None:
         self.time, self.dt, self.tau, self.q_meas = time, dt, tau, q_meas
@@ -79,13 +79,14 @@ class _Entry:
     def keep(self, observer: Observer) -> None:
         """The filters as they are now."""
         self.filters = (observer.main.numbers.copy(), observer.same.numbers.copy(), observer.image.numbers.copy())
-        self.look, self.belief = observer.look.numbers.copy(), observer.belief.copy()
+        self.belief = observer.belief.copy()
 
     def give(self, observer: Observer) -> None:
         """Make the filters what they were."""
         for record, numbers in zip((observer.main, observer.same, observer.image), self.filters, strict=True):
             record.numbers[:] = numbers
-        observer.look.numbers[:], observer.belief = self.look, self.belief.copy()
+        observer.belief = self.belief.copy()
+        observer.look_again()
 
 
 class History:
