@@ -8,6 +8,7 @@ from enum import IntEnum
 from typing import Any, TypeVar
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.resources import NODES_FILE, config_file, node_defaults
 
 Choice = TypeVar("Choice", bound=IntEnum)
 
@@ -169,3 +170,8 @@ def choice(kind: type[Choice], name: str, value: Any) -> Choice:
     if str(value) not in known:
         raise ParameterError(f"{name} = {value!r}; it must be one of {', '.join(known)}")
     return known[str(value)]
+
+
+def default_settings(**changes: object) -> Settings:
+    """The controller settings of ``config/crossing.yaml``, with changes."""
+    return Settings.from_values(node_defaults("controller", config_file(NODES_FILE)) | changes)

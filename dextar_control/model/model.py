@@ -12,7 +12,7 @@ import numpy as np
 from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.mechanisms import mechanism_named
-from dextar_control.mechanisms.mechanism import Array, Mechanism
+from dextar_control.mechanisms.mechanism import Array, Mechanism, Symbol
 from dextar_control.model.equations import Equations, equations
 from dextar_control.model.functions import Fast, Library, cache_folder, named
 from dextar_control.model.solved import closed_near, mirror_image
@@ -31,6 +31,7 @@ class Model:
     Attributes:
         p: the parameters as one vector.
         n: degrees of freedom.
+        place: x -> q_a, A_r, s, type1, t_s, gradient (of s, 1/m); nan out of reach.
         state: (q_a, x, x_dot) -> A_r, B, J_inv, q_a_dot, b, drift, s, type1, t_s: kinematics of a closed configuration.
         wrenches: (q_a, x, x_dot, x_ddot) -> q_a_ddot, w_b, w_d, multipliers, tau, friction, criterion, t_s.
         platform_dynamics: (q_a, x, x_dot, tau) -> M, h, x_ddot; regular on the Type 2 locus.
@@ -44,8 +45,8 @@ class Model:
         self.p = mechanism.values(values)
         self.library = library_of(mechanism)
         self._inverse = self.library.fast("inverse_geometric_model")
-        self.state, self.wrenches, self.platform_dynamics = (
-            self._bound(name) for name in ("state", "wrenches", "platform_dynamics")
+        self.place, self.state, self.wrenches, self.platform_dynamics = (
+            self._bound(name) for name in ("place", "state", "wrenches", "platform_dynamics")
         )
 
     @classmethod
@@ -71,8 +72,7 @@ class Model:
 
     def type1_distance(self, x: Array) -> float:
         """Least sine of a leg's angle at a platform position x (n,): zero at a Type 1 singularity; nan out of reach."""
-        (q_a,) = self._inverse(self.p, x)
-        return float(self.state(q_a, x, np.zeros(self.n)).type1[0])
+        return float(self.place(x).type1[0])
 
     def direct_geometric_model(self, q_a: Array, assembly_mode: float, near: Array) -> Array:
         """x (n,) of joints q_a (n,) with sign(s) = assembly_mode, clamped on the locus; nan where the loops do not close.
@@ -125,6 +125,7 @@ def library_of(mechanism: Mechanism) -> Library:
             "A_r": e.A_r, "B": e.B, "J_inv": e.J_inv, "q_a_dot": e.q_a_dot, "b": e.b, "drift": e.drift, "s": e.s,
             "type1": e.type1, "t_s": e.singular.v_weak,
         }),
+        named("place", {"p": vector, "x": x}, _place(mechanism, e, vector, x)),
         named("wrenches", closed | {"x_ddot": e.x_ddot}, {
             "q_a_ddot": e.q_a_ddot, "w_b": e.w_b, "w_d": e.w_d, "multipliers": e.multipliers,
             "tau": e.inverse_dynamics + e.friction, "friction": e.friction, "criterion": e.criterion, "t_s": e.singular.v_weak,
@@ -138,6 +139,13 @@ def library_of(mechanism: Mechanism) -> Library:
     else:
         functions.append(named("direct_geometric_model", {"p": vector, "q_a": q_a, "assembly_mode": mode}, {"x": direct}))
     return Library(functions, cache_folder())
+
+
+def _place(mechanism: Mechanism, e: Equations, vector: Symbol, x: Symbol) -> dict[str, Symbol]:
+    """What there is to say of a place of the platform."""
+    at = e.at(vector, mechanism.inverse_geometric_model(x, mechanism.named(vector)), x, ca.SX.zeros(mechanism.n))
+    return {"q_a": at.q_a, "A_r": at.A_r, "s": at.s, "type1": at.type1, "t_s": at.singular.v_weak,
+            "gradient": ca.gradient(at.s, x)}
 
 
 def _closed_near(mechanism: Mechanism, e: Equations) -> ca.Function:
