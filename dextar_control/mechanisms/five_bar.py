@@ -95,9 +95,42 @@ class FiveBar(FiveBarLocus):
         left, right = (self.elbow(leg, q_a[leg], p) for leg in range(2))
         return circles(left, p.left.distal_length, right, p.right.distal_length, assembly_mode)
 
+    def mirror_image(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """Mirrored on the line of the elbows."""
+        first, second = (x - self.elbow(leg, q_a[leg], p) for leg in range(2))
+        side = first[0] * second[1] - first[1] * second[0]  # of the sign of s
+        return self.direct_geometric_model(q_a, ca.if_else(side > 0.0, -1.0, 1.0), p)
+
+    def why_open(self, q_a: Array, p: Any) -> str:
+        """By the distance of the elbows."""
+        left, right = (np.array(self.elbow(leg, float(q_a[leg]), p)).ravel() for leg in range(2))
+        distance = float(np.hypot(*(right - left)))
+        lengths = float(p.left.distal_length[0]), float(p.right.distal_length[0])
+        low, high = abs(lengths[0] - lengths[1]), sum(lengths)
+        if low <= distance <= high and distance != 0.0:
+            return ""
+        return f"the elbows are {distance:.6f} m apart; the distal links close {low:.6f} to {high:.6f} m"
+
+    def folded(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """Of the distal links: the image is a whole turn of them away where they point the same way."""
+        return ca.dot(x - self.elbow(0, q_a[0], p), x - self.elbow(1, q_a[1], p))
+
+    def singularity_of_joints(self, q_a: Symbol, p: Any) -> Symbol:
+        """Sine of the angle between the distal links, which follows from the distance of the elbows."""
+        l2, r2 = p.left.distal_length, p.right.distal_length
+        between = ca.sumsqr(self.elbow(1, q_a[1], p) - self.elbow(0, q_a[0], p))
+        cosine = 0.5 * (l2**2 + r2**2 - between) / (l2 * r2)
+        square = 1.0 - cosine**2
+        closes = square > 0.0
+        return ca.if_else(closes, ca.sqrt(ca.if_else(closes, square, 1.0)), 0.0)
+
     def singularity_scale(self, p: Any) -> Symbol:
         """s is then the sine of the angle between the distal links."""
         return p.left.distal_length * p.right.distal_length
+
+    def singularity_length(self, p: Any) -> Symbol:
+        """Geometric mean of the distal lengths, m."""
+        return ca.sqrt(p.left.distal_length * p.right.distal_length)
 
     def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
         """Sines of the elbows' angles."""

@@ -66,9 +66,9 @@ class FiveBarLocus(Mechanism):
         q_a = ca.vertcat(*(ca.atan2(elbow[1], elbow[0]) for elbow in elbows))
         return q_a, P_1 + left.distal_length * d, overlap(*circle) / (left.proximal_length * right.proximal_length)
 
-    def family(self, A_r: Symbol) -> Symbol:
-        """The value of the family that a place of the locus belongs to; A_r has r_1 and r_2 as rows."""
-        return ca.if_else(ca.dot(A_r[0, :], A_r[1, :]) < 0.0, 1.0, -1.0)
+    def family(self, A_r: Array) -> Family:
+        """The family that a place of the locus belongs to; A_r has r_1 and r_2 as rows."""
+        return Family.STRETCHED if A_r[0] @ A_r[1] < 0.0 else Family.FOLDED
 
     def modes(self, type1_sines: Array) -> Array:
         """Working modes (..., 2): +1 where the elbow is on the left, which makes the sine of its angle negative."""

@@ -127,9 +127,32 @@ class Mechanism(ABC):
     def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> Symbol | None:
         """x (n,) of joint positions with sign(s) = assembly_mode, its root clamped at zero; None where it has no closed form."""
 
+    def mirror_image(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol | None:
+        """The other place (n,) of the platform that the joints q_a leave, with -sign(s); None where it has no closed form."""
+        return None
+
+    def why_open(self, q_a: Array, p: Any) -> str:
+        """Why no place of the platform closes the loops at joints q_a (n,), in words; "" where one does or that is not known.
+
+        ``p`` has numbers.
+        """
+        return ""
+
+    def folded(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """Positive where that other place is far away even near the locus, so that joints that fit one do not fit the other."""
+        return ca.SX(-1.0)
+
+    def singularity_of_joints(self, q_a: Symbol, p: Any) -> Symbol | None:
+        """|s| from the active joints alone, the same in both assembly modes, 0 where they do not close; None where unknown."""
+        return None
+
     @abstractmethod
     def singularity_scale(self, p: Any) -> Symbol:
         """What det(A_r) is divided by to give s, dimensionless and about 1 far from the Type 2 locus."""
+
+    @abstractmethod
+    def singularity_length(self, p: Any) -> Symbol:
+        """What the least singular value of A_r is divided by to be dimensionless."""
 
     @abstractmethod
     def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:

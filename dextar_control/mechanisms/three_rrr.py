@@ -85,6 +85,10 @@ class ThreeRRR(Mechanism):
         """The distal lengths, and the lever of a corner over rho."""
         return p.leg1.distal_length * p.leg2.distal_length * p.leg3.distal_length * p.platform_radius / p.rotation_radius
 
+    def singularity_length(self, p: Any) -> Symbol:
+        """Geometric mean of the distal lengths, m."""
+        return (p.leg1.distal_length * p.leg2.distal_length * p.leg3.distal_length) ** (1.0 / 3.0)
+
     def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
         """Sines of the elbows' angles."""
         sines = []

@@ -13,7 +13,7 @@ departures from the print, each with its reason:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import casadi as ca
@@ -82,6 +82,15 @@ class Equations:
     singular: SingularVectors
     criterion: Symbol
     type1: Symbol
+
+    def at(self, p: Symbol, q_a: Symbol, x: Symbol, x_dot: Symbol, x_ddot: Any = 0.0, tau: Any = 0.0) -> Equations:
+        """The same for other symbols or expressions."""
+        names = [field.name for field in fields(self) if field.name != "singular"]
+        given = [self.p, self.q_a, self.x, self.x_dot, self.x_ddot, self.tau]
+        values = ca.Function("at", given, [*(getattr(self, name) for name in names), *self.singular])(
+            p, q_a, x, x_dot, x_ddot, tau
+        )
+        return Equations(**dict(zip(names, values, strict=False)), singular=SingularVectors(*values[len(names) :]))
 
 
 def equations(mechanism: Mechanism) -> Equations:

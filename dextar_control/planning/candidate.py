@@ -101,8 +101,8 @@ def layouts(n: int) -> Layouts:
 def half(n: int) -> ca.Function:
     """The coefficients (n, ROWS) of a half by rising power of the share of its span, for n degrees of freedom.
 
-    It takes ``begin`` and ``end``, (n, 4) columns x, x_dot, x_ddot, jerk; ``span``, s, may be < 0; and ``bends``, (n, 2) heights of
-    the bumps, m, one column a bump.
+    It takes ``begin`` and ``end``, (n, 4) columns x, x_dot, x_ddot, jerk; ``span``, s, which may be < 0; and ``bends``, (n, 2)
+    heights of the bumps, m, one column a bump.
     """
     begin, end, bends, span = ca.SX.sym("begin", n, 4), ca.SX.sym("end", n, 4), ca.SX.sym("bends", n, 2), ca.SX.sym("span")
     low = ca.horzcat(begin[:, 0], begin[:, 1] * span, begin[:, 2] * span**2 / 2.0, begin[:, 3] * span**3 / 6.0)
@@ -129,15 +129,11 @@ def _crossing(mechanism: Any, e: Equations, layout: Layouts) -> ca.Function:
     _, x, closing = mechanism.type2_locus(task["family"], task["branch"], z["place"], p)
     q_a, _ = mechanism.nearest_joints(x, p)
     x_dot = task["directions"] @ z["velocity"] * unit
-    at_crossing = ca.Function("at_crossing", [e.p, e.q_a, e.x, e.x_dot, e.x_ddot], [
-        e.criterion, ca.jtimes(e.criterion, e.x_ddot, e.singular.v_weak), e.w_d, ca.jacobian(e.w_d, e.x_ddot),
-        e.singular.v_strong, e.singular.v_weak,
-    ])  # fmt: skip
-    state = e.p, q_a, x, x_dot
-    _, _, w_d, mass, v_strong, t_s = at_crossing(*state, ca.SX.zeros(x.shape))
-    strong = v_strong @ z["strong"] * unit / task["duration"]
-    residual, slope, *_ = at_crossing(*state, strong)
-    reciprocal = strong - residual / slope * t_s  # Eq. 5: t_s . w_d = 0
+    at = e.at(e.p, q_a, x, x_dot, e.x_ddot)  # linear in x_ddot
+    t_s, mass = at.singular.v_weak, ca.jacobian(at.w_d, e.x_ddot)
+    strong = at.singular.v_strong @ z["strong"] * unit / task["duration"]
+    residual, w_d = ca.substitute(at.criterion, e.x_ddot, strong), ca.substitute(at.w_d, e.x_ddot, ca.SX.zeros(mechanism.n))
+    reciprocal = strong - residual / (t_s.T @ mass @ t_s) * t_s  # Eq. 5: t_s . w_d = 0
     x_ddot = ca.if_else(task["zero_wrench"] > 0.5, -ca.solve(mass, w_d), reciprocal)
     begin = ca.horzcat(x, x_dot, x_ddot, z["jerk"] * unit / task["duration"] ** 2)
     before = ca.fmin(ca.fmax(z["split"], SPLIT_LEAST), 1.0 - SPLIT_LEAST) * task["duration"]
@@ -196,15 +192,13 @@ def _instant(mechanism: Any, e: Equations) -> tuple[ca.Function, ca.Function]:
     q_a, extension = mechanism.nearest_joints(e.x, p)
     worst = ca.mmax(ca.fabs(extension))
     missed = 100.0 * _over(worst, ca.sqrt(_over(1.0, limit["type1"] ** 2)))
-    q_a_dot, tau, s = ca.Function("state", [e.p, e.q_a, e.x, e.x_dot, e.x_ddot], [
-        e.q_a_dot, e.inverse_dynamics + e.friction, e.s,
-    ])(e.p, q_a, e.x, e.x_dot, e.x_ddot)  # fmt: skip
-    s, reached = sign * s, worst < 1.0
+    at = e.at(e.p, q_a, e.x, e.x_dot, e.x_ddot)
+    tau, s, reached = at.inverse_dynamics + at.friction, sign * at.s, worst < 1.0
     near = ca.exp(-((s / NEAR) ** 2))
     square = ((1.0 + NEAR_EMPHASIS * near) / limit["torque"] * tau) ** 2
     fourth = square * square
     broken = 10.0 * _over(floor, s) + _over(ca.norm_2(e.x_dot) / limit["platform_speed"], SPEED_SHARE)
-    broken += _over(ca.mmax(ca.fabs(q_a_dot)) / limit["joint_speed"], SPEED_SHARE)
+    broken += _over(ca.mmax(ca.fabs(at.q_a_dot)) / limit["joint_speed"], SPEED_SHARE)
     costs = ca.if_else(reached, ca.vertcat(ca.sum1(fourth * fourth * fourth), near, broken, 1.0),
                        ca.vertcat(0.0, 0.0, UNREACHABLE / HALF_SAMPLES, 0.0))  # fmt: skip
     only = {"is_diff_in": [False, False, False, False, True, True, True]}

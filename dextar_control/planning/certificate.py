@@ -146,7 +146,7 @@ def _crossing(robot: RobotParameters, profile: Profile, far: NDArray[np.int64], 
     span = np.ptp(profile.time[near])
     return Crossing(
         time=float(profile.time[row]), x=_tuple(x), x_dot=_tuple(x_dot),
-        family=model.mechanism.families(found.family[0]).name.lower(), sign=int(np.nan_to_num(sign)),
+        family=model.mechanism.family(found.A_r).name.lower(), sign=int(np.nan_to_num(sign)),
         rate=float(np.diff(profile.s[near][[0, -1]])[0] / span) if span > 0.0 else float("nan"),
         speed=float(abs(found.t_s @ x_dot)), residual=float(abs(profile.residual[row])),
         multipliers=_tuple(profile.multipliers[row]), torque=_tuple(profile.torque[row]), near_time=float(leave - enter),

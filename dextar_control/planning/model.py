@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from functools import lru_cache, wraps
-from typing import Any, ParamSpec, TypeVar
+from functools import lru_cache
+from typing import Any
 
 import casadi as ca
 
@@ -15,23 +15,8 @@ from dextar_control.model.functions import Library, cache_folder, named
 from dextar_control.model.model import Model, equations_of
 from dextar_control.planning.candidate import candidates, costs, layouts
 
-Arguments, Made = ParamSpec("Arguments"), TypeVar("Made")
-
 KEPT = 64  # robots whose models a thread keeps
-_building = threading.Lock()
-
-
-def per_thread(make: Callable[Arguments, Made]) -> Callable[Arguments, Made]:
-    """Keep what is made for each argument, once in each thread: it has places of its own and is not for two."""
-    local = threading.local()
-
-    @wraps(make)
-    def found(*arguments: Arguments.args, **_: Arguments.kwargs) -> Made:
-        if not hasattr(local, "found"):
-            local.found = lru_cache(KEPT)(make)
-        return local.found(*arguments)  # type: ignore[no-any-return]
-
-    return found
+_building, _of_thread = threading.Lock(), threading.local()
 
 
 class PlanningModel(Model):
@@ -40,7 +25,6 @@ class PlanningModel(Model):
     Attributes:
         sides: of places x (m, n) -> q_a, s, type1 (m, 1); nan out of reach.
         side: the same of one x.
-        place: of one x -> q_a, A_r, s, type1, t_s, gradient (of s, 1/m), family.
         instants: of (x, x_dot, x_ddot), (m, n) each -> q_a, q_a_dot, s, type1, residual, multipliers, joint_torque
             (w_b and friction), B.
         locus: of (family, branch, tracing angles (m, 1)) -> x, type1_sines, closing.
@@ -53,13 +37,12 @@ class PlanningModel(Model):
     def __init__(self, mechanism: Any, values: Any) -> None:
         super().__init__(mechanism, values)
         library, numbers = planning_library(mechanism), mechanism.named(self.p)
-        self.place, self.side = (self._with_numbers(library.fast(name)) for name in ("place", "sides"))
         self.sides, self.instants, self.locus = (
             self._with_numbers(library.batch(name)) for name in ("sides", "instants", "locus")
         )
         self.half = library.fast("half")
-        self.crossing, self.leg, self.crossing_cost, self.leg_cost = (
-            self._with_numbers(library.fast(name)) for name in ("crossing", "leg", "crossing_cost", "leg_cost")
+        self.side, self.crossing, self.leg, self.crossing_cost, self.leg_cost = (
+            self._with_numbers(library.fast(name)) for name in ("sides", "crossing", "leg", "crossing_cost", "leg_cost")
         )
         self.layouts = layouts(self.n)
         self.length: float = mechanism.length(numbers)
@@ -73,10 +56,11 @@ class PlanningModel(Model):
         return float(self.side(x).s[0])
 
 
-@per_thread
 def planning_model(robot: RobotParameters) -> PlanningModel:
-    """A robot's, for the calling thread."""
-    return PlanningModel.of(robot)
+    """A robot's; one for each thread, since its functions have places of their own."""
+    if not hasattr(_of_thread, "model"):
+        _of_thread.model = lru_cache(KEPT)(PlanningModel.of)
+    return _of_thread.model(robot)  # type: ignore[no-any-return]
 
 
 def planning_library(mechanism: Mechanism) -> Library:
@@ -89,24 +73,17 @@ def planning_library(mechanism: Mechanism) -> Library:
 def _library(mechanism: Any) -> Library:
     e = equations_of(mechanism)
     numbers, x = {"p": e.p}, {"x": e.x}
-    q_a = mechanism.inverse_geometric_model(e.x, mechanism.named(e.p))
-    kinematics = ca.Function("kinematics", [e.p, e.q_a, e.x], [e.A_r, e.s, e.type1, e.singular.v_weak])
-    A_r, s, type1, t_s = kinematics(e.p, q_a, e.x)
-    dynamics = ca.Function("dynamics", [e.p, e.q_a, e.x, e.x_dot, e.x_ddot], [
-        e.q_a_dot, e.criterion, e.multipliers, e.w_b + e.friction, e.B,
-    ])(e.p, q_a, e.x, e.x_dot, e.x_ddot)  # fmt: skip
-    names = "q_a_dot", "residual", "multipliers", "joint_torque", "B"
+    at = e.at(e.p, mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)), e.x, e.x_dot, e.x_ddot)
+    side = {"q_a": at.q_a, "s": at.s, "type1": at.type1}
     family, branch, angle = (ca.SX.sym(name) for name in ("family", "branch", "angle"))
     q_locus, x_locus, closing = mechanism.type2_locus(family, branch, angle, mechanism.named(e.p))
     made = candidates(mechanism, e)
     return Library([
-        named("sides", numbers | x, {"q_a": q_a, "s": s, "type1": type1}),
-        named("place", numbers | x, {
-            "q_a": q_a, "A_r": A_r, "s": s, "type1": type1, "t_s": t_s, "gradient": ca.gradient(s, e.x),
-            "family": mechanism.family(A_r),
+        named("sides", numbers | x, side),
+        named("instants", numbers | x | {"x_dot": e.x_dot, "x_ddot": e.x_ddot}, side | {
+            "q_a_dot": at.q_a_dot, "residual": at.criterion, "multipliers": at.multipliers,
+            "joint_torque": at.w_b + at.friction, "B": at.B,
         }),
-        named("instants", numbers | x | {"x_dot": e.x_dot, "x_ddot": e.x_ddot},
-              {"q_a": q_a, "s": s, "type1": type1} | dict(zip(names, dynamics, strict=True))),
         named("locus", numbers | {"family": family, "branch": branch, "angle": angle}, {
             "x": x_locus, "type1_sines": mechanism.type1_sines(q_locus, x_locus, mechanism.named(e.p)), "closing": closing,
         }),

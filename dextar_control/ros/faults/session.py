@@ -28,7 +28,7 @@ from dextar_control.contract.errors import DextarError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import CRITERION_NAMES
-from dextar_control.core.loop import MOVING, Phase
+from dextar_control.control.phases import MOVING, Phase
 from dextar_control.core.planner import Plan, plan_return_trip
 from dextar_control.faults import bag_check, judgement
 from dextar_control.faults.cases import Case, validated
