@@ -13,6 +13,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 ALLOWED_OUTSIDE = {
     "dextar_control.core": {"numpy", "scipy", "numba"},
+    "dextar_control.mechanisms": {"numpy", "casadi"},
+    "dextar_control.model": {"numpy", "casadi"},
+    "dextar_control.planning": {"numpy", "scipy", "casadi"},
     "dextar_control.bags": {"mcap", "yaml", "zstandard"},
     "dextar_control.campaign": {"numpy", "matplotlib", "rich", "yaml", "pydantic", "pydantic_core", "dask", "distributed",
                                 "pyarrow"},
@@ -26,6 +29,10 @@ ROS = {"rclpy", "builtin_interfaces", "rcl_interfaces", "sensor_msgs", "trajecto
 DOORS = {
     "dextar_control.contract": {"dextar_control.contract"},
     "dextar_control.core": {"dextar_control.core", "dextar_control.contract"},
+    "dextar_control.mechanisms": {"dextar_control.mechanisms", "dextar_control.contract"},
+    "dextar_control.model": {"dextar_control.model", "dextar_control.mechanisms", "dextar_control.contract"},
+    "dextar_control.planning": {"dextar_control.planning", "dextar_control.model", "dextar_control.mechanisms",
+                                "dextar_control.contract"},
     "dextar_control.rig_check": {"dextar_control.rig_check", "dextar_control.contract"},
     "dextar_control.bags": {"dextar_control.bags", "dextar_control.contract"},
     "dextar_control.analysis": {"dextar_control.analysis", "dextar_control.bags", "dextar_control.core",

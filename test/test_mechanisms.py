@@ -77,9 +77,11 @@ def test_a_geometric_model_that_leaves_the_loops_open_is_refused(robot: RobotPar
         check_geometry(Model(_WrongModel(), flatten(robot)), np.array([[0.0, 0.115]]))
 
 
-def test_a_place_out_of_reach_names_the_joint(robot: RobotParameters) -> None:
-    with pytest.raises(GeometryError, match=r"x = \[0\.16, 0\.0\] is out of reach: q11 has no angle there"):
+def test_a_place_out_of_reach_names_what_does_not_reach(robot: RobotParameters) -> None:
+    with pytest.raises(GeometryError, match=r"0\.2190 m from the left motor axis; the leg reaches 0\.0000 to 0\.1800 m"):
         Model(mechanism_named("five_bar"), flatten(robot)).inverse_geometric_model(np.array([0.16, 0.0]))
+    said = mechanism_named("three_rrr").unreached(np.array([0.5, 0.0, 0.0]), np.array([0.0, np.nan, 0.0]), None)
+    assert said == "x = [0.5, 0.0, 0.0] is out of reach: q21 has no angle there"
 
 
 @pytest.mark.parametrize("name", MECHANISMS)

@@ -28,7 +28,7 @@ ITERATIONS = 200  # of one descent
 TOLERANCE = 1e-3  # on the gradient
 GUESSES = 3
 HURRIED, HURRY = 2, 2.5  # of them that are tried with a velocity so many times larger
-IMPOSSIBLE = 1e6  # cost of a candidate without a finite one
+IMPOSSIBLE = 1e12  # cost of a candidate without a finite one
 VISIT = 0.9  # cosine of the angle between the ways of two guesses that are taken as one
 
 Progress = Callable[[float, str], None]
