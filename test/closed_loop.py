@@ -10,9 +10,9 @@ import numpy as np
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
-from dextar_control.core.planner import Plan
 from dextar_control.estimation.estimate import Pose
 from dextar_control.model.model import Model
+from dextar_control.planning.planner import Plan
 from dextar_sim.rig import Rig
 
 AFTER = 0.2  # s of holding after the trip

@@ -12,8 +12,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
-from dextar_control.core.planner import Plan, plan_return_trip
-from dextar_control.planning import planner as planning
+from dextar_control.planning.planner import Plan, plan_return_trip
 from dextar_control.ros.domain import own_domain
 
 os.environ["ROS_DOMAIN_ID"] = str(own_domain())
@@ -50,10 +49,3 @@ def slow_trip(robot: RobotParameters) -> Plan:
     """The same trip at 2 s each way."""
     task = node_defaults("trajectory_server")
     return plan_return_trip(robot, np.array(task["task.start"]), np.array(task["task.goal"]), 2.0, task["dwell"])
-
-
-@pytest.fixture(scope="session")
-def planned(robot: RobotParameters) -> planning.Plan:
-    """The fast return trip by the planner on symbols."""
-    task = node_defaults("trajectory_server")
-    return planning.plan_return_trip(robot, task["task.start"], task["task.goal"], task["duration"], task["dwell"])

@@ -29,7 +29,7 @@ from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.contract.settings import Settings, default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
-from dextar_control.core.planner import Plan, plan_return_trip
+from dextar_control.planning.planner import Plan, plan_return_trip
 from dextar_sim.rig import Rig
 
 Answer = TypeVar("Answer")

@@ -24,9 +24,9 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.contract.topics import CRITERION, EXTERNAL_POSE, JOINT_COMMANDS
 from dextar_control.control.verdicts import Verdict
-from dextar_control.core.planner import Plan
-from dextar_control.core.trajectory import Trajectory
 from dextar_control.model.model import Model
+from dextar_control.planning.planner import Plan
+from dextar_control.planning.trajectory import Trajectory
 from dextar_control.ros import messages
 from dextar_control.ros.trajectory_server import served_times
 from dextar_sim.plant import Plant

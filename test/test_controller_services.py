@@ -21,9 +21,9 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.control.phases import Phase
-from dextar_control.core.certificate import Certificate
-from dextar_control.core.planner import Plan
-from dextar_control.core.trajectory import Trajectory
+from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.planner import Plan
+from dextar_control.planning.trajectory import Trajectory
 from dextar_control.ros import messages
 from dextar_control.ros.controller_node import PARAMETERS, SERVED_PER_WATCH, ControllerNode
 

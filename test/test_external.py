@@ -11,7 +11,6 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import Settings, default_settings
 from dextar_control.control.phases import LIMP, Phase
 from dextar_control.control.verdicts import Verdict
-from dextar_control.core.planner import Plan
 from dextar_control.estimation.estimate import Pose
 from dextar_control.estimation.estimator import make_estimator
 from dextar_control.estimation.external import ExternalEstimator
@@ -19,6 +18,7 @@ from dextar_control.estimation.out_of_sequence import LENGTH, Fate
 from dextar_control.estimation.records import REFERENCE
 from dextar_control.model.model import Model
 from dextar_control.model.record import Layout
+from dextar_control.planning.planner import Plan
 
 EXACT = 1e-9  # m, rad, and their rates: the same arithmetic in another order of arrival
 PERIOD = 1e-3  # s

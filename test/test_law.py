@@ -14,11 +14,11 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import Law
 from dextar_control.control.law import GAINS as GAIN_FIELDS
 from dextar_control.control.law import OUTPUT, laws_of
-from dextar_control.core.planner import Plan, plan_return_trip
-from dextar_control.core.search import Criterion
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.model.model import Model
 from dextar_control.model.record import Layout, Record
+from dextar_control.planning.planner import Plan, plan_return_trip
+from dextar_control.planning.search import Criterion
 
 GAINS = Layout("gains", 2, GAIN_FIELDS).make(
     K_p=1600.0, K_d=80.0, K_i=0.0, zone=0.2, zone_width=0.3, friction_compensation=1.0

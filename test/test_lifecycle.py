@@ -12,8 +12,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import from_time
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core.planner import Plan
 from dextar_control.model.model import Model
+from dextar_control.planning.planner import Plan
 from dextar_control.ros import messages
 from dextar_control.ros.controller_node import PARAMETERS
 from dextar_control.ros.trajectory_server import served_times

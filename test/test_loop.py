@@ -15,9 +15,9 @@ from dextar_control.contract.settings import Estimation, Law, default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
 from dextar_control.control.verdicts import Verdict
-from dextar_control.core.planner import MIN_END_S, Plan, plan_approach, plan_return_trip
-from dextar_control.core.trajectory import Trajectory
 from dextar_control.model.model import Model
+from dextar_control.planning.planner import MIN_END_S, Plan, plan_approach, plan_return_trip
+from dextar_control.planning.trajectory import Trajectory
 from dextar_sim.plant import Plant
 from dextar_sim.sensors import Encoder
 

@@ -18,12 +18,12 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.phases import LIMP, Phase
 from dextar_control.control.verdicts import Verdict
-from dextar_control.core.locus import Family, LocusPoint, sample_locus
-from dextar_control.core.planner import Plan, robot_at
 from dextar_control.estimation.belief import Belief
 from dextar_control.estimation.observer import REST_SPEED, Observer
 from dextar_control.estimation.observing import ObserverEstimator
 from dextar_control.model.model import Model
+from dextar_control.planning.locus import Family, LocusPoint, sample_locus
+from dextar_control.planning.planner import Plan, robot_at
 from dextar_sim.cartesian import CartesianPlant
 
 PERIOD = 1e-3  # s

@@ -63,15 +63,16 @@ def test_kinematics_and_dynamics_at_random_states(
         w_b, w_d = old_dynamics.wrenches(old, kin, x_ddot)
         for new, expected in (
             (wrenches.w_b, w_b), (wrenches.w_d, w_d), (wrenches.q_a_ddot, old_dynamics.joint_acceleration(kin, x_ddot)),
-            (wrenches.multipliers, old_dynamics.multipliers(kin, w_d)), (wrenches.friction, old_dynamics.friction(old, kin.q_a_dot)),
+            (wrenches.multipliers, old_dynamics.multipliers(kin, w_d)),
+            (wrenches.friction, old_dynamics.friction(old, kin.q_a_dot)),
             (wrenches.tau, old_dynamics.inverse_dynamics(old, kin, x_ddot)), (dynamics.M, mass), (dynamics.h, bias),
             (dynamics.x_ddot, old_dynamics.forward_dynamics(old, kin, x_dot)),
         ):  # fmt: skip
             _same(new, expected)
 
 
-def test_a_trips_profile_and_certificate(robot: RobotParameters, planned: Plan) -> None:
-    trajectory, model = planned.trajectory, make_model(robot)
+def test_a_trips_profile_and_certificate(robot: RobotParameters, trip: Plan) -> None:
+    trajectory, model = trip.trajectory, make_model(robot)
     new, old = measure(robot, trajectory), old_certificate.measure(model, trajectory)
     profile = sample_profile(robot, trajectory, old.profile.time)
     for name, expected in old.profile._asdict().items():

@@ -150,18 +150,6 @@ def test_uneven_links_are_planned_or_refused_in_words(robot: RobotParameters) ->
 
 
 @pytest.fixture(scope="module")
-def trip(planned: Plan) -> Plan:
-    """The fast return trip."""
-    return planned
-
-
-@pytest.fixture(scope="module")
-def slow_trip(robot: RobotParameters) -> Plan:
-    """The same trip at 2 s each way."""
-    return plan_return_trip(robot, [-0.025, 0.115], [0.01, 0.06], 2.0, 0.1)
-
-
-@pytest.fixture(scope="module")
 def points(robot: RobotParameters) -> list[LocusPoint]:
     """Twelve points of the locus, both families, all working modes."""
     return sample_locus(robot, 12, seed=7, folded=5)
@@ -261,7 +249,8 @@ def test_the_searchs_gradient_is_that_of_its_cost_and_both_are_finite_everywhere
     generator, outside = np.random.default_rng(3), 0
     for point in points:
         at = robot_at(uneven, point)
-        problem = crossing_problem(at, point, 1.0, 0.4, Criterion.RECIPROCAL, [field.name for field in layouts(2).crossing.fields])
+        names = [field.name for field in layouts(2).crossing.fields]
+        problem = crossing_problem(at, point, 1.0, 0.4, Criterion.RECIPROCAL, names)
         left, reached = generator.normal(0.0, 0.1, (2, 2, 4))
         leg = leg_problem(at, left, reached, 1.0, 0.4)
         for asked, spread in itertools.product((problem, leg), (0.1, 0.5, 3.0)):
@@ -291,7 +280,8 @@ def test_the_torque_of_a_profile_is_the_oracles(uneven: RobotParameters) -> None
     for mode in WORKING_MODES:
         at = uneven.replace(working_mode=mode)
         model, oracle = planning_model(at), Oracle(at)
-        x, x_dot, x_ddot = generator.uniform(-0.1, 0.1, (20, 2)), generator.normal(size=(20, 2)), 10.0 * generator.normal(size=(20, 2))
+        x, x_dot = generator.uniform(-0.1, 0.1, (20, 2)), generator.normal(size=(20, 2))
+        x_ddot = 10.0 * generator.normal(size=(20, 2))
         found = model.instants(x, x_dot, x_ddot)
         for row in np.flatnonzero(np.isfinite(found.q_a).all(axis=1) & (np.abs(found.s[:, 0]) > 0.2)):
             expected = oracle.inverse(found.q_a[row], x[row], x_dot[row], x_ddot[row])

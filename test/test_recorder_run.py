@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Reader
 
 from dextar_control.contract.resources import ROBOT_FILE, config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
-from dextar_control.core.planner import Plan
+from dextar_control.planning.planner import Plan
 
 ROOT = Path(__file__).resolve().parents[1]
 STREAMS = ("/joint_states", "/joint_commands", "/controller_state", "/criterion", "/sim/end_effector", "/sim/joint_states")

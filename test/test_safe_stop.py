@@ -21,8 +21,8 @@ from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
 from dextar_control.control.safe_stop import FADE, SafeStop
-from dextar_control.core.planner import Plan
 from dextar_control.model.model import Model
+from dextar_control.planning.planner import Plan
 from dextar_sim.rig import Rig
 
 SETTINGS = default_settings()

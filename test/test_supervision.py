@@ -16,8 +16,8 @@ from dextar_control.contract.node import qos
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import CRITERION, CRITERION_NAMES, EFFORT_COMMANDS, JOINT_COMMANDS
 from dextar_control.control.phases import Phase
-from dextar_control.core.planner import Plan
 from dextar_control.model.model import Model
+from dextar_control.planning.planner import Plan
 from dextar_control.ros import messages
 from dextar_control.ros.trajectory_server import served_times
 

@@ -18,8 +18,8 @@ from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import LIMP, Phase
 from dextar_control.control.supervisor import WATCHES
-from dextar_control.core.certificate import certify
-from dextar_control.core.planner import PLAN_RESIDUAL, Plan, plan_approach, plan_return_trip
+from dextar_control.planning.checks import certify
+from dextar_control.planning.planner import PLAN_RESIDUAL, Plan, plan_approach, plan_return_trip
 from dextar_control.ros.controller_node import PARAMETERS
 from dextar_sim.rig import Rig
 

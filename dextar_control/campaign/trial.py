@@ -6,6 +6,7 @@ import gc
 import math
 import time
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,11 +17,12 @@ from dextar_control.contract.settings import Estimation, Law, default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import LIMP, Phase
 from dextar_control.control.verdicts import Verdict
-from dextar_control.core.certificate import Certificate, clear_times
-from dextar_control.core.locus import locus_point, sample_locus
-from dextar_control.core.planner import Criterion, Plan, plan_return_trip_through
 from dextar_control.estimation.estimate import Pose
 from dextar_control.mechanisms.mechanism import Array
+from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.checks import clear_times
+from dextar_control.planning.locus import locus_point, sample_locus
+from dextar_control.planning.planner import Criterion, Plan, plan_return_trip_through
 
 if TYPE_CHECKING:
     from dextar_control.campaign.design import CrossingPoint, Trial
@@ -100,17 +102,23 @@ def known(robot: RobotParameters, perturbation: Mapping[str, float]) -> RobotPar
 
 
 def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
-    """The trial's trip, from the planner's cache where it was planned before.
+    """The trial's trip; those of one process that ask for the same share one.
 
     Raises:
         DextarError: there is none.
     """
     robot = robot.replace(working_mode=trial.working_mode)
     criterion = Criterion.ZERO_WRENCH if trial.law == "multi_model" else Criterion.RECIPROCAL
-    place = locus_point(robot, np.array(trial.point))
-    return plan_return_trip_through(
-        robot, place, trial.direction, trial.duration, trial.dwell, trial.repeat, criterion=criterion
-    )
+    return _planned(robot, trial.point, trial.direction, trial.duration, trial.dwell, trial.repeat, criterion)
+
+
+@lru_cache(maxsize=64)
+def _planned(
+    robot: RobotParameters, point: tuple[float, float], direction: int, duration: float, dwell: float, repeat: int,
+    criterion: Criterion,
+) -> Plan:  # fmt: skip
+    place = locus_point(robot, np.array(point))
+    return plan_return_trip_through(robot, place, direction, duration, dwell, repeat, criterion=criterion)
 
 
 def run_trial(robot: RobotParameters, trial: Trial, rig: Callable[..., Any]) -> dict[str, float | int | str | bool | None]:

@@ -124,6 +124,11 @@ class FiveBar(FiveBarLocus):
         closes = square > 0.0
         return ca.if_else(closes, ca.sqrt(ca.if_else(closes, square, 1.0)), 0.0)
 
+    def linkage(self, q_a: Array, x: Array, p: Any) -> Array:
+        """(5, 2) motor, elbow, end effector, elbow, motor, m, to draw; ``p`` has numbers."""
+        (left, first), (right, second) = ((self.base(leg, p), self.elbow(leg, float(q_a[leg]), p)) for leg in range(2))
+        return np.array(ca.horzcat(left, first, ca.DM(x), second, right)).T
+
     def singularity_scale(self, p: Any) -> Symbol:
         """s is then the sine of the angle between the distal links."""
         return p.left.distal_length * p.right.distal_length

@@ -30,13 +30,14 @@ class PlanningModel(Model):
         locus: of (family, branch, tracing angles (m, 1)) -> x, type1_sines, closing.
         half, crossing, leg, crossing_cost, leg_cost: see ``candidate``.
         layouts: of the records that the last four take.
+        numbers: the parameters by their dotted names.
         length: by which distances are measured, m.
         workspace: corners (n,) of a box that holds every place it reaches.
     """
 
     def __init__(self, mechanism: Any, values: Any) -> None:
         super().__init__(mechanism, values)
-        library, numbers = planning_library(mechanism), mechanism.named(self.p)
+        library, self.numbers = planning_library(mechanism), mechanism.named(self.p)
         self.sides, self.instants, self.locus = (
             self._with_numbers(library.batch(name)) for name in ("sides", "instants", "locus")
         )
@@ -45,8 +46,8 @@ class PlanningModel(Model):
             self._with_numbers(library.fast(name)) for name in ("sides", "crossing", "leg", "crossing_cost", "leg_cost")
         )
         self.layouts = layouts(self.n)
-        self.length: float = mechanism.length(numbers)
-        self.workspace: tuple[Array, Array] = mechanism.workspace(numbers)
+        self.length: float = mechanism.length(self.numbers)
+        self.workspace: tuple[Array, Array] = mechanism.workspace(self.numbers)
 
     def _with_numbers(self, function: Callable[..., Any]) -> Callable[..., Any]:
         return lambda *arguments: function(self.p, *arguments)

@@ -14,6 +14,7 @@ from dextar_control.planning.trajectory import Trajectory
 
 LIMIT_ZONE = 0.01  # |s| below which the multipliers are taken from their neighbourhood: 0/0 on the locus
 LIMIT_NODES = np.array([1.0, 2.0 / 3.0, 1.0 / 3.0])  # of that zone, where they are taken on either side of a crossing
+AT_KNOT = 1e-12  # s, a crossing this near to a knot is there: where it was imposed, and found up to rounding
 ON_CROSSING = 1e-9  # s, closer to a crossing than this counts as on it
 
 
@@ -99,5 +100,7 @@ def find_crossings(robot: RobotParameters, trajectory: Trajectory, times: Array,
             low, high = times[before], times[after]
             while (middle := 0.5 * (low + high)) not in (low, high):
                 low, high = (middle, high) if value(middle) * s[before] > 0.0 else (low, middle)
-            found.append(low if abs(value(low)) < abs(value(high)) else high)
+            crossing = low if abs(value(low)) < abs(value(high)) else high
+            knot = trajectory.knots[np.argmin(np.abs(trajectory.knots - crossing))]
+            found.append(knot if abs(knot - crossing) < AT_KNOT else crossing)
     return np.array(found)

@@ -15,6 +15,8 @@ import numpy as np
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.mechanisms.mechanism import Array
 
+AT_ONCE = 512  # instants of a table: what keeps the interpreter for less than a control period
+
 
 class Point(NamedTuple):
     """One instant of a trajectory."""
@@ -61,9 +63,12 @@ class Trajectory:
     def table(self, times: Array) -> tuple[Array, Array, Array]:
         """(x, x_dot, x_ddot), each (k, n), at times (k,), held at both ends."""
         held = np.clip(np.asarray(times, dtype=np.float64), 0.0, self.duration)
-        rows = np.maximum(np.searchsorted(self.knots[:-1], held, side="right") - 1, 0)
-        powers = (held - self.origins[rows])[:, None] ** self._powers
-        found = (powers[:, None, :] @ self._rows[rows])[:, 0]
+        found = np.empty((len(held), 3 * self._n))
+        for begin in range(0, len(held), AT_ONCE):
+            part = slice(begin, begin + AT_ONCE)
+            rows = np.maximum(np.searchsorted(self.knots[:-1], held[part], side="right") - 1, 0)
+            powers = (held[part] - self.origins[rows])[:, None] ** self._powers
+            found[part] = (powers[:, None, :] @ self._rows[rows])[:, 0]
         x, x_dot, x_ddot = np.split(found, 3, axis=1)
         return x, x_dot, x_ddot
 

@@ -25,8 +25,8 @@ from dextar_control.contract.settings import default_settings
 from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
-from dextar_control.core.planner import plan_return_trip
 from dextar_control.model.model import Model
+from dextar_control.planning.planner import plan_return_trip
 from dextar_control.ros.domain import own_domain
 from dextar_control.ros.echo import STAMP
 from dextar_control.ros.messages import joint_states_template

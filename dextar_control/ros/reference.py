@@ -15,8 +15,8 @@ from dextar_control.contract.errors import DextarError, TrajectoryError
 from dextar_control.contract.node import DextarNode, qos
 from dextar_control.contract.topics import MAX_TRAJECTORY_POINTS, TRAJECTORY
 from dextar_control.control.loop import ControlLoop
-from dextar_control.core.certificate import Certificate
-from dextar_control.core.trajectory import Trajectory
+from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.trajectory import Trajectory
 from dextar_control.ros import messages
 from dextar_control.ros.task import in_words
 
