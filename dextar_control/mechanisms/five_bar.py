@@ -39,7 +39,7 @@ class FiveBar(FiveBarLocus):
         Parameter("working_mode", "1", "elbow side of the legs: +1 left of the line base -> end effector", -1.0, 1.0, size=2),
     )
 
-    def elbow(self, leg: int, angle: Symbol, p: Any) -> Symbol:
+    def elbow(self, leg: int, angle: Symbol | float, p: Any) -> Symbol:
         """P_i (2,), m, at a motor's angle."""
         return self.base(leg, p) + getattr(p, SIDES[leg]).proximal_length * direction(angle)
 

@@ -39,7 +39,7 @@ def friction(q_a_dot: Symbol, legs: Sequence[Any], coulomb_speed: Symbol) -> Sym
     return viscous * q_a_dot + coulomb * ca.tanh(q_a_dot / coulomb_speed)
 
 
-def direction(angle: Symbol) -> Symbol:
+def direction(angle: Symbol | float) -> Symbol:
     """Unit vector (2,) at an angle, rad."""
     return ca.vertcat(ca.cos(angle), ca.sin(angle))
 

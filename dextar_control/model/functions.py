@@ -25,7 +25,7 @@ import numpy as np
 
 from dextar_control.mechanisms.mechanism import Array, Symbol
 
-FLAGS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")  # no fused operations: the same numbers on every machine of a kind
+FLAGS = ("-fPIC", "-shared", "-ffp-contract=off")  # no fused operations: the same numbers on every machine of a kind
 BLOCK = 64  # states of a batch that one call takes
 COMPILE_TIMEOUT = 60.0  # s
 COMPILER_VARIABLE = "DEXTAR_CC"
@@ -79,13 +79,15 @@ class Batch:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        self._buffer, self._run = function.map(BLOCK).buffer()
+        buffer: Any
+        buffer, self._run = function.map(BLOCK).buffer()
         self._places = [np.zeros((BLOCK, function.numel_in(i))) for i in range(function.n_in())]
         self._results = [np.zeros((BLOCK, function.numel_out(i))) for i in range(function.n_out())]
         for i, place in enumerate(self._places):
-            self._buffer.set_arg(i, memoryview(place.reshape(-1)))
+            buffer.set_arg(i, memoryview(place.reshape(-1)))
         for i, place in enumerate(self._results):
-            self._buffer.set_res(i, memoryview(place.reshape(-1)))
+            buffer.set_res(i, memoryview(place.reshape(-1)))
+        self._buffer = buffer
         self._shapes = [function.size_out(i) for i in range(function.n_out())]
         self._record = _record(function)
 
@@ -114,15 +116,16 @@ class Library:
     Args:
         functions: on symbols, with names of their own.
         folder: where compiled libraries are kept; None keeps none and interprets.
+        level: of the compiler's optimisation: 1 takes half as long as 2 and makes long functions one tenth slower.
 
     Attributes:
         compiled: whether they are.
         symbolic: by name, as they were given.
     """
 
-    def __init__(self, functions: Sequence[ca.Function], folder: Path | None) -> None:
+    def __init__(self, functions: Sequence[ca.Function], folder: Path | None, level: int = 2) -> None:
         self.symbolic: Mapping[str, ca.Function] = {function.name(): function for function in functions}
-        loaded = _compiled(self.symbolic, folder) if folder is not None else None
+        loaded = _compiled(self.symbolic, folder, (f"-O{level}", *FLAGS)) if folder is not None else None
         self.compiled = loaded is not None
         self._functions = self.symbolic if loaded is None else loaded
 
@@ -173,7 +176,7 @@ def compiler() -> str | None:
     return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
 
-def _compiled(functions: Mapping[str, ca.Function], folder: Path) -> Mapping[str, ca.Function] | None:
+def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequence[str]) -> Mapping[str, ca.Function] | None:
     """The functions from a library, compiled unless it is there already; None where that cannot be done, which is told."""
     command = compiler()
     if command is None:
@@ -183,7 +186,7 @@ def _compiled(functions: Mapping[str, ca.Function], folder: Path) -> Mapping[str
     for function in functions.values():
         generator.add(function)
     text = generator.dump()
-    key = hashlib.sha256("\0".join([text, *FLAGS, command, platform.machine(), ca.__version__]).encode()).hexdigest()[:32]
+    key = hashlib.sha256("\0".join([text, *flags, command, platform.machine(), ca.__version__]).encode()).hexdigest()[:32]
     library = folder / f"model-{key}.so"
     if (known := _loaded(functions, library)) is not None:
         return known
@@ -192,7 +195,7 @@ def _compiled(functions: Mapping[str, ca.Function], folder: Path) -> Mapping[str
         with tempfile.TemporaryDirectory(prefix=".model-", dir=folder) as working:
             source, target = Path(working) / "model.c", Path(working) / "model.so"
             source.write_text(text, encoding="utf-8")
-            subprocess.run([command, *FLAGS, "-o", str(target), str(source), "-lm"], check=True, capture_output=True,
+            subprocess.run([command, *flags, "-o", str(target), str(source), "-lm"], check=True, capture_output=True,
                            stdin=subprocess.DEVNULL, timeout=COMPILE_TIMEOUT)  # fmt: skip
             os.replace(target, library)  # whole or not at all, whoever else compiles the same
     except subprocess.TimeoutExpired:

@@ -7,7 +7,7 @@ A fast function takes and gives whole records, one contiguous vector each. Both 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -50,6 +50,11 @@ class Record:
 
     def __getattr__(self, name: str) -> Any:  # what the class does not know
         raise AttributeError(f"a record '{self.layout.name}' has no field '{name}'")
+
+    if TYPE_CHECKING:
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            """Each layout's class has its fields."""
 
     def copy(self) -> Record:
         """One with numbers of its own."""

@@ -136,7 +136,7 @@ def _guess(problem: Problem, point: LocusPoint, before: Array, after: Array, ben
     z = problem.variables.make(
         start=before[0] / unit, goal=after[-1] / unit, place=point.angle, split=np.clip(lengths[0] / sum(lengths), 0.3, 0.7),
         velocity=1.8 * sum(lengths) / unit * ahead / np.hypot(*ahead),
-    )  # fmt: skip
+    )
     if bent:
         z.first_bends, z.second_bends = (_bends(way) / unit for way in (before, after))
     return z

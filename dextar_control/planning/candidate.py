@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from dextar_control.mechanisms.mechanism import Mechanism, Symbol
+from dextar_control.mechanisms.five_bar_locus import FiveBarLocus
+from dextar_control.mechanisms.mechanism import Symbol
 from dextar_control.model.equations import Equations
 from dextar_control.model.functions import named
 from dextar_control.model.record import Field, Layout
@@ -66,9 +67,9 @@ class Layouts(NamedTuple):
 def layouts(n: int) -> Layouts:
     """For n degrees of freedom."""
     bends = (Field("first_bends", "1", "heights of the bumps of the first half", n, 2),
-             Field("second_bends", "1", "and of the second", n, 2))  # fmt: skip
+             Field("second_bends", "1", "and of the second", n, 2))
     times = (Field("duration", "s", "of the crossing; the scale of a leg"), Field("length", "m", "scale"),
-             Field("sign", "1", "of s after the crossing, or during the leg"))  # fmt: skip
+             Field("sign", "1", "of s after the crossing, or during the leg"))
     state = (Field("x", "1", "position", n), Field("x_dot", "1", "velocity", n), Field("x_ddot", "1", "acceleration", n))
     return Layouts(
         Layout("limits", n, (
@@ -95,7 +96,7 @@ def layouts(n: int) -> Layouts:
         )),
         Layout("leg", n, (*state, Field("jerk", "1", "where the halves meet", n),
                           Field("spans", "1", "logarithms of the halves' durations", 2), *bends)),
-    )  # fmt: skip
+    )
 
 
 def half(n: int) -> ca.Function:
@@ -109,19 +110,19 @@ def half(n: int) -> ca.Function:
     lack = ca.horzcat(
         end[:, 0] - low @ ca.DM([1, 1, 1, 1]), end[:, 1] * span - low @ ca.DM([0, 1, 2, 3]),
         end[:, 2] * span**2 - low @ ca.DM([0, 0, 2, 6]), end[:, 3] * span**3 - low @ ca.DM([0, 0, 0, 6]),
-    )  # fmt: skip
+    )
     coefficients = ca.horzcat(low, ca.horzcat(lack @ _END.T, ca.SX.zeros(n, 2)) + bends @ _BUMP)
     return named("half", {"begin": begin, "end": end, "span": span, "bends": bends}, {"half": coefficients})
 
 
-def candidates(mechanism: Mechanism, e: Equations) -> list[ca.Function]:
+def candidates(mechanism: FiveBarLocus, e: Equations) -> list[ca.Function]:
     """``half``, ``crossing`` and ``leg``: the halves of a candidate, and what its own variables cost."""
     layout, curve = layouts(mechanism.n), half(mechanism.n)
     parts = _crossing(mechanism, e, layout), _leg(e.p, layout)
     return [curve, *(_joined(name, part, curve) for name, part in zip(("crossing", "leg"), parts, strict=True))]
 
 
-def _crossing(mechanism: Any, e: Equations, layout: Layouts) -> ca.Function:
+def _crossing(mechanism: FiveBarLocus, e: Equations, layout: Layouts) -> ca.Function:
     """What the halves of a crossing are made of."""
     given, task = layout.crossing_task.symbols("task")
     free, z = layout.crossing.symbols("variables")
@@ -143,7 +144,7 @@ def _crossing(mechanism: Any, e: Equations, layout: Layouts) -> ca.Function:
         "first_begin": begin, "second_begin": begin, "first_end": rests[0], "second_end": rests[1],
         "first_bends": z["first_bends"] * task["length"], "second_bends": z["second_bends"] * task["length"],
         "spans": ca.vertcat(-before, task["duration"] - before), "signs": ca.vertcat(-task["sign"], task["sign"]), "own": own,
-    })  # fmt: skip
+    })
 
 
 def _leg(p: Symbol, layout: Layouts) -> ca.Function:
@@ -159,7 +160,7 @@ def _leg(p: Symbol, layout: Layouts) -> ca.Function:
         "first_begin": task["left"], "second_begin": task["reached"], "first_end": meeting, "second_end": meeting,
         "first_bends": z["first_bends"] * task["length"], "second_bends": z["second_bends"] * task["length"],
         "spans": ca.vertcat(spans[0], -spans[1]), "signs": ca.vertcat(task["sign"], task["sign"]), "own": own,
-    })  # fmt: skip
+    })
 
 
 def _parts(arguments: list[Symbol], results: dict[str, Symbol]) -> ca.Function:
@@ -184,7 +185,7 @@ def _over(value: Any, limit: Any) -> Any:
     return ca.fmax(value - limit, 0.0)
 
 
-def _instant(mechanism: Any, e: Equations) -> tuple[ca.Function, ca.Function]:
+def _instant(mechanism: FiveBarLocus, e: Equations) -> tuple[ca.Function, ca.Function]:
     """What one sample of a candidate costs (load, near, broken, reached), and what its end does."""
     p, layout = mechanism.named(e.p), layouts(mechanism.n).limits
     limits, limit = layout.symbols()
@@ -200,10 +201,10 @@ def _instant(mechanism: Any, e: Equations) -> tuple[ca.Function, ca.Function]:
     broken = 10.0 * _over(floor, s) + _over(ca.norm_2(e.x_dot) / limit["platform_speed"], SPEED_SHARE)
     broken += _over(ca.mmax(ca.fabs(at.q_a_dot)) / limit["joint_speed"], SPEED_SHARE)
     costs = ca.if_else(reached, ca.vertcat(ca.sum1(fourth * fourth * fourth), near, broken, 1.0),
-                       ca.vertcat(0.0, 0.0, UNREACHABLE / HALF_SAMPLES, 0.0))  # fmt: skip
+                       ca.vertcat(0.0, 0.0, UNREACHABLE / HALF_SAMPLES, 0.0))
     only = {"is_diff_in": [False, False, False, False, True, True, True]}
     sample = ca.Function("sample", [e.p, limits, sign, floor, e.x, e.x_dot, e.x_ddot],
-                         [ca.densify(costs + ca.vertcat(0.0, 0.0, missed, 0.0))], {"cse": True, **only})  # fmt: skip
+                         [ca.densify(costs + ca.vertcat(0.0, 0.0, missed, 0.0))], {"cse": True, **only})
     end = missed + ca.if_else(reached, 20.0 * _over(limit["end_s"], s), UNREACHABLE / HALF_SAMPLES)
     only = {"is_diff_in": [False, False, False, True]}
     return sample, ca.Function("end", [e.p, limits, sign, e.x], [end], {"cse": True, **only})
@@ -215,7 +216,7 @@ def _basis(order: int) -> Any:
     return ca.DM(np.array(rows))
 
 
-def costs(mechanism: Mechanism, e: Equations, made: list[ca.Function]) -> list[ca.Function]:
+def costs(mechanism: FiveBarLocus, e: Equations, made: list[ca.Function]) -> list[ca.Function]:
     """``crossing_cost`` and ``leg_cost``: what a candidate costs, and its gradient over the variables.
 
     The cost is its peak torque, its time near the locus, and what it breaks.
@@ -227,7 +228,7 @@ def costs(mechanism: Mechanism, e: Equations, made: list[ca.Function]) -> list[c
 def _cost(candidate: ca.Function, samples: ca.Function, end: ca.Function) -> ca.Function:
     arguments = p, limits, _, variables = [ca.MX.sym(name, candidate.size1_in(i)) for i, name in enumerate(ARGUMENTS)]
     first, second, spans, signs, own = candidate(*arguments)
-    peak = near = total = 0.0
+    peak = near = total = ca.MX(0.0)
     for row, coefficients in enumerate((first, second)):
         span = spans[row]
         x, x_dot, x_ddot = (coefficients @ _basis(order) / span**order for order in range(3))
@@ -243,4 +244,4 @@ def _cost(candidate: ca.Function, samples: ca.Function, end: ca.Function) -> ca.
     return ca.Function(
         f"{candidate.name()}_cost", arguments, [cost, ca.densify(ca.gradient(cost, variables))], [*ARGUMENTS],
         ["cost", "gradient"],
-    )  # fmt: skip
+    )

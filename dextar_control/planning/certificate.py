@@ -60,7 +60,7 @@ class Certificate(NamedTuple):
             "peak_joint_speed": self.peak_joint_speed, "peak_platform_speed": self.peak_platform_speed,
             "least_type1": self.least_type1, "least_s": self.least_s,
             "crossings": [crossing._asdict() for crossing in self.crossings],
-        }  # fmt: skip
+        }
 
     def to_json(self) -> str:
         """``to_dict`` as JSON; a number that does not exist is null."""
@@ -150,7 +150,7 @@ def _crossing(robot: RobotParameters, profile: Profile, far: NDArray[np.int64], 
         rate=float(np.diff(profile.s[near][[0, -1]])[0] / span) if span > 0.0 else float("nan"),
         speed=float(abs(found.t_s @ x_dot)), residual=float(abs(profile.residual[row])),
         multipliers=_tuple(profile.multipliers[row]), torque=_tuple(profile.torque[row]), near_time=float(leave - enter),
-    )  # fmt: skip
+    )
 
 
 def _tuple(values: Array) -> tuple[float, ...]:

@@ -111,7 +111,7 @@ def trace_locus(
     for family in model.mechanism.families:
         for branch in (1, -1):
             traced = model.locus([family.value], [branch], angles[:, None])
-            modes = [(int(left), int(right)) for left, right in model.mechanism.modes(traced.type1_sines)]
+            modes: list[Mode] = [tuple(mode) for mode in model.mechanism.modes(traced.type1_sines).tolist()]
             with np.errstate(invalid="ignore"):
                 fit = (np.abs(traced.type1_sines).min(axis=1) >= type1) & (traced.closing[:, 0] >= 0.0)
             fit &= np.array([mode in working_modes for mode in modes])

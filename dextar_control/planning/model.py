@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.mechanisms.mechanism import Array, Mechanism
+from dextar_control.mechanisms.five_bar_locus import FiveBarLocus
+from dextar_control.mechanisms.mechanism import Array
 from dextar_control.model.functions import Library, cache_folder, named
 from dextar_control.model.model import Model, equations_of
 from dextar_control.planning.candidate import candidates, costs, layouts
@@ -35,7 +36,9 @@ class PlanningModel(Model):
         workspace: corners (n,) of a box that holds every place it reaches.
     """
 
-    def __init__(self, mechanism: Any, values: Any) -> None:
+    mechanism: FiveBarLocus
+
+    def __init__(self, mechanism: FiveBarLocus, values: Mapping[str, Any]) -> None:
         super().__init__(mechanism, values)
         library, self.numbers = planning_library(mechanism), mechanism.named(self.p)
         self.sides, self.instants, self.locus = (
@@ -61,17 +64,18 @@ def planning_model(robot: RobotParameters) -> PlanningModel:
     """A robot's; one for each thread, since its functions have places of their own."""
     if not hasattr(_of_thread, "model"):
         _of_thread.model = lru_cache(KEPT)(PlanningModel.of)
-    return _of_thread.model(robot)  # type: ignore[no-any-return]
+    model: PlanningModel = _of_thread.model(robot)
+    return model
 
 
-def planning_library(mechanism: Mechanism) -> Library:
+def planning_library(mechanism: FiveBarLocus) -> Library:
     """The functions of planning for a mechanism, compiled where that can be done, once."""
     with _building:
         return _library(mechanism)
 
 
 @lru_cache
-def _library(mechanism: Any) -> Library:
+def _library(mechanism: FiveBarLocus) -> Library:
     e = equations_of(mechanism)
     numbers, x = {"p": e.p}, {"x": e.x}
     at = e.at(e.p, mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)), e.x, e.x_dot, e.x_ddot)
@@ -89,4 +93,4 @@ def _library(mechanism: Any) -> Library:
             "x": x_locus, "type1_sines": mechanism.type1_sines(q_locus, x_locus, mechanism.named(e.p)), "closing": closing,
         }),
         *made, *costs(mechanism, e, made),
-    ], cache_folder())  # fmt: skip
+    ], cache_folder(), 1)

@@ -26,7 +26,7 @@ from dextar_control.planning.trajectory import Trajectory, hold, join
 __all__ = [
     "MIN_APPROACH_S", "MIN_END_S", "PLAN_RESIDUAL", "Criterion", "Plan", "crossing_polynomial", "plan_approach", "plan_crossing",
     "plan_return_trip", "plan_return_trip_through", "plan_through", "robot_at",
-]  # fmt: skip
+]
 
 
 def crossing_polynomial(

@@ -65,7 +65,7 @@ def sample_profile(robot: RobotParameters, trajectory: Trajectory, times: Array)
     return Profile(
         time=times, x=x, x_dot=x_dot, q_a=found.q_a, q_a_dot=found.q_a_dot, s=s, residual=found.residual[:, 0],
         multipliers=multipliers, torque=torque, type1=found.type1[:, 0],
-    )  # fmt: skip
+    )
 
 
 def _continued(

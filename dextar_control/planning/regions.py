@@ -48,7 +48,7 @@ def make_regions(robot: RobotParameters) -> Regions:
     """The regions of the robot's working mode."""
     low, high = planning_model(robot).workspace
     nx, ny = (np.ceil(np.maximum(high - low, SPACING) / SPACING).astype(int) + 1).tolist()
-    grid = np.stack(np.mgrid[0:nx, 0:ny], axis=2).reshape(-1, 2)
+    grid = np.indices((nx, ny)).reshape(2, -1).T
     found = planning_model(robot).sides(low + SPACING * grid)
     s, type1, beyond = (
         values.reshape(nx, ny) for values in (found.s, found.type1, beyond_range(robot, found.q_a).max(axis=1))

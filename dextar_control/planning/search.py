@@ -91,7 +91,7 @@ def soft_limits(robot: RobotParameters, end_s: float) -> Record:
         torque=TORQUE_SHARE * robot.max_torque, near_time=NEAR_TIME, near_weight=NEAR_WEIGHT, time=LEG_TIME,
         joint_speed=robot.max_joint_speed, platform_speed=robot.max_platform_speed,
         type1=max(SOFT_TYPE1, 1.2 * robot.min_type1_distance), end_s=end_s,
-    )  # fmt: skip
+    )
 
 
 def crossing_problem(
@@ -120,7 +120,7 @@ def crossing_problem(
     task = model.layouts.crossing_task.make(
         duration=duration, length=model.length, sign=sign, family=point.family.value, branch=point.branch,
         zero_wrench=criterion is Criterion.ZERO_WRENCH, directions=directions,
-    )  # fmt: skip
+    )
     return Problem(model, False, soft_limits(robot, end_s), task, model.layouts.crossing.indices(*free))
 
 
@@ -189,7 +189,7 @@ def guesses_through(problem: Problem, point: LocusPoint, towards: Array | None =
             start=starts[row, :2] / length, goal=goals[column, :2] / length, place=point.angle,
             split=np.clip(far_before[row] / total[row, column], 0.35, 0.65),
             velocity=2.0 * (way if towards is None else np.array([np.hypot(*way), 0.0])) / length,
-        ))  # fmt: skip
+        ))
         if len(found) == GUESSES:
             break
     hurried = [guess.copy() for guess in found[:HURRIED]]

@@ -137,7 +137,7 @@ def _piece(trajectory: Trajectory, row: int) -> Trajectory:
     return Trajectory(
         trajectory.knots[row : row + 2] - begin, trajectory.origins[row : row + 1] - begin,
         trajectory.coefficients[row : row + 1],
-    )  # fmt: skip
+    )
 
 
 def _state(trajectory: Trajectory) -> Array:
@@ -163,7 +163,7 @@ def _leg_guesses(robot: RobotParameters, left: Array, reached: Array, sign: floa
             swift = MEETING_SPEED * sum(lengths) / spans.sum() * along / max(float(np.hypot(*along)), 0.02)
             guesses.append((problem, problem.variables.make(
                 x=middle / unit, x_dot=swift * scale / unit, spans=np.log(spans / scale)
-            )))  # fmt: skip
+            )))
     return guesses
 
 
@@ -233,7 +233,6 @@ def plan_tour(
     begin = None if start is None else np.asarray(start, dtype=np.float64)
     wishes: Sequence[Wish] = spread_points(robot, points, seed) if isinstance(points, int) else points
     stops = _stops(robot, wishes, repeat, begin)
-
     return _certified(robot, _tour(robot, stops, begin, duration, dwell, flow, criterion, progress), stops)
 
 
