@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dextar_control.mechanisms.five_bar_locus import SIDES, FiveBarLocus
+from dextar_control.mechanisms.five_bar_locus import LEAST_CHORD, SIDES, FiveBarLocus
 from dextar_control.mechanisms.mechanism import Array, Coordinate, Parameter, Symbol
 from dextar_control.mechanisms.planar import (
     circles,
@@ -91,9 +91,12 @@ class FiveBar(FiveBarLocus):
         )
 
     def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> Symbol:
-        """The distal links' circles about the elbows; elbows that coincide define no point: nan."""
+        """The distal links' circles about the elbows, never on the line of the elbows itself, where the velocity would be 0/0.
+
+        Elbows that coincide define no point: nan.
+        """
         left, right = (self.elbow(leg, q_a[leg], p) for leg in range(2))
-        return circles(left, p.left.distal_length, right, p.right.distal_length, assembly_mode)
+        return circles(left, p.left.distal_length, right, p.right.distal_length, assembly_mode, LEAST_CHORD)
 
     def mirror_image(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
         """Mirrored on the line of the elbows."""

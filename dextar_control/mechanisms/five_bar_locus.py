@@ -21,7 +21,7 @@ from dextar_control.mechanisms.mechanism import Array, Mechanism, Symbol
 from dextar_control.mechanisms.planar import circles, direction, overlap
 
 SIDES = ("left", "right")
-LEAST_CHORD = 1e-24  # m^2, from which on the four-bar closes: its root has a derivative where it does not
+LEAST_CHORD = 1e-24  # m^2, of half the common chord of circles that do not touch: its root has a derivative
 
 
 class Family(Enum):
