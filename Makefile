@@ -134,6 +134,6 @@ clean: ## remove .venv, builds and caches; recordings in runs/ stay
 	$(PIP) --editable '.[lint]' | $(TRIM)
 	touch $@
 
-.venv/warm: .venv/installed $(wildcard dextar_control/core/*.py)
-	@$(BIN)/python -m dextar_control.core.warmup
+.venv/warm: .venv/installed $(wildcard $(foreach room,symbols mechanisms model planning estimation control,dextar_control/$(room)/*.py))
+	@$(BIN)/python -m dextar_control.control.prepare
 	touch $@

@@ -37,7 +37,7 @@ setup(
     install_requires=[
         "numpy",
         "scipy",
-        "numba",
+        "casadi>=3.7",
         "matplotlib",
         "bokeh>=3",
         "jinja2",

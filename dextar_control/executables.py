@@ -41,9 +41,9 @@ def markers() -> int:
 
 
 def warmup() -> int:
-    """The core's compilation."""
+    """The equations' compilation."""
     with signals.loading():
-        from dextar_control.core.warmup import main
+        from dextar_control.control.prepare import main
 
         return main()
 

@@ -10,7 +10,7 @@ import numpy as np
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import RobotParameters
 from dextar_sim import geometry
-from dextar_sim.platform_motion import PLATFORM, acceleration, advance, elbow_sides, leg_row
+from dextar_sim.platform_motion import Motion
 from dextar_sim.state import PlantState, check_steps, plant_state, saturated
 
 _LEAST_SINE = 0.01
@@ -44,9 +44,7 @@ class CartesianPlant:
         self.substeps = substeps
         self.max_torque = robot.max_torque if max_torque is None else max_torque
         self._substep = period / substeps
-        self._shared = (robot.end_effector_mass, *robot.gravity, robot.coulomb_speed)
-        self._legs = (leg_row(robot, 0), leg_row(robot, 1))
-        self._platform, self._joints, self._joints_dot = np.zeros(4), np.zeros(4), np.zeros(4)
+        self._motion = Motion(robot, substeps)
         self._steps = 0
         self._push: tuple[float, float] = (0.0, 0.0)
         self._state: PlantState | None = None
@@ -81,11 +79,11 @@ class CartesianPlant:
         return self._place(geometry.joints_of(self.robot, q_a, assembly_mode), x_dot)
 
     def _place(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
-        self._joints_dot[:] = geometry.joints_dot_at(self.robot, joints, x_dot)
-        self._joints[:] = joints
+        self._motion.joints_dot[:] = geometry.joints_dot_at(self.robot, joints, x_dot)
+        self._motion.joints[:] = joints
         self._check(max(abs(math.sin(joints[1])), abs(math.sin(joints[3]))), 0.0)
         left, right = geometry.tips(geometry.shape(self.robot), tuple(map(float, joints)), (0.0, 0.0, 0.0, 0.0))
-        self._platform[:] = (0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1]), *x_dot)
+        self._motion.platform[:] = (0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1]), *x_dot)
         self._steps = 0
         self._push = (0.0, 0.0)
         self._state = None
@@ -111,8 +109,7 @@ class CartesianPlant:
         """
         net = saturated(torque, self.max_torque)
         first = saturated(earlier, self.max_torque) if earlier is not None and late else net
-        least = advance(self._platform, self._joints, self._joints_dot, first, net, late, self._push, self._substep,
-                         self.substeps, self._legs, self._shared)  # fmt: skip
+        least = self._motion.advance(first, net, late, self._push, self._substep)
         self._steps += 1
         self._push = (0.0, 0.0)
         self._state = None
@@ -126,11 +123,7 @@ class CartesianPlant:
         Args:
             torque: of the motors, N m, shape (2,), saturated first.
         """
-        motors = saturated(torque, self.max_torque)
-        x, y, x_dot, y_dot = self._platform.tolist()
-        result = acceleration((x, y), (x_dot, y_dot), PLATFORM, elbow_sides(self._joints), motors, (0.0, 0.0), self._legs,
-                               self._shared)  # fmt: skip
-        return np.array(result[:2])
+        return self._motion.acceleration(saturated(torque, self.max_torque))
 
     def _check(self, sine: float, time: float) -> None:
         if not sine >= _LEAST_SINE:
@@ -142,8 +135,10 @@ class CartesianPlant:
     def state(self) -> PlantState:
         """The true state now."""
         if self._state is None:
-            self._state = plant_state(self._steps * self.period, self._joints.tolist(), self._joints_dot.tolist(),
-                                      self._platform.tolist(), 0.0)  # fmt: skip
+            motion = self._motion
+            self._state = plant_state(
+                self._steps * self.period, motion.joints.tolist(), motion.joints_dot.tolist(), motion.platform.tolist(), 0.0
+            )
         return self._state
 
     def close(self) -> None:

@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
-from dextar_control.contract.compiler import compiler
 from dextar_control.contract.errors import GeometryError
 from dextar_control.contract.robot import LegParameters, RobotParameters
 
 Point = tuple[float, float]
 _SIDES = ("left", "right")
 _LEAST_SINE = 1.0e-9
-_compiled = compiler(Path(__file__).resolve().parent, "_compiled")
 
 
 def bases(robot: RobotParameters) -> tuple[Point, Point]:
@@ -138,7 +135,6 @@ def joints_dot_at(robot: RobotParameters, joints: Sequence[float], x_dot: Sequen
     return rates
 
 
-@_compiled
 def _tip(
     base_x: float, base_y: float, l1: float, l2: float, q: float, passive: float, rate: float, passive_rate: float
 ) -> tuple[float, float, float, float]:
@@ -161,7 +157,6 @@ def shape(robot: RobotParameters) -> tuple[float, ...]:
     )
 
 
-@_compiled
 def tips(
     shape: tuple[float, ...], joints: tuple[float, ...], joints_dot: tuple[float, ...]
 ) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
@@ -177,7 +172,6 @@ def tips(
     )
 
 
-@_compiled
 def flat_state(shape: tuple[float, ...], joints: tuple[float, ...], joints_dot: tuple[float, ...]) -> np.ndarray:
     """All numbers of a closed state, shape (17,), from the joints alone.
 
@@ -185,13 +179,6 @@ def flat_state(shape: tuple[float, ...], joints: tuple[float, ...], joints_dot: 
     the distance of the tips.
     """
     left, right = tips(shape, joints, joints_dot)
-    flat = np.empty(17)
-    for index in range(2):
-        flat[index] = joints[2 * index]
-        flat[2 + index] = joints_dot[2 * index]
-    for index in range(4):
-        flat[4 + index] = joints[index]
-        flat[8 + index] = joints_dot[index]
-        flat[12 + index] = 0.5 * (left[index] + right[index])
-    flat[16] = math.hypot(left[0] - right[0], left[1] - right[1])
-    return flat
+    platform = [0.5 * (one + other) for one, other in zip(left, right, strict=True)]
+    gap = math.hypot(left[0] - right[0], left[1] - right[1])
+    return np.array((joints[0], joints[2], joints_dot[0], joints_dot[2], *joints, *joints_dot, *platform, gap))

@@ -1,4 +1,4 @@
-"""Equations of motion of the five-bar in platform coordinates, and their fourth-order steps: compiled.
+"""Equations of motion of the five-bar in platform coordinates, and their fourth-order steps: on symbols.
 
 Principle of virtual power with the end effector's position x as the coordinates. Each leg's links turn at
 theta_1 (proximal) and theta_2 (distal) from the x axis; u is the unit vector along a link, n = (-u_y, u_x),
@@ -18,42 +18,48 @@ same sum over the bodies; the leg passes, as a real one does.
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from functools import lru_cache
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from dextar_control.contract.compiler import compiler
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.symbols.functions import Fast, Library, named
+from dextar_control.symbols.functions import cache_folder as model_folder
 from dextar_sim.geometry import bases
 
 _OWN_SINE = 0.2
 """|sin delta| below which a leg's own angles are the coordinates; at 100 rad/s it turns by half of that in 1 ms."""
 PLATFORM = -1
 """No leg's angles: the end effector's position is the coordinates."""
+CHARTS = {PLATFORM: "platform", 0: "left", 1: "right"}
+LEG_NUMBERS = 11
 
 Pair = tuple[float, float]
 Row = tuple[float, ...]
+Term = Any  # a number or a symbol
+Terms = list[Any]
 
-_compiled = compiler(Path(__file__).resolve().parent, "_compiled", error_model="numpy")
+
+def _lesser(value: Term, least: Term) -> Term:
+    """The value unless it is at least ``least``: nan where the value is."""
+    return ca.if_else(value >= least, least, value)
 
 
-@_compiled
-def _elbow(
-    x: float, y: float, base: float, proximal: float, distal: float, side: float
-) -> tuple[float, float, float, float]:
+def _elbow(x: Term, y: Term, base: Term, proximal: Term, distal: Term, side: Term) -> tuple[Term, Term, Term, Term]:
     """cos and sin of theta_1 and theta_2 with the elbow on a side of the line base -> (x, y); nan out of reach."""
     dx = x - base
     square = dx * dx + y * y
     along = 0.5 * (proximal * proximal - distal * distal + square) / square
-    across = side * math.sqrt(proximal * proximal / square - along * along)
+    across = side * ca.sqrt(proximal * proximal / square - along * along)
     ex, ey = along * dx - across * y, along * y + across * dx
     return ex / proximal, ey / proximal, (dx - ex) / distal, (y - ey) / distal
 
 
-@_compiled
-def acceleration(
-    z: Pair, z_dot: Pair, chart: int, sides: Pair, motors: Pair, push: Pair, legs: tuple[Row, Row], shared: Row
-) -> tuple[float, float, float]:
+def _acceleration(
+    z: Terms, z_dot: Terms, chart: int, sides: Terms, motors: Terms, push: Terms, legs: list[Terms], shared: Terms
+) -> tuple[Term, Term, Term]:
     """z_ddot and the least |sin delta| of the legs outside the coordinates.
 
     Args:
@@ -72,12 +78,12 @@ def acceleration(
     if chart != PLATFORM:
         l1, l2 = legs[chart][1], legs[chart][5]
         w1, w2 = z_dot
-        cos_1, sin_1, cos_2, sin_2 = math.cos(z[0]), math.sin(z[0]), math.cos(z[1]), math.sin(z[1])
+        cos_1, sin_1, cos_2, sin_2 = ca.cos(z[0]), ca.sin(z[0]), ca.cos(z[1]), ca.sin(z[1])
         x, y = legs[chart][0] + l1 * cos_1 + l2 * cos_2, l1 * sin_1 + l2 * sin_2
         g_xx, g_xy, g_yx, g_yy = -l1 * sin_1, -l2 * sin_2, l1 * cos_1, l2 * cos_2
         vx, vy = g_xx * w1 + g_xy * w2, g_yx * w1 + g_yy * w2
         c_x, c_y = -l1 * cos_1 * w1 * w1 - l2 * cos_2 * w2 * w2, -l1 * sin_1 * w1 * w1 - l2 * sin_2 * w2 * w2
-    least = 1.0
+    least = ca.SX(1.0)
     m_11 = mass * (g_xx * g_xx + g_yx * g_yx)
     m_12 = mass * (g_xx * g_xy + g_yx * g_yy)
     m_22 = mass * (g_xy * g_xy + g_yy * g_yy)
@@ -86,7 +92,7 @@ def acceleration(
     for i in range(2):
         base, l1, m1, c1, i1, l2, m2, c2, i2, viscous, coulomb = legs[i]
         if i == chart:
-            cos_1, sin_1, cos_2, sin_2 = math.cos(z[0]), math.sin(z[0]), math.cos(z[1]), math.sin(z[1])
+            cos_1, sin_1, cos_2, sin_2 = ca.cos(z[0]), ca.sin(z[0]), ca.cos(z[1]), ca.sin(z[1])
             j11, j12, j21, j22 = 1.0, 0.0, 0.0, 1.0
             w1, w2 = z_dot
             inward_1, inward_2 = w1 * w1, w2 * w2
@@ -94,8 +100,7 @@ def acceleration(
         else:
             cos_1, sin_1, cos_2, sin_2 = _elbow(x, y, base, l1, l2, sides[i])
             cos_d, sin_d = cos_1 * cos_2 + sin_1 * sin_2, cos_1 * sin_2 - sin_1 * cos_2
-            if not abs(sin_d) >= least:
-                least = abs(sin_d)
+            least = _lesser(ca.fabs(sin_d), least)
             j1x, j1y = cos_2 / (l1 * sin_d), sin_2 / (l1 * sin_d)
             j2x, j2y = -cos_1 / (l2 * sin_d), -sin_1 / (l2 * sin_d)
             w1, w2 = j1x * vx + j1y * vy, j2x * vx + j2y * vy
@@ -104,7 +109,7 @@ def acceleration(
             g2 = -(l1 * inward_1 + l2 * inward_2 * cos_d) / (l2 * sin_d) + j2x * c_x + j2y * c_y
             j11, j12 = j1x * g_xx + j1y * g_yx, j1x * g_xy + j1y * g_yy
             j21, j22 = j2x * g_xx + j2y * g_yx, j2x * g_xy + j2y * g_yy
-        torque = motors[i] - viscous * w1 - coulomb * math.tanh(w1 / coulomb_speed)
+        torque = motors[i] - viscous * w1 - coulomb * ca.tanh(w1 / coulomb_speed)
         f_1 += j11 * (torque - i1 * g1) - j21 * i2 * g2
         f_2 += j12 * (torque - i1 * g1) - j22 * i2 * g2
         m_11 += i1 * j11 * j11 + i2 * j21 * j21
@@ -128,93 +133,184 @@ def acceleration(
     return (m_22 * f_1 - m_12 * f_2) / determinant, (m_11 * f_2 - m_12 * f_1) / determinant, least
 
 
-@_compiled
-def elbow_sides(joints: np.ndarray) -> Pair:
-    """An elbow lies left of the line base -> end effector (+1) where the distal link turns right."""
-    return -np.sign(math.sin(joints[1])), -np.sign(math.sin(joints[3]))
+def _substep(
+    z: Terms, z_dot: Terms, chart: int, sides: Terms, motors: Terms, push: Terms, h: Term, legs: list[Terms], shared: Terms
+) -> tuple[Terms, Terms, Term]:
+    """One Runge-Kutta step of fourth order: coordinates, rates, and the least |sin delta| met."""
+
+    def rate(place: Terms, speed: Terms) -> tuple[Terms, Term]:
+        first, second, least = _acceleration(place, speed, chart, sides, motors, push, legs, shared)
+        return [first, second], least
+
+    def moved(start: Terms, slope: Terms, span: Term) -> Terms:
+        return [begin + span * change for begin, change in zip(start, slope, strict=True)]
+
+    half = 0.5 * h
+    a1, sine_1 = rate(z, z_dot)
+    v2 = moved(z_dot, a1, half)
+    a2, sine_2 = rate(moved(z, z_dot, half), v2)
+    v3 = moved(z_dot, a2, half)
+    a3, sine_3 = rate(moved(z, v2, half), v3)
+    v4 = moved(z_dot, a3, h)
+    a4, sine_4 = rate(moved(z, v3, h), v4)
+    mean_v = [(z_dot[i] + 2.0 * (v2[i] + v3[i]) + v4[i]) / 6.0 for i in range(2)]
+    mean_a = [(a1[i] + 2.0 * (a2[i] + a3[i]) + a4[i]) / 6.0 for i in range(2)]
+    least = ca.SX(1.0)
+    for sine in (sine_1, sine_2, sine_3, sine_4):
+        least = _lesser(sine, least)
+    return moved(z, mean_v, h), moved(z_dot, mean_a, h), least
 
 
-@_compiled
-def _chart(joints: np.ndarray) -> int:
-    """The leg whose angles are the coordinates, or ``PLATFORM``."""
-    left, right = abs(math.sin(joints[1])), abs(math.sin(joints[3]))
-    if min(left, right) >= _OWN_SINE:
-        return PLATFORM
-    return 0 if left < right else 1
-
-
-@_compiled
-def advance(
-    platform: np.ndarray, joints: np.ndarray, joints_dot: np.ndarray, first: Pair, last: Pair, late: int, blow: Pair,
-    substep: float, substeps: int, legs: tuple[Row, Row], shared: Row,
-) -> float:  # fmt: skip
-    """Runge-Kutta steps of fourth order over one period, in place; the least |sin delta| met, nan when lost.
-
-    Args:
-        platform: x, y, x_dot, y_dot, m and m/s, shape (4,).
-        joints, joints_dot: q11, q12, q21, q22, rad and rad/s, shape (4,).
-        first, last: motor torques of the first ``late`` substeps and of the others, N m.
-        late: substeps.
-        blow: force on the end effector over the first substep, N.
-        substep: s.
-        substeps: how many.
-        legs, shared: of ``acceleration``.
-    """
-    chart, sides = _chart(joints), elbow_sides(joints)
-    a, b, a_dot, b_dot = platform
-    if chart != PLATFORM:
-        a, a_dot = joints[2 * chart], joints_dot[2 * chart]
-        b, b_dot = a + joints[2 * chart + 1], a_dot + joints_dot[2 * chart + 1]
-    h, half = substep, 0.5 * substep
-    least = 1.0
-    for index in range(substeps):
-        motors = first if index < late else last
-        push = blow if index == 0 else (0.0, 0.0)
-        a1, b1, sine_1 = acceleration((a, b), (a_dot, b_dot), chart, sides, motors, push, legs, shared)
-        va2, vb2 = a_dot + half * a1, b_dot + half * b1
-        z = a + half * a_dot, b + half * b_dot
-        a2, b2, sine_2 = acceleration(z, (va2, vb2), chart, sides, motors, push, legs, shared)
-        va3, vb3 = a_dot + half * a2, b_dot + half * b2
-        z = a + half * va2, b + half * vb2
-        a3, b3, sine_3 = acceleration(z, (va3, vb3), chart, sides, motors, push, legs, shared)
-        va4, vb4 = a_dot + h * a3, b_dot + h * b3
-        z = a + h * va3, b + h * vb3
-        a4, b4, sine_4 = acceleration(z, (va4, vb4), chart, sides, motors, push, legs, shared)
-        a += h / 6.0 * (a_dot + 2.0 * (va2 + va3) + va4)
-        b += h / 6.0 * (b_dot + 2.0 * (vb2 + vb3) + vb4)
-        a_dot += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
-        b_dot += h / 6.0 * (b1 + 2.0 * (b2 + b3) + b4)
-        for sine in (sine_1, sine_2, sine_3, sine_4):
-            if not sine >= least:
-                least = sine
+def _placed(
+    z: Terms, z_dot: Terms, chart: int, sides: Terms, joints: Terms, legs: list[Terms]
+) -> tuple[Terms, Terms, Terms, Term]:
+    """Platform (x, y, x_dot, y_dot), joints beside the turns they had, their rates, and the least |sin delta|."""
+    (a, b), (a_dot, b_dot) = z, z_dot
     x, y, vx, vy = a, b, a_dot, b_dot
     if chart != PLATFORM:
         base, l1, l2 = legs[chart][0], legs[chart][1], legs[chart][5]
-        x, y = base + l1 * math.cos(a) + l2 * math.cos(b), l1 * math.sin(a) + l2 * math.sin(b)
-        vx, vy = -l1 * math.sin(a) * a_dot - l2 * math.sin(b) * b_dot, l1 * math.cos(a) * a_dot + l2 * math.cos(b) * b_dot
-    platform[0], platform[1], platform[2], platform[3] = x, y, vx, vy
+        x, y = base + l1 * ca.cos(a) + l2 * ca.cos(b), l1 * ca.sin(a) + l2 * ca.sin(b)
+        vx, vy = -l1 * ca.sin(a) * a_dot - l2 * ca.sin(b) * b_dot, l1 * ca.cos(a) * a_dot + l2 * ca.cos(b) * b_dot
+    found, rates, least = [], [], ca.SX(1.0)
     for i in range(2):
         if i == chart:
-            joints[2 * i], joints[2 * i + 1] = a, b - a
-            joints_dot[2 * i], joints_dot[2 * i + 1] = a_dot, b_dot - a_dot
+            found += [a, b - a]
+            rates += [a_dot, b_dot - a_dot]
             continue
         base, l1, l2 = legs[i][0], legs[i][1], legs[i][5]
         cos_1, sin_1, cos_2, sin_2 = _elbow(x, y, base, l1, l2, sides[i])
         cos_d, sin_d = cos_1 * cos_2 + sin_1 * sin_2, cos_1 * sin_2 - sin_1 * cos_2
-        if not abs(sin_d) >= least:
-            least = abs(sin_d)
-        old_1, old_d = joints[2 * i], joints[2 * i + 1]
-        turn_1, turn_d = math.atan2(sin_1, cos_1) - old_1, math.atan2(sin_d, cos_d) - old_d
-        joints[2 * i] = old_1 + turn_1 - 2.0 * math.pi * np.round(turn_1 / (2.0 * math.pi))
-        joints[2 * i + 1] = old_d + turn_d - 2.0 * math.pi * np.round(turn_d / (2.0 * math.pi))
+        least = _lesser(ca.fabs(sin_d), least)
+        for old, angle in ((joints[2 * i], ca.atan2(sin_1, cos_1)), (joints[2 * i + 1], ca.atan2(sin_d, cos_d))):
+            turn = angle - old
+            found.append(old + turn - 2.0 * math.pi * ca.floor(turn / (2.0 * math.pi) + 0.5))
         w1 = (cos_2 * vx + sin_2 * vy) / (l1 * sin_d)
-        joints_dot[2 * i] = w1
-        joints_dot[2 * i + 1] = -(cos_1 * vx + sin_1 * vy) / (l2 * sin_d) - w1
-    return least
+        rates += [w1, -(cos_1 * vx + sin_1 * vy) / (l2 * sin_d) - w1]
+    return [x, y, vx, vy], found, rates, least
+
+
+@lru_cache
+def motion(substeps: int) -> Library:
+    """``period_CHART`` for each chart and ``acceleration``, compiled where that can be done.
+
+    Args:
+        substeps: Runge-Kutta steps in one period.
+    """
+    z, z_dot, sides, motors, push = (ca.SX.sym(name, 2) for name in ("z", "z_dot", "sides", "motors", "push"))
+    joints, h = ca.SX.sym("joints", 4), ca.SX.sym("h")
+    robot, shared = ca.SX.sym("legs", 2 * LEG_NUMBERS), ca.SX.sym("shared", 4)
+    vectors = (z, z_dot, sides, motors, push, joints, shared)
+    parts: list[Terms] = [[vector[i] for i in range(vector.numel())] for vector in vectors]
+    legs = [[robot[LEG_NUMBERS * leg + k] for k in range(LEG_NUMBERS)] for leg in range(2)]
+    pz, pz_dot, psides, pmotors, ppush, pjoints, pshared = parts
+    state = {"z": z, "z_dot": z_dot, "sides": sides}
+    acting = {"motors": motors, "push": push, "legs": robot, "shared": shared}
+    functions = []
+    for chart, name in CHARTS.items():
+        moved, speed, least = _substep(pz, pz_dot, chart, psides, pmotors, ppush, h, legs, pshared)
+        step = named(f"step_{name}", state | acting | {"h": h},
+                     {"z_next": ca.vertcat(*moved), "z_dot_next": ca.vertcat(*speed), "least": least})
+        platform, found, rates, least = _placed(pz, pz_dot, chart, psides, pjoints, legs)
+        place = named(f"place_{name}", state | {"joints": joints, "legs": robot}, {
+            "platform": ca.vertcat(*platform), "joints_next": ca.vertcat(*found), "joints_dot": ca.vertcat(*rates),
+            "least": least,
+        })
+        functions.append(_period(f"period_{name}", step, place, substeps))
+    first, second, least = _acceleration(pz, pz_dot, PLATFORM, psides, pmotors, ppush, legs, pshared)
+    functions.append(named("acceleration", state | acting, {"z_ddot": ca.vertcat(first, second), "least": least}))
+    return Library(functions, model_folder())
+
+
+def _period(name: str, step: ca.Function, place: ca.Function, substeps: int) -> ca.Function:
+    """Substeps one after the other, then the joints; motors and push have a column for each."""
+    sizes = {"z": 2, "z_dot": 2, "sides": 2, "h": 1, "legs": 2 * LEG_NUMBERS, "shared": 4, "joints": 4}
+    given = {key: ca.MX.sym(key, size) for key, size in sizes.items()}
+    given |= {key: ca.MX.sym(key, 2, substeps) for key in ("motors", "push")}
+    steps = step.mapaccum(f"{name}_steps", substeps, ["z", "z_dot"], ["z_next", "z_dot_next"])
+    same = {key: ca.repmat(given[key], 1, substeps) for key in ("sides", "h", "legs", "shared")}
+    moved = steps(z=given["z"], z_dot=given["z_dot"], motors=given["motors"], push=given["push"], **same)
+    found = place(z=moved["z_next"][:, -1], z_dot=moved["z_dot_next"][:, -1], sides=given["sides"], joints=given["joints"],
+                  legs=given["legs"])
+    results = {key: found[key] for key in ("platform", "joints_next", "joints_dot")}
+    results["leasts"] = ca.vertcat(moved["least"].T, found["least"])
+    return ca.Function(name, list(given.values()), list(results.values()), list(given), list(results))
+
+
+class Motion:
+    """Steps of one robot, from joints to joints.
+
+    Args:
+        robot: the description.
+        substeps: Runge-Kutta steps in one period.
+
+    Attributes:
+        platform: x, y, x_dot, y_dot, m and m/s, shape (4,).
+        joints, joints_dot: q11, q12, q21, q22, rad and rad/s, shape (4,).
+    """
+
+    def __init__(self, robot: RobotParameters, substeps: int) -> None:
+        self.platform, self.joints, self.joints_dot = np.zeros(4), np.zeros(4), np.zeros(4)
+        numbers = {"legs": np.array([*leg_row(robot, 0), *leg_row(robot, 1)]),
+                   "shared": np.array([robot.end_effector_mass, *robot.gravity, robot.coulomb_speed])}
+        library, places = motion(substeps), {"joints": self.joints, "platform": self.platform, "joints_dot": self.joints_dot}
+        self._periods: dict[int, Fast] = {
+            chart: library.fast(f"period_{name}", **numbers, **places) for chart, name in CHARTS.items()
+        }
+        self._acceleration = library.fast("acceleration", **numbers)
+
+    def advance(self, first: Pair, last: Pair, late: int, blow: Pair, substep: float) -> float:
+        """One period; the least |sin delta| met, nan when lost.
+
+        Args:
+            first, last: motor torques of the first ``late`` substeps and of the others, N m.
+            late: substeps.
+            blow: force on the end effector over the first substep, N.
+            substep: s.
+        """
+        joints, rates, chart = self.joints, self.joints_dot, self._chart()
+        period = self._periods[chart]
+        given, results = period.arguments, period.results
+        given.sides[:] = self._sides()
+        if chart == PLATFORM:
+            given.z[:], given.z_dot[:] = self.platform[:2], self.platform[2:]
+        else:
+            leg = 2 * chart
+            given.z[:] = joints[leg], joints[leg] + joints[leg + 1]
+            given.z_dot[:] = rates[leg], rates[leg] + rates[leg + 1]
+        given.h[0] = substep
+        motors = given.motors.reshape(-1, 2)
+        motors[:] = last
+        if late:
+            motors[:late] = first
+        given.push[:2] = blow
+        period.run()
+        joints[:] = results.joints_next
+        least = 1.0
+        for sine in results.leasts.tolist():
+            least = least if sine >= least else sine
+        return least
+
+    def acceleration(self, motors: Pair) -> np.ndarray:
+        """Of the platform now, m/s^2, shape (2,), off Type 1, under motor torques before friction, N m."""
+        found = self._acceleration.arguments
+        found.z[:], found.z_dot[:], found.sides[:], found.motors[:] = self.platform[:2], self.platform[2:], self._sides(), motors
+        self._acceleration.run()
+        return np.array(self._acceleration.results.z_ddot)
+
+    def _sides(self) -> Pair:
+        """An elbow lies left of the line base -> end effector (+1) where the distal link turns right."""
+        return -math.copysign(1.0, math.sin(self.joints[1])), -math.copysign(1.0, math.sin(self.joints[3]))
+
+    def _chart(self) -> int:
+        """The leg whose angles are the coordinates, or ``PLATFORM``."""
+        left, right = abs(math.sin(self.joints[1])), abs(math.sin(self.joints[3]))
+        if min(left, right) >= _OWN_SINE:
+            return PLATFORM
+        return 0 if left < right else 1
 
 
 def leg_row(robot: RobotParameters, index: int) -> Row:
-    """What ``acceleration`` needs of a leg.
+    """What the motion takes of a leg.
 
     Returns:
         Base x (m), then of the proximal and the distal link length (m), mass (kg), centre (m), inertia about it

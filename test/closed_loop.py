@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core.dynamics import platform_dynamics
-from dextar_control.core.estimator import Pose
-from dextar_control.core.kinematics import inverse_model, singular_values, singularity_of_platform, state_of_platform
-from dextar_control.core.loop import ControlLoop
-from dextar_control.core.model import make_model
-from dextar_control.core.planner import Plan
-from dextar_control.core.warmup import default_settings
+from dextar_control.contract.settings import default_settings
+from dextar_control.control.loop import ControlLoop
+from dextar_control.estimation.estimate import Pose
+from dextar_control.model.model import Model
+from dextar_control.planning.planner import Plan
 from dextar_sim.rig import Rig
 
 AFTER = 0.2  # s of holding after the trip
+
+
+def state_of(model: Model, x: np.ndarray, x_dot: np.ndarray) -> SimpleNamespace:
+    """Kinematics of a platform position and velocity (n,) in the model's working mode, with both."""
+    q_a = model.place(x).q_a
+    return SimpleNamespace(x=x, x_dot=x_dot, q_a=q_a, **model.state(q_a, x, x_dot)._asdict())
+
+
+def s_of(model: Model, x: np.ndarray) -> float:
+    """Singularity measure of a platform position (n,)."""
+    return float(model.place(x).s[0])
 
 
 class Blow(NamedTuple):
@@ -54,10 +64,9 @@ class Run(NamedTuple):
 
 def turn_round(robot: RobotParameters, plan: Plan, moment: float, restitution: float) -> Blow:
     """A blow at a moment of the plan that turns the motion along t_s round, which the joints do not show."""
-    point = plan.trajectory.at(moment)
-    kin = state_of_platform(make_model(robot), point.x, point.x_dot)
-    t_s = singular_values(kin.A_r).v2
-    mass, _ = platform_dynamics(make_model(robot), kin)
+    point, model = plan.trajectory.at(moment), Model.of(robot)
+    q_a, t_s = model.place(point.x).q_a, model.place(point.x).t_s
+    mass = model.platform_dynamics(q_a, point.x, point.x_dot, np.zeros(2)).M
     return Blow(moment, -(1.0 + restitution) * mass @ ((t_s @ point.x_dot) * t_s))
 
 
@@ -70,7 +79,7 @@ def drive(
     loop = ControlLoop(robot, default_settings(**(settings or {})), 1)
     rows, notes = [], [""]
     try:
-        rig.reset_joints(inverse_model(loop.model, plan.trajectory.at(0.0).x), 1)
+        rig.reset_joints(loop.model.inverse_geometric_model(plan.trajectory.at(0.0).x), 1)
         loop.accept(plan.trajectory)
         for _ in range(round((until or plan.trajectory.duration + AFTER) / rig.period)):
             sample, truth = rig.read(), rig.truth()
@@ -79,7 +88,7 @@ def drive(
             tick = loop.tick
             if loop.estimator.note != notes[-1]:
                 notes.append(loop.estimator.note)
-            side = np.sign(singularity_of_platform(loop.model, truth.x))
+            side = np.sign(loop.model.place(truth.x).s[0])
             rows.append([sample.time, *truth.x, *tick.x_ref, *tick.x_hat, side, tick.assembly_mode, tick.confidence,
                          *sample.q_a, *tau])  # fmt: skip
             if blow is not None and abs(sample.time - blow.time) < 0.5 * rig.period:

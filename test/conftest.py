@@ -12,7 +12,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
-from dextar_control.core.planner import Plan, plan_return_trip
+from dextar_control.planning.planner import Plan, plan_return_trip
 from dextar_control.ros.domain import own_domain
 
 os.environ["ROS_DOMAIN_ID"] = str(own_domain())

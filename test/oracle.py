@@ -1,7 +1,7 @@
 """The five-bar by an independent rigid-body engine (pinocchio) and a KKT system: the tests' oracle.
 
 Two open chains of two revolute joints; the loop closure enters as an acceleration constraint on the
-two tips. Nothing here comes from ``dextar_control.core``.
+two tips. Nothing here comes from ``dextar_control.model`` or ``dextar_control.mechanisms``.
 """
 
 from __future__ import annotations

@@ -20,16 +20,16 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from closed_loop import s_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
-from dextar_control.core.kinematics import inverse_model, singularity_of_platform
-from dextar_control.core.loop import ControlLoop, Phase
-from dextar_control.core.planner import Plan, plan_return_trip
-from dextar_control.core.settings import Settings
-from dextar_control.core.warmup import default_settings
+from dextar_control.contract.settings import Settings, default_settings
+from dextar_control.control.loop import ControlLoop
+from dextar_control.control.phases import Phase
+from dextar_control.planning.planner import Plan, plan_return_trip
 from dextar_sim.rig import Rig
 
 Answer = TypeVar("Answer")
@@ -97,7 +97,7 @@ def instants(plan: Plan, count: int) -> list[tuple[float, str]]:
 def stopped(rig: Rig, loop: ControlLoop, trigger: str, crossing: float, names: tuple[str, str]) -> Row:
     """One stop, from now on."""
     model, truth = loop.model, rig.truth()
-    begin, s = rig.time, singularity_of_platform(model, truth.x)
+    begin, s = rig.time, s_of(model, truth.x)
     if trigger == "stop":
         loop.stop()
         finished = loop.phase is not Phase.SAFE_STOP
@@ -119,7 +119,7 @@ def stopped(rig: Rig, loop: ControlLoop, trigger: str, crossing: float, names: t
     table, tick = np.array(rows), loop.tick
     assert tick is not None
     moving, pushing = np.flatnonzero(table[:, 3] >= REST), np.flatnonzero(table[:, 4] > 0.0)
-    end_s = singularity_of_platform(model, table[-1, 1:3])
+    end_s = s_of(model, table[-1, 1:3])
     last = int(moving[-1]) + 1 if len(moving) else 0
     pushed, taken = (rig.period * float(np.maximum(sign * np.array(power), 0.0).sum()) for sign in (1.0, -1.0))
     return Row(
@@ -146,7 +146,7 @@ def study(
         plan = plan_return_trip(robot, np.array(task["task.start"]), np.array(task["task.goal"]), duration, DWELL)
         rig = Rig(robot.replace(**(built or {})), plant=plant, command_delay=delay)
         loop = ControlLoop(robot, default_settings(**changes), 1)
-        rig.reset_joints(inverse_model(loop.model, plan.trajectory.at(0.0).x), 1)
+        rig.reset_joints(loop.model.inverse_geometric_model(plan.trajectory.at(0.0).x), 1)
         loop.accept(plan.trajectory)
         waiting = instants(plan, count)
         while waiting:

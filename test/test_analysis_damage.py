@@ -18,7 +18,7 @@ from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
 from dextar_control.analysis.run import Hole
 from dextar_control.analysis.tracking import plan_of
 from dextar_control.analysis.verdict import judge
-from dextar_control.core.certificate import clear_times
+from dextar_control.planning.checks import clear_times
 from dextar_control.ros import mcap_file
 from dextar_control.ros.recovery import recover
 

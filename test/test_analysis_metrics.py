@@ -33,7 +33,7 @@ from dextar_control.analysis.metrics import compute_metrics
 from dextar_control.analysis.report import analyze, summary_table
 from dextar_control.analysis.run import Run
 from dextar_control.analysis.tracking import plan_of
-from dextar_control.core.certificate import SIDE, clear_times
+from dextar_control.planning.checks import SIDE, clear_times
 
 INSTANT = 2.0e-6  # s: interpolation of a smooth s between ticks of 1 ms
 ROUNDING = 1.0e-12

@@ -12,33 +12,30 @@ from pathlib import Path
 import pytest
 
 from dextar_control.contract import caches
-from dextar_control.contract.caches import cache_folder, copy_of, prepare_environment
+from dextar_control.contract.caches import cache_folder, prepare_environment
+from dextar_control.symbols.functions import compiler
 
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
 ROOT = Path(__file__).resolve().parents[1]
 DOUBLE = """
 import resource, signal, sys, tempfile
 tempfile.tempdir = sys.argv[1]
-from dextar_control.core.compiled import njit
-from dextar_sim.geometry import _compiled
-@njit
-def double(x):
-    return 2.0 * x
-@_compiled
-def triple(x):
-    return 3.0 * x
+import casadi as ca
+from dextar_control.symbols.functions import Library, cache_folder, named
 if "full" in sys.argv:
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))
-print(double(3.0), triple(2.0))
+x = ca.SX.sym("x")
+library = Library([named("twice", {"x": x}, {"y": 2.0 * x})], cache_folder())
+print(library.fast("twice")(3.0).y[0], library.compiled)
 """
 
 
 @pytest.fixture
 def installation(tmp_path: Path) -> Path:
     """The package in a folder where nothing can be written beside the sources, whoever runs the tests."""
-    for room in ("dextar_control/contract", "dextar_control/core", "dextar_sim"):
+    for room in ("dextar_control/contract", "dextar_control/symbols"):
         shutil.copytree(ROOT / room, tmp_path / "site" / room, ignore=shutil.ignore_patterns("__pycache__"))
-        (tmp_path / "site" / room / "__pycache__").touch()
     (tmp_path / "site" / "dextar_control" / "__init__.py").touch()
     (tmp_path / "blocked").touch()
     (tmp_path / "temp").mkdir()
@@ -46,51 +43,47 @@ def installation(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def double(installation: Path, temporary: str, *arguments: str, cache: str = "blocked") -> str:
-    """The error output of a process that compiles two functions."""
+def double(installation: Path, temporary: str, *arguments: str, cache: str = "blocked", compiled: bool = True) -> str:
+    """The error output of a process that compiles a function, or interprets it."""
     environment = {
         **os.environ, "PYTHONPATH": str(installation / "site"), "PYTHONDONTWRITEBYTECODE": "1",
         "HOME": str(installation / "blocked"), "XDG_CACHE_HOME": str(installation / cache),
     }  # fmt: skip
-    environment.pop("NUMBA_CACHE_DIR", None)
     answer = subprocess.run(
         [sys.executable, str(installation / "double.py"), str(installation / temporary), *arguments], env=environment,
         cwd=installation, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert (answer.returncode, answer.stdout) == (0, "6.0 6.0\n"), answer.stderr
+    assert (answer.returncode, answer.stdout) == (0, f"6.0 {compiled}\n"), answer.stderr
     return answer.stderr
 
 
-def kept(folder: Path) -> list[Path]:
-    """Files of numba's caches."""
-    return sorted(folder.glob("numba-*/*/*.nb?"))
+def test_without_any_place_the_equations_are_interpreted_and_one_line_says_so(installation: Path) -> None:
+    said = double(installation, "blocked", compiled=False)
+    assert said.count("\n") == 1 and "interpreted" in said and "set XDG_CACHE_HOME" in said
 
 
-def test_without_any_place_the_core_is_compiled_and_one_line_says_so(installation: Path) -> None:
-    said = double(installation, "blocked")
-    assert said.count("\n") == 1 and said.startswith("dextar: no folder for the compiled model can be written, so it is compiled")
-
-
+@needs_compiler
 def test_a_private_folder_for_temporary_files_takes_the_cache(installation: Path) -> None:
     assert not double(installation, "temp")
     private = installation / "temp" / f"dextar-{os.getuid()}"
     assert private.stat().st_mode & 0o777 == 0o700
-    assert [file.name.partition(".")[0] for file in kept(private) if file.suffix == ".nbi"] == ["double"] * 2
+    assert len(list(private.rglob("model-*.so"))) == 1
 
 
+@needs_compiler
 def test_a_full_disk_or_a_broken_cache_ends_nothing(installation: Path) -> None:
     folder = installation / "cache" / "dextar"
-    said = double(installation, "blocked", "full", cache="cache")
-    assert "cannot be kept" in said and "File too large" in said and said.count("\n") == 2  # one for each folder
+    said = double(installation, "blocked", "full", cache="cache", compiled=False)
+    assert "File too large" in said and said.count("\n") == 1
+    assert not list(folder.rglob("*.so"))
     assert not double(installation, "blocked", cache="cache")
-    files = kept(folder)
-    assert len(files) == 4
-    for file in files:
-        file.write_bytes(file.read_bytes()[:-20])
+    (library,) = folder.rglob("model-*.so")
+    library.write_bytes(library.read_bytes()[:-20])
     assert not double(installation, "blocked", cache="cache")
-    before = [file.stat().st_mtime_ns for file in files]
+    (again,) = folder.rglob("model-*.so")
+    before = again.read_bytes()
     assert not double(installation, "blocked", cache="cache")
-    assert [file.stat().st_mtime_ns for file in files] == before, "what was broken is not kept anew"
+    assert again.read_bytes() == before
 
 
 def test_a_folder_that_others_may_write_is_not_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -119,16 +112,6 @@ def test_a_user_without_a_home_has_a_cache(monkeypatch: pytest.MonkeyPatch, tmp_
     assert cache_folder("plans") == tmp_path / f"dextar-{os.getuid()}" / "plans"
 
 
-def test_a_cache_that_can_only_be_read_is_copied_whole(tmp_path: Path) -> None:
-    (tmp_path / "old" / "deep").mkdir(parents=True)
-    (tmp_path / "old" / "deep" / "file").write_text("kept")
-    copy_of(tmp_path / "old", tmp_path / "new" / "place")
-    assert (tmp_path / "new" / "place" / "deep" / "file").read_text() == "kept"
-    assert [path.name for path in (tmp_path / "new").iterdir()] == ["place"]
-    copy_of(tmp_path / "none", tmp_path / "new" / "other")
-    assert not (tmp_path / "new" / "other").exists()
-
-
 VARIABLES = ("MPLCONFIGDIR", "ROS_LOG_DIR", "ROS_HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME")
 
 
@@ -153,14 +136,14 @@ def test_settings_and_logs_find_a_folder_where_the_home_cannot_be_written(
     assert not usable or not list(home.iterdir())
 
 
-def test_help_loads_neither_core_nor_compiler() -> None:
+def test_help_loads_neither_mathematics_nor_ros() -> None:
     code = (
         "import sys\nfrom dextar_control import cli\n"
         "for words in ([], *([name] for name in cli.COMMANDS)):\n"
         "    try: cli.main([*words, '--help'])\n"
         "    except SystemExit as end: assert end.code == 0\n"
-        "print({name.split('.')[0] for name in sys.modules} & {'numba', 'numpy', 'rclpy', 'matplotlib'},"
-        " [name for name in sys.modules if name.startswith('dextar_control.core')])"
+        "print({name.split('.')[0] for name in sys.modules} & {'casadi', 'numpy', 'rclpy', 'matplotlib'},"
+        " [name for name in sys.modules if name.startswith('dextar_control.model')])"
     )
     answer = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=ROOT)
     assert answer.stdout.splitlines()[-1] == "set() []"

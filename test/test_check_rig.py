@@ -32,11 +32,11 @@ from dextar_control import cli
 from dextar_control.contract.errors import GeometryError, ParameterError, StateError
 from dextar_control.contract.node import qos
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.settings import default_settings
 from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
-from dextar_control.core.kinematics import elbows
-from dextar_control.core.loop import ControlLoop
-from dextar_control.core.model import make_model
-from dextar_control.core.warmup import default_settings
+from dextar_control.control.loop import ControlLoop
+from dextar_control.mechanisms.five_bar import FiveBar
+from dextar_control.model.model import Model
 from dextar_control.rig_check.check import report, torque_obstacle, torque_tests, watch_lines
 from dextar_control.rig_check.limits import Limits
 from dextar_control.rig_check.report import LINES, TORQUE_LINES, Line, Result, has_failed
@@ -497,10 +497,12 @@ def test_friction_and_a_coarse_encoder_hide_no_movement(robot: RobotParameters) 
     assert {line.name for line in tests.lines if line.result is Result.PASS} == set(TORQUE_LINES)
 
 
-def test_the_elbows_are_where_the_core_has_them(uneven: RobotParameters) -> None:
+def test_the_elbows_are_where_the_mechanism_has_them(uneven: RobotParameters) -> None:
     q_a = np.random.default_rng(1).uniform(-np.pi, np.pi, (50, 2))
-    model = make_model(uneven)
-    expected = [np.hypot(*np.diff(elbows(model, row), axis=0)[0]) for row in q_a]
+    model = Model.of(uneven)
+    p, five_bar = model.mechanism.named(model.p), FiveBar()
+    elbows = [[np.array(five_bar.elbow(leg, row[leg], p)).ravel() for leg in range(2)] for row in q_a]
+    expected = [np.hypot(*(right - left)) for left, right in elbows]
     np.testing.assert_allclose(elbow_distance(uneven, q_a), expected, rtol=1e-12)
 
 

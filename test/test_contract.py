@@ -34,8 +34,8 @@ from dextar_control.contract.topics import (
     Service,
     Topic,
 )
-from dextar_control.core.loop import Phase
-from dextar_control.core.planner import Plan
+from dextar_control.control.phases import Phase
+from dextar_control.planning.planner import Plan
 from dextar_control.ros import controller_node, marker_node, messages, recorder_node, trajectory_server
 from dextar_sim import parameters as plant_parameters
 

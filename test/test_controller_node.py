@@ -21,13 +21,12 @@ from std_srvs.srv import SetBool, Trigger
 from dextar_control.contract.cdr import to_time
 from dextar_control.contract.node import qos
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.settings import default_settings
 from dextar_control.contract.topics import CRITERION, EXTERNAL_POSE, JOINT_COMMANDS
-from dextar_control.core.kinematics import inverse_model
-from dextar_control.core.loop import Verdict
-from dextar_control.core.model import make_model
-from dextar_control.core.planner import Plan
-from dextar_control.core.trajectory import Trajectory
-from dextar_control.core.warmup import default_settings
+from dextar_control.control.verdicts import Verdict
+from dextar_control.model.model import Model
+from dextar_control.planning.planner import Plan
+from dextar_control.planning.trajectory import Trajectory
 from dextar_control.ros import messages
 from dextar_control.ros.trajectory_server import served_times
 from dextar_sim.plant import Plant
@@ -62,7 +61,7 @@ def _controller(*arguments: str) -> Iterator[Rig]:
 
 @pytest.fixture(scope="module")
 def q_a(robot: RobotParameters, trip: Plan) -> np.ndarray:
-    return inverse_model(make_model(robot), trip.trajectory.at(0.0).x)
+    return Model.of(robot).inverse_geometric_model(trip.trajectory.at(0.0).x)
 
 
 def _call(rig: Rig, kind: type, name: str, request: object) -> object:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from closed_loop import s_of
 from rcl_interfaces.srv import DescribeParameters, GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -20,11 +21,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import TrajectoryError
-from dextar_control.core.certificate import Certificate
-from dextar_control.core.kinematics import inverse_model
-from dextar_control.core.loop import Phase
-from dextar_control.core.planner import Plan
-from dextar_control.core.trajectory import Trajectory
+from dextar_control.control.phases import Phase
+from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.planner import Plan
+from dextar_control.planning.trajectory import Trajectory
 from dextar_control.ros import messages
 from dextar_control.ros.controller_node import PARAMETERS, SERVED_PER_WATCH, ControllerNode
 
@@ -107,7 +107,7 @@ def test_a_watch_period_serves_a_bounded_number_of_requests_however_many_there_a
 
 def test_a_reset_from_before_a_fault_does_not_clear_it(controller: _Unspun, trip: Plan) -> None:
     node = controller.node
-    q_a = inverse_model(node._loop.model, trip.trajectory.at(0.0).x)
+    q_a = node._loop.model.inverse_geometric_model(trip.trajectory.at(0.0).x)
     node._on_state(messages.joint_states_template().pack(SECOND, [*q_a.tolist(), 0.0, 0.0, 0.0, 0.0]))
     late = controller.call(Trigger, "reset", Trigger.Request())
     controller.arrive("reset")
@@ -196,23 +196,22 @@ def test_what_waits_when_the_controller_becomes_active_was_served_before(control
 
 def test_the_distance_to_the_locus_is_that_of_the_nearest_point_to_first_order(controller: _Unspun, trip: Plan) -> None:
     """Against a search along the gradient's direction: close to the locus the first order is the distance."""
-    from dextar_control.core.kinematics import singularity_of_platform
-    from dextar_control.core.loop import ControlLoop
-    from dextar_control.core.warmup import default_settings
+    from dextar_control.contract.settings import default_settings
+    from dextar_control.control.loop import ControlLoop
     from dextar_control.ros.controller_report import distance_to_locus
 
     model = controller.node._loop.model
     time_near = float(trip.certificate.crossing_times[0]) - 0.01
     x = trip.trajectory.at(time_near).x
-    loop = ControlLoop(controller.node.robot, default_settings(), int(np.sign(singularity_of_platform(model, x))), enabled=False)
-    loop.step(0.0, inverse_model(model, x))
+    loop = ControlLoop(controller.node.robot, default_settings(), int(np.sign(s_of(model, x))), enabled=False)
+    loop.step(0.0, model.inverse_geometric_model(x))
     angles = np.linspace(-np.pi, np.pi, 721)
     reach = np.linspace(0.0, 0.02, 401)[1:]
-    inside = np.sign(singularity_of_platform(model, x))
+    inside = np.sign(s_of(model, x))
 
     def reached(angle: float) -> float:
         rays = ((r, x + r * np.array([np.cos(angle), np.sin(angle)])) for r in reach)
-        return next((r for r, point in rays if inside * singularity_of_platform(model, point) <= 0.0), np.inf)
+        return next((r for r, point in rays if inside * s_of(model, point) <= 0.0), np.inf)
 
     found = [reached(angle) for angle in angles]
     assert distance_to_locus(loop) == pytest.approx(min(found), rel=0.1)

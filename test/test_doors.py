@@ -12,7 +12,12 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 ALLOWED_OUTSIDE = {
-    "dextar_control.core": {"numpy", "scipy", "numba"},
+    "dextar_control.symbols": {"numpy", "casadi"},
+    "dextar_control.mechanisms": {"numpy", "casadi"},
+    "dextar_control.model": {"numpy", "casadi"},
+    "dextar_control.estimation": {"numpy", "casadi"},
+    "dextar_control.control": {"numpy", "casadi"},
+    "dextar_control.planning": {"numpy", "scipy", "casadi"},
     "dextar_control.bags": {"mcap", "yaml", "zstandard"},
     "dextar_control.campaign": {"numpy", "matplotlib", "rich", "yaml", "pydantic", "pydantic_core", "dask", "distributed",
                                 "pyarrow"},
@@ -23,16 +28,30 @@ ALLOWED_OUTSIDE = {
 }
 ROS = {"rclpy", "builtin_interfaces", "rcl_interfaces", "sensor_msgs", "trajectory_msgs", "nav_msgs", "geometry_msgs",
        "std_msgs", "std_srvs", "diagnostic_msgs", "lifecycle_msgs", "visualization_msgs"}  # fmt: skip
-DOORS = {
-    "dextar_control.contract": {"dextar_control.contract"},
-    "dextar_control.core": {"dextar_control.core", "dextar_control.contract"},
-    "dextar_control.rig_check": {"dextar_control.rig_check", "dextar_control.core", "dextar_control.contract"},
-    "dextar_control.bags": {"dextar_control.bags", "dextar_control.contract"},
-    "dextar_control.analysis": {"dextar_control.analysis", "dextar_control.bags", "dextar_control.core",
-                                "dextar_control.contract"},
-    "dextar_control.campaign": {"dextar_control.campaign", "dextar_control.core", "dextar_control.contract"},
-    "dextar_control.faults": {"dextar_control.faults", "dextar_control.core", "dextar_control.contract"},
-    "dextar_sim": {"dextar_sim", "dextar_control.contract"},
+
+
+def _rooms(*names: str) -> set[str]:
+    return {f"dextar_control.{name}" for name in names}
+
+
+MATHEMATICS = ("symbols", "mechanisms", "model", "planning", "estimation", "control")
+DOORS = {  # each room, and those that it may import beside itself and the contract
+    "dextar_control.contract": set(),
+    "dextar_control.symbols": set(),
+    "dextar_control.mechanisms": _rooms("symbols"),
+    "dextar_control.model": _rooms("symbols", "mechanisms"),
+    "dextar_control.planning": _rooms("symbols", "mechanisms", "model"),
+    "dextar_control.estimation": _rooms("symbols", "mechanisms", "model"),
+    "dextar_control.control": _rooms("symbols", "mechanisms", "model", "planning", "estimation"),
+    "dextar_control.bags": set(),
+    "dextar_control.analysis": _rooms("bags", *MATHEMATICS),
+    "dextar_control.rig_check": _rooms(*MATHEMATICS),
+    "dextar_control.campaign": _rooms(*MATHEMATICS),
+    "dextar_control.faults": _rooms(*MATHEMATICS),
+    "dextar_control.security": set(),
+    "dextar_control.ros": _rooms("analysis", "bags", "rig_check", "faults", *MATHEMATICS),
+    "dextar_control.commands": _rooms("analysis", "campaign", "ros"),
+    "dextar_sim": _rooms("symbols"),
 }
 NO_ROS_MODULES = {"dextar_control/contract": {"robot.py", "topics.py", "tables.py", "errors.py", "resources.py",
                                              "decoding.py"},
@@ -62,7 +81,13 @@ def test_a_room_imports_only_through_its_doors(room: str) -> None:
     for path in _modules(room):
         for name in _imports(path):
             if name.split(".")[0] in ("dextar_control", "dextar_sim") and name != "dextar_control":
-                assert any(name == door or name.startswith(f"{door}.") for door in DOORS[room]), f"{path} imports {name}"
+                doors = {room, "dextar_control.contract", *DOORS[room]}
+                assert any(name == door or name.startswith(f"{door}.") for door in doors), f"{path} imports {name}"
+
+
+def test_every_room_stands_in_the_plan() -> None:
+    rooms = {f"dextar_control.{path.parent.name}" for path in (ROOT / "dextar_control").glob("*/__init__.py")}
+    assert rooms | {"dextar_sim"} == set(DOORS)
 
 
 def test_the_controller_never_imports_the_simulator() -> None:
@@ -71,7 +96,7 @@ def test_the_controller_never_imports_the_simulator() -> None:
 
 
 @pytest.mark.parametrize("room", ALLOWED_OUTSIDE)
-def test_core_campaign_and_analysis_need_neither_ros_nor_simulator(room: str) -> None:
+def test_mathematics_campaign_and_analysis_need_neither_ros_nor_simulator(room: str) -> None:
     for path in _modules(room):
         for name in _imports(path):
             top = name.split(".")[0]
@@ -85,9 +110,9 @@ def test_data_and_plant_are_free_of_ros(folder: str) -> None:
         assert not {item.split(".")[0] for item in _imports(ROOT / folder / name)} & ROS, name
 
 
-def test_importing_the_core_loads_no_ros() -> None:
+def test_importing_the_mathematics_loads_neither_ros_nor_simulator() -> None:
     code = (
-        "import sys, dextar_control.core.loop, dextar_control.core.planner;"
+        "import sys, dextar_control.control.loop, dextar_control.planning.tour;"
         "print('rclpy' in sys.modules or 'pybullet' in sys.modules)"
     )
     answer = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=ROOT)

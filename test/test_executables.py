@@ -28,8 +28,7 @@ from dextar_control.contract.node import run_node
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import NODES, SERVICES
-from dextar_control.core.kinematics import inverse_model
-from dextar_control.core.model import make_model
+from dextar_control.model.model import Model
 from dextar_control.ros.controller_node import ControllerNode
 from dextar_control.ros.echo import EchoNode
 from dextar_control.ros.marker_node import MarkerNode
@@ -284,7 +283,7 @@ def test_a_signal_while_modules_load_ends_without_a_traceback(name: str, number:
 @pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGQUIT])
 def test_a_terminal_that_closes_leaves_no_torque(number: int) -> None:
     robot = load_robot(config_file(ROBOT_FILE))
-    q_a = inverse_model(make_model(robot), np.array(node_defaults("controller")["task.start"]) + 1e-4)
+    q_a = Model.of(robot).inverse_geometric_model(np.array(node_defaults("controller")["task.start"]) + 1e-4)
     rig = Rig()
     process = start("dextar_control.ros.controller_node", "-p", "controller:lockstep:=true", "-p", "controller:healthy_time:=0.0")
     try:

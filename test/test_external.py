@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from closed_loop import Run, drive, turn_round
+from closed_loop import Run, drive, s_of, turn_round
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core import observer
-from dextar_control.core.estimator import Pose, make_estimator
-from dextar_control.core.external import ExternalEstimator, Fate
-from dextar_control.core.hindsight import LENGTH
-from dextar_control.core.kinematics import direct_model, inverse_model, singularity_of_platform
-from dextar_control.core.law import CONFIDENCE, MODE_HAT, REFERENCE, X_HAT
-from dextar_control.core.loop import LIMP, Phase, Verdict
-from dextar_control.core.model import make_model
-from dextar_control.core.planner import Plan
-from dextar_control.core.settings import Settings
-from dextar_control.core.warmup import default_settings
+from dextar_control.contract.settings import Settings, default_settings
+from dextar_control.control.phases import LIMP, Phase
+from dextar_control.control.verdicts import Verdict
+from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimator import make_estimator
+from dextar_control.estimation.external import ExternalEstimator
+from dextar_control.estimation.out_of_sequence import LENGTH, Fate
+from dextar_control.estimation.records import REFERENCE
+from dextar_control.model.model import Model
+from dextar_control.planning.planner import Plan
+from dextar_control.symbols.record import Layout
 
 EXACT = 1e-9  # m, rad, and their rates: the same arithmetic in another order of arrival
 PERIOD = 1e-3  # s
@@ -27,7 +27,7 @@ NOMINAL_ERROR = 0.2e-3  # m, true: the camera's own standard deviation
 BETTER = 0.6  # of the observer's error, where the geometry is wrong
 SIGHTS = 0.03 + 1e-6  # s: the delay and one period of the camera
 RECOGNITION = 0.05  # s: the delay, two positions, and the way out of the zone where nothing can be told
-NO_REFERENCE = np.zeros(REFERENCE)
+NO_REFERENCE = Layout("reference", 2, REFERENCE).make()
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def recorded(robot: RobotParameters, trip: Plan) -> Run:
 
 def _replayed(robot: RobotParameters, settings: Settings, run: Run, samples: int, delay: int, last: int) -> ExternalEstimator:
     """The recorded joints and torques with a position of each tenth sample up to ``last``, ``delay`` samples late."""
-    estimator = ExternalEstimator(robot, settings)
+    estimator = ExternalEstimator(Model.of(robot), settings, robot.min_type1_distance)
     estimator.start(run.x_ref[0], run.q_a[0], 1)
     noise = np.random.default_rng(3).normal(0.0, 3e-4, run.x.shape)
     tau = np.zeros(2)
@@ -66,29 +66,28 @@ def test_a_late_position_gives_what_one_in_time_gives(
     late = _replayed(robot, settings, recorded, last + delay + 1, delay, last)
     in_time = _replayed(robot, settings, recorded, last + delay + 1, 0, last)
     assert late.fates == in_time.fates == {Fate.TAKEN: 40}
-    np.testing.assert_allclose(late.row, in_time.row, rtol=0.0, atol=EXACT)
-    for ours, others in zip(late._bank.main, in_time._bank.main, strict=True):
-        np.testing.assert_allclose(ours, others, rtol=0.0, atol=EXACT)
+    np.testing.assert_allclose(late.estimate.numbers, in_time.estimate.numbers, rtol=0.0, atol=EXACT)
+    np.testing.assert_allclose(late.observer.main.numbers, in_time.observer.main.numbers, rtol=0.0, atol=EXACT)
 
 
 def test_a_position_between_two_samples_is_taken_between_them(robot: RobotParameters, settings: Settings, recorded: Run) -> None:
     """Against the filter's own steps, called by hand in the order in which things were true."""
     ours = _replayed(robot, settings, recorded, 300, 0, -1)
     hand = _replayed(robot, settings, recorded, 300, 0, -1)
-    model, noise, state = make_model(robot), hand._noise, hand._bank.main
+    observer, state, noise = hand.observer, hand.observer.main, hand.observer.noise
     early, tau, tau_next = 0.4 * PERIOD, recorded.tau[299], recorded.tau[300]
     seen = recorded.x[299] + np.array([2e-4, -3e-4])
     ours.track(PERIOD, recorded.q_a[300], tau, NO_REFERENCE, 0.0, 0.0)
     ours.take_pose(Pose(recorded.time[299] + early, seen), recorded.time[301])
     ours.track(PERIOD, recorded.q_a[301], tau_next, NO_REFERENCE, 0.0, 0.0)
-    observer.predict(model, noise, state, tau, early)
+    observer.predict(state, noise, tau, early)
     observer.correct_position(state, seen, settings.pose_deviation)
-    observer.predict(model, noise, state, tau, PERIOD - early)
-    observer.correct(model, noise, state, recorded.q_a[300], PERIOD)
-    observer.predict(model, noise, state, tau_next, PERIOD)
-    observer.correct(model, noise, state, recorded.q_a[301], PERIOD)
-    np.testing.assert_allclose(ours._bank.main.mean, state.mean, rtol=0.0, atol=EXACT)
-    np.testing.assert_allclose(ours._bank.main.covariance, state.covariance, rtol=0.0, atol=EXACT)
+    observer.predict(state, noise, tau, PERIOD - early)
+    observer.correct(state, noise, recorded.q_a[300], PERIOD)
+    observer.predict(state, noise, tau_next, PERIOD)
+    observer.correct(state, noise, recorded.q_a[301], PERIOD)
+    np.testing.assert_allclose(ours.observer.main.x, state.x, rtol=0.0, atol=EXACT)
+    np.testing.assert_allclose(ours.observer.main.numbers, state.numbers, rtol=0.0, atol=EXACT)
 
 
 @pytest.mark.parametrize("plant", ["pybullet", "cartesian"])
@@ -183,10 +182,10 @@ class Standing:
 
     def __init__(self, robot: RobotParameters, settings: Settings, mode: int = 1) -> None:
         self.x = np.array([-0.025, 0.115])
-        self.model = make_model(robot)
-        self.q_a = inverse_model(self.model, self.x)
-        self.estimator = ExternalEstimator(robot, settings)
-        self.estimator.start(direct_model(self.model, self.q_a, mode), self.q_a, mode)
+        self.model = Model.of(robot)
+        self.q_a = self.model.inverse_geometric_model(self.x)
+        self.estimator = ExternalEstimator(Model.of(robot), settings, robot.min_type1_distance)
+        self.estimator.start(self.model.close(self.q_a, mode), self.q_a, mode)
         self.time = 100.0
         self.wait(50)
 
@@ -215,10 +214,10 @@ def test_a_position_that_cannot_be_is_refused_with_its_numbers(
     robot: RobotParameters, settings: Settings, age: float, x: list[float] | None, fate: Fate, text: str
 ) -> None:
     standing = Standing(robot, settings)
-    before = standing.estimator.row.copy()
+    before = standing.estimator.estimate.numbers.copy()
     assert text in standing.look(age, None if x is None else np.array(x))
     assert standing.estimator.fates == {fate: 1}
-    np.testing.assert_allclose(standing.estimator.row, before, atol=1e-9)
+    np.testing.assert_allclose(standing.estimator.estimate.numbers, before, atol=1e-9)
     assert standing.look(0.001) == ""
     assert standing.estimator.fates[Fate.TAKEN] == 1
 
@@ -256,27 +255,27 @@ def test_the_same_complaint_is_made_once_in_a_row(robot: RobotParameters, settin
 
 def test_an_assembly_mode_told_wrong_is_put_right(robot: RobotParameters, settings: Settings) -> None:
     standing = Standing(robot, settings, mode=-1)
-    assert standing.estimator.row[MODE_HAT] == -1.0
+    assert standing.estimator.estimate.assembly_mode == -1.0
     standing.look(0.02)
     assert not standing.estimator.mode_known
     note = standing.look(0.012)
     assert "fits the mirror image of the estimate" in note
     assert note.endswith("the assembly mode is +1")
-    assert standing.estimator.row[MODE_HAT] == 1.0
-    assert standing.estimator.row[CONFIDENCE] >= settings.verdict_confidence
+    assert standing.estimator.estimate.assembly_mode == 1.0
+    assert standing.estimator.estimate.confidence >= settings.verdict_confidence
     assert standing.estimator.swaps == 1
-    np.testing.assert_allclose(standing.estimator.row[X_HAT : X_HAT + 2], standing.x, atol=1e-5)
+    np.testing.assert_allclose(standing.estimator.estimate.x, standing.x, atol=1e-5)
 
 
 def test_one_blunder_at_the_mirror_image_moves_nothing(robot: RobotParameters, settings: Settings) -> None:
     standing = Standing(robot, settings)
-    image = direct_model(standing.model, standing.q_a, -1)
-    assert singularity_of_platform(standing.model, image) < 0.0
+    image = standing.model.close(standing.q_a, -1)
+    assert s_of(standing.model, image) < 0.0
     for _ in range(5):
         standing.look(0.0)
     standing.look(0.0, image)
     assert standing.estimator.fates == {Fate.TAKEN: 5, Fate.AGAINST: 1}
-    assert standing.estimator.row[MODE_HAT] == 1.0
+    assert standing.estimator.estimate.assembly_mode == 1.0
     standing.look(0.0)
     assert standing.estimator.mode_known
 
@@ -284,4 +283,4 @@ def test_one_blunder_at_the_mirror_image_moves_nothing(robot: RobotParameters, s
 @pytest.mark.parametrize("name", ["pose_deviation", "pose_gate", "pose_timeout"])
 def test_settings_that_cannot_be_are_refused(robot: RobotParameters, name: str) -> None:
     with pytest.raises(ParameterError, match=rf"{name} = 0.0; it must be > 0"):
-        make_estimator(robot, default_settings(estimator="external", **{name: 0.0}))
+        make_estimator(Model.of(robot), default_settings(estimator="external", **{name: 0.0}), robot.min_type1_distance)

@@ -10,10 +10,9 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core.kinematics import inverse_model
-from dextar_control.core.model import make_model
 from dextar_control.faults import bag_check, judgement
 from dextar_control.faults.judgement import Evidence, Seen
+from dextar_control.model.model import Model
 from dextar_sim import geometry
 
 MS = 1_000_000
@@ -79,11 +78,11 @@ def test_a_command_that_is_no_number_too_large_or_answers_a_bad_state_is_told() 
 
 def test_side_and_place_of_the_true_joints_are_those_of_the_geometry(robot: RobotParameters) -> None:
     """Joints from the simulator's inverse geometry of points on both sides; the side from the controller's model."""
-    model = make_model(robot)
+    model = Model.of(robot)
     for x in ([-0.025, 0.115], [0.01, 0.06], [0.0, 0.1]):
         joints = np.array([geometry.joints_at(robot, x)])
         np.testing.assert_allclose(judgement.true_position(robot, joints)[0], x, atol=1e-12)
-        np.testing.assert_allclose(joints[0, [0, 2]], inverse_model(model, np.array(x)), atol=1e-9)
+        np.testing.assert_allclose(joints[0, [0, 2]], model.inverse_geometric_model(np.array(x)), atol=1e-9)
     sides = [judgement.true_side(np.array([geometry.joints_at(robot, x)]))[0] for x in ([-0.025, 0.115], [0.01, 0.06])]
     assert sides == [1.0, -1.0]  # the trip between these two is planned from s > 0 to s < 0
 

@@ -12,9 +12,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import from_time
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core.kinematics import inverse_model
-from dextar_control.core.model import make_model
-from dextar_control.core.planner import Plan
+from dextar_control.model.model import Model
+from dextar_control.planning.planner import Plan
 from dextar_control.ros import messages
 from dextar_control.ros.controller_node import PARAMETERS
 from dextar_control.ros.trajectory_server import served_times
@@ -25,7 +24,7 @@ CYCLES = 15
 
 @pytest.fixture(scope="module")
 def q_a(robot: RobotParameters, trip: Plan) -> np.ndarray:
-    return inverse_model(make_model(robot), trip.trajectory.at(0.0).x)
+    return Model.of(robot).inverse_geometric_model(trip.trajectory.at(0.0).x)
 
 
 @pytest.fixture(scope="module")

@@ -6,18 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from closed_loop import s_of
 
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
-from dextar_control.core.kinematics import inverse_model, singularity_of_platform
-from dextar_control.core.law import CONFIDENCE, Law
-from dextar_control.core.loop import ControlLoop, Phase, Verdict
-from dextar_control.core.model import make_model
-from dextar_control.core.planner import MIN_END_S, Plan, plan_approach, plan_return_trip
-from dextar_control.core.settings import Estimation
-from dextar_control.core.trajectory import Trajectory
-from dextar_control.core.warmup import default_settings
+from dextar_control.contract.settings import Estimation, Law, default_settings
+from dextar_control.control.loop import ControlLoop
+from dextar_control.control.phases import Phase
+from dextar_control.control.verdicts import Verdict
+from dextar_control.model.model import Model
+from dextar_control.planning.planner import MIN_END_S, Plan, plan_approach, plan_return_trip
+from dextar_control.planning.trajectory import Trajectory
 from dextar_sim.plant import Plant
 from dextar_sim.sensors import Encoder
 
@@ -82,7 +82,7 @@ def test_the_fast_trip_meets_its_bars(robot: RobotParameters, trip: Plan, fast_r
 
 
 def test_the_true_robot_changes_sides_twice(robot: RobotParameters, fast_run: Run) -> None:
-    signs = np.sign([singularity_of_platform(make_model(robot), x) for x in fast_run.x])
+    signs = np.sign([s_of(Model.of(robot), x) for x in fast_run.x])
     assert signs[0] == signs[-1] == 1.0
     assert np.count_nonzero(np.diff(signs)) == 2
 
@@ -150,7 +150,7 @@ def test_a_robot_built_a_tenth_of_a_millimetre_off_still_crosses_with(
                for link in ("proximal", "distal")}  # fmt: skip
     built = robot.replace(base_distance=robot.base_distance + generator.uniform(-1e-4, 1e-4), **lengths)
     plant, loop, worst = Plant(built), ControlLoop(robot, default_settings(estimator=estimator), 1), 0.0
-    plant.reset_joints(inverse_model(loop.model, trip.trajectory.at(0.0).x), 1)
+    plant.reset_joints(loop.model.inverse_geometric_model(trip.trajectory.at(0.0).x), 1)
     loop.accept(trip.trajectory)
     for _ in range(1460):
         state = plant.state()
@@ -187,13 +187,13 @@ def test_an_approach_has_its_own_phase(robot: RobotParameters) -> None:
     line = plan_approach(robot, start, goal, 0.2)
     loop = ControlLoop(robot, default_settings(), 1)
     loop.accept(line)
-    loop.step(0.0, inverse_model(loop.model, start))
+    loop.step(0.0, loop.model.inverse_geometric_model(start))
     assert loop.phase == Phase.APPROACH
 
 
 def _holding(robot: RobotParameters, trip: Plan) -> tuple[ControlLoop, np.ndarray]:
     loop = ControlLoop(robot, default_settings(), 1)
-    q_a = inverse_model(loop.model, trip.trajectory.at(0.0).x)
+    q_a = loop.model.inverse_geometric_model(trip.trajectory.at(0.0).x)
     loop.step(0.0, q_a)
     return loop, q_a
 
@@ -328,7 +328,7 @@ def test_an_impulse_against_the_motion_is_judged_as_it_was(robot: RobotParameter
         state = plant.state()
         taus.append(loop.step(state.time, state.q_a))
         if loop.passed[0].verdict is not Verdict.UNDECIDED and judged == 0.0:
-            judged = singularity_of_platform(loop.model, state.x)
+            judged = s_of(loop.model, state.x)
         plant.step(taus[-1])
     wrong = Verdict.BOUNCED if judged < 0.0 else Verdict.CROSSED
     assert loop.passed[0].verdict is not wrong
@@ -355,7 +355,7 @@ def test_a_held_robot_that_is_pushed_away_is_stopped(robot: RobotParameters, tri
 def test_a_start_that_has_passed_moves_nothing(robot: RobotParameters, trip: Plan) -> None:
     loop = ControlLoop(robot, default_settings(), 1)
     loop.accept(trip.trajectory, start=-0.2)
-    tau = loop.step(0.0, inverse_model(loop.model, trip.trajectory.at(0.0).x))
+    tau = loop.step(0.0, loop.model.inverse_geometric_model(trip.trajectory.at(0.0).x))
     assert loop.phase == Phase.HOLD
     assert "starts at -0.200000 s" in loop.refusal
     assert np.abs(tau).max() < 1e-6
@@ -423,9 +423,9 @@ def test_lost_samples_do_not_end_the_trip(robot: RobotParameters, trip: Plan) ->
 
 
 def test_another_working_mode_is_refused(robot: RobotParameters, trip: Plan) -> None:
-    other = make_model(robot.replace(working_mode=(1, 1)))
+    other = Model.of(robot.replace(working_mode=(1, 1)))
     grid = [np.array([x, y]) for x in (-0.05, 0.0, 0.05) for y in (-0.1, -0.05, 0.05, 0.1)]
-    q_a = inverse_model(other, next(x for x in grid if singularity_of_platform(other, x) > 0.1))
+    q_a = other.inverse_geometric_model(next(x for x in grid if s_of(other, x) > 0.1))
     loop = ControlLoop(robot, default_settings(), 1)
     with pytest.raises(StateError, match="not in working mode"):
         loop.step(0.0, q_a)
@@ -460,7 +460,7 @@ def test_a_robot_whose_estimate_leaves_the_workspace_is_braked_and_of_no_known_s
     loop.step(state.time, state.q_a)
     plant.apply_impulse([0.05, 0.08])
     plant.step([0.0, 0.0])
-    loop.estimator._bank.main.mean[0:2] = [0.0, 0.175]  # out of the legs' reach
+    loop.estimator.observer.main.x = [0.0, 0.175]  # out of the legs' reach
     for _ in range(500):
         state = plant.state()
         tau = loop.step(state.time, state.q_a)
@@ -477,7 +477,7 @@ def test_no_motion_begins_while_the_side_is_not_known(robot: RobotParameters, tr
     certificate = loop.check(trip.trajectory)
     loop.schedule(trip.trajectory, certificate, start=0.05)
     loop.step(0.001, q_a)
-    loop.estimator.row[CONFIDENCE] = 0.5
+    loop.estimator.estimate.confidence = 0.5
     with pytest.raises(TrajectoryError, match="cannot tell on which side .* disable, set assembly_mode .*, enable"):
         loop.accept(trip.trajectory)
     loop.step(0.051, q_a)

@@ -26,7 +26,7 @@ from dextar_control.contract.node import check_value, qos
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import BASE_FRAME, CONTROLLER_STATE, CRITERION, CRITERION_NAMES, JOINT_STATES, MARKERS, PHASES
-from dextar_control.core.planner import Plan
+from dextar_control.planning.planner import Plan
 from dextar_control.ros import messages
 from dextar_control.ros.marker_node import PARAMETERS
 from dextar_control.ros.scene import Scene, View, to_array

@@ -19,7 +19,7 @@ from rosbags.rosbag2 import Reader
 
 from dextar_control.contract.resources import ROBOT_FILE, config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
-from dextar_control.core.planner import Plan
+from dextar_control.planning.planner import Plan
 
 ROOT = Path(__file__).resolve().parents[1]
 STREAMS = ("/joint_states", "/joint_commands", "/controller_state", "/criterion", "/sim/end_effector", "/sim/joint_states")
@@ -130,7 +130,7 @@ def test_the_bag_tells_what_was_run(record: dict[str, str], robot: RobotParamete
     versions = json.loads(record["versions"])
     assert versions["python"] == ".".join(map(str, sys.version_info[:3]))
     assert versions["rmw"] == "rmw_fastrtps_cpp"
-    assert {"dextar", "ros_distro", "numpy", "scipy", "numba", "rclpy", "mcap", "machine"} <= set(versions)
+    assert {"dextar", "ros_distro", "numpy", "scipy", "casadi", "rclpy", "mcap", "machine"} <= set(versions)
     assert json.loads(record["parameters_missing"]) == []
     for node in ("plant", "controller", "trajectory_server", "recorder"):
         assert yaml.safe_load(record[f"parameters.{node}"])

@@ -11,26 +11,31 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from closed_loop import s_of, state_of
 from oracle import Oracle
 from safe_stop_study import REST
 
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core.kinematics import inverse_model, singularity_of_platform, state_of_platform
-from dextar_control.core.law import Q_HAT
-from dextar_control.core.loop import ControlLoop, Phase
-from dextar_control.core.model import make_model
-from dextar_control.core.planner import Plan
-from dextar_control.core.safe_stop import FADE, Brake, braking, singularity_of_joints
-from dextar_control.core.warmup import default_settings
+from dextar_control.contract.settings import default_settings
+from dextar_control.control.loop import ControlLoop
+from dextar_control.control.phases import Phase
+from dextar_control.control.safe_stop import FADE, SafeStop
+from dextar_control.model.model import Model
+from dextar_control.planning.planner import Plan
 from dextar_sim.rig import Rig
 
 SETTINGS = default_settings()
-BRAKE = Brake(SETTINGS.brake_gain, SETTINGS.brake_constant, SETTINGS.coast_s, SETTINGS.stop_s)
 LEAST = 200  # instants
 PERIOD = 1e-3  # s
 PUSHED = 0.02  # of the energy taken, that the lag of the joint filter may give back
 STIR = 1e-7  # J that the encoder's noise may give a robot at rest: what the platform has at 1 mm/s
+
+
+def _safe_stop(model: Model) -> SafeStop:
+    stop = SafeStop(model)
+    stop.configure(SETTINGS)
+    return stop
 
 
 @pytest.fixture(scope="module")
@@ -76,17 +81,18 @@ def test_only_a_request_finishes_a_crossing(stops: list[SimpleNamespace]) -> Non
 
 
 def test_s_and_its_rate_follow_from_the_joints_on_either_side(uneven: RobotParameters, trip: Plan) -> None:
-    model, generator, seen = make_model(uneven), np.random.default_rng(5), set()
+    model, generator, seen = Model.of(uneven), np.random.default_rng(5), set()
+    stop = _safe_stop(model)
     for x in trip.certificate.profile.x[::40]:
-        s = singularity_of_platform(model, x)
+        s = s_of(model, x)
         if abs(s) < 0.05:
             continue
         x_dot, step = generator.normal(0.0, 0.3, 2), 1e-6
-        kin = state_of_platform(model, x, x_dot)
-        ahead, behind = (abs(singularity_of_platform(model, x + sign * step * x_dot)) for sign in (1.0, -1.0))
-        found, rate = singularity_of_joints(model, kin.q_a, kin.q_a_dot)
-        assert found == pytest.approx(abs(s), abs=1e-12)
-        assert rate == pytest.approx((ahead - behind) / (2.0 * step), abs=1e-6)
+        kin = state_of(model, x, x_dot)
+        ahead, behind = (abs(s_of(model, x + sign * step * x_dot)) for sign in (1.0, -1.0))
+        now = stop.braking(kin.q_a, kin.q_a_dot, x, 0.0, 1e9)
+        assert now.s == pytest.approx(abs(s), abs=1e-12)
+        assert now.rate == pytest.approx((ahead - behind) / (2.0 * step), abs=1e-6)
         seen.add(s > 0.0)
     assert seen == {True, False}
 
@@ -95,18 +101,20 @@ def test_braking_slows_every_direction_alike_and_takes_energy_from_a_robot_on_ei
     robot: RobotParameters, trip: Plan
 ) -> None:
     """By the oracle's dynamics: what the torque changes is -x_dot / brake_constant."""
-    model, oracle, generator = make_model(robot), Oracle(robot), np.random.default_rng(6)
+    model, oracle, generator = Model.of(robot), Oracle(robot), np.random.default_rng(6)
+    stop = _safe_stop(model)
     for x in trip.certificate.profile.x[::40]:
-        s = singularity_of_platform(model, x)
-        if abs(s) < BRAKE.stop_s:
+        s = s_of(model, x)
+        if abs(s) < SETTINGS.stop_s:
             continue
         x_dot = generator.normal(0.0, 0.3, 2)
-        kin = state_of_platform(model, x, x_dot)
-        tau, _ = braking(model, BRAKE, kin.q_a, kin.q_a_dot, float(np.sign(s)), 1e9)
+        kin = state_of(model, x, x_dot)
+        tau = stop.braking(kin.q_a, kin.q_a_dot, x, float(np.sign(s)), 1e9).tau
         changed = oracle.forward(kin.q_a, x, x_dot, tau) - oracle.forward(kin.q_a, x, x_dot, np.zeros(2))
-        np.testing.assert_allclose(changed, -x_dot / BRAKE.constant, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(changed, -x_dot / SETTINGS.brake_constant, rtol=1e-6, atol=1e-9)
         for mode in (-1.0, 0.0, 1.0):
-            held, lasting = braking(model, BRAKE, kin.q_a, kin.q_a_dot, mode, 0.05)
+            now = stop.braking(kin.q_a, kin.q_a_dot, x, mode, 0.05)
+            held, lasting = now.tau, now.lasting
             assert held @ kin.q_a_dot < 0.0
             assert np.abs(held).max() <= 0.05 + 1e-15
             assert lasting > 0.0
@@ -115,7 +123,7 @@ def test_braking_slows_every_direction_alike_and_takes_energy_from_a_robot_on_ei
 def _tripped(robot: RobotParameters, trip: Plan, when: float, **changes: object) -> tuple[Rig, ControlLoop]:
     """A robot whose tracking error is no longer tolerated at a time."""
     rig, loop = Rig(robot, plant="cartesian"), ControlLoop(robot, default_settings(**changes), 1)
-    rig.reset_joints(inverse_model(loop.model, trip.trajectory.at(0.0).x), 1)
+    rig.reset_joints(loop.model.inverse_geometric_model(trip.trajectory.at(0.0).x), 1)
     loop.accept(trip.trajectory)
     while loop.phase is not Phase.SAFE_STOP:
         if rig.time >= when:
@@ -147,7 +155,7 @@ def test_an_estimator_that_does_not_know_the_side_is_braked_in_the_joints_and_sa
     while loop.stopped is None:
         sample = rig.read()
         tau = loop.step(sample.time, sample.q_a)
-        q_a_dot = loop.tick.rows[1][Q_HAT + 2 : Q_HAT + 4]
+        q_a_dot = loop.tick.estimate.q_a_dot
         if np.abs(q_a_dot).max() > FADE[1] and (tau != 0.0).any():
             np.testing.assert_allclose(tau, -SETTINGS.brake_gain * q_a_dot, atol=1e-12)
             braked = True

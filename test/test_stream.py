@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dextar_control.contract.errors import StateError
-from dextar_control.core.stream import MIXED, StateStream
-from dextar_control.core.timing import Window
+from dextar_control.control.stream import MIXED, StateStream
+from dextar_control.control.timing import Window
 
 MS = 1_000_000  # ns
 LIMIT = 0.02  # s

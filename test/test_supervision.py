@@ -16,10 +16,9 @@ from dextar_control.contract.cdr import from_time, to_time
 from dextar_control.contract.node import qos
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import CRITERION, CRITERION_NAMES, EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES, TRAJECTORY
-from dextar_control.core.kinematics import inverse_model
-from dextar_control.core.loop import Phase
-from dextar_control.core.model import make_model
-from dextar_control.core.planner import Plan
+from dextar_control.control.phases import Phase
+from dextar_control.model.model import Model
+from dextar_control.planning.planner import Plan
 from dextar_control.ros import messages
 from dextar_control.ros.trajectory_server import served_times
 
@@ -30,7 +29,7 @@ PHASE = CRITERION_NAMES.index("phase")
 
 @pytest.fixture(scope="module")
 def q_a(robot: RobotParameters, trip: Plan) -> np.ndarray:
-    return inverse_model(make_model(robot), trip.trajectory.at(0.0).x)
+    return Model.of(robot).inverse_geometric_model(trip.trajectory.at(0.0).x)
 
 
 @pytest.fixture(scope="module")

@@ -14,12 +14,12 @@ from closed_loop import AFTER
 from dextar_control.contract.errors import GeometryError, ParameterError, StateError, TrajectoryError
 from dextar_control.contract.resources import NODES_FILE, config_file
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core.certificate import certify
-from dextar_control.core.kinematics import inverse_model
-from dextar_control.core.loop import LIMP, ControlLoop, Phase
-from dextar_control.core.planner import PLAN_RESIDUAL, Plan, plan_approach, plan_return_trip
-from dextar_control.core.supervisor import WATCHES
-from dextar_control.core.warmup import default_settings
+from dextar_control.contract.settings import default_settings
+from dextar_control.control.loop import ControlLoop
+from dextar_control.control.phases import LIMP, Phase
+from dextar_control.control.supervisor import WATCHES
+from dextar_control.planning.checks import certify
+from dextar_control.planning.planner import PLAN_RESIDUAL, Plan, plan_approach, plan_return_trip
 from dextar_control.ros.controller_node import PARAMETERS
 from dextar_sim.rig import Rig
 
@@ -49,7 +49,7 @@ def drive(
     shares: dict[str, float] = {}
     try:
         begin = plan.trajectory.at(0.0).x if plan is not None else np.array(start)
-        rig.reset_joints(inverse_model(loop.model, begin) + offset, side)
+        rig.reset_joints(loop.model.inverse_geometric_model(begin) + offset, side)
         if plan is not None:
             loop.schedule(plan.trajectory, plan.certificate)
             until = plan.trajectory.duration + AFTER
@@ -111,7 +111,7 @@ def test_none_trips_in_a_run_that_ends_well(
 def test_an_estimate_out_of_the_workspace(robot: RobotParameters, trip: Plan) -> None:
     def seen(loop: ControlLoop, time: float, q_a: np.ndarray) -> np.ndarray:
         if time >= 0.1:
-            loop.estimator._bank.main.mean[0:2] = [0.0, 0.175]  # out of the legs' reach
+            loop.estimator.observer.main.x = [0.0, 0.175]  # out of the legs' reach
         return q_a
 
     loop, _, _ = drive(robot, trip, seen=seen)
@@ -163,10 +163,14 @@ def test_an_encoder_that_slips_is_seen_at_once(
 
 
 @pytest.mark.parametrize("offset", [(-SLIP, 0.0), (0.0, SLIP)])
-def test_an_estimate_that_has_lost_the_robot(robot: RobotParameters, slow_trip: Plan, offset: tuple[float, float]) -> None:
-    """The encoders are off from the start: at rest nothing shows it, near the locus the joints fit no estimate."""
+def test_an_estimate_that_has_lost_the_robot(robot: RobotParameters, offset: tuple[float, float]) -> None:
+    """The encoders are off from the start: at rest nothing shows it, near the locus the joints fit no estimate.
+
+    Where it crosses decides which watch is the first to see it.
+    """
     settings = {"max_tracking_error": 0.1, "watch_ratio": 1e3}
-    loop, _, _ = drive(robot, slow_trip, offset=offset, seen=lambda loop, time, q_a: q_a - np.array(offset), settings=settings)
+    trip = plan_return_trip(robot, [-0.025, 0.115], [0.01, 0.06], 2.0, 0.2, point=np.array([-0.0623, 0.05102]))
+    loop, _, _ = drive(robot, trip, offset=offset, seen=lambda loop, time, q_a: q_a - np.array(offset), settings=settings)
     assert loop.tripped == "estimator", loop.reason
     assert "the limit is 0.02 rad for 10 ms" in loop.reason
 
@@ -208,7 +212,7 @@ def test_a_robot_that_is_pushed_towards_the_locus(robot: RobotParameters, where:
 
 
 def test_a_robot_that_is_blocked_asks_for_torque_until_it_is_stopped(robot: RobotParameters, trip: Plan) -> None:
-    stuck = inverse_model(ControlLoop(robot, default_settings(), 1).model, trip.trajectory.at(0.0).x)
+    stuck = ControlLoop(robot, default_settings(), 1).model.inverse_geometric_model(trip.trajectory.at(0.0).x)
     loop, _, shares = drive(robot, trip, seen=lambda loop, time, q_a: stuck)
     assert loop.tripped == "saturation", loop.reason
     assert re.search(r"torque 0.214 N m for 2[01] ms; the limit is 0.214 N m for 20 ms", loop.reason)

@@ -9,9 +9,9 @@ from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import MAX_TRAJECTORY_POINTS
-from dextar_control.core.certificate import certify
-from dextar_control.core.planner import PLAN_RESIDUAL, Criterion, Plan
-from dextar_control.core.trajectory import join
+from dextar_control.planning.checks import certify
+from dextar_control.planning.planner import PLAN_RESIDUAL, Criterion, Plan
+from dextar_control.planning.trajectory import join
 from dextar_control.ros.task import MOST_LINES, Task, in_words
 from dextar_control.ros.trajectory_server import COARSEST, served_times
 

@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter
 from rig import Rig, start, stop
 from std_srvs.srv import Trigger
 
-from dextar_control.core.planner import PLAN_RESIDUAL
+from dextar_control.planning.planner import PLAN_RESIDUAL
 
 NAMESPACE = ("-r", "__ns:=/left")
 NODES = {

@@ -16,7 +16,8 @@ from rig import PATIENCE, start, stop
 from dextar_control.contract.node import qos
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.topics import DIAGNOSTICS, SERVICES, TOPICS
-from dextar_control.core.warmup import warm_up
+from dextar_control.control.prepare import prepare
+from dextar_control.mechanisms import mechanism_named
 
 DURATION = {"left": 0.33, "right": 0.4}  # s of one way
 MODULES = {
@@ -57,7 +58,7 @@ class Seen:
 @pytest.fixture(scope="module")
 def seen() -> Iterator[Seen]:
     """Both trips are over, everybody still runs."""
-    warm_up()
+    prepare(mechanism_named("five_bar"))
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node, heard = Node("watcher"), {}
 

@@ -12,8 +12,9 @@ import numpy as np
 from dextar_control.analysis.run import Floats, Run, Stamps
 from dextar_control.analysis.timing import recorded
 from dextar_control.analysis.tracking import Tracked
-from dextar_control.core.certificate import NEAR_LOCUS, Certificate, clear_times
-from dextar_control.core.loop import OPEN_BEFORE, Verdict
+from dextar_control.control.verdicts import OPEN_BEFORE, Verdict
+from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
+from dextar_control.planning.checks import clear_times
 
 STEP_ZONE = 0.15  # |s| within which torque steps are looked for
 _MEASURED = ("speed", "estimated_speed", "residual", "sigma_min", "peak_torque", "torque_step", "error_before", "error_after",

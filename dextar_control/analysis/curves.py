@@ -12,7 +12,7 @@ from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.run import Floats, Run, Stamps
 from dextar_control.analysis.tracking import Tracked, plan_of, tracked
 from dextar_control.contract.errors import DextarError
-from dextar_control.core.certificate import Certificate
+from dextar_control.planning.certificate import Certificate
 
 HEADROOM = 1.25  # of the torque axis over the larger of plan and command
 MOST_TORQUE = 3.0  # of the plan's peak, to which the axis reaches at most

@@ -35,7 +35,7 @@ from dextar_control.bags.records import Progress
 from dextar_control.contract import topics
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.robot import JOINT_NAMES, ROBOT_KEYS, RobotParameters, from_flat
-from dextar_control.core.verdicts import Verdict
+from dextar_control.control.verdicts import Verdict
 
 NANOSECONDS = 1_000_000_000
 PARAMETER_PREFIX = "parameters."

@@ -16,7 +16,7 @@ from dextar_control.analysis.timing import PhaseSpan, Timing, measure_timing, pe
 from dextar_control.analysis.tracking import plan_of, tracked
 from dextar_control.analysis.verdict import Verdict, judge, late_share
 from dextar_control.contract.errors import DextarError
-from dextar_control.core.certificate import NEAR_LOCUS
+from dextar_control.planning.certificate import NEAR_LOCUS
 
 SATURATED = 1.0 - 1e-9  # of the torque limit
 

@@ -28,7 +28,7 @@ from dextar_control.analysis.verdict import in_words, unreadable_lines
 from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band
 from dextar_control.analysis.words import counted
 from dextar_control.contract.topics import TOPICS
-from dextar_control.core.certificate import NEAR_LOCUS, Certificate
+from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 
 NO_TRUTH = "needs truth"
 MOST_PLAN_LINES = 40

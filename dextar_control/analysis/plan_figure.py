@@ -9,10 +9,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core.certificate import Certificate, Plan
-from dextar_control.core.kinematics import singular_values, state_of_platform
-from dextar_control.core.locus import Family, trace_locus
-from dextar_control.core.model import make_model
+from dextar_control.planning.certificate import Certificate, Plan
+from dextar_control.planning.locus import Family, trace_locus
+from dextar_control.planning.model import planning_model
 
 BLACK, GREY, LIGHT = "#000000", "#6b6b6b", "#b8b8b8"
 LOCUS_STYLES = {Family.STRETCHED: ("dashed", "locus, stretched"), Family.FOLDED: ("dotted", "locus, folded")}
@@ -53,11 +52,10 @@ def _path(axes: Any, robot: RobotParameters, certificate: Certificate) -> None:
     axes.plot(*x.T, color=BLACK, linewidth=1.0, label="path", zorder=2)
     axes.plot(*x[0], "o", color=BLACK, markersize=8, zorder=5, label="start")
     axes.plot(*x[-1], "o", color=BLACK, markerfacecolor="none", markersize=13, zorder=5, label="end")
-    model = make_model(robot)
     for numbers, row in _places(certificate):
         crossing = certificate.crossings[row]
         point, velocity = np.array(crossing.x), np.array(crossing.x_dot)
-        t_s = singular_values(state_of_platform(model, point, velocity).A_r).v2
+        t_s = planning_model(robot).place(point).t_s
         along, across = velocity / np.hypot(*velocity), np.array([-velocity[1], velocity[0]]) / np.hypot(*velocity)
         axes.plot(*np.stack([point - 0.6 * ARROW * t_s, point + 0.6 * ARROW * t_s]).T, color=LIGHT, linewidth=4.0, zorder=3)
         axes.annotate(

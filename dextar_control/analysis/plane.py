@@ -10,9 +10,8 @@ from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.run import Floats, Run
 from dextar_control.analysis.tracking import tracked
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core.kinematics import elbows, inverse_geometric_model, singular_values, state_of_platform
-from dextar_control.core.locus import Family, trace_locus
-from dextar_control.core.model import make_model
+from dextar_control.planning.locus import trace_locus
+from dextar_control.planning.model import planning_model
 
 T_S_LENGTH = 6.0e-3  # m, half of what is drawn of t_s
 MARGIN = 0.02  # m around everything
@@ -81,25 +80,25 @@ def locus_of(robot: RobotParameters | None) -> list[tuple[str, Floats]]:
     if robot is None:
         return []
     arcs = trace_locus(robot, (robot.working_mode,), robot.min_type1_distance)
-    return [("stretched" if arc.family is Family.STRETCHED else "folded", arc.x) for arc in arcs]
+    return [(arc.family.name.lower(), arc.x) for arc in arcs]
 
 
 def linkage_at(robot: RobotParameters, x: Floats) -> Floats:
     """(5, 2) motor, elbow, end effector, elbow, motor, m, in the robot's working mode; nan where it cannot be."""
-    model = make_model(robot)
-    return chain(robot, x, inverse_geometric_model(model, x))
+    return chain(robot, x, planning_model(robot).place(x).q_a)
 
 
 def chain(robot: RobotParameters, x: Floats, q_a: Floats) -> Floats:
     """(5, 2) motor, elbow, end effector, elbow, motor, m, of an end effector and active joints."""
-    model = make_model(robot)
-    left, right = elbows(model, q_a)
-    return np.array([model.base[0], left, x, right, model.base[1]])
+    model = planning_model(robot)
+    linkage: Floats = model.mechanism.linkage(q_a, x, model.numbers)
+    return linkage
 
 
 def t_s_at(robot: RobotParameters, x: Floats) -> Floats:
     """(2,) weak direction of A_r at an end effector position: t_s where it is on the locus."""
-    return singular_values(state_of_platform(make_model(robot), x, np.zeros(2)).A_r).v2
+    t_s: Floats = planning_model(robot).place(x).t_s
+    return t_s
 
 
 def _places(robot: RobotParameters | None, metrics: Metrics) -> list[Place]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core.loop import Phase as Phase
+from dextar_control.control.phases import Phase as Phase
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]

@@ -23,7 +23,7 @@ from dextar_control.analysis.tracking import tracked
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.robot import JOINT_NAMES, flatten
 from dextar_control.contract.topics import PHASES
-from dextar_control.core.verdicts import Verdict
+from dextar_control.control.verdicts import Verdict
 
 if TYPE_CHECKING:
     import pyarrow as pa

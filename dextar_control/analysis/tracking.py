@@ -12,9 +12,8 @@ import numpy as np
 
 from dextar_control.analysis.geometry import singularity_measure
 from dextar_control.analysis.run import Floats, Phase, Run, Stamps
-from dextar_control.core.certificate import Certificate, measure
-from dextar_control.core.model import make_model
-from dextar_control.core.trajectory import quintic
+from dextar_control.planning.certificate import Certificate, measure
+from dextar_control.planning.trajectory import quintic
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ def plan_of(run: Run) -> Certificate | None:
     if run.robot is None or run.trajectory is None:
         return None
     served = run.trajectory
-    return measure(make_model(run.robot), quintic(served.time, served.x, served.x_dot, served.x_ddot))
+    return measure(run.robot, quintic(served.time, served.x, served.x_dot, served.x_ddot))
 
 
 @once

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from dextar_control.campaign.ranges import BARS, PERTURBATIONS, Range
+from dextar_control.contract.settings import Settings
 from dextar_control.contract.validation import load_yaml, problem, validate
-from dextar_control.core.settings import Settings
 
 Numbers = dict[str, Annotated[float, Field(allow_inf_nan=False)]]
 

@@ -6,23 +6,23 @@ import gc
 import math
 import time
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import RobotParameters, flatten
-from dextar_control.core.certificate import Certificate, clear_times
-from dextar_control.core.dynamics import platform_dynamics
-from dextar_control.core.estimator import Pose
-from dextar_control.core.kinematics import inverse_model, singular_values, singularity_of_platform, state_of_platform
-from dextar_control.core.law import Law
-from dextar_control.core.locus import locus_point, sample_locus
-from dextar_control.core.loop import LIMP, ControlLoop, Phase, Verdict
-from dextar_control.core.model import Array
-from dextar_control.core.planner import Criterion, Plan, plan_return_trip_through
-from dextar_control.core.settings import Estimation
-from dextar_control.core.warmup import default_settings
+from dextar_control.contract.settings import Estimation, Law, default_settings
+from dextar_control.control.loop import ControlLoop
+from dextar_control.control.phases import LIMP, Phase
+from dextar_control.control.verdicts import Verdict
+from dextar_control.estimation.estimate import Pose
+from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.checks import clear_times
+from dextar_control.planning.locus import locus_point, sample_locus
+from dextar_control.planning.planner import Criterion, Plan, plan_return_trip_through
+from dextar_control.symbols.types import Array
 
 if TYPE_CHECKING:
     from dextar_control.campaign.design import CrossingPoint, Trial
@@ -102,17 +102,23 @@ def known(robot: RobotParameters, perturbation: Mapping[str, float]) -> RobotPar
 
 
 def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
-    """The trial's trip, from the planner's cache where it was planned before.
+    """The trial's trip; those of one process that ask for the same share one.
 
     Raises:
         DextarError: there is none.
     """
     robot = robot.replace(working_mode=trial.working_mode)
     criterion = Criterion.ZERO_WRENCH if trial.law == "multi_model" else Criterion.RECIPROCAL
-    place = locus_point(robot, np.array(trial.point))
-    return plan_return_trip_through(
-        robot, place, trial.direction, trial.duration, trial.dwell, trial.repeat, criterion=criterion
-    )
+    return _planned(robot, trial.point, trial.direction, trial.duration, trial.dwell, trial.repeat, criterion)
+
+
+@lru_cache(maxsize=64)
+def _planned(
+    robot: RobotParameters, point: tuple[float, float], direction: int, duration: float, dwell: float, repeat: int,
+    criterion: Criterion,
+) -> Plan:  # fmt: skip
+    place = locus_point(robot, np.array(point))
+    return plan_return_trip_through(robot, place, direction, duration, dwell, repeat, criterion=criterion)
 
 
 def run_trial(robot: RobotParameters, trial: Trial, rig: Callable[..., Any]) -> dict[str, float | int | str | bool | None]:
@@ -194,12 +200,11 @@ def _strike_of(loop: ControlLoop, plan: Plan, generator: np.random.Generator) ->
     crossing = float(plan.certificate.crossing_times[0])
     moment = round((crossing + generator.uniform(-STRIKE_SPREAD, STRIKE_SPREAD)) * 1000.0) / 1000.0
     point = plan.trajectory.at(moment)
-    kin = state_of_platform(loop.model, point.x, point.x_dot)
+    place = loop.model.place(point.x)
     turned = point.x_dot
-    if kin.A_r[0] @ kin.A_r[1] < 0.0:
-        t_s = singular_values(kin.A_r).v2
-        turned = (t_s @ point.x_dot) * t_s
-    mass, _ = platform_dynamics(loop.model, kin)
+    if place.A_r[0] @ place.A_r[1] < 0.0:
+        turned = (place.t_s @ point.x_dot) * place.t_s
+    mass = loop.model.platform_dynamics(place.q_a, point.x, point.x_dot, np.zeros(2)).M
     return Strike(moment, -(1.0 + generator.uniform(*RESTITUTION)) * (mass @ turned))
 
 
@@ -207,7 +212,8 @@ def _drive(
     loop: ControlLoop, plan: Plan, certificate: Certificate, rig: Any, built: Built, strike: Strike | None
 ) -> Log:
     start = plan.trajectory.at(0.0).x
-    rig.reset_joints(inverse_model(loop.model, start) - built.angle, round(np.sign(singularity_of_platform(loop.model, start))))
+    place = loop.model.place(start)
+    rig.reset_joints(place.q_a - built.angle, round(np.sign(place.s[0])))
     loop.schedule(plan.trajectory, certificate)
     cosine, sine = math.cos(built.angle), math.sin(built.angle)
     turn = np.array([[cosine, -sine], [sine, cosine]])

@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
-EXIT_FAILED = 1
-EXIT_USAGE = 2
+from dextar_control.contract.signals import EXIT_FAILED as EXIT_FAILED
+from dextar_control.contract.signals import EXIT_USAGE as EXIT_USAGE

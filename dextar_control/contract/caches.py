@@ -7,7 +7,6 @@ in the temporary one that is this user's alone.
 from __future__ import annotations
 
 import os
-import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -42,22 +41,6 @@ def home() -> Path | None:
         return Path.home()
     except RuntimeError:
         return None
-
-
-def copy_of(folder: Path, target: Path) -> None:
-    """Fill a cache that does not exist yet from one that can only be read; whole or not at all."""
-    if target.exists() or not folder.is_dir():
-        return
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(dir=target.parent, prefix=".part-"))
-        try:
-            shutil.copytree(folder, part / target.name, copy_function=shutil.copyfile)
-            (part / target.name).rename(target)
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
-    except (OSError, shutil.Error):
-        return
 
 
 def prepare_environment() -> None:

@@ -116,6 +116,16 @@ class RobotParameters:
         """(left, right)."""
         return self.left, self.right
 
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Names of the legs, in the order of the active joints."""
+        return "left", "right"
+
+    @property
+    def joint_range(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """(least, largest) angles of the active joints, rad."""
+        return tuple(leg.min_angle for leg in self.legs), tuple(leg.max_angle for leg in self.legs)
+
     def replace(self, **changes: Any) -> RobotParameters:
         """A copy with dotted or plain keys changed, e.g. ``replace(**{"left.distal_mass": 0.1})``."""
         flat = flatten(self)

@@ -18,7 +18,7 @@ from typing import Any, TextIO
 
 from dextar_control.contract.errors import DextarError
 
-EXIT_USAGE = 2
+EXIT_FAILED, EXIT_USAGE = 1, 2  # what was asked for was done and is no success; a user's mistake
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Ctrl-C, a supervisor's request, a terminal that closes, Ctrl-backslash."""
 RAISE_AGAIN = 0.5  # s after which an interrupt that was swallowed is raised again

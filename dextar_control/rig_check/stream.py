@@ -10,9 +10,9 @@ import numpy as np
 
 from dextar_control.contract.errors import GeometryError
 from dextar_control.contract.robot import JOINT_NAMES, RobotParameters
-from dextar_control.core.kinematics import direct_model, inverse_model
-from dextar_control.core.model import Model, beyond_range, joint_range, make_model
-from dextar_control.core.stream import StateStream
+from dextar_control.control.stream import StateStream
+from dextar_control.model.model import Model
+from dextar_control.planning.checks import beyond_range
 from dextar_control.rig_check.limits import (
     MIN_STATES,
     VELOCITY_FLOOR,
@@ -246,8 +246,8 @@ def _mode_and_range(samples: Sequence[Sample], robot: RobotParameters, limits: L
     _, q_a = joint_angles(samples)
     if not len(q_a):
         return skipped("mode and range", "no state has finite positions of both joints")
-    model = make_model(robot)
-    beyond = float(beyond_range(joint_range(robot), q_a).max())
+    model = Model.of(robot)
+    beyond = float(beyond_range(robot, q_a).max())
     wanted = f"working mode {list(robot.working_mode)}; {limits.joint_margin:g} rad outside the range at most"
     if beyond > limits.joint_margin:
         legs = "; ".join(f"{name} {leg.min_angle:.4g} to {leg.max_angle:.4g}"
@@ -276,7 +276,7 @@ def _mode_and_range(samples: Sequence[Sample], robot: RobotParameters, limits: L
 def _in_mode(model: Model, q_a: Array, assembly_mode: int) -> bool:
     """Whether the controller takes these joints for its first state."""
     try:
-        implied = inverse_model(model, direct_model(model, q_a, assembly_mode))
+        implied = model.inverse_geometric_model(model.close(q_a, assembly_mode))
     except GeometryError:
         return False
     off = np.remainder(implied - q_a + np.pi, 2.0 * np.pi) - np.pi

@@ -1,1 +1,1 @@
-"""The nodes, thin around the core."""
+"""The nodes, thin around the mathematics."""

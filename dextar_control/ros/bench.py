@@ -20,12 +20,13 @@ from dextar_control.contract.errors import DextarError
 from dextar_control.contract.node import make_executor, qos
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
+from dextar_control.contract.settings import default_settings
 from dextar_control.contract.terminal import Terminal
 from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
-from dextar_control.core.kinematics import inverse_model
-from dextar_control.core.loop import ControlLoop, Phase
-from dextar_control.core.planner import plan_return_trip
-from dextar_control.core.warmup import default_settings
+from dextar_control.control.loop import ControlLoop
+from dextar_control.control.phases import Phase
+from dextar_control.model.model import Model
+from dextar_control.planning.planner import plan_return_trip
 from dextar_control.ros.domain import own_domain
 from dextar_control.ros.echo import STAMP
 from dextar_control.ros.messages import joint_states_template
@@ -46,7 +47,7 @@ def bench_tick() -> dict[str, tuple[float, float]]:
         loop = ControlLoop(robot, default_settings(), int(node_defaults("controller")["assembly_mode"]))
         loop.accept(plan.trajectory)
         for k in range(int(plan.trajectory.duration * RATE)):
-            q_a = inverse_model(loop.model, plan.trajectory.at(k / RATE).x)
+            q_a = loop.model.inverse_geometric_model(plan.trajectory.at(k / RATE).x)
             begin = time.perf_counter()
             loop.step(k / RATE, q_a)
             middle = time.perf_counter()
@@ -71,7 +72,7 @@ class _Pinger(Node):
         self._sent: dict[bytes, float] = {}
         robot = load_robot(config_file(ROBOT_FILE))
         start = np.array(node_defaults("plant")["task.start"])
-        self._values = [*inverse_model(ControlLoop(robot, default_settings(), 1).model, start).tolist(), 0.0, 0.0, 0.0, 0.0]
+        self._values = [*Model.of(robot).inverse_geometric_model(start).tolist(), 0.0, 0.0, 0.0, 0.0]
         self._template = joint_states_template()
         self._publisher = self.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
         self.create_subscription(

@@ -20,12 +20,12 @@ from std_srvs.srv import SetBool, Trigger
 from dextar_control.contract.cdr import NANOSECONDS, from_time
 from dextar_control.contract.errors import DextarError, ParameterError, StateError
 from dextar_control.contract.node import Parameter, WithInfo, qos, run_node
+from dextar_control.contract.settings import Estimation, Law, Settings
 from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
-from dextar_control.core.law import Law
-from dextar_control.core.loop import LIMP, OPEN_BEFORE, ControlLoop, Passed, Phase, Tick
-from dextar_control.core.settings import Estimation, Settings
-from dextar_control.core.stream import StateStream
-from dextar_control.core.warmup import rehearse, warm_up
+from dextar_control.control.loop import ControlLoop
+from dextar_control.control.phases import LIMP, Phase, Tick
+from dextar_control.control.stream import StateStream
+from dextar_control.control.verdicts import OPEN_BEFORE, Passed
 from dextar_control.ros import messages
 from dextar_control.ros.controller_report import loop_values, waiting_for
 from dextar_control.ros.external_pose import ExternalPoseReader
@@ -137,7 +137,6 @@ class ControllerNode(ManagedNode):
     def __init__(self) -> None:
         super().__init__()
         _check_mode(self.values)
-        warm_up()
         self._loop: ControlLoop | None = None
         self._active = False
         self._closers: list[Callable[[], object]] = []
@@ -174,7 +173,6 @@ class ControllerNode(ManagedNode):
         """The loop, which checks the parameters, then publishers and subscriptions."""
         values = self.values
         loop = self._make_loop()
-        rehearse(loop.settings)
         self._period = values["task.sample_period"]
         self._lockstep = values["lockstep"]
         self._states_in = messages.joint_states_template()

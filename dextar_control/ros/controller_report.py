@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from dextar_control.core.locus import singularity_gradient
-from dextar_control.core.loop import ControlLoop, Verdict
+from dextar_control.control.loop import ControlLoop
+from dextar_control.control.verdicts import Verdict
 from dextar_control.ros.reference import ReferenceReader
 
 WORDS = {verdict: verdict.name.lower() for verdict in Verdict}
@@ -44,8 +42,7 @@ def distance_to_locus(loop: ControlLoop) -> float:
     """To the Type 2 locus to first order, |s| over the length of its gradient, m; nan before the first state."""
     if loop.tick is None:
         return math.nan
-    gradient = singularity_gradient(loop.model, np.ascontiguousarray(loop.tick.x_hat))
-    slope = math.hypot(gradient[0], gradient[1])
+    slope = math.hypot(*loop.model.place(loop.tick.x_hat).gradient)
     return round(abs(loop.tick.s) / slope, 5) if slope > 0.0 else math.nan
 
 

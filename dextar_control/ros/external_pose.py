@@ -8,7 +8,7 @@ from dextar_control.contract.cdr import NANOSECONDS, from_time
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.node import DextarNode, qos
 from dextar_control.contract.topics import EXTERNAL_POSE
-from dextar_control.core.estimator import Pose
+from dextar_control.estimation.estimate import Pose
 from dextar_control.ros import messages
 from dextar_control.ros.messages import PoseStamped
 

@@ -13,9 +13,8 @@ from rclpy.validate_namespace import validate_namespace
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.node import Parameter, check_value
 from dextar_control.contract.resources import node_defaults
+from dextar_control.contract.settings import Estimation, Law
 from dextar_control.contract.yaml_text import load_parameters
-from dextar_control.core.law import Law
-from dextar_control.core.settings import Estimation
 from dextar_control.ros import task
 
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")

@@ -19,9 +19,9 @@ from dextar_control.contract.cdr import read_message
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.node import DextarNode, Parameter, qos, run_node
 from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_STATES, MARKERS, TRAJECTORY
-from dextar_control.core.model import Array
 from dextar_control.ros import messages
 from dextar_control.ros.scene import Scene, View, to_array, wipe
+from dextar_control.symbols.types import Array
 
 PARAMETERS = (
     Parameter("enabled", "draw; false reads nothing and clears the display", live=True),

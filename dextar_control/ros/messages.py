@@ -1,4 +1,4 @@
-"""Messages to the core's quantities and back; every refusal names the value and the limit."""
+"""Messages to planning's and control's quantities and back; every refusal names the value and the limit."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from dextar_control.contract.cdr import NANOSECONDS, CdrTemplate, to_time
 from dextar_control.contract.errors import StateError, TrajectoryError
 from dextar_control.contract.robot import JOINT_NAMES, joint_positions
 from dextar_control.contract.topics import BASE_FRAME, CRITERION_NAMES, END_EFFECTOR_NAME, PLATFORM_NAMES
-from dextar_control.core.model import Array
-from dextar_control.core.trajectory import Trajectory, quintic
+from dextar_control.planning.trajectory import Trajectory, quintic
+from dextar_control.symbols.types import Array
 
 
 def joint_states_template() -> CdrTemplate:
@@ -117,7 +117,7 @@ def active_joints(message: JointState) -> Array:
 
 
 def to_trajectory(message: MultiDOFJointTrajectory) -> Trajectory:
-    """The core's trajectory of a message.
+    """The trajectory of a message.
 
     Raises:
         TrajectoryError: another joint, missing fields, times not rising, a number not finite.

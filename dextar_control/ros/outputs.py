@@ -14,8 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 from dextar_control.contract.cdr import NANOSECONDS, canonical
 from dextar_control.contract.node import DextarNode, qos
 from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, EFFORT_COMMANDS, JOINT_COMMANDS
-from dextar_control.core.law import CONFIDENCE, ERROR, FINITE, MODE_HAT, Q_HAT, Q_REF, SCALARS
-from dextar_control.core.loop import Tick
+from dextar_control.control.phases import Tick
 from dextar_control.ros import messages
 
 
@@ -65,11 +64,13 @@ class Outputs:
     def answer(self, stamp: int, tau: np.ndarray, tick: Tick, verdict: float) -> None:
         """Everything about one tick; stamp of the state, ns."""
         self._command(stamp, tau.tolist())
-        reference, estimate, output = tick.rows
-        values = [*reference[:Q_REF].tolist(), *estimate[:Q_HAT].tolist(), *output[ERROR:SCALARS].tolist()]
+        reference, estimate, output = tick.reference, tick.estimate, tick.output
+        told = (reference.x, reference.x_dot, reference.x_ddot, estimate.x, estimate.x_dot, output.error, output.error_dot,
+                output.u, output.force)
+        values = [number for vector in told for number in vector.tolist()]
         self._states.publish(self._state_out.pack(stamp, values, round(tick.reference_time * NANOSECONDS)))
-        mode, confidence = estimate[MODE_HAT : CONFIDENCE + 1].tolist()
-        criterion = [*output[SCALARS:FINITE].tolist(), mode, float(tick.phase), confidence, verdict]
+        criterion = [output.residual, output.s, output.sigma_min, output.weight, estimate.assembly_mode, float(tick.phase),
+                     estimate.confidence, verdict]
         self._criterion.publish(self._criterion_out.pack(stamp, criterion))
 
     def repeat(self) -> None:

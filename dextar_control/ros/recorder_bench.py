@@ -27,10 +27,9 @@ from rich.progress import BarColumn, TimeRemainingColumn
 from rich.table import Column, Table
 from std_srvs.srv import Trigger
 
-from dextar_control.commands import EXIT_FAILED
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
-from dextar_control.contract.signals import run_command
+from dextar_control.contract.signals import EXIT_FAILED, run_command
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.contract.yaml_text import assignment
 from dextar_control.ros.domain import choose_domain

@@ -14,9 +14,9 @@ from dextar_control.contract.cdr import NANOSECONDS, from_time, read_message
 from dextar_control.contract.errors import DextarError, TrajectoryError
 from dextar_control.contract.node import DextarNode, qos
 from dextar_control.contract.topics import MAX_TRAJECTORY_POINTS, TRAJECTORY
-from dextar_control.core.certificate import Certificate
-from dextar_control.core.loop import ControlLoop
-from dextar_control.core.trajectory import Trajectory
+from dextar_control.control.loop import ControlLoop
+from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.trajectory import Trajectory
 from dextar_control.ros import messages
 from dextar_control.ros.next_step import next_step
 from dextar_control.ros.task import in_words

@@ -20,7 +20,7 @@ from dextar_control.contract.yaml_text import dump_document
 
 METADATA_NAME = "dextar"
 MAX_CHANGES = 1000  # live parameter changes that are listed
-_PACKAGES = ("numpy", "scipy", "numba", "mcap", "rclpy", "pybullet", "pybullet-arm64")
+_PACKAGES = ("numpy", "scipy", "casadi", "mcap", "rclpy", "pybullet", "pybullet-arm64")
 _DESCRIBED = ("name", "notes", "tags")
 
 

@@ -13,11 +13,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import BASE_FRAME, PHASES
-from dextar_control.core.kinematics import direct_geometric_model, elbows, kinematics, singular_values, singularity
-from dextar_control.core.kinematics import singularity_of_platform as s_of
-from dextar_control.core.locus import Family, trace_locus
-from dextar_control.core.model import Array, make_model
-from dextar_control.core.trajectory import Trajectory
+from dextar_control.planning.locus import Family, trace_locus
+from dextar_control.planning.model import planning_model
+from dextar_control.planning.trajectory import Trajectory
+from dextar_control.symbols.types import Array
 
 Color = tuple[float, float, float]
 # Legible on a dark and on a white background, and in grey by their lightness.
@@ -65,7 +64,7 @@ class Scene:
     """
 
     def __init__(self, robot: RobotParameters) -> None:
-        self._model = make_model(robot)
+        self._model = planning_model(robot)
         self._arcs = trace_locus(robot, (robot.working_mode,), robot.min_type1_distance)
         self._path = np.empty((0, 2))
         self._crossings = np.empty((0, 2))
@@ -76,7 +75,7 @@ class Scene:
         if trajectory is None:
             return
         self._path = trajectory.table(np.linspace(0.0, trajectory.duration, PATH_POINTS))[0]
-        s = np.array([s_of(self._model, x) for x in self._path])
+        s = self._model.sides(self._path).s[:, 0]
         before = np.flatnonzero(s[:-1] * s[1:] < 0.0)
         share = (s[before] / (s[before] - s[before + 1]))[:, None]
         self._crossings = (1.0 - share) * self._path[before] + share * self._path[before + 1]
@@ -85,12 +84,17 @@ class Scene:
         """Where to draw the end effector (2,), m: the estimate, else the direct model in the believed assembly mode."""
         if np.isfinite(view.x_hat).all():
             return view.x_hat
-        return np.asarray(direct_geometric_model(self._model, view.q_a, view.scalars.get("assembly_mode", 1.0)))
+        return self._model.direct_geometric_model(view.q_a, view.scalars.get("assembly_mode", 1.0), np.zeros(2))
+
+    def _linkage(self, q_a: Array, x: Array) -> Array:
+        linkage: Array = self._model.mechanism.linkage(q_a, x, self._model.numbers)
+        return linkage
 
     def still(self) -> list[Marker]:
         """Base, locus, path and its crossings."""
-        markers = [_marker("base", 0, Marker.LINE_LIST, self._model.base, STALE, LINE),
-                   _marker("base", 1, Marker.SPHERE_LIST, self._model.base, JOINT, 1.4 * JOINT_SIZE)]  # fmt: skip
+        base = self._linkage(np.zeros(2), np.zeros(2))[[0, 4]]
+        markers = [_marker("base", 0, Marker.LINE_LIST, base, STALE, LINE),
+                   _marker("base", 1, Marker.SPHERE_LIST, base, JOINT, 1.4 * JOINT_SIZE)]  # fmt: skip
         for number, arc in enumerate(self._arcs):
             color = STRETCHED if arc.family is Family.STRETCHED else FOLDED
             markers.append(_marker("locus", number, Marker.LINE_STRIP, arc.x[::4], color, LINE))
@@ -106,15 +110,14 @@ class Scene:
             trail: end effector positions (2,) before it, the oldest first, m.
             text: whether to write phase and scalars.
         """
-        model, x, P = self._model, self.platform(view), elbows(self._model, view.q_a)
-        opacity = 0.4 if view.stale else 1.0
-        proximal = np.stack([model.base[0], P[0], model.base[1], P[1]])
-        distal = np.stack([P[0], x, P[1], x])
+        x = self.platform(view)
+        points, opacity = self._linkage(view.q_a, x), 0.4 if view.stale else 1.0
+        proximal, distal, elbows = points[[0, 1, 4, 3]], points[[1, 2, 3, 2]], points[[1, 3]]
         phase = self._phase(view)
         markers = [
             _marker("linkage", 0, Marker.LINE_LIST, proximal, PROXIMAL, LINK, 3, opacity),
             _marker("linkage", 1, Marker.LINE_LIST, distal, DISTAL, 0.7 * LINK, 4, opacity),
-            _marker("linkage", 2, Marker.SPHERE_LIST, P, JOINT, JOINT_SIZE, 5, opacity),
+            _marker("linkage", 2, Marker.SPHERE_LIST, elbows, JOINT, JOINT_SIZE, 5, opacity),
             _marker("end_effector", 0, Marker.SPHERE_LIST, x[None], STALE if view.stale else PHASE_COLORS.get(phase, STALE),
                     EFFECTOR, 6, opacity),
             _marker("reference", 0, Marker.SPHERE_LIST, view.x_ref[None], REFERENCE, DOT, 2),
@@ -132,9 +135,8 @@ class Scene:
 
     def _kernel(self, view: View, x: Array) -> Marker:
         """t_s: an arrow that fades with the distance to the locus, where it is the direction the torques cannot hold."""
-        A_r = kinematics(self._model, view.q_a, x, np.zeros(2)).A_r
-        t_s = singular_values(A_r).v2
-        s = float(singularity(self._model, A_r))
+        state = self._model.state(view.q_a, x, np.zeros(2))
+        t_s, s = state.t_s, float(state.s[0])
         opacity = max(FAINTEST, 1.0 - 2.0 * abs(s)) if np.isfinite(s) else 0.0
         ends = np.stack([x, x + KERNEL_LENGTH * t_s])
         marker = _marker("t_s", 0, Marker.ARROW, ends, KERNEL, KERNEL_SHAFT, 7, opacity)

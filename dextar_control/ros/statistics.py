@@ -7,7 +7,7 @@ import time
 from collections import deque
 
 from dextar_control.contract.cdr import NANOSECONDS
-from dextar_control.core.timing import Window
+from dextar_control.control.timing import Window
 
 WINDOW = 1000  # states, a second of them
 LATELY = 5  # reports over which a missed state is told as a warning: one second

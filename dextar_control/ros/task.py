@@ -11,13 +11,13 @@ import numpy as np
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.node import Parameter
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.core.certificate import Certificate
-from dextar_control.core.locus import locus_point
-from dextar_control.core.model import Array, make_model
-from dextar_control.core.planner import Criterion, Plan, plan_crossing, plan_return_trip, plan_return_trip_through
-from dextar_control.core.regular import side_of
-from dextar_control.core.search import Progress
-from dextar_control.core.tour import plan_tour
+from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.locus import locus_point
+from dextar_control.planning.planner import Criterion, Plan, plan_crossing, plan_return_trip, plan_return_trip_through
+from dextar_control.planning.regular import side_of
+from dextar_control.planning.search import Progress
+from dextar_control.planning.tour import plan_tour
+from dextar_control.symbols.types import Array
 
 LEAST_DURATION = 0.02  # s
 MOST_LINES = 24  # of a certificate in words
@@ -103,7 +103,7 @@ class Task:
             )  # fmt: skip
         if self.point is not None:
             place = locus_point(robot, np.array(self.point))
-            direction = self.direction or -round(np.sign(side_of(make_model(robot), "task.start", start, robot)))
+            direction = self.direction or -round(np.sign(side_of(robot, "task.start", start)))
             return plan_return_trip_through(
                 robot, place, direction, self.duration, self.dwell, self.repeat, criterion=self.criterion, progress=progress
             )

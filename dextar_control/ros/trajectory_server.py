@@ -17,14 +17,16 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from dextar_control.contract.errors import DextarError, TrajectoryError
 from dextar_control.contract.node import EXIT_USAGE, DextarNode, Parameter, qos, run_node
 from dextar_control.contract.topics import DIAGNOSTICS, MAX_TRAJECTORY_POINTS, TRAJECTORY
-from dextar_control.core.certificate import Certificate, certify, sample_times
-from dextar_control.core.model import Array
-from dextar_control.core.planner import PLAN_RESIDUAL, Plan, plan_approach
-from dextar_control.core.trajectory import Trajectory, join
+from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.checks import certify
+from dextar_control.planning.planner import PLAN_RESIDUAL, Plan, plan_approach
+from dextar_control.planning.profile import sample_times
+from dextar_control.planning.trajectory import Trajectory, join
 from dextar_control.ros import messages, task
 from dextar_control.ros.next_step import next_step
 from dextar_control.ros.planning import Worker
 from dextar_control.ros.task import Task, in_words
+from dextar_control.symbols.types import Array
 
 PARAMETERS = (
     *task.PARAMETERS,

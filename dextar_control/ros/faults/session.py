@@ -31,12 +31,12 @@ from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_fil
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import CRITERION_NAMES
 from dextar_control.contract.yaml_text import assignment
-from dextar_control.core.loop import MOVING, Phase
-from dextar_control.core.planner import Plan, plan_return_trip
+from dextar_control.control.phases import MOVING, Phase
 from dextar_control.faults import bag_check, judgement
 from dextar_control.faults.cases import Case, validated
 from dextar_control.faults.judgement import Check, Evidence, Outcome, Seen, Tally
 from dextar_control.faults.link import Transport
+from dextar_control.planning.planner import Plan, plan_return_trip
 from dextar_control.ros.faults.actions import Action, Trouble, make_action
 from dextar_control.ros.faults.injector import REMAPPINGS
 from dextar_control.ros.faults.operator import Operator

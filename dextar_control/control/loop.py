@@ -1,0 +1,483 @@
+"""The control loop: estimate, law, limits and phases in one ``step(time, q_a) -> torque``.
+
+It knows no ROS and no simulator; a rig, a node or a plain ``for`` calls it alike.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.settings import Law, Settings
+from dextar_control.control.law import GAINS, OUTPUT, laws_of
+from dextar_control.control.phases import LIMP, MOVING, Phase, Tick
+from dextar_control.control.reference import PlannedReference
+from dextar_control.control.safe_stop import SafeStop, Stage, Stopped
+from dextar_control.control.supervisor import Supervisor
+from dextar_control.control.verdicts import CrossingJudge, Passed
+from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimator import make_estimator
+from dextar_control.model.model import Model
+from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.checks import certify, check_rest
+from dextar_control.planning.trajectory import Trajectory, hold
+from dextar_control.symbols.record import Layout, Record
+from dextar_control.symbols.types import Array
+
+REST_ZONE, REST_WIDTH = 0.05, 0.05  # |s| of the estimator's hold while holding a point: the direct model serves nearer
+HOLD_MARGIN = 0.05  # in |s|, over what holding a point needs
+ENABLE_SPEED = 0.5  # rad/s of a joint, at which a robot is still taken for one at rest
+FIRST_PERIOD = 1e-3  # s taken for the first sample
+START_MARGIN = 2e-3  # s by which a trajectory's start may have passed when it begins
+SAME_JOINTS = 1e-6  # rad, between joints and those of the platform that they give
+COUNTS = {2: "two", 3: "three"}
+UNKNOWN_SIDE = "the estimator cannot tell on which side of the locus the robot stands:"
+
+
+class ControlLoop:
+    """The Cartesian computed-torque loop of one robot.
+
+    Args:
+        robot: the controller's model of it.
+        settings: gains and limits.
+        assembly_mode: sign of s where the robot stands at the first sample.
+        enabled: whether the first sample is held; otherwise the loop idles until ``enable``.
+
+    Raises:
+        ParameterError: assembly_mode is neither +1 nor -1.
+    """
+
+    def __init__(
+        self, robot: RobotParameters, settings: Settings, assembly_mode: int, *, enabled: bool = True
+    ) -> None:
+        if assembly_mode not in (-1, 1):
+            raise ParameterError(f"assembly_mode = {assembly_mode}; it must be +1 or -1")
+        self.robot = robot
+        self.model = Model.of(robot)
+        n = self.model.n
+        self.phase = Phase.HOLD if enabled else Phase.IDLE
+        self.reason = ""
+        self.tripped = ""
+        self.refusal = ""
+        self.certificate: Certificate | None = None
+        self.saturated_ticks = 0
+        self.completed = 0
+        self.tick: Tick | None = None
+        self.estimator = make_estimator(self.model, settings, robot.min_type1_distance)
+        self._estimate: Record = self.estimator.estimate
+        self._output: Record = Layout("output", n, OUTPUT).make()
+        self.supervisor = Supervisor(robot, self.model, self._estimate, self._output)
+        self._assembly_mode = assembly_mode
+        self._judge = CrossingJudge(self.model)
+        self._stop = SafeStop(self.model)
+        self._planned = PlannedReference(self.model)
+        self._reference: Record = self._planned.now
+        self._gains: Record = Layout("gains", n, GAINS).make()
+        self._laws = {
+            law: laws_of(self.model.mechanism).fast(
+                f"law_{law.name.lower()}", p=self.model.p, gains=self._gains.numbers, reference=self._reference.numbers,
+                estimate=self._estimate.numbers, output=self._output.numbers,
+            )
+            for law in Law
+        }
+        self._tau = np.zeros(n)
+        self._integral = np.zeros(n)
+        self._time = math.nan
+        self._start = 0.0
+        self._pending: tuple[Trajectory, Certificate, float | None] | None = None
+        self._crossing_limit = robot.max_torque
+        self._q_a = np.zeros(n)
+        self._stop_wanted = False
+        self.configure(settings)
+
+    def configure(self, settings: Settings) -> None:
+        """Take gains and limits, also while running; the estimator's kind stays.
+
+        Raises:
+            ParameterError: the law's transition would reach the locus itself, or the zones of the test of
+                crossed against bounced are not in order.
+        """
+        if settings.zone < 0.5 * settings.zone_width:
+            raise ParameterError(
+                f"zone = {settings.zone} with zone_width = {settings.zone_width}: the transition would reach the locus;"
+                f" zone must be >= {0.5 * settings.zone_width}"
+            )
+        if not settings.passage_armed < settings.passage_begin:
+            raise ParameterError(
+                f"passage_armed = {settings.passage_armed} with passage_begin = {settings.passage_begin}; it must be smaller"
+            )
+        self.settings = settings
+        self._law = self._laws[settings.law]
+        gains = self._gains
+        gains.K_p = settings.natural_frequency**2
+        gains.K_d = 2.0 * settings.damping_ratio * settings.natural_frequency
+        gains.K_i = settings.integral_frequency * gains.K_p
+        gains.zone = settings.band if settings.law in (Law.PROJECTED, Law.MULTI_MODEL) else settings.zone
+        gains.zone_width, gains.friction_compensation = settings.zone_width, settings.friction_compensation
+        self.estimator.configure(settings)
+        self.supervisor.configure(settings)
+        self._judge.configure(settings)
+        self._stop.configure(settings)
+
+    @property
+    def passed(self) -> list[Passed]:
+        """The planned crossings of the last trajectory and what the estimator made of them."""
+        return self._judge.passed
+
+    @property
+    def watches(self) -> dict[str, tuple[float, float]]:
+        """What is watched (``supervisor.WATCHES``) and its limit, at the last sample under a law."""
+        return self.supervisor.watches
+
+    @property
+    def stopped(self) -> Stopped | None:
+        """How the last safe stop ended; None before the first and while one lasts."""
+        return self._stop.ended
+
+    @property
+    def torque_limit(self) -> float:
+        """Of the trajectory that was tracked last, N m: what a safe stop keeps."""
+        return self._crossing_limit
+
+    @property
+    def hold_s(self) -> float:
+        """|s| of the locus from which on a point is held: clear of where the side is not known and of the watch."""
+        return max(REST_ZONE + REST_WIDTH, self.estimator.unknown_s, self.settings.locus_s) + HOLD_MARGIN
+
+    @property
+    def mode_known(self) -> bool:
+        """Whether the side of the locus on which the robot stands is known well enough to begin a motion."""
+        return self.estimator.mode_known
+
+    def check(self, trajectory: Trajectory) -> Certificate:
+        """What ``accept`` checks of a trajectory by itself; may run beside the loop, in another thread.
+
+        Raises:
+            TrajectoryError: it breaks the criterion, the workspace or a limit, or does not rest at its
+                ends clear of the locus; names the value and the limit.
+        """
+        check_rest(trajectory)
+        certificate = certify(self.robot, trajectory, max_residual=self.settings.max_residual)
+        least = self.settings.hold_zone + self.settings.hold_width
+        for name, row in (("starts", 0), ("ends", -1)):
+            s = abs(float(certificate.profile.s[row]))
+            if s < least:
+                raise TrajectoryError(f"the trajectory {name} at |s| = {s:.3f} of the Type 2 locus; the limit is {least:.3g}")
+        return certificate
+
+    def accept(self, trajectory: Trajectory, start: float | None = None) -> Certificate:
+        """Check a trajectory and track it from its start time on.
+
+        Args:
+            start: in the time of the samples, s; the next sample when None.
+
+        Raises:
+            TrajectoryError: as ``check``, or it does not start at the robot, or in the past, or the
+                loop is not holding.
+        """
+        certificate = self.check(trajectory)
+        self.schedule(trajectory, certificate, start)
+        return certificate
+
+    def schedule(self, trajectory: Trajectory, certificate: Certificate, start: float | None = None) -> None:
+        """Track a checked trajectory from its start time on; see ``accept``.
+
+        What can only be seen when it begins (where the robot stands at the first sample, a start that
+        has passed) is refused then, in ``refusal``.
+        """
+        if self.phase != Phase.HOLD:
+            raise TrajectoryError(f"a trajectory is taken in phase HOLD only; the controller is in {self.phase.name}")
+        if not math.isnan(self._time):
+            self._check_start(trajectory, start, self._time)
+        self.refusal = ""
+        self._pending = (trajectory, certificate, start)
+
+    def _check_start(self, trajectory: Trajectory, start: float | None, time: float) -> None:
+        if not self.mode_known:
+            raise TrajectoryError(f"{UNKNOWN_SIDE} disable, set assembly_mode to the side where it stands, enable")
+        first, held = trajectory.at(0.0).x, self.trajectory.at(0.0).x
+        distance = float(np.hypot(*(first - held)))
+        if not distance <= self.settings.max_start_distance:
+            raise TrajectoryError(
+                f"the trajectory starts in ({first[0]:.4f}, {first[1]:.4f}) m, {distance:.4f} m from the robot;"
+                f" the limit is {self.settings.max_start_distance} m: serve one that starts where the robot stands"
+            )
+        if start is not None and time - start > START_MARGIN:
+            raise TrajectoryError(
+                f"the trajectory starts at {start:.6f} s; the last state is of {time:.6f} s:"
+                " serve it with a later start, or with 0"
+            )
+
+    def enable(self) -> None:
+        """Leave IDLE and hold the present point.
+
+        Raises:
+            StateError: the robot stands too near to the locus to be held, or on a side that is not known, or it
+                moves; says what to do.
+        """
+        if self.phase != Phase.IDLE:
+            return
+        if self.tick is not None:
+            self._need_side("enable")
+            s, speed = self._standing()
+            if not s >= self.hold_s:
+                raise StateError(
+                    f"the robot stands at |s| = {s:.3f} of the locus: move it by hand to |s| >= {self.hold_s:.2f}, then enable"
+                )
+            if not speed <= ENABLE_SPEED:
+                raise StateError(
+                    f"a joint moves at {speed:.2f} rad/s; the limit is {ENABLE_SPEED} rad/s: bring it to rest, then enable"
+                )
+            self._hold_at(self.tick.x_hat)
+        self.phase, self.reason, self.tripped = Phase.HOLD, "", ""
+
+    def disable(self) -> None:
+        """No torque from the next sample on, whatever goes on; a safe stop stays latched, but brakes no longer."""
+        if self.phase is Phase.SAFE_STOP:
+            if self._stop.stage is not Stage.OVER:
+                self._stop.abandon()
+                self.reason = f"{self.reason}; let go on request"
+        elif self.phase is not Phase.FAULT:
+            self._go_limp(Phase.IDLE, "disabled on request")
+
+    def stop(self, reason: str = "stop requested") -> None:
+        """A safe stop as soon as the robot comes to rest clear of the locus: mostly at once.
+
+        A robot in good order that cannot (it is crossing, or too fast before the locus) goes on with its crossing
+        first. Holding goes on; a trajectory that waits for its start is dropped.
+        """
+        self._pending = None
+        if self.phase in MOVING and not self._stop_wanted:
+            self._stop_wanted, self.reason = True, reason
+            if self.tick is None or self._comes_to_rest():
+                self._go_limp(Phase.SAFE_STOP, reason)
+
+    def fault(self, reason: str) -> None:
+        """No torque, latched until ``reset``."""
+        self._go_limp(Phase.FAULT, reason)
+
+    def set_assembly_mode(self, assembly_mode: int) -> None:
+        """Tell on which side of the locus the robot stands; only without torque.
+
+        Raises:
+            StateError: the loop is holding or moving, or the robot stands where the estimator would not keep it.
+        """
+        if self.phase not in LIMP:
+            raise StateError(
+                f"the assembly mode can be told in IDLE, SAFE_STOP or FAULT; the phase is {self.phase.name}: disable first"
+            )
+        if not math.isnan(self._time) and not self._standing()[0] >= self.estimator.unknown_s:
+            raise StateError(f"{self._too_near()} move it by hand to |s| >= {self.hold_s:.2f}, then set assembly_mode")
+        self._assembly_mode = assembly_mode
+        self._judge.close()
+        if not math.isnan(self._time):
+            self.estimator.tell_mode(assembly_mode, self._q_a)
+
+    def reset(self) -> None:
+        """From SAFE_STOP or FAULT to IDLE.
+
+        Raises:
+            StateError: the safe stop is not over, or the robot was near the locus without control, so that its
+                assembly mode is not known; says what to do.
+        """
+        if self.phase is Phase.SAFE_STOP and self._stop.stage is not Stage.OVER:
+            raise StateError(f"the safe stop is not over ({self._stop.stage.name.lower()}): wait until it is, then reset")
+        if self.phase in (Phase.SAFE_STOP, Phase.FAULT):
+            self._need_side("reset")
+            self.phase, self.reason = Phase.IDLE, ""
+            self._judge.close()
+
+    def _standing(self) -> tuple[float, float]:
+        """|s| by the joints alone, and the larger joint speed, rad/s."""
+        estimate = self._estimate
+        now = self._stop.braking(self._q_a, estimate.q_a_dot, estimate.x, 0.0, self.robot.max_torque)
+        return now.s, now.speed
+
+    def _too_near(self) -> str:
+        return f"the robot stands at |s| = {self._standing()[0]:.3f} of the locus, where its side cannot be kept:"
+
+    def _need_side(self, then: str) -> None:
+        """Raise StateError, with what to do before ``then``, unless the side of the locus is known."""
+        if self.mode_known:
+            return
+        if not self._standing()[0] >= self.hold_s:
+            raise StateError(
+                f"{self._too_near()} move it by hand to |s| >= {self.hold_s:.2f}, set assembly_mode to the side where it"
+                f" stands, then {then}"
+            )
+        raise StateError(f"{UNKNOWN_SIDE} set assembly_mode to the side where it stands, then {then}")
+
+    def _go_limp(self, phase: Phase, reason: str, *, trusted: bool = True) -> None:
+        """Leave the reference: from now on the robot is only watched, and stopped in SAFE_STOP.
+
+        Args:
+            trusted: the estimate still tells on which side the robot is.
+        """
+        if self.phase in MOVING:
+            self._judge.let_go(self._time)
+        elif self.phase not in LIMP:
+            self._judge.close()
+        self.estimator.release(self.phase == Phase.CROSSING)
+        self.supervisor.forget()
+        self.phase, self.reason, self._pending, self._stop_wanted = phase, reason, None, False
+        self._stop.begin(self._time, self._crossing_limit, trusted=trusted, over=phase is not Phase.SAFE_STOP)
+
+    def _hold_at(self, x: Array) -> None:
+        x = np.array(x)
+        self._set_trajectory(hold(x, 1.0), np.array([0.0, 1.0]), np.zeros((2, self.model.n)))
+        self.estimator.rebase(self.model.inverse_geometric_model(x))
+        self._integral[:] = 0.0
+
+    def _set_trajectory(self, trajectory: Trajectory, times: Array, multipliers: Array) -> None:
+        self.trajectory = trajectory
+        self._duration = trajectory.duration
+        self._planned.set(trajectory, times, multipliers)
+
+    def _first(self, q_a: Array) -> None:
+        x = self.model.close(q_a, self._assembly_mode)
+        implied = self.model.inverse_geometric_model(x)
+        if not max(abs(math.remainder(angle, 2.0 * math.pi)) for angle in implied - q_a) < SAME_JOINTS:
+            angles = ", ".join(f"{angle:.4f}" for angle in q_a)
+            raise StateError(
+                f"active joints ({angles}) rad with assembly mode {self._assembly_mode:+d} are not in"
+                f" working mode {self.robot.working_mode}: check offset and sign of the encoders, assembly_mode, working_mode"
+            )
+        s = abs(float(self.model.state(implied, x, np.zeros(self.model.n)).s[0]))
+        if self.phase == Phase.HOLD and s < self.hold_s:
+            raise StateError(f"the robot stands at |s| = {s:.3f} of the locus; holding needs {self.hold_s:.2f}")
+        self.estimator.start(x, q_a, self._assembly_mode)
+        self._hold_at(x)
+
+    def step(self, time: float, q_a: Array, pose: Pose | None = None) -> Array:
+        """Torque (n,), N m, that answers the active joints q_a (n,), rad, sampled at ``time``, s.
+
+        Args:
+            pose: an external measurement that has arrived since the last sample; for the estimator ``external``.
+
+        Raises:
+            StateError: a number is not finite, time does not advance, or (first sample) the joints
+                belong to another working mode or stand on the locus. Nothing is changed then.
+            GeometryError: first sample: the distal links cannot meet.
+        """
+        q_a = np.array(q_a, dtype=np.float64)
+        if q_a.shape != self._tau.shape or not math.isfinite(time + sum(q_a.tolist())):
+            raise StateError(f"state at {time} s: active joints {q_a} are not {COUNTS[self.model.n]} finite numbers")
+        if math.isnan(self._time):
+            self._first(q_a)
+            dt = FIRST_PERIOD
+        else:
+            dt = time - self._time
+            if not dt > 0.0:
+                raise StateError(f"state at {time:.6f} s is not after the last one at {self._time:.6f} s")
+        self._time, self._q_a = time, q_a
+        if self._pending is not None and (self._pending[2] is None or time >= self._pending[2]):
+            self._begin(time, *self._pending)
+        reference_time = 0.0
+        if self.phase in MOVING:
+            reference_time = time - self._start
+            if reference_time >= self._duration:
+                reference_time = self._end()
+        if pose is not None:
+            self.estimator.take_pose(pose, time)
+        if self.phase in LIMP:
+            self.estimator.coast(dt, q_a, self._tau)
+            self._follow()
+            self._limp(dt)
+        else:
+            self._servo(reference_time, dt, q_a)
+        self.tick = Tick(time, reference_time, self.phase, self._reference, self._estimate, self._output)
+        self._tau = self.tick.output.tau
+        return self._tau
+
+    def _begin(self, time: float, trajectory: Trajectory, certificate: Certificate, start: float | None) -> None:
+        self._pending = None
+        try:
+            self._check_start(trajectory, start, time)
+        except TrajectoryError as error:
+            self.refusal = str(error)
+            return
+        self.certificate = certificate
+        crossing = len(certificate.crossing_times) > 0
+        self._crossing_limit = self._limit_crossing(certificate) if crossing else self.robot.max_torque
+        self._start = time if start is None else start
+        self._judge.begin(certificate, self._start)
+        self.supervisor.begin()
+        self._set_trajectory(trajectory, certificate.profile.time, certificate.profile.multipliers)
+        self._integral[:] = 0.0
+        self._stop_wanted = False
+        self.saturated_ticks = 0
+        self.phase = Phase.TRACK if crossing else Phase.APPROACH
+
+    def _limit_crossing(self, certificate: Certificate) -> float:
+        """Torque limit of a crossing trajectory, N m: what bounds a robot that bounced and is not yet known to have."""
+        watched = max(self.settings.watch_ratio * certificate.peak_torque, self.settings.watch_torque)
+        return min(self.robot.max_torque, watched)
+
+    def _end(self) -> float:
+        """The trajectory is over: hold its end, or stop where that was asked for during the crossing."""
+        self.completed += 1
+        self.phase = Phase.HOLD
+        self._hold_at(self.trajectory.at(self._duration).x)
+        if self._stop_wanted:
+            self._go_limp(Phase.SAFE_STOP, self.reason)
+        return 0.0
+
+    def _servo(self, reference_time: float, dt: float, q_a: Array) -> None:
+        """One tick of the law, and whether it may go on."""
+        settings, reference, law = self.settings, self._reference, self._law
+        crossing = self.phase is Phase.TRACK or self.phase is Phase.CROSSING
+        zone, width = (settings.hold_zone, settings.hold_width) if crossing else (REST_ZONE, REST_WIDTH)
+        self._planned.at(reference_time)
+        self.estimator.track(dt, q_a, self._tau, reference, zone, width)
+        s_ref = reference.s
+        limit = self.robot.max_torque
+        if crossing:
+            near = abs(s_ref) < settings.hold_zone + settings.hold_width
+            self.phase = Phase.CROSSING if near else Phase.TRACK
+            limit = self._crossing_limit
+        given = law.arguments
+        given.integral[:] = self._integral
+        given.limit[0], given.dt[0] = limit, dt
+        law.run()
+        self._integral[:] = law.results.integral_next
+        self._supervise(dt, s_ref, limit)
+        if self.phase in LIMP:
+            self._limp(dt)
+
+    def _supervise(self, dt: float, s_ref: float, limit: float) -> None:
+        """Whether the law may go on, by the table of watches and by the estimator's opinion of the side."""
+        near = self.phase is Phase.CROSSING
+        problem = self.supervisor.check(self._q_a, dt, limit, near)
+        self.saturated_ticks += self.supervisor.saturated
+        if self._stop_wanted and not problem and self._comes_to_rest():
+            self._go_limp(Phase.SAFE_STOP, self.reason)
+            return
+        bounced = self._judge.compare(self._time, s_ref, self.estimator, self.phase in MOVING)
+        if bounced or problem:
+            self.tripped = "side" if bounced else self.supervisor.tripped
+            self._go_limp(Phase.SAFE_STOP, bounced or problem, trusted=not self.supervisor.estimate_lost)
+
+    def _comes_to_rest(self) -> bool:
+        """Whether a robot that is braked from now on stops clear of the locus."""
+        mode = self._estimate.assembly_mode if self.mode_known else 0.0
+        return self._stop.comes_to_rest(self._estimate, mode, self._crossing_limit)
+
+    def _follow(self) -> None:
+        """The side on which a robot ends that was let go during a crossing, while it may still be told."""
+        if self._time - self._stop.began > self.settings.brake_time:
+            self._judge.close()
+        news = self._judge.compare_afterwards(self._time, self.estimator)
+        if news and "bounced" not in self.reason:
+            self.reason = f"{news}; {self.reason}"
+
+    def _limp(self, dt: float) -> None:
+        """One sample without the law: a safe stop, or no torque."""
+        ended = self._stop.step(self._time, dt, self._estimate, self.estimator.mode_known, self._output)
+        if ended:
+            self.reason = f"{self.reason}; {ended}"
+        self._reference.numbers[:] = 0.0
+        self._reference.x, self._reference.s = self._estimate.x, self._estimate.s
+

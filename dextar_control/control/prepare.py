@@ -1,0 +1,50 @@
+"""Have everything compiled that a controller and a planner call: ``python -m dextar_control.control.prepare``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+from dextar_control.contract.resources import ROBOT_FILE, config_file
+from dextar_control.contract.robot import load_robot
+from dextar_control.contract.signals import run_command, tell
+from dextar_control.control.law import laws_of
+from dextar_control.control.reference import references_of
+from dextar_control.control.safe_stop import stops_of
+from dextar_control.control.supervisor import watch_of
+from dextar_control.estimation.direct import direct_of
+from dextar_control.estimation.filters import filters_of
+from dextar_control.estimation.joint_filter import joint_filter_of
+from dextar_control.mechanisms.mechanism import Mechanism
+from dextar_control.model.model import Model, library_of
+
+
+def prepare(mechanism: Mechanism) -> bool:
+    """Compile and load the functions of a mechanism, or find them in the cache; whether they are compiled."""
+    libraries = [
+        library_of(mechanism), laws_of(mechanism), filters_of(mechanism), direct_of(mechanism), joint_filter_of(mechanism),
+        watch_of(mechanism), stops_of(mechanism), references_of(mechanism),
+    ]
+    return all(library.compiled for library in libraries)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Console entry: prepare, say how long it took; interrupted, 128 + the signal's number."""
+    parser = argparse.ArgumentParser(
+        prog="warmup",
+        description="Compile the equations of the model, so that the nodes start at once. No topics, services or parameters.",
+    )
+    parser.parse_args(arguments)
+    return run_command("warmup", _prepare)
+
+
+def _prepare() -> int:
+    begin = time.perf_counter()
+    compiled = prepare(Model.of(load_robot(config_file(ROBOT_FILE))).mechanism)
+    tell(f"equations {'compiled' if compiled else 'interpreted'}, ready in {time.perf_counter() - begin:.1f} s", sys.stdout)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

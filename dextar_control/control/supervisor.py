@@ -1,0 +1,251 @@
+"""What is watched at every sample while a law acts, and why at that limit: the table ``WATCHES``.
+
+A watch compares a number with its limit. One that has a time lets the number pass the limit for that long: the time counts
+up while it does and down at RECOVERY of that pace else, so that what swings about a limit is seen too. The first watch of
+the table that trips ends the motion in a safe stop (``control.safe_stop``) and says so in one sentence.
+
+The estimator's opinion of the assembly mode is watched by ``control.verdicts``; what needs a clock or the network (age of the
+states, a second commander) by who has them.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.settings import Settings
+from dextar_control.control.law import OUTPUT
+from dextar_control.estimation.records import ESTIMATE
+from dextar_control.mechanisms.mechanism import Mechanism
+from dextar_control.mechanisms.planar import wrapped
+from dextar_control.model.model import Model
+from dextar_control.symbols.functions import Library, cache_folder, named
+from dextar_control.symbols.record import Field, Layout, Record
+from dextar_control.symbols.smooth import is_finite
+from dextar_control.symbols.types import Array, Symbol
+
+RECOVERY = 0.25  # of the pace at which a watch's time counts up, down again
+LONG_STEP = 5e-3  # s since the last sample, over which its estimate does not say where the joints are now
+
+
+class Watch(NamedTuple):
+    """One number that is watched."""
+
+    name: str
+    value: str  # what it is
+    unit: str
+    limit: str  # what makes its limit: a parameter, or one of the robot's with one
+    time: str  # the parameter that says how long it may pass the limit; empty: not at all
+    reason: str  # of the defaults; "good runs" are those of the campaign that succeed
+
+
+WATCHES = (
+    Watch("joint_jump", "a joint beside where the last sample expected it", "rad", "max_joint_jump", "",
+          "0.0012 in good runs, 0.015 when struck at the locus; an encoder that slips by more is seen at once"),
+    Watch("finite", "numbers of estimate and law that are not finite", "", "none", "",
+          "such a number is never commanded"),
+    Watch("tracking_error", "distance between reference and estimate", "m", "max_tracking_error", "",
+          "2.4 mm in good runs with consistent and observer, 5 mm is a failure; at 20 mm the plan is over"),
+    Watch("joint_speed", "a joint from one sample to the next, over the time between", "rad/s",
+          "robot.max_joint_speed x speed_margin", "speed_time",
+          "a plan may use all of the robot's limit, and an error adds to it"),
+    Watch("platform_speed", "speed of the estimate", "m/s", "robot.max_platform_speed x speed_margin", "speed_time",
+          "as the joints'; the time is for the direct model, whose speed is without bound for a sample on the locus"),
+    Watch("joint_range", "a joint's way out of its range", "rad", "joint_margin", "",
+          "a plan may go to the end of the range; an error of 5 mm is 0.05 rad"),
+    Watch("estimator", "a joint beside that of the estimated platform", "rad", "max_joint_misfit", "misfit_time",
+          "0.0052 in good runs, with a geometry 0.2 mm off; an estimate that has lost the robot passes 0.02 at the locus"),
+    Watch("locus", "|s| of the estimate outside of phase CROSSING", "", "locus_s (at least)", "",
+          "plans keep 0.4 there, approaches 0.2; the robots of good runs kept 0.36. Who comes nearer was pushed or is lost"),
+    Watch("saturation", "the larger torque", "N m", "what it is cut at", "watch_time",
+          "good runs do not touch it; a robot on the other side or against a stop stays there"),
+    Watch("torque_rate", "change of a torque since the last sample, over the time between", "N m/s",
+          "robot.max_torque x max_torque_rate", "torque_rate_time",
+          "65 N m/s for 3 ms in good runs; a loop that swings between its limits does so at each sample"),
+)
+NAMES = [watch.name for watch in WATCHES]
+VALUES = tuple(Field(watch.name, watch.unit or "1", watch.value) for watch in WATCHES)
+LAST = (
+    Field("known", "1", "1 where there was a sample before"),
+    Field("q_meas", "rad", "joints of the last sample", "n"),
+    Field("q_a", "rad", "joints that its estimate had", "n"),
+    Field("q_a_dot", "rad/s", "and their velocities", "n"),
+    Field("tau", "N m", "torques that answered it", "n"),
+)
+ESTIMATE_LOST = ("finite", "joint_jump", "estimator")  # watches that say that the estimate is not the robot's
+
+
+@lru_cache
+def watch_of(mechanism: Mechanism) -> Library:
+    """``watch``: (p, middle, half, limits, last, estimate, output, q_meas, dt) -> values, passed, any, last_next."""
+    n = mechanism.n
+    vector, p = mechanism.symbols()
+    (last_vector, last), (hat_vector, hat), (out_vector, out) = (
+        Layout(name, n, fields).symbols() for name, fields in (("last", LAST), ("estimate", ESTIMATE), ("output", OUTPUT))
+    )
+    middle, half, q_meas = (ca.SX.sym(name, n) for name in ("middle", "half", "q_meas"))
+    dt = ca.SX.sym("dt")
+    known, finite = last["known"] > 0.0, ca.if_else(is_finite(hat_vector) * out["finite"] > 0.0, 1.0, 0.0)
+
+    def largest(values: Symbol, when: Symbol) -> Symbol:
+        return ca.if_else(when, ca.fmax(ca.mmax(ca.fabs(values)), 0.0), 0.0)  # a number that is not finite is told by "finite"
+
+    expected = last["q_a"] + dt * last["q_a_dot"]
+    values = {
+        "joint_jump": largest(wrapped(q_meas - expected), ca.logic_and(known, dt <= LONG_STEP)),
+        "finite": 1.0 - finite,
+        "tracking_error": ca.if_else(finite, ca.norm_2(out["error"]), 0.0),
+        "joint_speed": largest(wrapped(q_meas - last["q_meas"]), known) / dt,
+        "platform_speed": ca.if_else(finite, ca.norm_2(hat["x_dot"]), 0.0),
+        "joint_range": ca.mmax(ca.fabs(wrapped(q_meas - middle)) - half),
+        "estimator": largest(wrapped(q_meas - mechanism.inverse_geometric_model(hat["x"], p)), finite),
+        "locus": ca.if_else(finite, ca.fabs(out["s"]), 0.0),
+        "saturation": largest(out["tau"], finite),
+        "torque_rate": largest(out["tau"] - last["tau"], ca.logic_and(known, finite)) / dt,
+    }
+    limits_vector, limits = Layout("watched", n, VALUES).symbols("limits")
+    passed = {name: ca.logic_not(value <= limits[name]) for name, value in values.items()}
+    passed |= {"locus": values["locus"] < limits["locus"], "saturation": values["saturation"] >= limits["saturation"]}
+    now = {"known": ca.SX(1.0), "q_meas": q_meas, "q_a": hat["q_a"], "q_a_dot": hat["q_a_dot"], "tau": out["tau"]}
+    arguments = {"p": vector, "middle": middle, "half": half, "limits": limits_vector, "last": last_vector,
+                 "estimate": hat_vector, "output": out_vector,
+                 "q_meas": q_meas, "dt": dt}
+    return Library([named("watch", arguments, {
+        "values": Layout("watched", n, VALUES).join(values), "passed": Layout("watched", n, VALUES).join(passed),
+        "any": ca.mmax(ca.vertcat(*passed.values())), "last_next": Layout("last", n, LAST).join(now),
+    })], cache_folder())
+
+
+class Supervisor:
+    """Watches one robot under a law.
+
+    Args:
+        robot: the controller's model of it.
+        model: the same, with its functions.
+        estimate, output: records of the loop, which are watched.
+    """
+
+    def __init__(self, robot: RobotParameters, model: Model, estimate: Record, output: Record) -> None:
+        self._robot, self._joints = robot, [joint.name for joint in model.mechanism.joints]
+        low, high = (np.array(bounds) for bounds in robot.joint_range)
+        watched = Layout("watched", model.n, VALUES)
+        self._values, self._limits = watched.make(), watched.make()
+        self._last = Layout("last", model.n, LAST).make()
+        self._watch = watch_of(model.mechanism).fast(
+            "watch", p=model.p, middle=0.5 * (low + high), half=0.5 * (high - low), last=self._last.numbers,
+            estimate=estimate.numbers, output=output.numbers, values=self._values.numbers, limits=self._limits.numbers,
+        )
+        self._times = dict.fromkeys(NAMES, -1.0)
+        self._timers = dict.fromkeys(NAMES, 0.0)
+        self._counting = False
+        self._locus_s = 0.0
+        self.tripped = ""
+
+    def configure(self, settings: Settings) -> None:
+        """Take the limits, also while running."""
+        limits = self._limits
+        limits.tracking_error = settings.max_tracking_error
+        limits.joint_speed = settings.speed_margin * self._robot.max_joint_speed
+        limits.platform_speed = settings.speed_margin * self._robot.max_platform_speed
+        limits.joint_range, limits.joint_jump = settings.joint_margin, settings.max_joint_jump
+        limits.estimator = settings.max_joint_misfit
+        limits.torque_rate = settings.max_torque_rate * self._robot.max_torque
+        self._times |= {
+            "joint_speed": settings.speed_time, "platform_speed": settings.speed_time, "estimator": settings.misfit_time,
+            "torque_rate": settings.torque_rate_time, "saturation": settings.watch_time,
+        }
+        self._locus_s = settings.locus_s
+
+    def begin(self) -> None:
+        """Another trajectory: the times count anew."""
+        self._timers = dict.fromkeys(NAMES, 0.0)
+        self._counting = False
+
+    def forget(self) -> None:
+        """The robot was left to itself: what follows is not compared with what was before."""
+        self.begin()
+        self._values.numbers[:] = 0.0
+        self._last.numbers[:] = 0.0
+
+    def check(self, q_a: Array, dt: float, torque_limit: float, crossing: bool) -> str:
+        """What is wrong with one sample, in a sentence with value and limit; empty for nothing.
+
+        Args:
+            q_a: (n,) measured, rad.
+            dt: since the last sample, s.
+            torque_limit: at which the torques were cut, N m.
+            crossing: the reference is near the locus because a crossing is planned there.
+        """
+        watch = self._watch
+        self._limits.locus, self._limits.saturation = 0.0 if crossing else self._locus_s, torque_limit
+        watch.arguments.q_meas[:] = q_a
+        watch.arguments.dt[0] = dt
+        watch.run()
+        self._last.numbers[:] = watch.results.last_next
+        self.tripped = ""
+        if self._counting or watch.results.any.item() > 0.0:
+            self._count(watch.results.passed.tolist(), dt)
+        return self._sentence(self.tripped, q_a) if self.tripped else ""
+
+    def _count(self, passed: list[float], dt: float) -> None:
+        """Count the times of watches that may be passed for a while, and find the first one that trips."""
+        self._counting = False
+        for name, over in zip(NAMES, passed, strict=True):
+            trips, time = over > 0.0, self._times[name]
+            if time >= 0.0:
+                timer = self._timers[name] + dt if trips else max(self._timers[name] - RECOVERY * dt, 0.0)
+                self._timers[name], trips = timer, timer > time
+                self._counting = self._counting or timer > 0.0
+            if trips and not self.tripped:
+                self.tripped = name
+
+    @property
+    def estimate_lost(self) -> bool:
+        """Whether what tripped at the last sample says that the estimate is not the robot's."""
+        return self.tripped in ESTIMATE_LOST
+
+    @property
+    def saturated(self) -> bool:
+        """Whether a torque of the last sample was cut."""
+        return bool(self._values.saturation >= self._limits.saturation)
+
+    @property
+    def watches(self) -> dict[str, tuple[float, float]]:
+        """Each watch's last value and its limit, by name; zero limits do not bind."""
+        pairs = zip(self._values.numbers.tolist(), self._limits.numbers.tolist(), strict=True)
+        return dict(zip(NAMES, pairs, strict=True))
+
+    def _sentence(self, name: str, q_a: Array) -> str:
+        value, limit = getattr(self._values, name), getattr(self._limits, name)
+        if name == "finite":
+            return "the law gave a number that is not finite"
+        if name == "tracking_error":
+            return f"tracking error {value:.4f} m; the limit is {limit} m"
+        if name == "joint_range":
+            lows, highs = self._robot.joint_range
+            off = [abs(math.remainder(q - 0.5 * (low + high), 2.0 * math.pi)) - 0.5 * (high - low)
+                   for q, low, high in zip(q_a.tolist(), lows, highs, strict=True)]
+            leg = int(np.argmax(off))
+            return (
+                f"the {self._robot.sides[leg]} joint is {value:.3f} rad outside its range of {lows[leg]:.4g} to"
+                f" {highs[leg]:.4g} rad; the limit is {limit:.4g} rad"
+            )
+        if name == "joint_jump":
+            return f"a joint jumped by {value:.4f} rad in one sample; the limit is {limit:.4g} rad"
+        if name == "locus":
+            return f"the robot is at |s| = {value:.3f} of the locus without a planned crossing; the limit is {limit:.4g}"
+        what, unit = {
+            "joint_speed": ("joint speed {:.1f} rad/s", "rad/s"),
+            "platform_speed": ("platform speed {:.2f} m/s", "m/s"),
+            "estimator": ("the joints are {:.4f} rad from the estimate's", "rad"),
+            "saturation": ("torque {:.3f} N m", "N m"),
+            "torque_rate": ("the torque changes by {:.0f} N m/s", "N m/s"),
+        }[name]
+        shown = f"{limit:.3f}" if name == "saturation" else f"{limit:.4g}"
+        lasted, allowed = 1e3 * self._timers[name], 1e3 * self._times[name]
+        return f"{what.format(value)} for {lasted:.0f} ms; the limit is {shown} {unit} for {allowed:.0f} ms"

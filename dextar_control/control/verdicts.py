@@ -1,0 +1,124 @@
+"""Crossed or bounced: what became of each planned crossing, as the estimator sees it."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from dextar_control.contract.settings import Settings
+from dextar_control.estimation.estimate import Estimator
+from dextar_control.model.model import Model
+from dextar_control.planning.certificate import Certificate
+
+OPEN_BEFORE = 0.02  # s before a planned crossing from which on it counts as begun
+TYPE1_END = 0.1  # distance to Type 1 at which a robot without control is followed no further
+
+
+class Verdict(IntEnum):
+    """What became of a planned crossing, as the estimator sees it."""
+
+    UNDECIDED = 0
+    CROSSED = 1
+    BOUNCED = 2
+
+
+class Passed(NamedTuple):
+    """One planned crossing and what the estimator made of it."""
+
+    planned_time: float  # since the trajectory's start, s
+    verdict: Verdict
+    confidence: float  # in the assembly mode that the verdict rests on, 0.5 to 1
+    time: float  # of the verdict, since the trajectory's start, s; nan while undecided
+
+
+class CrossingJudge:
+    """Compares the believed assembly mode with the plan's, while a trajectory is tracked and after the robot was let go.
+
+    Attributes:
+        passed: the planned crossings of the last trajectory, in their order.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.passed: list[Passed] = []
+        self._model = model
+        self._times: list[float] = []
+        self._signs: list[float] = []
+        self._start = 0.0
+        self._open = -1
+
+    def configure(self, settings: Settings) -> None:
+        """Take the settings that concern it, also while running."""
+        self._clear_s, self._sure = settings.verdict_s, settings.verdict_confidence
+
+    def begin(self, certificate: Certificate, start: float) -> None:
+        """A checked trajectory is tracked from ``start`` on, s."""
+        self.passed = [Passed(float(time), Verdict.UNDECIDED, 0.5, math.nan) for time in certificate.crossing_times]
+        self._times, self._signs = certificate.crossing_times.tolist(), certificate.crossing_signs.tolist()
+        self._start = start
+
+    def let_go(self, time: float) -> None:
+        """The robot is let go while it moves: the crossing that has begun is still to be judged."""
+        self._open = self._current(time)
+
+    def close(self) -> None:
+        """What the robot does from now on is no part of a crossing."""
+        self._open = -1
+
+    def compare(self, time: float, s_ref: float, estimator: Estimator, moving: bool) -> str:
+        """Away from the locus: a verdict where the estimator is sure. What is wrong, or nothing.
+
+        Args:
+            time: of the sample, s.
+            s_ref: of the reference.
+            estimator: whose belief is compared.
+            moving: a trajectory is tracked; otherwise a point is held.
+        """
+        estimate = estimator.estimate
+        confidence = estimate.confidence
+        if abs(s_ref) < self._clear_s or not confidence >= self._sure:
+            return ""
+        current = self._current(time)
+        if estimate.assembly_mode * s_ref < 0.0:
+            self._judge(time, current, Verdict.BOUNCED, confidence)
+            return (
+                f"bounced: the robot is at s = {estimate.s:+.2f}, the reference at {s_ref:+.2f}"
+                f" (confidence {confidence:.3f})"
+            )
+        if moving and current >= 0 and s_ref * self._signs[current] > 0.0:
+            self._judge(time, current, Verdict.CROSSED, confidence)
+        return ""
+
+    def compare_afterwards(self, time: float, estimator: Estimator) -> str:
+        """The side on which a robot ends that was let go during a crossing: it may change as it coasts.
+
+        Until it comes near Type 1: behind that lies another working mode, which the model does not follow.
+
+        Returns:
+            That it bounced, where that is news; else nothing.
+        """
+        estimate = estimator.estimate
+        if self._open < 0 or not estimate.confidence >= self._sure:
+            return ""
+        if not self._model.type1_distance(np.array(estimate.x)) >= TYPE1_END:
+            self._open = -1
+            return ""
+        same = estimate.assembly_mode * self._signs[self._open] > 0.0
+        verdict = Verdict.CROSSED if same else Verdict.BOUNCED
+        if not self._judge(time, self._open, verdict, estimate.confidence) or same:
+            return ""
+        return f"bounced (s = {estimate.s:+.2f}, confidence {estimate.confidence:.3f})"
+
+    def _current(self, time: float) -> int:
+        """Index of the last planned crossing that has begun; -1 before the first and without a trajectory."""
+        return bisect.bisect_right(self._times, time - self._start + OPEN_BEFORE) - 1
+
+    def _judge(self, time: float, index: int, verdict: Verdict, confidence: float) -> bool:
+        """Whether the verdict is another one than before."""
+        if index < 0 or self.passed[index].verdict is verdict:
+            return False
+        self.passed[index] = self.passed[index]._replace(verdict=verdict, confidence=confidence, time=time - self._start)
+        return True

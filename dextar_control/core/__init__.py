@@ -1,1 +1,0 @@
-"""The mathematical core: NumPy (compiled by numba), no ROS, no simulator."""

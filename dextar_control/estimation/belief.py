@@ -1,0 +1,122 @@
+"""Crossed or bounced: the belief about the assembly mode, and Wald's sequential test of two filters.
+
+Crossed and bounced give the same q_a(t) with the end effector mirrored about the line of the elbows. After each passage of the
+locus a second filter starts from the mirror image of the first one's state and covariance; both predict the joints with their own
+dynamics, and the log-likelihood ratio of what is measured tells which of the two is the robot. The same test begins where
+the joints suddenly fit the believed motion no longer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+CERTAIN = 20.0  # log-odds at which a belief is kept
+CORRELATED = 10.0  # samples over which the innovations of a wrong model hang together: so many count as one
+DOUBT, DOUBT_TIME = 20.0, 5e-3  # misfit over the known one, averaged over so many s, that begins a test ...
+DOUBT_S = 0.4  # ... where |s| is below this: farther from the locus it is somebody's push, not the other side
+RISE, FORGET = 0.05, 5.0  # s over which the misfit in a known assembly mode is averaged, up and down: a model stays wrong
+CONTRAST = 3.0, 6.0  # how many times worse the less likely filter has to fit before the test begins to count, and fully does
+
+
+@dataclass(slots=True)
+class Belief:
+    """What is believed of the assembly mode.
+
+    Attributes:
+        mode: sign of s, of the filter that serves; 0 before the first sample.
+        log_odds: of it.
+        armed: the robot is, or was, so near to the locus that the mode is unknown until the test has decided.
+        testing: the two filters of the test run.
+        ratio: log-likelihood ratio of the two, image over same.
+        misfit_same, misfit_image: sums of their squared normalised innovations.
+        samples: of the test.
+        swaps: how often the image was the robot.
+        misfit_known: mean of the squared normalised innovation, halved, while the mode is known.
+        misfit_now: the same over the last samples.
+        doubtful: whether that makes the mode doubtful.
+        seen: log-odds of the mode by what else was seen (``estimation.out_of_sequence``).
+        strayed: the state was where the working mode ends.
+    """
+
+    mode: float = 0.0
+    log_odds: float = 0.0
+    armed: bool = False
+    testing: bool = False
+    ratio: float = 0.0
+    misfit_same: float = 0.0
+    misfit_image: float = 0.0
+    samples: int = 0
+    swaps: int = 0
+    misfit_known: float = 0.0
+    misfit_now: float = 0.0
+    doubtful: bool = False
+    seen: float = 0.0
+    strayed: bool = False
+
+    def copy(self) -> Belief:
+        """Another one."""
+        return Belief(
+            self.mode, self.log_odds, self.armed, self.testing, self.ratio, self.misfit_same, self.misfit_image, self.samples,
+            self.swaps, self.misfit_known, self.misfit_now, self.doubtful, self.seen, self.strayed,
+        )
+
+    def end_test(self) -> None:
+        """No test, and nothing counted for the next one."""
+        self.testing = False
+        self.ratio = self.misfit_same = self.misfit_image = 0.0
+        self.samples = 0
+
+    def unsure(self) -> None:
+        """Nothing is known for or against the mode, and no test runs."""
+        self.end_test()
+        self.log_odds, self.armed = 0.0, False
+
+    def weigh(self, same: float, spread_same: float, image: float, spread_image: float) -> None:
+        """Take one measurement's two likelihoods in.
+
+        Where even the better filter fits worse than the noise that it was told, now or while the assembly mode was known,
+        the log-odds shrink by that factor, and where both fit alike badly they vanish: a wrong model makes the test
+        unsure, not wrong. CORRELATED and CONTRAST were chosen on simulated campaigns: what comes out ranks, it is not a
+        calibrated probability.
+
+        Args:
+            same, image: squared normalised innovations of the two filters.
+            spread_same, spread_image: ln det of the innovations' covariances.
+        """
+        self.ratio += 0.5 * (image + spread_image - same - spread_same)
+        self.misfit_same += same
+        self.misfit_image += image
+        self.samples += 1
+        better, worse = sorted((self.misfit_same, self.misfit_image))
+        z = min(max((worse / better - CONTRAST[0]) / (CONTRAST[1] - CONTRAST[0]), 0.0), 1.0)
+        contrast = z * z * z * (10.0 + z * (6.0 * z - 15.0))
+        misfit = max(1.0, self.misfit_known, better / (2.0 * self.samples))
+        self.log_odds = self.seen + contrast * self.ratio / (CORRELATED * misfit)
+
+    def fit(self, misfit: float, dt: float) -> None:
+        """While the mode is known: how well the model fits, and whether that makes the mode doubtful.
+
+        Args:
+            misfit: squared normalised innovation.
+            dt: since the last sample, s.
+        """
+        self.misfit_now += min(dt / DOUBT_TIME, 1.0) * (0.5 * misfit - self.misfit_now)
+        if self.misfit_now > DOUBT * max(1.0, self.misfit_known):
+            self.doubtful = True
+            return
+        excess = self.misfit_now - self.misfit_known
+        self.misfit_known += min(dt / (RISE if excess > 0.0 else FORGET), 1.0) * excess
+
+    def as_seen(self) -> tuple[float, float]:
+        """(assembly mode, confidence in it, 0.5 to 1): the image's where that is the likelier one."""
+        odds = self.log_odds
+        if odds >= 0.0:
+            return self.mode, 1.0 / (1.0 + math.exp(-odds))
+        return -self.mode, 1.0 / (1.0 + math.exp(odds))
+
+
+def log_odds_of_side(s: float, variance: float) -> float:
+    """Of the sign of s, as its variance has it: logit of the normal distribution at |s| over its deviation."""
+    wrong = 0.5 * math.erfc(abs(s) / math.sqrt(2.0 * max(variance, 1e-30)))
+    return min(math.log1p(-wrong) - math.log(max(wrong, 1e-300)), CERTAIN)

@@ -1,0 +1,133 @@
+"""``external``: the observer fused with positions that a camera measures, which arrive late, or wrong, or not at all.
+
+Between the positions, and when they stop, it is the observer. What it does with one: ``estimation.out_of_sequence``.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.settings import Settings
+from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.observing import ObserverEstimator
+from dextar_control.estimation.out_of_sequence import SAME_TIME, USED, Fate, History, Sight
+from dextar_control.model.model import Model
+from dextar_control.symbols.types import Array
+
+
+class ExternalEstimator(ObserverEstimator):
+    """``external``.
+
+    Attributes:
+        fates: how many positions had which fate.
+        outages: how often the positions stopped.
+    """
+
+    def __init__(self, model: Model, settings: Settings, min_type1: float) -> None:
+        self.fates: Counter[Fate] = Counter()
+        self.outages = 0
+        self._forget()
+        super().__init__(model, settings, min_type1)
+        self._history = History(self.observer)
+
+    def configure(self, settings: Settings) -> None:
+        """See ``Estimator``.
+
+        Raises:
+            ParameterError: pose_deviation, pose_gate or pose_timeout is not positive.
+        """
+        for name in ("pose_deviation", "pose_gate", "pose_timeout"):
+            if not getattr(settings, name) > 0.0:
+                raise ParameterError(f"{name} = {getattr(settings, name)}; it must be > 0")
+        super().configure(settings)
+        self._sight = Sight(settings.pose_deviation, settings.pose_gate**2)
+        self._gate, self._timeout = settings.pose_gate, settings.pose_timeout
+
+    def _forget(self) -> None:
+        self._waiting: list[tuple[Pose, float]] = []
+        self._last_stamp = -np.inf
+        self._silence = 0.0
+        self._silent = False
+        self._absence = 0.0
+        self._last_fate = Fate.TAKEN
+        self.note = ""
+
+    def _begin(self, x: Array, q_a: Array, assembly_mode: int, speed: float) -> None:
+        super()._begin(x, q_a, assembly_mode, speed)
+        self._forget()
+        self._history.begin()
+
+    def take_pose(self, pose: Pose, time: float) -> None:
+        """See ``Estimator``; it is used with the sample of that time, which has to follow."""
+        age = time - pose.time
+        if self._silent:
+            self._absence, self._silent = self._silence, False
+        self._silence = 0.0
+        if not np.isfinite([age, *pose.x]).all():
+            self._refuse(Fate.NOT_FINITE, f"external position {tuple(pose.x)} m at {pose.time} s is not finite")
+        elif age < -SAME_TIME:
+            self._refuse(
+                Fate.FUTURE, f"external position of {pose.time:.6f} s is {-1e3 * age:.3f} ms ahead of the state at {time:.6f} s"
+            )
+        elif not pose.time > self._last_stamp:
+            self._refuse(
+                Fate.OUT_OF_ORDER,
+                f"external position of {pose.time:.6f} s is not after the last one, of {self._last_stamp:.6f} s",
+            )
+        else:
+            self._last_stamp = pose.time
+            self._waiting.append((pose, max(age, 0.0)))
+
+    def _advance(self, dt: float, q_a: Array, tau: Array) -> None:
+        self._history.take_sample(tau, dt, q_a)
+        self._silence += dt
+        for pose, age in self._waiting:
+            self._take(pose, age)
+        self._waiting.clear()
+        if self._silence > self._timeout and not self._silent:
+            self._silent = True
+            self.outages += 1
+            self._last_fate = Fate.TAKEN
+            self.note = f"no external position for {self._silence:.3f} s (limit {self._timeout} s): the encoders serve alone"
+        self.observer.tell_side()
+
+    def _take(self, pose: Pose, age: float) -> None:
+        x = np.array(pose.x, dtype=np.float64)
+        fate = self._history.take_position(self._sight, age, x, self._last_fate in USED)
+        where = f"external position ({pose.x[0]:.4f}, {pose.x[1]:.4f}) m of {pose.time:.6f} s"
+        if fate is Fate.TOO_OLD:
+            self._refuse(fate, f"{where} is {1e3 * age:.1f} ms old; the last {1e3 * self._history.reach:.1f} ms are kept")
+        elif fate is Fate.JUMP:
+            off = self._history.distances
+            self._refuse(
+                fate,
+                f"{where} is {1e3 * off.length:.1f} mm from the estimate, {off.estimate:.1f} deviations, and {off.image:.1f} from"
+                f" its mirror image; the limit is {self._gate:g}",
+            )
+        elif fate in USED:
+            self._use(fate, where)
+        else:
+            self.fates[fate] += 1
+
+    def _use(self, fate: Fate, where: str) -> None:
+        self.fates[fate] += 1
+        self._last_fate = fate
+        self.note = ""
+        if self._absence > 0.0:
+            self.note = f"external positions are back after {self._absence:.3f} s"
+        elif fate is Fate.SWAPPED:
+            self.note = (
+                f"{where} fits the mirror image of the estimate, {1e3 * self._history.distances.length:.1f} mm away:"
+                f" the assembly mode is {self.observer.belief.mode:+.0f}"
+            )
+        self._absence = 0.0
+
+    def _refuse(self, fate: Fate, text: str) -> None:
+        """Count it, and say so once in a row."""
+        self.fates[fate] += 1
+        if fate is not self._last_fate:
+            self.note = text
+        self._last_fate = fate

@@ -1,0 +1,235 @@
+"""The Kalman filter over the Cartesian dynamics, on symbols: regular on the Type 2 locus, no direct model.
+
+State (x, x_dot, b). Process: x_ddot by the forward dynamics under the torque that was commanded, which is
+regular on the locus; near it the input torques do not act along t_s, so the filter coasts there.
+Measurement: q_a = inverse geometric model(x) + b, regular as well; along t_s it says nothing on the locus.
+b (n,) is what a wrong geometry adds to the joint angles: without it a tenth of a millimetre is taken for
+motion along t_s, amplified by 1/s. Where the weak direction of J_inv does not see x it sees b.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+
+from dextar_control.estimation.records import ESTIMATE
+from dextar_control.mechanisms.mechanism import Mechanism
+from dextar_control.mechanisms.planar import wrapped
+from dextar_control.model.equations import Equations
+from dextar_control.model.model import equations_of
+from dextar_control.model.solved import mirror_image
+from dextar_control.symbols.functions import Library, cache_folder, named
+from dextar_control.symbols.record import Field, Layout
+from dextar_control.symbols.smooth import is_finite
+from dextar_control.symbols.types import Symbol
+
+BLIND = 0.02  # s before a position in which at most a blow near the locus may have gone unseen
+
+FILTER = (
+    Field("x", "m", "mean of the platform", "n"),
+    Field("x_dot", "m/s", "mean of its velocity", "n"),
+    Field("b", "rad", "mean of what a wrong geometry adds to the joints", "n"),
+    Field("x_ddot", "m/s^2", "acceleration of the last prediction", "n"),
+    Field("covariance", "SI", "of (x, x_dot, b)", "3n", "3n"),
+)
+NOISE = (
+    Field("encoder", "rad", "standard deviation of a sample"),
+    Field("bias", "rad", "of b at the start"),
+    Field("bias_walk", "rad/sqrt(rad)", "of b's random walk as the joints move"),
+    Field("torque", "N m", "of a sample's torque: friction and motors"),
+    Field("acceleration", "m/s^2", "of a sample's acceleration: masses"),
+    Field("shock_gate", "1", "squared normalised innovation that only a blow explains"),
+    Field("shock_speed", "m/s", "of x_dot after a blow"),
+)
+LOOK = (
+    Field("s", "1", "singularity measure"),
+    Field("s_variance", "1", "of s, by the covariance"),
+    Field("type1", "1", "least distance of a leg to Type 1"),
+    Field("folded", "1", "positive where the mirror image is far away even near the locus"),
+)
+
+
+class _Filters:
+    """The filter's steps for one mechanism."""
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism, self.n = mechanism, mechanism.n
+        self.filter, self.noise, self.look, self.estimate = (
+            Layout(name, self.n, fields)
+            for name, fields in (("filter", FILTER), ("noise", NOISE), ("look", LOOK), ("estimate", ESTIMATE))
+        )
+        self._equations = equations_of(mechanism)
+        self.vector, self.p = mechanism.symbols()
+
+    def at(self, x: Symbol, x_dot: Symbol, tau: Symbol | float = 0.0) -> Equations:
+        q_a = self.mechanism.inverse_geometric_model(x, self.p)
+        return self._equations.at(self.vector, q_a, x, x_dot, 0.0, tau)
+
+    def begin(self, noise: dict[str, Symbol], x: Symbol, speed: Symbol) -> dict[str, Symbol]:
+        """A robot at x (n,), known from its joints: what b may be, x may be off by J_inv^-1 b."""
+        J, one, zero = ca.inv(self.at(x, ca.SX.zeros(self.n)).J_inv), ca.SX.eye(self.n), ca.SX.zeros(self.n, self.n)
+        bias, encoder = noise["bias"] ** 2, noise["encoder"] ** 2
+        covariance = ca.vertcat(
+            ca.horzcat((bias + encoder) * J @ J.T, zero, -bias * J),
+            ca.horzcat(zero, speed**2 * one, zero),
+            ca.horzcat(-bias * J.T, zero, bias * one),
+        )
+        rest = ca.SX.zeros(self.n)
+        return {"x": x, "x_dot": rest, "b": rest, "x_ddot": rest, "covariance": covariance}
+
+    def predict(self, noise: dict[str, Symbol], state: dict[str, Symbol], tau: Symbol, dt: Symbol) -> dict[str, Symbol]:
+        """One step under tau (n,), N m: x_ddot by the forward dynamics in its middle, and the covariance with it.
+
+        b changes with the configuration: it walks as the joints move and stands still with them. A walk in time would let a
+        robot that is held drift away, for at rest the joints cannot tell x from b. The covariance takes x_ddot for
+        independent of the state, which over a sample it nearly is. The torque's noise acts through M^-1 J_inv^T: not along
+        t_s on the locus.
+        """
+        n, x, x_dot = self.n, state["x"], state["x_dot"]
+        e = self.at(x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * state["x_ddot"], tau)
+        x_ddot = e.forward_dynamics
+        G = ca.solve(e.M, e.J_inv.T)  # x_ddot per torque
+        F = ca.SX.eye(3 * n)
+        F[:n, n : 2 * n] = dt * ca.SX.eye(n)
+        P = F @ state["covariance"] @ F.T
+        P[n : 2 * n, n : 2 * n] += (dt * noise["torque"]) ** 2 * G @ G.T + (dt * noise["acceleration"]) ** 2 * ca.SX.eye(n)
+        P[2 * n :, 2 * n :] += ca.diag(dt * ca.fabs(e.q_a_dot) * noise["bias_walk"] ** 2)
+        return {"x": x + dt * (x_dot + 0.5 * dt * x_ddot), "x_dot": x_dot + dt * x_ddot, "b": state["b"], "x_ddot": x_ddot,
+                "covariance": _symmetric(P)}
+
+    def shocked(self, noise: dict[str, Symbol], state: dict[str, Symbol], dt: Symbol, struck: Symbol) -> dict[str, Symbol]:
+        """Where ``struck`` is 1, a blow somewhere in the last dt: x_dot is up to shock_speed off, and x what came of it."""
+        n = self.n
+        reach = ca.vertcat(dt * ca.SX.eye(n), ca.SX.eye(n), ca.SX.zeros(n, n))
+        return state | {"covariance": state["covariance"] + struck * noise["shock_speed"] ** 2 * reach @ reach.T}
+
+    def innovation(self, state: dict[str, Symbol], q_meas: Symbol) -> tuple[Symbol, Symbol]:
+        """(innovation (n,), rad, of the active joints on any turn, and their Jacobian (n, 3n))."""
+        e = self.at(state["x"], ca.SX.zeros(self.n))
+        H = ca.horzcat(e.J_inv, ca.SX.zeros(self.n, self.n), ca.SX.eye(self.n))
+        return wrapped(q_meas - e.q_a - state["b"]), H
+
+    def update(
+        self, state: dict[str, Symbol], innovation: Symbol, H: Symbol, variance: Symbol
+    ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
+        """Kalman update: the state, the innovation's normalised square and ln det of its covariance."""
+        n, P = self.n, state["covariance"]
+        PH, S = _gain_parts(P, H, variance)
+        K = PH @ ca.inv(S)
+        step = K @ innovation
+        changed = {"x": state["x"] + step[:n], "x_dot": state["x_dot"] + step[n : 2 * n], "b": state["b"] + step[2 * n :],
+                   "covariance": _symmetric(P - K @ PH.T)}
+        return state | changed, ca.dot(innovation, ca.solve(S, innovation)), ca.log(ca.det(S))
+
+    def correct(
+        self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol, dt: Symbol
+    ) -> tuple[dict[str, Symbol], Symbol]:
+        """Take the active joints (n,), rad, and see whether the robot was struck in the last dt."""
+        innovation, H = self.innovation(state, q_meas)
+        variance = noise["encoder"] ** 2
+        _, S = _gain_parts(state["covariance"], H, variance)
+        struck = ca.if_else(ca.dot(innovation, ca.solve(S, innovation)) > noise["shock_gate"], 1.0, 0.0)
+        return self.update(self.shocked(noise, state, dt, struck), innovation, H, variance)[0], struck
+
+    def innovate(
+        self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol
+    ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
+        """Take the active joints (n,), rad; see ``update`` for what is returned."""
+        return self.update(state, *self.innovation(state, q_meas), noise["encoder"] ** 2)
+
+    def position(self, state: dict[str, Symbol], x_meas: Symbol) -> tuple[Symbol, Symbol]:
+        """(innovation (n,), m, of an external position, and its Jacobian (n, 3n))."""
+        return x_meas - state["x"], ca.horzcat(ca.SX.eye(self.n), ca.SX.zeros(self.n, 2 * self.n))
+
+    def unseen_blow(self, noise: dict[str, Symbol], state: dict[str, Symbol]) -> dict[str, Symbol]:
+        """A blow along t_s at any time in the last BLIND, which b may have been taken for."""
+        n = self.n
+        t_s = self.at(state["x"], ca.SX.zeros(n)).singular.v_weak
+        variance = noise["shock_speed"] ** 2 * t_s @ t_s.T
+        added = ca.SX(3 * n, 3 * n)
+        added[:n, :n] = variance * BLIND**2 / 3.0
+        added[:n, n : 2 * n] = added[n : 2 * n, :n] = variance * BLIND / 2.0
+        added[n : 2 * n, n : 2 * n] = variance
+        added[2 * n :, 2 * n :] = noise["bias"] ** 2 * ca.SX.eye(n)
+        return state | {"covariance": state["covariance"] + added}
+
+    def mirror(self, state: dict[str, Symbol]) -> tuple[dict[str, Symbol], Symbol]:
+        """The same joints and velocities in the other assembly mode, with its covariance, and whether that is defined."""
+        n = self.n
+        e = self.at(state["x"], state["x_dot"])
+        other = mirror_image(self.mechanism, e.q_a, state["x"], self.p)
+        J = ca.inv(self._equations.at(self.vector, e.q_a, other, ca.SX.zeros(n)).J_inv)
+        T = ca.SX.eye(3 * n)
+        T[:n, :n] = T[n : 2 * n, n : 2 * n] = J @ e.J_inv
+        off = ca.norm_1(self.mechanism.inverse_geometric_model(other, self.p) - e.q_a)
+        image = {"x": other, "x_dot": J @ e.q_a_dot, "b": state["b"], "x_ddot": ca.SX.zeros(n),
+                 "covariance": _symmetric(T @ state["covariance"] @ T.T)}
+        return image, ca.if_else(off < 1e-6, 1.0, 0.0)  # still in this working mode
+
+    def seen(self, state: dict[str, Symbol]) -> dict[str, Symbol]:
+        """Where the mean is with respect to the locus, and the estimate that it makes but for the side."""
+        n, x = self.n, ca.SX.sym("x", self.n)
+        slope = ca.substitute(ca.jacobian(self.at(x, ca.SX.zeros(n)).s, x), x, state["x"])
+        e = self.at(state["x"], state["x_dot"])
+        look = {
+            "s": e.s, "s_variance": slope @ state["covariance"][:n, :n] @ slope.T, "type1": e.type1,
+            "folded": self.mechanism.folded(e.q_a, state["x"], self.p),
+        }
+        estimate = {"x": state["x"], "x_dot": state["x_dot"], "q_a": e.q_a + state["b"], "q_a_dot": e.q_a_dot,
+                    "assembly_mode": 0.0, "confidence": 0.0, "s": e.s}
+        return {"look": self.look.join(look), "estimate": self.estimate.join(estimate)}
+
+
+def _gain_parts(P: Symbol, H: Symbol, variance: Symbol) -> tuple[Symbol, Symbol]:
+    """P H^T and H P H^T + variance 1."""
+    PH = P @ H.T
+    return PH, H @ PH + variance * ca.SX.eye(H.shape[0])
+
+
+def _symmetric(matrix: Symbol) -> Symbol:
+    """Of a matrix that is symmetric but for rounding, from its lower triangle."""
+    return ca.tril2symm(ca.tril(matrix))
+
+
+@lru_cache
+def filters_of(mechanism: Mechanism) -> Library:
+    """The steps of the filter as functions; records go by their vectors."""
+    f, n = _Filters(mechanism), mechanism.n
+    state_vector, state = f.filter.symbols()
+    noise_vector, noise = f.noise.symbols()
+    tau, q_meas, x_meas = (ca.SX.sym(name, n) for name in ("tau", "q_meas", "x_meas"))
+    dt, gap, speed, deviation = (ca.SX.sym(name) for name in ("dt", "gap", "speed", "deviation"))
+    p, whole, told = {"p": f.vector}, {"filter": state_vector}, {"noise": noise_vector}
+
+    image, near = f.mirror(state)
+    corrected, struck = f.correct(noise, state, q_meas, dt)
+    innovated, square, spread = f.innovate(noise, state, q_meas)
+    moved, square_x, spread_x = f.update(state, *f.position(state, x_meas), deviation**2)
+
+    # One sample of the filter that serves and of the one that tells how well the model fits.
+    same_vector, same = f.filter.symbols("same")
+    test_vector, test = f.noise.symbols("test_noise")
+    main, hit = f.correct(noise, f.predict(noise, state, tau, dt), q_meas, gap)
+    same, fit, fit_spread = f.innovate(test, f.predict(test, same, tau, dt), q_meas)
+    x = ca.SX.sym("x", n)
+    return Library([
+        named("begin", p | told | {"x": x, "speed": speed}, {"filter": f.filter.join(f.begin(noise, x, speed))}),
+        named("predict", p | told | whole | {"tau": tau, "dt": dt},
+              {"filter_next": f.filter.join(f.predict(noise, state, tau, dt))}),
+        named("correct", p | told | whole | {"q_meas": q_meas, "dt": dt},
+              {"filter_next": f.filter.join(corrected), "struck": struck}),
+        named("innovate", p | told | whole | {"q_meas": q_meas},
+              {"filter_next": f.filter.join(innovated), "square": square, "spread": spread}),
+        named("correct_position", whole | {"x_meas": x_meas, "deviation": deviation},
+              {"filter_next": f.filter.join(moved), "square": square_x, "spread": spread_x,
+               "distance": ca.norm_2(x_meas - state["x"])}),
+        named("unseen_blow", p | told | whole, {"filter_next": f.filter.join(f.unseen_blow(noise, state))}),
+        named("mirror", p | whole, {"image": f.filter.join(image), "near": near}),
+        named("look", p | whole, f.seen(state)),
+        named("advance", p | told | {"test_noise": test_vector} | whole | {"same": same_vector, "tau": tau, "dt": dt, "gap": gap,
+                                                                          "q_meas": q_meas},
+              {"filter_next": f.filter.join(main), "same_next": f.filter.join(same), "struck": hit, "square": fit,
+               "spread": fit_spread, **f.seen(main),
+               "finite": is_finite(ca.vertcat(main["x"], main["x_dot"], main["b"]))}),
+    ], cache_folder())

@@ -1,0 +1,97 @@
+"""``observer``: an estimator that serves what the observer's main filter believes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dextar_control.contract.settings import Settings
+from dextar_control.estimation.belief import CERTAIN, Belief
+from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.joint_filter import JointFilter
+from dextar_control.estimation.observer import REST_SPEED, Observer, Passage
+from dextar_control.model.model import Model
+from dextar_control.symbols.record import Record
+from dextar_control.symbols.types import Array
+
+
+class ObserverEstimator:
+    """``observer``.
+
+    Args:
+        model: of the robot, as the controller knows it.
+        settings: of the controller.
+        min_type1: the robot's least distance to Type 1.
+    """
+
+    def __init__(self, model: Model, settings: Settings, min_type1: float) -> None:
+        self.observer = Observer(model, min_type1)
+        self._joints = JointFilter(model.mechanism)
+        self.estimate: Record = self.observer.estimate
+        self.note = ""
+        self.configure(settings)
+
+    def configure(self, settings: Settings) -> None:
+        """See ``Estimator``."""
+        noise, test = self.observer.noise, self.observer.test_noise
+        noise.encoder, noise.bias, noise.bias_walk = settings.encoder_deviation, settings.bias_deviation, settings.bias_walk
+        noise.torque, noise.acceleration = settings.torque_deviation, settings.acceleration_deviation
+        noise.shock_gate, noise.shock_speed = settings.shock_gate**2, settings.shock_speed
+        test.take(noise)
+        test.encoder, test.torque = settings.passage_encoder_deviation, settings.passage_torque_deviation
+        test.acceleration = settings.passage_acceleration_deviation
+        self.observer.passage = Passage(settings.passage_armed, settings.passage_begin, settings.passage_log_odds)
+        self.unknown_s = settings.passage_armed
+        self._sure, self._bandwidth = settings.verdict_confidence, settings.filter_bandwidth
+
+    @property
+    def mode_known(self) -> bool:
+        """See ``Estimator``."""
+        return bool(self.estimate.confidence >= self._sure)
+
+    @property
+    def swaps(self) -> int:
+        """How often the test has found the robot on the other side than believed."""
+        return self.observer.belief.swaps
+
+    @property
+    def bias(self) -> Array:
+        """b (n,), rad: the joint angles that the model's geometry does not explain."""
+        return np.array(self.observer.main.b)
+
+    def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
+        """See ``Estimator``."""
+        self._begin(x, q_a, assembly_mode, REST_SPEED)
+
+    def _begin(self, x: Array, q_a: Array, assembly_mode: int, speed: float) -> None:
+        self.observer.begin(x, speed)
+        self._joints.set(q_a, 0.0)
+        self.observer.belief = Belief(mode=float(assembly_mode), log_odds=CERTAIN)
+        self.observer.tell_side()
+
+    def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
+        """See ``Estimator``."""
+        self._begin(self.observer.direct_model(q_a, assembly_mode), q_a, assembly_mode, self.observer.noise.shock_speed)
+
+    def rebase(self, q_a: Array) -> None:
+        """See ``Estimator``."""
+
+    def release(self, crossing: bool) -> None:
+        """See ``Estimator``."""
+        self._joints.set(self.estimate.q_a, self.estimate.q_a_dot)
+
+    def _advance(self, dt: float, q_a: Array, tau: Array) -> None:
+        self.observer.observe(tau, dt, q_a)
+        self.observer.tell_side()
+
+    def track(self, dt: float, q_a: Array, tau: Array, reference: Record, zone: float, width: float) -> None:
+        """See ``Estimator``."""
+        self._advance(dt, q_a, tau)
+
+    def coast(self, dt: float, q_a: Array, tau: Array) -> None:
+        """See ``Estimator``: what brakes are the joints themselves, wherever the platform is thought to be."""
+        self._advance(dt, q_a, tau)
+        self._joints.take(q_a, dt, self._bandwidth)
+        self.estimate.q_a, self.estimate.q_a_dot = self._joints.memory.q, self._joints.memory.q_dot
+
+    def take_pose(self, pose: Pose, time: float) -> None:
+        """See ``Estimator``."""

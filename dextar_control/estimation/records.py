@@ -1,0 +1,24 @@
+"""What a plan asks for and what an estimator believes at one sample."""
+
+from __future__ import annotations
+
+from dextar_control.symbols.record import Field
+
+REFERENCE = (
+    Field("x", "m", "platform", "n"),
+    Field("x_dot", "m/s", "its velocity", "n"),
+    Field("x_ddot", "m/s^2", "its acceleration", "n"),
+    Field("q_a", "rad", "active joints", "n"),
+    Field("q_a_dot", "rad/s", "their velocities", "n"),
+    Field("multipliers", "N/m", "lambda of the plan, finite on the locus", "n"),
+    Field("s", "1", "singularity measure"),
+)
+ESTIMATE = (
+    Field("x", "m", "platform", "n"),
+    Field("x_dot", "m/s", "its velocity", "n"),
+    Field("q_a", "rad", "active joints", "n"),
+    Field("q_a_dot", "rad/s", "their velocities", "n"),
+    Field("assembly_mode", "1", "believed sign of s"),
+    Field("confidence", "1", "in the assembly mode, 0.5 to 1"),
+    Field("s", "1", "singularity measure"),
+)

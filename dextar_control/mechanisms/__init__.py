@@ -1,0 +1,20 @@
+"""Mechanisms: the only place that knows a length, an elbow or a working mode."""
+
+from dextar_control.contract.errors import ParameterError
+from dextar_control.mechanisms.five_bar import FiveBar
+from dextar_control.mechanisms.mechanism import Mechanism
+from dextar_control.mechanisms.three_rrr import ThreeRRR
+
+MECHANISMS: dict[str, Mechanism] = {mechanism.name: mechanism for mechanism in (FiveBar(), ThreeRRR())}
+"""Those that a robot's file can name."""
+
+
+def mechanism_named(name: str) -> Mechanism:
+    """The mechanism of that name.
+
+    Raises:
+        ParameterError: there is none; names those there are.
+    """
+    if name not in MECHANISMS:
+        raise ParameterError(f"robot.mechanism = {name!r}; it must be one of {', '.join(MECHANISMS)}")
+    return MECHANISMS[name]

@@ -1,0 +1,155 @@
+"""The planar five-bar: two legs of a motor, a proximal link, a passive elbow and a distal link that meet in the end effector.
+
+Frame: origin midway between the motor axes, x towards the right one. Leg i runs from the motor axis e_i over the elbow
+P_i = e_i + l1 u_i, u_i = (cos q_i, sin q_i), to the end effector x, |x - P_i| = l2.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from dextar_control.mechanisms.five_bar_locus import LEAST_CHORD, SIDES, FiveBarLocus
+from dextar_control.mechanisms.mechanism import Coordinate, Parameter
+from dextar_control.mechanisms.planar import (
+    circles,
+    direction,
+    friction,
+    leg_parameters,
+    nearest_two_link_angle,
+    rod,
+    two_link_angle,
+)
+from dextar_control.symbols.types import Array, Symbol
+
+
+class FiveBar(FiveBarLocus):
+    """Two 2R legs closed at the end effector; q_a = (q11, q21), x = (x, y)."""
+
+    name = "five_bar"
+    joints = (Coordinate("q11", "rad"), Coordinate("q21", "rad"))
+    coordinates = (Coordinate("x", "m"), Coordinate("y", "m"))
+    parameters = (
+        Parameter("base_distance", "m", "between the motor axes", above=0.0),
+        *(number for side in SIDES for number in leg_parameters(side)),
+        Parameter("end_effector_mass", "kg", "point mass at the end effector", 0.0),
+        Parameter("gravity", "m/s^2", "in the robot's plane", size=2),
+        Parameter("coulomb_speed", "rad/s", "over which Coulomb friction changes sign", above=0.0),
+        Parameter("working_mode", "1", "elbow side of the legs: +1 left of the line base -> end effector", -1.0, 1.0, size=2),
+    )
+
+    def elbow(self, leg: int, angle: Symbol | float, p: Any) -> Symbol:
+        """P_i (2,), m, at a motor's angle."""
+        return self.base(leg, p) + getattr(p, SIDES[leg]).proximal_length * direction(angle)
+
+    def closures(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """Half of |x - P_i|^2 - l2^2, m^2."""
+        rods = [x - self.elbow(leg, q_a[leg], p) for leg in range(2)]
+        lengths = [getattr(p, side).distal_length for side in SIDES]
+        return ca.vertcat(*(0.5 * (ca.sumsqr(r) - l2**2) for r, l2 in zip(rods, lengths, strict=True)))
+
+    def lagrangian(self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any) -> Symbol:
+        """Each distal rod is seen from its two ends, the elbow and the end effector."""
+        energy = 0.5 * p.end_effector_mass * ca.sumsqr(x_dot) + p.end_effector_mass * ca.dot(p.gravity, x)
+        for leg, side in enumerate(SIDES):
+            link, base = getattr(p, side), self.base(leg, p)
+            P = self.elbow(leg, q_a[leg], p)
+            P_dot = ca.jtimes(P, q_a, q_a_dot)
+            energy += 0.5 * link.rotor_inertia * q_a_dot[leg] ** 2
+            energy += rod(link.proximal_mass, link.proximal_center, link.proximal_inertia, link.proximal_length,
+                          (base, P), (ca.SX.zeros(2), P_dot), p.gravity)
+            energy += rod(link.distal_mass, link.distal_center, link.distal_inertia, link.distal_length,
+                          (P, x), (P_dot, x_dot), p.gravity)
+        return energy
+
+    def inverse_geometric_model(self, x: Symbol, p: Any) -> Symbol:
+        """In closed form, in [-pi, pi)."""
+        return ca.vertcat(*(
+            two_link_angle(x - self.base(leg, p), getattr(p, side).proximal_length, getattr(p, side).distal_length,
+                           p.working_mode[leg])
+            for leg, side in enumerate(SIDES)
+        ))
+
+    def nearest_joints(self, x: Symbol, p: Any) -> tuple[Symbol, Symbol]:
+        """In closed form."""
+        found = [
+            nearest_two_link_angle(x - self.base(leg, p), getattr(p, side).proximal_length, getattr(p, side).distal_length,
+                                   p.working_mode[leg])
+            for leg, side in enumerate(SIDES)
+        ]
+        return ca.vertcat(*(q for q, _ in found)), ca.vertcat(*(extension for _, extension in found))
+
+    def unreached(self, x: Array, q_a: Array, p: Any) -> str:
+        """The distance of the first leg that does not reach, and its limits."""
+        leg = int(np.argmin(np.isfinite(q_a)))
+        link, distance = getattr(p, SIDES[leg]), float(np.hypot(*(x - np.array(self.base(leg, p)).ravel())))
+        l1, l2 = float(link.proximal_length[0]), float(link.distal_length[0])
+        return (
+            f"point ({x[0]:.4f}, {x[1]:.4f}) m is {distance:.4f} m from the {SIDES[leg]} motor axis; "
+            f"the leg reaches {abs(l1 - l2):.4f} to {l1 + l2:.4f} m"
+        )
+
+    def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> Symbol:
+        """The distal links' circles about the elbows, never on the line of the elbows itself, where the velocity would be 0/0.
+
+        Elbows that coincide define no point: nan.
+        """
+        left, right = (self.elbow(leg, q_a[leg], p) for leg in range(2))
+        return circles(left, p.left.distal_length, right, p.right.distal_length, assembly_mode, LEAST_CHORD)
+
+    def mirror_image(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """Mirrored on the line of the elbows."""
+        first, second = (x - self.elbow(leg, q_a[leg], p) for leg in range(2))
+        side = first[0] * second[1] - first[1] * second[0]  # of the sign of s
+        return self.direct_geometric_model(q_a, ca.if_else(side > 0.0, -1.0, 1.0), p)
+
+    def why_open(self, q_a: Array, p: Any) -> str:
+        """By the distance of the elbows."""
+        left, right = (np.array(self.elbow(leg, float(q_a[leg]), p)).ravel() for leg in range(2))
+        distance = float(np.hypot(*(right - left)))
+        lengths = float(p.left.distal_length[0]), float(p.right.distal_length[0])
+        low, high = abs(lengths[0] - lengths[1]), sum(lengths)
+        if low <= distance <= high and distance != 0.0:
+            return ""
+        return f"the elbows are {distance:.6f} m apart; the distal links close {low:.6f} to {high:.6f} m"
+
+    def folded(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """Of the distal links: the image is a whole turn of them away where they point the same way."""
+        return ca.dot(x - self.elbow(0, q_a[0], p), x - self.elbow(1, q_a[1], p))
+
+    def singularity_of_joints(self, q_a: Symbol, p: Any) -> Symbol:
+        """Sine of the angle between the distal links, which follows from the distance of the elbows."""
+        l2, r2 = p.left.distal_length, p.right.distal_length
+        between = ca.sumsqr(self.elbow(1, q_a[1], p) - self.elbow(0, q_a[0], p))
+        cosine = 0.5 * (l2**2 + r2**2 - between) / (l2 * r2)
+        square = 1.0 - cosine**2
+        closes = square > 0.0
+        return ca.if_else(closes, ca.sqrt(ca.if_else(closes, square, 1.0)), 0.0)
+
+    def linkage(self, q_a: Array, x: Array, p: Any) -> Array:
+        """(5, 2) motor, elbow, end effector, elbow, motor, m, to draw; ``p`` has numbers."""
+        (left, first), (right, second) = ((self.base(leg, p), self.elbow(leg, float(q_a[leg]), p)) for leg in range(2))
+        return np.array(ca.horzcat(left, first, ca.DM(x), second, right)).T
+
+    def singularity_scale(self, p: Any) -> Symbol:
+        """s is then the sine of the angle between the distal links."""
+        return p.left.distal_length * p.right.distal_length
+
+    def singularity_length(self, p: Any) -> Symbol:
+        """Geometric mean of the distal lengths, m."""
+        return ca.sqrt(p.left.distal_length * p.right.distal_length)
+
+    def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """Sines of the elbows' angles."""
+        sines = []
+        for leg, side in enumerate(SIDES):
+            link, u = getattr(p, side), direction(q_a[leg])
+            r = x - self.elbow(leg, q_a[leg], p)
+            sines.append((u[0] * r[1] - u[1] * r[0]) / link.distal_length)
+        return ca.vertcat(*sines)
+
+    def friction(self, q_a_dot: Symbol, p: Any) -> Symbol:
+        """Of the motors."""
+        return friction(q_a_dot, [getattr(p, side) for side in SIDES], p.coulomb_speed)

@@ -1,0 +1,185 @@
+"""A mechanism with its numbers: one state's kinematics and dynamics as fast functions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from dextar_control.contract.errors import GeometryError, ParameterError
+from dextar_control.contract.robot import RobotParameters, flatten
+from dextar_control.mechanisms import mechanism_named
+from dextar_control.mechanisms.mechanism import Mechanism
+from dextar_control.model.equations import Equations, equations
+from dextar_control.model.solved import closed_near, mirror_image
+from dextar_control.symbols.functions import Fast, Library, cache_folder, named
+from dextar_control.symbols.types import Array, Symbol
+
+AnyModel = TypeVar("AnyModel", bound="Model")
+
+SOLVED = 1e-12  # m^2, of a closure that counts as closed
+CLOSED = 1e-9  # of the closures' own size, beyond which a geometric model does not satisfy them
+
+
+class Model:
+    """Functions of a mechanism for one robot; not for two threads at once.
+
+    Args:
+        mechanism: the equations.
+        values: by the dotted names of the mechanism's parameters.
+
+    Attributes:
+        p: the parameters as one vector.
+        n: degrees of freedom.
+        place: x -> q_a, A_r, s, type1, t_s, gradient (of s, 1/m); nan out of reach.
+        state: (q_a, x, x_dot) -> A_r, B, J_inv, q_a_dot, b, drift, s, type1, t_s: kinematics of a closed configuration.
+        wrenches: (q_a, x, x_dot, x_ddot) -> q_a_ddot, w_b, w_d, multipliers, tau, friction, criterion, t_s.
+        platform_dynamics: (q_a, x, x_dot, tau) -> M, h, x_ddot; regular on the Type 2 locus.
+
+    Raises:
+        ParameterError: a parameter is missing or out of its bounds.
+    """
+
+    def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
+        self.mechanism, self.n = mechanism, mechanism.n
+        self.p = mechanism.values(values)
+        self.library = library_of(mechanism)
+        self._inverse = self.library.fast("inverse_geometric_model")
+        self.place, self.state, self.wrenches, self.platform_dynamics = (
+            self._bound(name) for name in ("place", "state", "wrenches", "platform_dynamics")
+        )
+
+    @classmethod
+    def of(cls: type[AnyModel], robot: RobotParameters) -> AnyModel:
+        """That of a robot's description."""
+        return cls(mechanism_named("five_bar"), flatten(robot))
+
+    def _bound(self, name: str) -> Any:
+        fast: Fast = self.library.fast(name)
+        return lambda *arguments: fast(self.p, *arguments)
+
+    def inverse_geometric_model(self, x: Array) -> Array:
+        """q_a (n,) of a platform position x (n,).
+
+        Raises:
+            GeometryError: a leg does not reach it.
+        """
+        (q_a,) = self._inverse(self.p, x)
+        if not np.isfinite(q_a).all():
+            raise GeometryError(self.mechanism.unreached(np.asarray(x), q_a, self.mechanism.named(self.p)))
+        return np.asarray(q_a)
+
+    def type1_distance(self, x: Array) -> float:
+        """Least sine of a leg's angle at a platform position x (n,): zero at a Type 1 singularity; nan out of reach."""
+        return float(self.place(x).type1[0])
+
+    def direct_geometric_model(self, q_a: Array, assembly_mode: float, near: Array) -> Array:
+        """x (n,) of joints q_a (n,) with sign(s) = assembly_mode, clamped on the locus; nan where the loops do not close.
+
+        Args:
+            near: (n,) where the search begins that a mechanism without a closed form needs.
+        """
+        if "direct_geometric_model" in self.library.symbolic:
+            return np.asarray(self.library.fast("direct_geometric_model")(self.p, q_a, assembly_mode).x)
+        solve = self.library.fast("closed_near")
+        found = solve(self.p, q_a, near)
+        if found.s[0] * assembly_mode < 0.0:
+            found = solve(self.p, q_a, found.image)
+        good = found.gap[0] < SOLVED and found.s[0] * assembly_mode > 0.0
+        return np.asarray(found.x if good else np.full(self.n, np.nan))
+
+    def close(self, q_a: Array, assembly_mode: float) -> Array:
+        """x (n,) of joints q_a (n,) with sign(s) = assembly_mode.
+
+        Raises:
+            GeometryError: the loops do not close there.
+        """
+        problem = self.mechanism.why_open(np.asarray(q_a), self.mechanism.named(self.p))
+        x = self.direct_geometric_model(q_a, assembly_mode, np.zeros(self.n))
+        if problem or not np.isfinite(x).all():
+            raise GeometryError(problem or f"the loops of {self.mechanism.name} do not close at joints {np.round(q_a, 6)}")
+        return x
+
+
+@lru_cache
+def equations_of(mechanism: Mechanism) -> Equations:
+    """The equations of a mechanism, once."""
+    return equations(mechanism)
+
+
+@lru_cache
+def library_of(mechanism: Mechanism) -> Library:
+    """The functions of a mechanism, compiled where that can be done, once.
+
+    Raises:
+        ParameterError: the mechanism contradicts itself.
+    """
+    e = equations_of(mechanism)
+    vector, p = mechanism.symbols()
+    x = ca.SX.sym("x", mechanism.n)
+    closed = {"p": e.p, "q_a": e.q_a, "x": e.x, "x_dot": e.x_dot}
+    functions = [
+        named("inverse_geometric_model", {"p": vector, "x": x}, {"q_a": mechanism.inverse_geometric_model(x, p)}),
+        named("state", closed, {
+            "A_r": e.A_r, "B": e.B, "J_inv": e.J_inv, "q_a_dot": e.q_a_dot, "b": e.b, "drift": e.drift, "s": e.s,
+            "type1": e.type1, "t_s": e.singular.v_weak,
+        }),
+        named("place", {"p": vector, "x": x}, _place(mechanism, e, vector, x)),
+        named("wrenches", closed | {"x_ddot": e.x_ddot}, {
+            "q_a_ddot": e.q_a_ddot, "w_b": e.w_b, "w_d": e.w_d, "multipliers": e.multipliers,
+            "tau": e.inverse_dynamics + e.friction, "friction": e.friction, "criterion": e.criterion, "t_s": e.singular.v_weak,
+        }),
+        named("platform_dynamics", closed | {"tau": e.tau}, {"M": e.M, "h": e.h, "x_ddot": e.forward_dynamics}),
+    ]  # fmt: skip
+    q_a, mode = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("assembly_mode")
+    direct = mechanism.direct_geometric_model(q_a, mode, p)
+    if direct is None:
+        functions.append(_closed_near(mechanism, e))
+    else:
+        functions.append(named("direct_geometric_model", {"p": vector, "q_a": q_a, "assembly_mode": mode}, {"x": direct}))
+    return Library(functions, cache_folder())
+
+
+def _place(mechanism: Mechanism, e: Equations, vector: Symbol, x: Symbol) -> dict[str, Symbol]:
+    """What there is to say of a place of the platform."""
+    at = e.at(vector, mechanism.inverse_geometric_model(x, mechanism.named(vector)), x, ca.SX.zeros(mechanism.n))
+    return {"q_a": at.q_a, "A_r": at.A_r, "s": at.s, "type1": at.type1, "t_s": at.singular.v_weak,
+            "gradient": ca.gradient(at.s, x)}
+
+
+def _closed_near(mechanism: Mechanism, e: Equations) -> ca.Function:
+    """The platform of given joints by Newton's method from a place near it, and its mirror image."""
+    vector, p = mechanism.symbols()
+    q_a, near = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("near", mechanism.n)
+    x = closed_near(mechanism, q_a, near, p)
+    s = e.at(vector, q_a, x, ca.SX.zeros(mechanism.n)).s
+    return named("closed_near", {"p": vector, "q_a": q_a, "near": near}, {
+        "x": x, "gap": ca.norm_inf(mechanism.closures(q_a, x, p)), "s": s, "image": mirror_image(mechanism, q_a, x, p),
+    })  # fmt: skip
+
+
+def check_geometry(model: Model, places: Array) -> None:
+    """The geometric models satisfy the closures.
+
+    Args:
+        model: of the robot.
+        places: (m, n) platform positions that it reaches.
+
+    Raises:
+        ParameterError: they do not, or there is no such place.
+    """
+    mechanism = model.mechanism
+    vector, p = mechanism.symbols()
+    q_a, x = ca.SX.sym("q_a", model.n), ca.SX.sym("x", model.n)
+    closures = ca.Function("closures", [vector, q_a, x], [mechanism.closures(q_a, x, p)])
+    size = float(np.abs(np.array(closures(model.p, np.zeros(model.n), places[0]))).max())
+    for place in places:
+        gap = float(np.abs(np.array(closures(model.p, model.inverse_geometric_model(place), place))).max())
+        if not gap <= CLOSED * max(size, 1e-12):
+            raise ParameterError(
+                f"the inverse geometric model of {mechanism.name} leaves its closures open by {gap:.3g} at x ="
+                f" {np.round(place, 6).tolist()}; it must satisfy them"
+            )

@@ -1,0 +1,43 @@
+"""Geometric models without a closed form, solved."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from dextar_control.mechanisms.mechanism import Mechanism
+from dextar_control.symbols.singular import singular_vectors
+from dextar_control.symbols.types import Symbol
+
+NEWTON_STEPS = 6  # from a guess of the second order: each doubles the digits
+
+
+def mirror_image(mechanism: Mechanism, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    """The other place (n,) of the platform that the joints q_a leave, with -sign(s); near the locus near to x.
+
+    Where the mechanism knows no closed form it is found by Newton's method, from where the quadratic terms of the closures put it
+    along the weak direction.
+    """
+    known = mechanism.mirror_image(q_a, x, p)
+    if known is not None:
+        return known
+    place = ca.SX.sym("place", mechanism.n)
+    closures = mechanism.closures(q_a, place, p)
+    A_r = ca.jacobian(closures, place)
+    weak = singular_vectors(ca.substitute(A_r, place, x))
+    turned = ca.jtimes(A_r @ weak.v_weak, place, weak.v_weak)
+    curvature = ca.dot(weak.u_weak, ca.substitute(turned, place, x))
+    guess = x - 2.0 * weak.sigma_weak / curvature * weak.v_weak
+    return closed_near(mechanism, q_a, guess, p)
+
+
+def closed_near(mechanism: Mechanism, q_a: Symbol, guess: Symbol, p: Any) -> Symbol:
+    """The place (n,) of the platform that closes the loops, by Newton's method from a guess near it."""
+    place = ca.SX.sym("place", mechanism.n)
+    closures = mechanism.closures(q_a, place, p)
+    A_r, found = ca.jacobian(closures, place), guess
+    for _ in range(NEWTON_STEPS):
+        gap, slope = ca.substitute([closures, A_r], [place], [found])
+        found = found - ca.solve(slope, gap)
+    return found

@@ -1,0 +1,193 @@
+"""One way between two given places on two sides of the locus, rest to rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dextar_control.contract.errors import GeometryError, TrajectoryError
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.planning.attempts import (
+    BASE_DURATION,
+    PACE,
+    RESTART_SPREAD,
+    RESTARTS,
+    Best,
+    check_duration,
+    refuse,
+    shaken,
+    stretched,
+)
+from dextar_control.planning.certificate import Plan
+from dextar_control.planning.locus import MIN_END_S, LocusPoint, beside, make_point, place_of, trace_locus
+from dextar_control.planning.regions import find_way, make_regions
+from dextar_control.planning.regular import side_of
+from dextar_control.planning.search import Criterion, Problem, Progress, crossing_problem
+from dextar_control.symbols.record import Record
+from dextar_control.symbols.types import Array
+
+SHIFTS = (0.0, 0.025, -0.025)  # m along the locus, of the places where a crossing is tried
+DETOUR = 1.05  # length of a way over the straight one above which the guess is bent
+OPEN = ("split", "velocity", "strong", "jerk")  # what the search chooses, beside where to cross if that is open
+BENDS = ("first_bends", "second_bends")
+
+
+def _ends(robot: RobotParameters, start: Array, goal: Array) -> tuple[float, float]:
+    """s at start and goal, both checked.
+
+    Raises:
+        GeometryError: one is unreachable or too near to Type 1 or Type 2.
+        TrajectoryError: both lie on one side.
+    """
+    sides = []
+    for name, x in (("start", start), ("goal", goal)):
+        s = side_of(robot, name, x)
+        if abs(s) < MIN_END_S:
+            raise GeometryError(
+                f"{name} ({x[0]:.4f}, {x[1]:.4f}) m is too near to the Type 2 locus: |s| = {abs(s):.3f}; the limit is {MIN_END_S}"
+            )
+        sides.append(s)
+    if sides[0] * sides[1] > 0.0:
+        raise TrajectoryError(
+            f"start and goal lie on the same side of the Type 2 locus (s = {sides[0]:.3f} and {sides[1]:.3f});"
+            " they must lie on two"
+        )
+    return sides[0], sides[1]
+
+
+def plan_crossing(
+    robot: RobotParameters,
+    start: Array,
+    goal: Array,
+    duration: float | None = None,
+    *,
+    point: LocusPoint | Array | None = None,
+    criterion: Criterion = Criterion.RECIPROCAL,
+    progress: Progress | None = None,
+) -> Plan:
+    """One way from start to goal, rest to rest, through the locus once.
+
+    Args:
+        start, goal: (2,) m, on two sides of the Type 2 locus.
+        duration: s; chosen when None, so that the peak torque is TORQUE_SHARE of the limit.
+        point: of the locus where to cross; chosen when None.
+        criterion: what holds at the crossing.
+        progress: called with the fraction done and what is being tried.
+
+    Raises:
+        GeometryError: start or goal is unreachable or too near to Type 1 or Type 2, or the point is off the locus.
+        TrajectoryError: both lie on one side, Type 1 parts them, or no way within the limits was found; the
+            message names the limit that the best one breaks and the nearest duration that works.
+    """
+    check_duration(duration)
+    start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
+    sides = _ends(robot, start, goal)
+    place = None if point is None else place_of(robot, point)
+
+    return _between(robot, start, goal, sides, place, duration, criterion, progress)
+
+
+def _parts(
+    robot: RobotParameters, start: Array, goal: Array, sides: tuple[float, float], place: LocusPoint | None
+) -> tuple[Array, Array]:
+    """The places of a way from start to goal before and after its crossing.
+
+    Raises:
+        TrajectoryError: Type 1 parts start and goal.
+    """
+    regions = make_regions(robot)
+    if place is None:
+        found = find_way(regions, start, sides[0], goal, sides[1])
+        if found is not None:
+            way, turn = found
+            return way[:turn], way[turn:]
+    else:
+        first = find_way(regions, start, sides[0], place.x, sides[0])
+        second = find_way(regions, place.x, sides[1], goal, sides[1])
+        if first is not None and second is not None:
+            return first[0], second[0]
+    through = "crosses the Type 2 locus once" if place is None else f"leads through ({place.x[0]:.4f}, {place.x[1]:.4f}) m"
+    raise TrajectoryError(
+        f"Type 1 parts start ({start[0]:.4f}, {start[1]:.4f}) and goal ({goal[0]:.4f}, {goal[1]:.4f}) m: no way between them"
+        f" {through} and keeps {robot.min_type1_distance} from Type 1 in working mode {list(robot.working_mode)}"
+    )
+
+
+def _nearest_on_locus(robot: RobotParameters, x: Array) -> LocusPoint:
+    arcs = trace_locus(robot, (robot.working_mode,), robot.min_type1_distance)
+    arc = min(arcs, key=lambda arc: float(np.hypot(*(arc.x - x).T).min()))
+    return make_point(robot, arc.working_mode, arc.family, arc.branch, float(arc.angles[np.argmin(np.hypot(*(arc.x - x).T))]))
+
+
+def _length(way: Array) -> float:
+    return float(np.hypot(*np.diff(way, axis=0).T).sum())
+
+
+def _guess(problem: Problem, point: LocusPoint, before: Array, after: Array, bent: bool) -> Record:
+    """The variables of a way given by its places before and after the crossing, bent along them or straight."""
+    unit = problem.task.length
+    before, after = np.vstack([before, point.x]), np.vstack([point.x, after])
+    lengths = _length(before), _length(after)
+    ahead = after[-1] - before[0] if len(before) < 4 or len(after) < 4 else after[3] - before[-4]
+    normal = problem.task.sign * point.gradient / np.hypot(*point.gradient)
+    ahead = ahead / np.hypot(*ahead)
+    ahead = ahead + max(0.0, 0.4 - float(ahead @ normal)) * normal
+    z = problem.variables.make(
+        start=before[0] / unit, goal=after[-1] / unit, place=point.angle, split=np.clip(lengths[0] / sum(lengths), 0.3, 0.7),
+        velocity=1.8 * sum(lengths) / unit * ahead / np.hypot(*ahead),
+    )
+    if bent:
+        z.first_bends, z.second_bends = (_bends(way) / unit for way in (before, after))
+    return z
+
+
+def _bends(way: Array) -> Array:
+    """(2, 2): the first bump takes the middle of the straight way to the middle of this one (n, 2), m; the second is none."""
+    reached = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
+    middle = np.array([np.interp(0.5 * reached[-1], reached, way[:, axis]) for axis in range(2)])
+    return np.column_stack([middle - 0.5 * (way[0] + way[-1]), np.zeros(2)])
+
+
+def _between(
+    robot: RobotParameters,
+    start: Array,
+    goal: Array,
+    sides: tuple[float, float],
+    place: LocusPoint | None,
+    duration: float | None,
+    criterion: Criterion,
+    progress: Progress | None,
+) -> Plan:
+    before, after = _parts(robot, start, goal, sides, place)
+    length = _length(np.vstack([before, after]))
+    scale = BASE_DURATION + length / PACE if duration is None else duration
+    middle = place or _nearest_on_locus(robot, 0.5 * (before[-1] + after[0]))
+    free = OPEN + (("place",) if place is None else ())
+    direct = length < DETOUR * float(np.hypot(*(goal - start)))
+    attempts: list[tuple[LocusPoint, bool]] = [(middle, False)] if direct else []
+    shifted: Sequence[LocusPoint | None] = [beside(robot, middle, shift) for shift in SHIFTS] if place is None else [middle]
+    attempts += [(point, True) for point in shifted if point is not None]
+    best = Best(robot)
+    for row, (point, bent) in enumerate(attempts):
+        if progress is not None:
+            progress(row / len(attempts), f"crossing near ({point.x[0]:.4f}, {point.x[1]:.4f}) m")
+        opened = free + (BENDS if bent else ())
+        problem = crossing_problem(robot, point, float(np.sign(sides[1])), scale, criterion, opened, 0.0)
+        if best.offer(problem, _guess(problem, point, before, after, bent)):
+            break
+    generator = np.random.default_rng(0)
+    for row in range(RESTARTS):
+        if best.plan is not None or best.problem is None or best.z is None:
+            break
+        if progress is not None:
+            progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS}")
+        best.offer(best.problem, shaken(best.z, best.problem.free, generator, RESTART_SPREAD))
+    if progress is not None:
+        progress(1.0, "certified" if best.plan is not None else "not found")
+    if duration is None and best.problem is not None and best.z is not None:
+        return stretched(robot, best.problem, best.z)
+    if best.plan is not None:
+        return best.plan
+    what = f"way from ({start[0]:.4f}, {start[1]:.4f}) to ({goal[0]:.4f}, {goal[1]:.4f}) m"
+    raise refuse(robot, what, best, lambda: None)

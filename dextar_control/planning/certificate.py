@@ -1,0 +1,157 @@
+"""What a trajectory does at and between its crossings, measured against the robot's limits."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.planning.model import planning_model
+from dextar_control.planning.profile import ON_CROSSING, Profile, find_crossings, sample_profile, sample_times
+from dextar_control.planning.trajectory import Trajectory
+from dextar_control.symbols.types import Array
+
+PLAN_RESIDUAL = 1e-9  # N, at the crossing of a plan
+NEAR_LOCUS = 0.1  # |s| below which a torque counts as near the locus
+
+
+class Crossing(NamedTuple):
+    """One crossing of a checked trajectory."""
+
+    time: float  # s
+    x: tuple[float, ...]  # m
+    x_dot: tuple[float, ...]  # m/s
+    family: str  # of the locus: "stretched" or "folded"
+    sign: int  # of s after the crossing; 0 when it leaves the workspace there
+    rate: float  # of s, 1/s
+    speed: float  # along t_s, m/s
+    residual: float  # |t_s.w_d|, N
+    multipliers: tuple[float, ...]  # limit on the locus, N/m
+    torque: tuple[float, ...]  # limit on the locus, N m
+    near_time: float  # s within |s| < NEAR_LOCUS about the crossing
+
+
+class Certificate(NamedTuple):
+    """A checked trajectory: its crossings and its extremes."""
+
+    crossing_times: Array  # (k,) s
+    crossing_points: Array  # (k, n) m
+    crossing_signs: Array  # (k,) sign of s after the crossing
+    crossing_speeds: Array  # (k,) along t_s, m/s
+    residuals: Array  # (k,) |t_s.w_d| at the crossing, N
+    multipliers: Array  # (k, n) limit of lambda on the locus, N/m
+    peak_torque: float  # N m
+    peak_torque_near: float  # N m, within |s| < NEAR_LOCUS; nan without a crossing
+    peak_joint_speed: float  # rad/s
+    peak_platform_speed: float  # m/s
+    least_type1: float
+    duration: float  # s
+    profile: Profile
+    crossings: tuple[Crossing, ...] = ()
+    least_s: float = float("nan")  # |s| at the start and the end
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the profile, in plain numbers and lists: what travels with the trajectory."""
+        return {
+            "duration": self.duration, "peak_torque": self.peak_torque, "peak_torque_near": self.peak_torque_near,
+            "peak_joint_speed": self.peak_joint_speed, "peak_platform_speed": self.peak_platform_speed,
+            "least_type1": self.least_type1, "least_s": self.least_s,
+            "crossings": [crossing._asdict() for crossing in self.crossings],
+        }
+
+    def to_json(self) -> str:
+        """``to_dict`` as JSON; a number that does not exist is null."""
+        return json.dumps(_finite(self.to_dict()), allow_nan=False)
+
+    def lines(self) -> list[str]:
+        """The certificate in words, one fact a line."""
+        text = [
+            f"duration {self.duration:.3f} s, peak torque {self.peak_torque:.4f} N m"
+            f", peak joint speed {self.peak_joint_speed:.2f} rad/s, peak platform speed {self.peak_platform_speed:.3f} m/s"
+            f", distance to Type 1 {self.least_type1:.3f}"
+        ]
+        for index, crossing in enumerate(self.crossings):
+            text.append(
+                f"crossing {index + 1} ({crossing.family}, to s {'>' if crossing.sign > 0 else '<'} 0) at {crossing.time:.4f} s"
+                f" in {_list(crossing.x)} m, {crossing.speed:.3f} m/s along t_s"
+                f", {1e3 * crossing.near_time:.0f} ms within |s| < {NEAR_LOCUS}"
+                f", residual {crossing.residual:.1e} N, multiplier {_list(crossing.multipliers, 3)} N/m"
+                f", torque {_list(crossing.torque)} N m"
+            )
+        return text
+
+
+def _list(values: tuple[float, ...], digits: int = 4) -> str:
+    return f"({', '.join(f'{value:.{digits}f}' for value in values)})"
+
+
+def _finite(value: Any) -> Any:
+    """Plain data with None for each number that is not finite."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+class Plan(NamedTuple):
+    """A served trajectory and what was checked about it."""
+
+    trajectory: Trajectory
+    certificate: Certificate
+
+
+def measure(robot: RobotParameters, trajectory: Trajectory, period: float = 1e-3) -> Certificate:
+    """A trajectory's crossings and extremes, limits unchecked."""
+    times = sample_times(trajectory, period)
+    rough = sample_profile(robot, trajectory, times)
+    crossings = find_crossings(robot, trajectory, times, rough.s)
+    profile = sample_profile(robot, trajectory, np.union1d(times, crossings)) if len(crossings) else rough
+    rows = np.searchsorted(profile.time, crossings)
+    near = np.abs(profile.s) < NEAR_LOCUS
+    after = np.minimum(np.searchsorted(times, crossings + ON_CROSSING, side="right"), len(times) - 1)
+    far = np.flatnonzero(np.abs(profile.s) >= NEAR_LOCUS)
+    signs = np.sign(rough.s[after])
+    found = tuple(_crossing(robot, profile, far, int(row), float(sign)) for row, sign in zip(rows, signs, strict=True))
+    return Certificate(
+        crossing_times=crossings,
+        crossing_points=profile.x[rows],
+        crossing_signs=signs,
+        crossing_speeds=np.array([crossing.speed for crossing in found]),
+        residuals=np.abs(profile.residual[rows]),
+        multipliers=profile.multipliers[rows],
+        peak_torque=float(np.abs(profile.torque).max()),
+        peak_torque_near=float(np.abs(profile.torque[near]).max()) if near.any() else float("nan"),
+        peak_joint_speed=float(np.abs(profile.q_a_dot).max()),
+        peak_platform_speed=float(np.linalg.norm(profile.x_dot, axis=1).max()),
+        least_type1=float(profile.type1.min()),
+        duration=trajectory.duration,
+        profile=profile,
+        crossings=found,
+        least_s=float(np.abs(profile.s[[0, -1]]).min()),
+    )
+
+
+def _crossing(robot: RobotParameters, profile: Profile, far: NDArray[np.int64], row: int, sign: float) -> Crossing:
+    """The crossing at one row of a profile, whose rows ``far`` lie away from the locus."""
+    model, x, x_dot = planning_model(robot), profile.x[row], profile.x_dot[row]
+    found = model.place(x)
+    place = int(np.searchsorted(far, row))
+    enter = profile.time[far[place - 1] + 1] if place > 0 else profile.time[0]
+    leave = profile.time[far[place] - 1] if place < len(far) else profile.time[-1]
+    near = slice(max(row - 1, 0), row + 2)
+    span = np.ptp(profile.time[near])
+    return Crossing(
+        time=float(profile.time[row]), x=_tuple(x), x_dot=_tuple(x_dot),
+        family=model.mechanism.family(found.A_r).name.lower(), sign=int(np.nan_to_num(sign)),
+        rate=float(np.diff(profile.s[near][[0, -1]])[0] / span) if span > 0.0 else float("nan"),
+        speed=float(abs(found.t_s @ x_dot)), residual=float(abs(profile.residual[row])),
+        multipliers=_tuple(profile.multipliers[row]), torque=_tuple(profile.torque[row]), near_time=float(leave - enter),
+    )
+
+
+def _tuple(values: Array) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)

@@ -1,0 +1,126 @@
+"""Trajectories checked against the criterion, the workspace and the robot's limits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dextar_control.contract.errors import TrajectoryError
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.planning.certificate import Certificate, measure
+from dextar_control.planning.profile import Profile
+from dextar_control.planning.trajectory import Trajectory
+from dextar_control.symbols.types import Array
+
+SIDE = 0.3  # |s| of a plan before and after a crossing that is clear of the locus
+REST_SPEED = 1e-6  # m/s
+REST_ACCELERATION = 1e-3  # m/s^2
+
+
+def certify(
+    robot: RobotParameters,
+    trajectory: Trajectory,
+    *,
+    max_residual: float,
+    crossings: int | None = None,
+    period: float = 1e-3,
+) -> Certificate:
+    """A trajectory checked against the criterion, the workspace and the robot's limits.
+
+    Args:
+        max_residual: of the criterion at a crossing, N.
+        crossings: how many there must be; any number when None.
+        period: of the samples, s.
+
+    Raises:
+        TrajectoryError: names the value, the limit and where.
+    """
+    certificate = measure(robot, trajectory, period)
+    profile = certificate.profile
+
+    def fail(what: str, value: float, limit: float, unit: str, row: int) -> TrajectoryError:
+        x, y = profile.x[row]
+        return TrajectoryError(
+            f"{what} is {value:.4g} {unit}; the limit is {limit:.4g} {unit} (at {profile.time[row]:.4f} s, ({x:.4f}, {y:.4f}) m)"
+        )
+
+    unreachable = ~np.isfinite(profile.q_a).all(axis=1)
+    if unreachable.any():
+        row = int(np.argmax(unreachable))
+        x, y = profile.x[row]
+        raise TrajectoryError(f"point ({x:.4f}, {y:.4f}) m at {profile.time[row]:.4f} s lies outside the workspace")
+    if certificate.least_type1 < robot.min_type1_distance:
+        row = int(np.argmin(profile.type1))
+        raise fail("the distance to Type 1", certificate.least_type1, robot.min_type1_distance, "(least |sin|)", row)
+    check_joint_range(robot, profile)
+    for index, residual in enumerate(certificate.residuals):
+        if not residual <= max_residual:
+            row = int(np.searchsorted(profile.time, certificate.crossing_times[index]))
+            raise fail(f"the criterion's residual |t_s.w_d| at crossing {index + 1}", residual, max_residual, "N", row)
+    if crossings is not None and len(certificate.crossing_times) != crossings:
+        instants = ", ".join(f"{time:.4f} s" for time in certificate.crossing_times) or "none"
+        raise TrajectoryError(
+            f"the trajectory crosses the locus {len(certificate.crossing_times)} times ({instants}); it must {crossings} times"
+        )
+    limits = (
+        ("the peak torque", np.abs(profile.torque).max(axis=1), robot.max_torque, "N m"),
+        ("the peak joint speed", np.abs(profile.q_a_dot).max(axis=1), robot.max_joint_speed, "rad/s"),
+        ("the peak platform speed", np.linalg.norm(profile.x_dot, axis=1), robot.max_platform_speed, "m/s"),
+    )
+    for what, values, limit, unit in limits:
+        row = int(np.nanargmax(values))
+        if not values[row] <= limit:
+            raise fail(what, float(values[row]), limit, unit, row)
+    return certificate
+
+
+def beyond_range(robot: RobotParameters, q_a: Array) -> Array:
+    """How far each active joint (..., n), rad, on any turn, is outside its range, rad; negative inside.
+
+    A range of a whole turn is no bound.
+    """
+    low, high = (np.array([getattr(leg, key) for leg in robot.legs]) for key in ("min_angle", "max_angle"))
+    off = q_a - 0.5 * (low + high)
+    return np.asarray(np.abs(off - 2.0 * np.pi * np.floor((off + np.pi) / (2.0 * np.pi))) - 0.5 * (high - low))
+
+
+def check_joint_range(robot: RobotParameters, profile: Profile) -> None:
+    """Raise TrajectoryError where an active joint leaves its range; names the joint, its angle and the range."""
+    beyond = beyond_range(robot, profile.q_a)
+    row, leg = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+    if beyond[row, leg] > 0.0:
+        low, high = robot.legs[leg].min_angle, robot.legs[leg].max_angle
+        x, y = profile.x[row]
+        raise TrajectoryError(
+            f"the {('left', 'right')[leg]} joint's angle is {profile.q_a[row, leg]:.4g} rad, {beyond[row, leg]:.4g} rad outside"
+            f" its range; the limits are {low:.4g} and {high:.4g} rad (at {profile.time[row]:.4f} s, ({x:.4f}, {y:.4f}) m)"
+        )
+
+
+def check_rest(trajectory: Trajectory) -> None:
+    """Raise TrajectoryError unless the trajectory starts and ends at rest."""
+    for name, time in (("start", 0.0), ("end", trajectory.duration)):
+        point = trajectory.at(time)
+        speed, acceleration = float(np.hypot(*point.x_dot)), float(np.hypot(*point.x_ddot))
+        if speed > REST_SPEED:
+            raise TrajectoryError(f"the {name} moves at {speed:.4g} m/s; it must rest (limit {REST_SPEED:.0e} m/s)")
+        if acceleration > REST_ACCELERATION:
+            raise TrajectoryError(
+                f"the {name} accelerates at {acceleration:.4g} m/s^2; it must rest (limit {REST_ACCELERATION:.0e} m/s^2)"
+            )
+
+
+def clear_times(certificate: Certificate, index: int) -> tuple[float, float]:
+    """Times before and after a planned crossing at which the plan is clear of the locus.
+
+    Its |s| is SIDE there, or where it does not come so far before the neighbouring crossings the largest.
+    """
+    time, s = certificate.profile.time, certificate.profile.s
+    neighbours = [time[0], *certificate.crossing_times.tolist(), time[-1]]
+    first, row, last = np.searchsorted(time, neighbours[index : index + 3]).tolist()
+    before, after = np.abs(s[first:row][::-1]), np.abs(s[row : last + 1])
+    return float(time[row - 1 - _clear_row(before)]), float(time[row + _clear_row(after)])
+
+
+def _clear_row(clearance: np.ndarray) -> int:
+    clear = np.flatnonzero(clearance >= SIDE)
+    return int(clear[0]) if len(clear) else int(np.argmax(clearance)) if len(clearance) else 0

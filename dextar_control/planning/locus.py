@@ -1,0 +1,289 @@
+"""The Type 2 locus of a robot: traced in closed form, in every working mode, and points of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from dextar_control.contract.errors import GeometryError, ParameterError
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.mechanisms.five_bar import FiveBar
+from dextar_control.mechanisms.five_bar_locus import Family
+from dextar_control.planning.model import PlanningModel, planning_model
+from dextar_control.symbols.types import Array
+
+WORKING_MODES = FiveBar.working_modes
+TRACE = 1440  # samples of a full turn of the tracing angle
+MIN_CROSSING_TYPE1 = 0.2  # distance to Type 1 of a point that is offered for crossing
+THIN = 6  # trace samples that share one look at their surroundings
+ON_LOCUS = 1e-3  # m, a point this near is taken as the locus point beside it
+MIN_END_S = 0.4  # |s| at start and goal: there the direct model holds the estimate again (hold_zone + hold_width)
+REST_S = 0.5  # |s| of a rest that the planner offers itself
+REST_REACH = 1.0  # of the mean distal length: how far from the locus such a rest is looked for
+DIRECTIONS, STEPS = 24, 24  # of that search
+
+Mode = tuple[int, ...]
+
+
+class LocusPoint(NamedTuple):
+    """A point of the locus in one working mode, with what a crossing there needs."""
+
+    x: Array  # (n,) m
+    working_mode: Mode
+    family: Enum
+    t_s: Array  # (n,) unit kernel of A_r
+    gradient: Array  # (n,) of s, 1/m: a crossing towards s > 0 moves along it
+    type1: float  # distance to Type 1
+    branch: int  # +1 or -1: which of the family's two
+    angle: float  # along the branch, rad
+
+
+class Arc(NamedTuple):
+    """A connected piece of the locus in one working mode, traced."""
+
+    working_mode: Mode
+    family: Enum
+    branch: int
+    angles: Array  # (m,) rising, rad
+    x: Array  # (m, n) m
+    length: Array  # (m,) from the arc's begin, m
+
+
+def locus_position(model: PlanningModel, family: Enum, branch: int, angle: float) -> Array:
+    """Position (n,), m, of the locus at a tracing angle, rad."""
+    x: Array = model.locus([family.value], [branch], np.array([[angle]])).x[0]
+    return x
+
+
+def rests_around(model: PlanningModel, points: Array, clear: float, least_s: float) -> list[Array]:
+    """Places around locus points (m, 2), straight ahead of each: per point, (k, 4) x, y, s and distance to Type 1.
+
+    The straight line from the point to each keeps the sign of s and the distance ``clear`` from Type 1; along each of the
+    directions the farthest place within REST_REACH and the first one with |s| >= least_s count.
+    """
+    turns = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    away = REST_REACH * model.length * np.arange(1, STEPS + 1) / STEPS
+    places = points[:, None, None] + away[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=1)[:, None]
+    found = model.sides(places.reshape(-1, 2))
+    s, type1 = (values.reshape(places.shape[:3]) for values in (found.s, found.type1))
+    with np.errstate(invalid="ignore"):
+        side = s[:, :, :1]  # of each line, from its first step on
+        seen = np.logical_and.accumulate((s * side > 0.0) & (type1 >= clear), axis=2) & (np.abs(s) >= least_s)
+    ends = np.zeros_like(seen)
+    rows, directions = np.nonzero(seen.any(axis=2))
+    lines = seen[rows, directions]
+    for step in (lines.argmax(axis=1), STEPS - 1 - lines[:, ::-1].argmax(axis=1)):
+        ends[rows, directions, step] = True
+    table = np.concatenate([places, s[..., None], type1[..., None]], axis=3)
+    return [table[row][ends[row]] for row in range(len(points))]
+
+
+def are_crossable(model: PlanningModel, points: Array, clear: float) -> NDArray[np.bool_]:
+    """Whether a rest lies straight ahead on both sides of each locus point (m, 2)."""
+    rests = rests_around(model, points, clear, REST_S)
+    return np.array([bool((places[:, 2] > 0.0).any() and (places[:, 2] < 0.0).any()) for places in rests], dtype=bool)
+
+
+@lru_cache(maxsize=64)
+def trace_locus(
+    robot: RobotParameters,
+    working_modes: tuple[Mode, ...] = WORKING_MODES,
+    type1: float = MIN_CROSSING_TYPE1,
+    crossable: bool = False,
+) -> list[Arc]:
+    """The locus in connected arcs, each in one working mode and at least ``type1`` from Type 1.
+
+    Args:
+        robot: whose working mode does not matter.
+        working_modes: the ones wanted.
+        type1: least distance to Type 1.
+        crossable: only where a rest lies straight ahead on both sides, that far from Type 1.
+    """
+    model = planning_model(robot)
+    angles = np.linspace(-np.pi, np.pi, TRACE + 1)
+    arcs = []
+    for family in model.mechanism.families:
+        for branch in (1, -1):
+            traced = model.locus([family.value], [branch], angles[:, None])
+            modes: list[Mode] = [tuple(mode) for mode in model.mechanism.modes(traced.type1_sines).tolist()]
+            with np.errstate(invalid="ignore"):
+                fit = (np.abs(traced.type1_sines).min(axis=1) >= type1) & (traced.closing[:, 0] >= 0.0)
+            fit &= np.array([mode in working_modes for mode in modes])
+            if crossable:
+                fit &= _passable(robot, traced.x, modes, fit, type1)
+            begin = 0
+            for k in range(1, len(angles) + 1):
+                if k < len(angles) and fit[k] == fit[begin] and modes[k] == modes[begin]:
+                    continue
+                if fit[begin] and k - begin > 1:
+                    x = traced.x[begin:k]
+                    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
+                    arcs.append(Arc(modes[begin], family, branch, angles[begin:k], x, length))
+                begin = k
+    return arcs
+
+
+def _passable(
+    robot: RobotParameters, x: Array, modes: list[Mode], fit: NDArray[np.bool_], type1: float
+) -> NDArray[np.bool_]:
+    """Which traced places (m, n) lie between two thinned ones that can be crossed."""
+    seen = np.zeros(len(x), dtype=bool)
+    thinned = np.arange(0, len(x), THIN)
+    for mode in set(modes):
+        rows = [k for k in thinned if fit[k] and modes[k] == mode]
+        seen[rows] = are_crossable(planning_model(robot.replace(working_mode=mode)), x[rows], type1) if rows else False
+    every = np.arange(len(x))
+    return seen[every // THIN * THIN] & seen[np.minimum(-(-every // THIN) * THIN, thinned[-1])]
+
+
+def point_on_arc(robot: RobotParameters, arc: Arc, length: float) -> LocusPoint:
+    """The point of an arc at a length from its begin, m."""
+    return make_point(robot, arc.working_mode, arc.family, arc.branch, float(np.interp(length, arc.length, arc.angles)))
+
+
+def make_point(robot: RobotParameters, working_mode: Mode, family: Enum, branch: int, angle: float) -> LocusPoint:
+    """The point of the locus at a tracing angle, rad, of one branch."""
+    model = planning_model(robot.replace(working_mode=working_mode))
+    x = locus_position(model, family, branch, angle)
+    found = model.place(x)
+    return LocusPoint(x, working_mode, family, found.t_s, found.gradient, float(found.type1[0]), branch, angle)
+
+
+def nearest_point(robot: RobotParameters, x: Array, type1: float | None = None) -> LocusPoint:
+    """The point of the locus nearest to x (2,), m, in the robot's working mode.
+
+    Raises:
+        GeometryError: the working mode has no locus that far from Type 1.
+    """
+    x = np.asarray(x, dtype=np.float64)
+    limit = robot.min_type1_distance if type1 is None else type1
+    arcs = trace_locus(robot, (robot.working_mode,), limit)
+    if not arcs:
+        raise GeometryError(f"working mode {list(robot.working_mode)} has no Type 2 locus at least {limit} from Type 1")
+    arc = min(arcs, key=lambda arc: float(np.linalg.norm(arc.x - x, axis=1).min()))
+    row = int(np.argmin(np.linalg.norm(arc.x - x, axis=1)))
+    model, bounds = planning_model(robot), (arc.angles[max(row - 1, 0)], arc.angles[min(row + 1, len(arc.angles) - 1)])
+
+    def gap(angle: float) -> float:
+        return float(np.linalg.norm(locus_position(model, arc.family, arc.branch, angle) - x))
+
+    found = minimize_scalar(gap, bounds=bounds, method="bounded", options={"xatol": 1e-12})
+    return make_point(robot, arc.working_mode, arc.family, arc.branch, float(found.x))
+
+
+def locus_point(robot: RobotParameters, x: Array) -> LocusPoint:
+    """The locus point at x (2,), m, in the robot's working mode.
+
+    Raises:
+        GeometryError: x is unreachable or farther than ON_LOCUS from the locus; names |s| and the nearest point.
+    """
+    x = np.asarray(x, dtype=np.float64)
+    model = planning_model(robot)
+    model.inverse_geometric_model(x)
+    nearest = nearest_point(robot, x)
+    gap = float(np.hypot(*(nearest.x - x)))
+    if gap > ON_LOCUS:
+        s = abs(model.s(x))
+        raise GeometryError(
+            f"point ({x[0]:.4f}, {x[1]:.4f}) m is off the Type 2 locus: |s| = {s:.4f}; the nearest point of the locus that is"
+            f" clear of Type 1 is ({nearest.x[0]:.4f}, {nearest.x[1]:.4f}) m, {1e3 * gap:.1f} mm away"
+        )
+    return nearest
+
+
+def place_of(robot: RobotParameters, point: LocusPoint | Array) -> LocusPoint:
+    """A locus point, or the one at a position (n,), m, in the robot's working mode.
+
+    Raises:
+        GeometryError: the position is off the locus, or the point belongs to another working mode.
+    """
+    if not isinstance(point, LocusPoint):
+        return locus_point(robot, point)
+    if point.working_mode != robot.working_mode:
+        raise GeometryError(
+            f"the locus point ({point.x[0]:.4f}, {point.x[1]:.4f}) m belongs to working mode {list(point.working_mode)}, the"
+            f" robot is in {list(robot.working_mode)}: set robot.working_mode"
+        )
+    return point
+
+
+def beside(robot: RobotParameters, point: LocusPoint, shift: float) -> LocusPoint | None:
+    """The locus point at a signed distance along its arc, m; None where the arc ends."""
+    for arc in trace_locus(robot, (robot.working_mode,), robot.min_type1_distance):
+        inside = arc.angles[0] <= point.angle <= arc.angles[-1]
+        if arc.family is point.family and arc.branch == point.branch and inside:
+            place = float(np.interp(point.angle, arc.angles, arc.length)) + shift
+            if 0.0 <= place <= arc.length[-1]:
+                angle = float(np.interp(place, arc.length, arc.angles))
+                return make_point(robot, arc.working_mode, arc.family, arc.branch, angle)
+    return None
+
+
+def _shares(lengths: Array, count: int, least: Array) -> Array:
+    """``count`` split in proportion to lengths, each part at least ``least``, by largest remainders."""
+    share = np.maximum(least, 0)
+    while share.sum() < count:
+        wanted = count * lengths / lengths.sum() - share
+        share[int(np.argmax(wanted))] += 1
+    return share
+
+
+def sample_locus(
+    robot: RobotParameters,
+    count: int,
+    seed: int = 0,
+    *,
+    folded: int = 0,
+    working_modes: Sequence[Mode] = WORKING_MODES,
+) -> list[LocusPoint]:
+    """Points spread evenly over the locus where it can be crossed, in several working modes.
+
+    Points are spread by arc length within each family of each working mode, with a random phase; each working
+    mode that reaches the locus has at least one point.
+
+    Args:
+        count: of points.
+        seed: of the phases.
+        folded: least number of folded points.
+        working_modes: the ones to use.
+
+    Raises:
+        ParameterError: count is smaller than what folded and the working modes ask for.
+        GeometryError: no working mode reaches the locus, or none reaches a folded point and some are asked for.
+    """
+    strata: dict[tuple[Enum, Mode], list[Arc]] = {}
+    for arc in trace_locus(robot, tuple(map(tuple, working_modes)), crossable=True):
+        strata.setdefault((arc.family, arc.working_mode), []).append(arc)
+    if not strata:
+        raise GeometryError(f"no Type 2 locus lies at least {MIN_CROSSING_TYPE1} from Type 1 in the working modes asked for")
+    keys = sorted(strata, key=lambda key: (key[0].value, key[1]))
+    lengths = np.array([sum(arc.length[-1] for arc in strata[key]) for key in keys])
+    is_folded = np.array([key[0] is Family.FOLDED for key in keys])
+    if folded > 0 and not is_folded.any():
+        raise GeometryError(f"folded = {folded}, but the robot has no folded Type 2 locus clear of Type 1")
+    least = np.zeros(len(keys), dtype=int)
+    if folded > 0:
+        least[is_folded] = _shares(lengths[is_folded], folded, np.zeros(int(is_folded.sum()), dtype=int))
+    for mode in {key[1] for key in keys}:
+        rows = [row for row, key in enumerate(keys) if key[1] == mode]
+        if least[rows].sum() == 0:
+            least[max(rows, key=lambda row: lengths[row])] = 1
+    if least.sum() > count:
+        raise ParameterError(f"count = {count}; {folded} folded points and each working mode need at least {least.sum()}")
+    generator = np.random.default_rng(seed)
+    points = []
+    for key, share in zip(keys, _shares(lengths, count, least), strict=True):
+        phase = generator.uniform()
+        arcs = strata[key]
+        ends = np.cumsum([arc.length[-1] for arc in arcs])
+        for k in range(share):
+            place = (k + phase) / share * ends[-1]
+            row = min(int(np.searchsorted(ends, place)), len(arcs) - 1)
+            points.append(point_on_arc(robot, arcs[row], place - (ends[row] - arcs[row].length[-1])))
+    return points

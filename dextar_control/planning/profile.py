@@ -1,0 +1,106 @@
+"""A trajectory sampled over time, with what the robot needs for it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.planning.model import PlanningModel, planning_model
+from dextar_control.planning.trajectory import Trajectory
+from dextar_control.symbols.types import Array
+
+LIMIT_ZONE = 0.01  # |s| below which the multipliers are taken from their neighbourhood: 0/0 on the locus
+LIMIT_NODES = np.array([1.0, 2.0 / 3.0, 1.0 / 3.0])  # of that zone, where they are taken on either side of a crossing
+AT_KNOT = 1e-12  # s, a crossing this near to a knot is there: where it was imposed, and found up to rounding
+ON_CROSSING = 1e-9  # s, closer to a crossing than this counts as on it
+
+
+class Profile(NamedTuple):
+    """A trajectory at m times; nan where a leg does not reach."""
+
+    time: Array  # (m,) s
+    x: Array  # (m, n) m
+    x_dot: Array  # (m, n) m/s
+    q_a: Array  # (m, n) rad
+    q_a_dot: Array  # (m, n) rad/s
+    s: Array  # (m,) singularity measure
+    residual: Array  # (m,) t_s.w_d, N
+    multipliers: Array  # (m, n) lambda, N/m; its finite limit near the locus
+    torque: Array  # (m, n) N m; its finite limit near the locus
+    type1: Array  # (m,) distance to Type 1
+
+
+def sample_times(trajectory: Trajectory, period: float) -> Array:
+    """Times of at most ``period`` apart, with every knot among them."""
+    count = int(np.ceil(trajectory.duration / period - 1e-9)) + 1
+    grid = np.linspace(0.0, trajectory.duration, max(count, 2))
+    knots = trajectory.knots
+    if len(knots) > len(grid):
+        return knots
+    merged = np.union1d(grid, knots)
+    keep = np.concatenate([[True], np.diff(merged) > 1e-9])
+    return merged[keep]
+
+
+def sample_profile(robot: RobotParameters, trajectory: Trajectory, times: Array) -> Profile:
+    """What the robot needs along a trajectory at times (m,), s.
+
+    Within LIMIT_ZONE of the locus the multipliers are continued from either side of the crossing by a parabola:
+    towards the value they tend to when the criterion holds.
+    """
+    times, model = np.asarray(times, dtype=np.float64), planning_model(robot)
+    x, x_dot, x_ddot = trajectory.table(times)
+    found = model.instants(x, x_dot, x_ddot)
+    s, multipliers = found.s[:, 0], found.multipliers
+    inside = ~(np.abs(s) >= LIMIT_ZONE)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        first, last = max(start - 1, 0), min(stop, len(times) - 1)
+        if s[first] * s[last] < 0.0:
+            multipliers[start:stop] = _continued(model, trajectory, times, s, (first, last), times[start:stop])
+    torque = found.joint_torque - (found.B.transpose(0, 2, 1) @ multipliers[:, :, None])[:, :, 0]  # Eq. 4: w_b - B^T lambda
+    return Profile(
+        time=times, x=x, x_dot=x_dot, q_a=found.q_a, q_a_dot=found.q_a_dot, s=s, residual=found.residual[:, 0],
+        multipliers=multipliers, torque=torque, type1=found.type1[:, 0],
+    )
+
+
+def _continued(
+    model: PlanningModel, trajectory: Trajectory, times: Array, s: Array, around: tuple[Any, Any], inside: Array
+) -> Array:
+    """The multipliers (k, n) at times (k,) between the two rows ``around`` a crossing, from its neighbourhood."""
+    first, last = around
+    turn = first + int(np.argmax(s[first:last] * s[first + 1 : last + 1] <= 0.0))
+    middle = times[turn] + (times[turn + 1] - times[turn]) * s[turn] / (s[turn] - s[turn + 1])
+    reach = LIMIT_ZONE * (times[last] - times[first]) / abs(s[last] - s[first])
+    ahead, sides = inside - middle, []
+    for side in (-1.0, 1.0):
+        nodes = side * reach * LIMIT_NODES
+        near = model.instants(*trajectory.table(middle + nodes)).multipliers
+        parabolas = np.polyfit(nodes, near, 2)
+        sides.append(np.stack([np.polyval(parabola, ahead) for parabola in parabolas.T], axis=1))
+    weight = np.select([ahead < -ON_CROSSING, ahead > ON_CROSSING], [0.0, 1.0], 0.5)[:, None]
+    return np.asarray((1.0 - weight) * sides[0] + weight * sides[1])
+
+
+def find_crossings(robot: RobotParameters, trajectory: Trajectory, times: Array, s: Array) -> Array:
+    """Instants (k,), s, where s changes sign, by bisection between samples to machine precision."""
+    model = planning_model(robot)
+
+    def value(time: float) -> float:
+        return model.s(trajectory.at(time).x)
+
+    clear: NDArray[np.int64] = np.flatnonzero((s != 0.0) & np.isfinite(s))
+    found = []
+    for before, after in zip(clear[:-1], clear[1:], strict=True):
+        if s[before] * s[after] < 0.0:
+            low, high = times[before], times[after]
+            while (middle := 0.5 * (low + high)) not in (low, high):
+                low, high = (middle, high) if value(middle) * s[before] > 0.0 else (low, middle)
+            crossing = low if abs(value(low)) < abs(value(high)) else high
+            knot = trajectory.knots[np.argmin(np.abs(trajectory.knots - crossing))]
+            found.append(knot if abs(knot - crossing) < AT_KNOT else crossing)
+    return np.array(found)

@@ -1,0 +1,136 @@
+"""Which places one working mode joins without a singularity, on a grid, and the ways between them.
+
+The Type 2 locus and a margin about Type 1 cut the workspace of a working mode into regions of one sign of s. A way
+within a region is regular motion; a way from one to another crosses the locus, once when it changes sides once.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.planning.checks import beyond_range
+from dextar_control.planning.model import planning_model
+from dextar_control.symbols.types import Array
+
+SPACING = 3e-3  # m, of the grid
+MARGIN = 1.2  # times the robot's least distance to Type 1 that a way keeps
+SHY_TYPE1 = 0.1  # distance to Type 1 at which a way counts double
+SHY_S = 0.15  # |s| within which a way counts up to SHY_COST times more
+SHY_COST = 3.0
+ENTRY = 4  # cells within which a place finds its cell
+EVERYWHERE = np.ones((3, 3), dtype=int)
+
+
+class Regions(NamedTuple):
+    """The grid of one working mode."""
+
+    origin: Array  # (2,) m, of cell (0, 0)
+    shape: tuple[int, int]
+    s: Array  # (nx, ny)
+    region: NDArray[np.int64]  # (nx, ny) its number from 1; 0 is too near to Type 1, out of a joint's range or unreachable
+    edges: tuple[NDArray[np.int64], NDArray[np.int64], Array]  # from, to, cost
+
+    def place(self, cell: int) -> Array:
+        """The centre of a cell, m."""
+        return self.origin + SPACING * np.array(np.unravel_index(cell, self.shape))
+
+
+@lru_cache(maxsize=32)
+def make_regions(robot: RobotParameters) -> Regions:
+    """The regions of the robot's working mode."""
+    low, high = planning_model(robot).workspace
+    nx, ny = (np.ceil(np.maximum(high - low, SPACING) / SPACING).astype(int) + 1).tolist()
+    grid = np.indices((nx, ny)).reshape(2, -1).T
+    found = planning_model(robot).sides(low + SPACING * grid)
+    s, type1, beyond = (
+        values.reshape(nx, ny) for values in (found.s, found.type1, beyond_range(robot, found.q_a).max(axis=1))
+    )
+    with np.errstate(invalid="ignore"):
+        clear = (type1 >= MARGIN * robot.min_type1_distance) & (beyond <= 0.0)
+        positive = clear & (s > 0.0)
+        negative = clear & (s <= 0.0)
+    first, count = label(positive, EVERYWHERE)
+    second, _ = label(negative, EVERYWHERE)
+    region = first.astype(np.int64) + np.where(second > 0, second + count, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shy = 1.0 + (SHY_TYPE1 / type1) ** 2 + SHY_COST * np.exp(-((s / SHY_S) ** 2))
+    numbers = np.arange(nx * ny).reshape(nx, ny)
+    begins, ends, costs = [], [], []
+    for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)):
+        a = (slice(0, nx - di), slice(max(0, -dj), ny - max(0, dj)))
+        b = (slice(di, nx), slice(max(0, dj), ny + min(0, dj)))
+        both = clear[a] & clear[b]
+        begins.append(numbers[a][both])
+        ends.append(numbers[b][both])
+        costs.append(SPACING * np.hypot(di, dj) * 0.5 * (shy[a] + shy[b])[both])
+    begin, end, cost = np.concatenate(begins), np.concatenate(ends), np.concatenate(costs)
+    return Regions(low, (nx, ny), s, region, (np.append(begin, end), np.append(end, begin), np.append(cost, cost)))
+
+
+def cell_of(regions: Regions, x: Array, sign: float) -> int | None:
+    """The nearest cell on the side ``sign`` within ENTRY cells of x; None when there is none."""
+    middle = np.round((x - regions.origin) / SPACING).astype(int)
+    low = np.maximum(middle - ENTRY, 0)
+    high = np.minimum(middle + ENTRY + 1, regions.shape)
+    if (low >= high).any():
+        return None
+    i, j = np.mgrid[low[0] : high[0], low[1] : high[1]]
+    usable = (regions.region[i, j] > 0) & ((regions.s[i, j] > 0.0) == (sign > 0.0))
+    if not usable.any():
+        return None
+    gaps = np.hypot(regions.origin[0] + SPACING * i - x[0], regions.origin[1] + SPACING * j - x[1])
+    row = np.unravel_index(int(np.argmin(np.where(usable, gaps, np.inf))), gaps.shape)
+    return int(np.ravel_multi_index((i[row], j[row]), regions.shape))
+
+
+def region_of(regions: Regions, x: Array, sign: float) -> int:
+    """Number of the region on the side ``sign`` of x; 0 when there is none."""
+    cell = cell_of(regions, x, sign)
+    return 0 if cell is None else int(regions.region.flat[cell])
+
+
+def find_way(
+    regions: Regions, start: Array, start_sign: float, goal: Array, goal_sign: float, least_s: float = 0.0
+) -> tuple[Array, int] | None:
+    """The way (n, 2), m, from start to goal that changes sides once, or never when both are on one side.
+
+    Args:
+        least_s: |s| kept where both ends lie on one side.
+
+    Returns:
+        The way and the index of its first place after the change of sides (0 when it makes none), or None.
+    """
+    begin, end = cell_of(regions, start, start_sign), cell_of(regions, goal, goal_sign)
+    if begin is None or end is None:
+        return None
+    a, b, cost = regions.edges
+    s = regions.s.ravel()
+    across = (s[a] > 0.0) != (s[b] > 0.0)
+    allowed = ~across
+    if start_sign * goal_sign < 0.0:
+        allowed |= across & ((s[a] > 0.0) == (start_sign > 0.0))
+    elif least_s > 0.0:
+        ends = np.isin(a, (begin, end)) | np.isin(b, (begin, end))
+        allowed &= ends | ((np.abs(s[a]) >= least_s) & (np.abs(s[b]) >= least_s))
+    size = s.size
+    graph = csr_matrix((cost[allowed], (a[allowed], b[allowed])), shape=(size, size))
+    distances, before = dijkstra(graph, indices=begin, return_predecessors=True)
+    if not np.isfinite(distances[end]):
+        return None
+    cells = [end]
+    while cells[-1] != begin:
+        cells.append(int(before[cells[-1]]))
+    cells.reverse()
+    places = np.array([regions.place(cell) for cell in cells])
+    places = np.vstack([start, places[1:-1], goal])
+    sides = s[cells] > 0.0
+    turn = int(np.argmax(sides != sides[0])) if start_sign * goal_sign < 0.0 else 0
+    return places, turn

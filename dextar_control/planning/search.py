@@ -1,0 +1,198 @@
+"""The search for a crossing or a leg: guesses, and a quasi-Newton descent from each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.planning.locus import REST_S, LocusPoint, rests_around
+from dextar_control.planning.model import PlanningModel, planning_model
+from dextar_control.planning.trajectory import Trajectory
+from dextar_control.symbols.record import Layout, Record
+from dextar_control.symbols.types import Array
+
+TORQUE_SHARE = 0.3  # of max_torque: the peak torque that costs one, and that a way of open duration has
+NEAR_TIME = 0.05  # s near the locus that costs NEAR_WEIGHT
+NEAR_WEIGHT = 1.0
+SOFT_TYPE1 = 0.12  # distance to Type 1 that a plan keeps where it can
+SOFT_END_S = 0.45  # |s| of ends that the planner chooses
+LEG_TIME = 2.0  # s of a leg between two crossings that costs one
+GOOD = 1.5  # cost below which no further guess is tried
+ITERATIONS = 200  # of one descent
+TOLERANCE = 1e-3  # on the gradient
+GUESSES = 3
+HURRIED, HURRY = 2, 2.5  # of them that are tried with a velocity so many times larger
+IMPOSSIBLE = 1e12  # cost of a candidate without a finite one
+VISIT = 0.9  # cosine of the angle between the ways of two guesses that are taken as one
+
+Progress = Callable[[float, str], None]
+
+
+class Criterion(Enum):
+    """What holds at the crossing: t_s.w_d = 0 (Eq. 5), or w_d = 0 altogether (the paper's [10])."""
+
+    RECIPROCAL = "reciprocal"
+    ZERO_WRENCH = "zero_wrench"
+
+
+class Problem(NamedTuple):
+    """A crossing or leg whose open variables are searched.
+
+    Attributes:
+        model: of the robot.
+        leg: whether it is a leg between two crossings.
+        limits, task: what costs, and what is given; see ``candidate.layouts``.
+        free: indices of the open variables.
+    """
+
+    model: PlanningModel
+    leg: bool
+    limits: Record
+    task: Record
+    free: NDArray[np.int64]
+
+    @property
+    def variables(self) -> Layout:
+        """Of a candidate."""
+        return self.model.layouts.leg if self.leg else self.model.layouts.crossing
+
+    def lasting(self, duration: float) -> Problem:
+        """The same with another duration, s."""
+        task = self.task.copy()
+        task.duration = duration
+        return self._replace(task=task)
+
+    def opened(self, *names: str) -> Problem:
+        """The same with these variables open too."""
+        return self._replace(free=np.union1d(self.free, self.variables.indices(*names)))
+
+    def costs(self, z: Record) -> tuple[float, Array]:
+        """The cost of a candidate and its gradient over all variables."""
+        function = self.model.leg_cost if self.leg else self.model.crossing_cost
+        found = function(self.limits.numbers, self.task.numbers, z.numbers)
+        cost, gradient = float(found.cost[0]), found.gradient
+        return (cost, gradient) if np.isfinite(cost) and np.isfinite(gradient).all() else (IMPOSSIBLE, np.zeros(len(gradient)))
+
+    def halves(self, z: Record) -> Any:
+        """The halves of a candidate, first and second (n, ROWS), and their spans (2,), s."""
+        function = self.model.leg if self.leg else self.model.crossing
+        return function(self.limits.numbers, self.task.numbers, z.numbers)
+
+
+def soft_limits(robot: RobotParameters, end_s: float) -> Record:
+    """What the search aims at, inside the robot's limits."""
+    return planning_model(robot).layouts.limits.make(
+        torque=TORQUE_SHARE * robot.max_torque, near_time=NEAR_TIME, near_weight=NEAR_WEIGHT, time=LEG_TIME,
+        joint_speed=robot.max_joint_speed, platform_speed=robot.max_platform_speed,
+        type1=max(SOFT_TYPE1, 1.2 * robot.min_type1_distance), end_s=end_s,
+    )
+
+
+def crossing_problem(
+    robot: RobotParameters,
+    point: LocusPoint,
+    sign: float,
+    duration: float,
+    criterion: Criterion,
+    free: Sequence[str],
+    end_s: float = SOFT_END_S,
+    towards: Array | None = None,
+) -> Problem:
+    """A crossing near a locus point.
+
+    Args:
+        sign: of s after the crossing.
+        duration: s.
+        free: names of the variables that are open.
+        end_s: |s| that the ends keep.
+        towards: (n,) unit direction of the velocity at the crossing; open when None.
+    """
+    model = planning_model(robot)
+    directions = np.eye(model.n)
+    if towards is not None:
+        directions = np.column_stack([towards, np.zeros((model.n, model.n - 1))])
+    task = model.layouts.crossing_task.make(
+        duration=duration, length=model.length, sign=sign, family=point.family.value, branch=point.branch,
+        zero_wrench=criterion is Criterion.ZERO_WRENCH, directions=directions,
+    )
+    return Problem(model, False, soft_limits(robot, end_s), task, model.layouts.crossing.indices(*free))
+
+
+def leg_problem(robot: RobotParameters, left: Array, reached: Array, sign: float, duration: float) -> Problem:
+    """A leg on the side ``sign`` between two crossing states (n, 4), about ``duration`` s long."""
+    model = planning_model(robot)
+    task = model.layouts.leg_task.make(duration=duration, length=model.length, sign=sign, left=left, reached=reached)
+    return Problem(model, True, soft_limits(robot, SOFT_END_S), task, np.arange(model.layouts.leg.size))
+
+
+def trajectory_of(problem: Problem, z: Record) -> Trajectory:
+    """A candidate as a trajectory from time 0."""
+    pair = problem.halves(z)
+    first, second = np.abs(pair.spans)
+    origins = np.array([0.0, first + second]) if problem.leg else np.array([first, first])
+    pieces = [coefficients_over(*half) for half in zip((pair.first, pair.second), pair.spans, strict=True)]
+    return Trajectory(np.array([0.0, first, first + second]), origins, np.stack(pieces))
+
+
+def coefficients_over(half: Array, span: float) -> Array:
+    """(ROWS, n) by rising power of time, of a half (n, ROWS) by powers of the share of its span, s."""
+    return np.asarray(half.T / float(span) ** np.arange(half.shape[1])[:, None])
+
+
+def descend(problem: Problem, guess: Record, iterations: int = ITERATIONS) -> tuple[float, Record]:
+    """The cost and the variables at the end of one descent."""
+    z = guess.copy()
+
+    def value(free: Array) -> tuple[float, Array]:
+        z.numbers[problem.free] = free
+        cost, gradient = problem.costs(z)
+        return cost, gradient[problem.free]
+
+    options = {"maxiter": iterations, "gtol": TOLERANCE}
+    found = minimize(value, guess.numbers[problem.free], jac=True, method="BFGS", options=options)
+    z.numbers[problem.free] = found.x
+    return float(found.fun), z
+
+
+def guesses_through(problem: Problem, point: LocusPoint, towards: Array | None = None) -> list[Record]:
+    """Guesses with rests straight ahead of the point on both sides, as much in line as can be."""
+    model, x, length, sign = problem.model, point.x, problem.task.length, problem.task.sign
+    rests = rests_around(model, x[None], problem.limits.type1, REST_S)[0]
+    starts, goals = rests[rests[:, 2] * sign < 0.0], rests[rests[:, 2] * sign > 0.0]
+    if len(starts) == 0 or len(goals) == 0:
+        return []
+    before, after = x - starts[:, :2], goals[:, :2] - x
+    far_before, far_after = np.hypot(*before.T), np.hypot(*after.T)
+    aligned = (before / far_before[:, None]) @ (after / far_after[:, None]).T
+    total = far_before[:, None] + far_after[None]
+    clearance = np.minimum(starts[:, 3][:, None], goals[:, 3][None])
+    score = 1.0 - aligned + np.abs(total / (0.7 * length) - 1.0) + 0.5 * np.maximum(0.0, 1.0 - clearance / 0.3)
+    if towards is not None:
+        score = score - 2.0 * (after / far_after[:, None] @ towards)[None]
+        score = score - 2.0 * (before / far_before[:, None] @ towards)[:, None]
+    chosen: list[Array] = []
+    found: list[Record] = []
+    for index in np.argsort(score, axis=None):
+        row, column = np.unravel_index(index, score.shape)
+        way = goals[column, :2] - starts[row, :2]
+        direction = way / np.hypot(*way)
+        if any(direction @ other > VISIT for other in chosen):
+            continue
+        chosen.append(direction)
+        found.append(problem.variables.make(
+            start=starts[row, :2] / length, goal=goals[column, :2] / length, place=point.angle,
+            split=np.clip(far_before[row] / total[row, column], 0.35, 0.65),
+            velocity=2.0 * (way if towards is None else np.array([np.hypot(*way), 0.0])) / length,
+        ))
+        if len(found) == GUESSES:
+            break
+    hurried = [guess.copy() for guess in found[:HURRIED]]
+    for guess in hurried:
+        guess.velocity *= HURRY
+    return found + hurried

@@ -1,0 +1,144 @@
+"""One way through a given point of the locus, rest to rest; the planner chooses both ends."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dextar_control.contract.errors import GeometryError, TrajectoryError
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.planning.attempts import (
+    BASE_DURATION,
+    PACE,
+    RESTART_SPREAD,
+    RESTARTS,
+    Best,
+    check_duration,
+    refuse,
+    shaken,
+    stretched,
+)
+from dextar_control.planning.certificate import Plan
+from dextar_control.planning.locus import MIN_CROSSING_TYPE1, MIN_END_S, LocusPoint, beside, place_of, trace_locus
+from dextar_control.planning.model import planning_model
+from dextar_control.planning.search import Criterion, Progress, crossing_problem, guesses_through
+from dextar_control.symbols.types import Array
+
+MIN_SLOPE = 0.1  # sine of the angle between a crossing's direction and the locus
+NEIGHBOURS = (0.005, -0.005, 0.01, -0.01, 0.02, -0.02, 0.04, -0.04)  # m along the locus, where another point is looked for
+OPEN = ("start", "goal", "split", "velocity", "strong", "jerk")  # what the search chooses
+
+
+def _way(point: LocusPoint, direction: int | float | Array) -> tuple[float, Array | None]:
+    """The sign of s after the crossing and the unit direction of the velocity, if one was given."""
+    if np.ndim(direction) == 0:
+        if float(direction) not in (-1.0, 1.0):
+            raise TrajectoryError(f"direction = {direction}; it must be +1 or -1 (the sign of s after the crossing) or a vector")
+        return float(direction), None
+    towards = np.asarray(direction, dtype=np.float64)
+    norm = float(np.hypot(*towards)) if towards.shape == (2,) else float("nan")
+    if not (np.isfinite(norm) and norm > 0.0):
+        raise TrajectoryError(f"direction = {towards.tolist()}; it must be a vector of two finite numbers, not zero")
+    slope = float(point.gradient @ towards) / norm / float(np.hypot(*point.gradient))
+    if abs(slope) < MIN_SLOPE:
+        normal = point.gradient / np.hypot(*point.gradient)
+        raise TrajectoryError(
+            f"the direction ({towards[0]:.3f}, {towards[1]:.3f}) runs along the locus at ({point.x[0]:.4f}, {point.x[1]:.4f}) m:"
+            f" the sine of its angle to the locus is {abs(slope):.3f}, a crossing needs {MIN_SLOPE}; straight across is"
+            f" ({normal[0]:.3f}, {normal[1]:.3f})"
+        )
+    return float(np.sign(slope)), towards / norm
+
+
+def plan_through(
+    robot: RobotParameters,
+    point: LocusPoint | Array,
+    direction: int | Array,
+    duration: float | None = None,
+    *,
+    criterion: Criterion = Criterion.RECIPROCAL,
+    progress: Progress | None = None,
+) -> Plan:
+    """One way through a given point of the locus, rest to rest; the planner chooses both ends.
+
+    Args:
+        robot: in the working mode of the point (``robot_at``).
+        point: a locus point, or its position (2,), m.
+        direction: the sign of s after the crossing, or the direction (2,) of the velocity there.
+        duration: s; chosen when None, so that the peak torque is TORQUE_SHARE of the limit.
+        criterion: what holds at the crossing.
+        progress: called with the fraction done and what is being tried.
+
+    Raises:
+        GeometryError: the point is off the locus or has no room for a rest on both sides.
+        TrajectoryError: the direction does not cross, or no way within the limits was found; says what binds and
+            which duration or point would do.
+    """
+    check_duration(duration)
+    place = place_of(robot, point)
+    sign, towards = _way(place, direction)
+
+    return _through(robot, place, sign, towards, duration, criterion, progress)
+
+
+def _through(
+    robot: RobotParameters,
+    place: LocusPoint,
+    sign: float,
+    towards: Array | None,
+    duration: float | None,
+    criterion: Criterion,
+    progress: Progress | None,
+) -> Plan:
+    scale = BASE_DURATION + planning_model(robot).length / PACE if duration is None else duration
+    best = Best(robot)
+
+    def attempt(at: LocusPoint, most: int | None, into: Best) -> bool:
+        problem = crossing_problem(robot, at, sign, scale, criterion, OPEN, towards=towards)
+        guesses = guesses_through(problem, at, towards)[:most]
+        for row, guess in enumerate(guesses):
+            if progress is not None:
+                progress(row / len(guesses), f"guess {row + 1} of {len(guesses)} at ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
+            if into.offer(problem, guess):
+                return True
+        bent = problem.opened("first_bends", "second_bends")
+        generator = np.random.default_rng(0)
+        for row in range(RESTARTS if most is None else 0):
+            if into.z is None:
+                break
+            if progress is not None:
+                progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS} at ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
+            if into.offer(bent, shaken(into.z, bent.free, generator, RESTART_SPREAD * (row > 0))):
+                break
+        return len(guesses) > 0
+
+    if not attempt(place, None, best):
+        raise GeometryError(
+            f"the locus point ({place.x[0]:.4f}, {place.x[1]:.4f}) m has no room for a rest with |s| >= {MIN_END_S} straight"
+            f" ahead on both sides (distance to Type 1: {place.type1:.3f}){_nearest_with_room(robot, place)}"
+        )
+    if progress is not None:
+        progress(1.0, "certified" if best.plan is not None else "not found")
+    if duration is None and best.problem is not None and best.z is not None:
+        return stretched(robot, best.problem, best.z)
+    if best.plan is not None:
+        return best.plan
+
+    def other_point() -> LocusPoint | None:
+        for shift in NEIGHBOURS:
+            near = beside(robot, place, shift)
+            other = Best(robot)
+            if near is not None and attempt(near, 1, other) and other.plan is not None:
+                return near
+        return None
+
+    raise refuse(robot, f"way through ({place.x[0]:.4f}, {place.x[1]:.4f}) m", best, other_point)
+
+
+def _nearest_with_room(robot: RobotParameters, place: LocusPoint) -> str:
+    """In words, the point of the locus nearest to one without room that has some; nothing when there is none."""
+    arcs = trace_locus(robot, (robot.working_mode,), MIN_CROSSING_TYPE1, crossable=True)
+    if not arcs:
+        return ""
+    x = np.vstack([arc.x for arc in arcs])
+    nearest = x[int(np.argmin(np.hypot(*(x - place.x).T)))]
+    return f"; the nearest point that has is ({nearest[0]:.4f}, {nearest[1]:.4f}) m"

@@ -1,0 +1,300 @@
+"""Tours: many crossings one after the other, joined without stopping where possible.
+
+Each crossing is planned by itself (``plan_through``). From one crossing the robot flows to the next along a leg that
+keeps to its side of the locus, with the states at both crossings given; where no such leg keeps the limits it rests
+and goes round by regular motion. Sides alternate: a crossing towards s > 0 is followed by one towards s < 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dextar_control.contract.errors import GeometryError, ParameterError, TrajectoryError
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.planning.certificate import PLAN_RESIDUAL, Plan
+from dextar_control.planning.checks import certify
+from dextar_control.planning.locus import LocusPoint, locus_point, sample_locus
+from dextar_control.planning.model import planning_model
+from dextar_control.planning.regions import find_way, make_regions, region_of
+from dextar_control.planning.regular import plan_approach, side_of
+from dextar_control.planning.search import Criterion, Problem, Progress, descend, leg_problem, trajectory_of
+from dextar_control.planning.through import plan_through
+from dextar_control.planning.trajectory import Trajectory, hold, join
+from dextar_control.symbols.record import Record
+from dextar_control.symbols.types import Array
+
+DWELL = 0.2  # s of rest before and after a tour
+REGULAR_SPEED = 0.3  # m/s, peak, of regular motion
+SAME_PLACE = 1e-6  # m, closer needs no motion
+MOST_SAMPLED = 40  # times the count asked for, among which the points of one pair of regions are found
+LEG_STRETCHES = (1.0, 1.6)  # of a leg's time over its length at the crossings' speed, one guess each
+LEAST_LEG = 0.08  # s, of a leg's half
+MEETING_SPEED = 1.2  # of the mean speed, where the halves of a leg meet
+BEYOND = 0.6  # of the distal length: how far from the locus a turn between neighbours is tried
+
+
+class Stop(NamedTuple):
+    """One crossing of a tour."""
+
+    point: LocusPoint
+    sign: float  # of s after it
+
+
+Wish = LocusPoint | Array | tuple[LocusPoint | Array, int]
+
+
+def _sides(robot: RobotParameters, point: LocusPoint) -> tuple[int, int]:
+    """Numbers of the regions on the sides s < 0 and s > 0 of a locus point."""
+    regions = make_regions(robot)
+    return region_of(regions, point.x, -1.0), region_of(regions, point.x, 1.0)
+
+
+def spread_points(robot: RobotParameters, count: int, seed: int = 0) -> list[LocusPoint]:
+    """``count`` crossable points spread over the locus of the robot's working mode, between the same two regions.
+
+    They are ordered so that each is followed by its nearest neighbour, from the leftmost on.
+
+    Raises:
+        ParameterError: count < 1.
+        GeometryError: there are not that many.
+    """
+    if count < 1:
+        raise ParameterError(f"tour = {count} points; it must be >= 1")
+    for sampled in range(count, MOST_SAMPLED * count + 1, max(1, count // 2)):
+        points = sample_locus(robot, sampled, seed, working_modes=(robot.working_mode,))
+        pairs = [_sides(robot, point) for point in points]
+        main = max(set(pairs), key=pairs.count)
+        points = [point for point, pair in zip(points, pairs, strict=True) if pair == main and 0 not in pair]
+        if len(points) >= count:
+            break
+    else:
+        raise GeometryError(f"tour = {count} points; working mode {list(robot.working_mode)} offers {len(points)}")
+    left = [points[row] for row in np.linspace(0, len(points) - 1, count).round().astype(int)]
+    ordered = [left.pop(int(np.argmin([point.x[0] for point in left])))]
+    while left:
+        ordered.append(left.pop(int(np.argmin([np.hypot(*(point.x - ordered[-1].x)) for point in left]))))
+    return ordered
+
+
+def _stops(robot: RobotParameters, points: Sequence[Wish], repeat: int, start: Array | None) -> list[Stop]:
+    """The crossings of a tour in order, with their directions.
+
+    Raises:
+        GeometryError: a point is off the locus, or borders other regions than the one before.
+        TrajectoryError: the directions asked for do not alternate, or the start lies on the wrong side.
+    """
+    if len(points) == 0:
+        raise ParameterError("the tour has no points; it needs at least one")
+    wishes: list[tuple[LocusPoint, int | None]] = []
+    for wish in points:
+        where, way = wish if isinstance(wish, tuple) and not isinstance(wish, LocusPoint) else (wish, None)
+        if way not in (None, -1, 1):
+            raise TrajectoryError(f"direction = {way} at point {len(wishes) + 1} of the tour; it must be +1 or -1")
+        place = where if isinstance(where, LocusPoint) else locus_point(robot, where)
+        if place.working_mode != robot.working_mode:
+            raise GeometryError(
+                f"point {len(wishes) + 1} of the tour belongs to working mode {list(place.working_mode)}, the robot is in"
+                f" {list(robot.working_mode)}"
+            )
+        wishes.append((place, way))
+    first = next((way * (-1) ** row for row, (_, way) in enumerate(wishes) if way is not None), None)
+    if start is not None:
+        side = float(np.sign(side_of(robot, "start", start)))
+        if first is not None and first == side:
+            raise TrajectoryError(
+                f"the start ({start[0]:.4f}, {start[1]:.4f}) m lies at s {'>' if side > 0 else '<'} 0, and the first crossing"
+                f" goes there too (direction {first:+d}); it must start on the other side"
+            )
+        first = int(-side)
+    stops = []
+    for row in range(len(wishes) * repeat):
+        place, way = wishes[row % len(wishes)]
+        sign = float(first or 1) * (-1.0) ** row
+        if way is not None and row < len(wishes) and way != sign:
+            raise TrajectoryError(
+                f"point {row + 1} of the tour asks for direction {way:+d}, but the crossings before it leave the robot at"
+                f" s {'>' if sign < 0 else '<'} 0: directions must alternate"
+            )
+        stops.append(Stop(place, sign))
+    pairs = [_sides(robot, stop.point) for stop in stops[: len(wishes)]]
+    for row, pair in enumerate(pairs):
+        side = 1 if stops[row].sign > 0 else 0
+        after = pairs[(row + 1) % len(pairs)]
+        if len(stops) > row + 1 and pair[side] != after[side]:
+            raise GeometryError(
+                f"points {row + 1} and {(row + 1) % len(pairs) + 1} of the tour border different regions at"
+                f" s {'>' if side else '<'} 0: Type 1 lies between them in working mode {list(robot.working_mode)}"
+            )
+    return stops
+
+
+def _piece(trajectory: Trajectory, row: int) -> Trajectory:
+    """One half of a crossing as a trajectory from time 0."""
+    begin = trajectory.knots[row]
+    return Trajectory(
+        trajectory.knots[row : row + 2] - begin, trajectory.origins[row : row + 1] - begin,
+        trajectory.coefficients[row : row + 1],
+    )
+
+
+def _state(trajectory: Trajectory) -> Array:
+    """Columns x, x_dot, x_ddot, jerk (n, 4) at the crossing."""
+    return np.asarray(trajectory.coefficients[1, :4].T * np.array([1.0, 1.0, 2.0, 6.0]))
+
+
+def _leg_guesses(robot: RobotParameters, left: Array, reached: Array, sign: float) -> list[tuple[Problem, Record]]:
+    """Legs that follow the way between two crossings on the grid, or swing out where they are neighbours."""
+    unit, (begin, leaving), (end, arriving) = planning_model(robot).length, left.T[:2], reached.T[:2]
+    found = find_way(make_regions(robot), begin, sign, end, sign, 0.5)
+    speed = 0.5 * float(np.hypot(*leaving) + np.hypot(*arriving))
+    middles = [0.5 * (begin + end) + BEYOND * unit * 0.5 * (leaving - arriving) / max(speed, 1e-6)]
+    if found is not None:
+        middles.insert(0, found[0][len(found[0]) // 2])
+    guesses = []
+    for stretch in LEG_STRETCHES:
+        for middle in middles:
+            lengths = np.hypot(*(middle - begin)), np.hypot(*(end - middle))
+            spans = np.array([max(stretch * length / max(speed, 0.05) * 1.5, LEAST_LEG) for length in lengths])
+            scale, along = 0.5 * float(spans.sum()), end - begin
+            problem = leg_problem(robot, left, reached, sign, scale)
+            swift = MEETING_SPEED * sum(lengths) / spans.sum() * along / max(float(np.hypot(*along)), 0.02)
+            guesses.append((problem, problem.variables.make(
+                x=middle / unit, x_dot=swift * scale / unit, spans=np.log(spans / scale)
+            )))
+    return guesses
+
+
+def _flow(robot: RobotParameters, before: Trajectory, after: Trajectory, sign: float) -> Trajectory | None:
+    """A leg from the crossing of one way to that of the next without stopping; None when none keeps the limits."""
+    best: tuple[float, Trajectory] | None = None
+    for problem, guess in _leg_guesses(robot, _state(before), _state(after), sign):
+        cost, z = descend(problem, guess)
+        if best is not None and cost >= best[0]:
+            continue
+        leg = trajectory_of(problem, z)
+        try:
+            certify(robot, join([_piece(before, 0), leg, _piece(after, 1)]), max_residual=PLAN_RESIDUAL, crossings=2)
+        except TrajectoryError:
+            continue
+        best = (cost, leg)
+    return None if best is None else best[1]
+
+
+def _rest_between(robot: RobotParameters, before: Trajectory, after: Trajectory) -> list[Trajectory]:
+    """From a crossing to rest, round to where the next way starts, and on to its crossing."""
+    begin, end = before.at(before.duration).x, after.at(0.0).x
+    moved = float(np.hypot(*(end - begin))) > SAME_PLACE
+    return [_piece(before, 1), *([plan_approach(robot, begin, end, REGULAR_SPEED)] if moved else []), _piece(after, 0)]
+
+
+def plan_tour(
+    robot: RobotParameters,
+    points: int | Sequence[Wish],
+    repeat: int = 1,
+    seed: int = 0,
+    *,
+    start: Array | None = None,
+    duration: float | None = None,
+    dwell: float = DWELL,
+    flow: bool = True,
+    criterion: Criterion = Criterion.RECIPROCAL,
+    progress: Progress | None = None,
+) -> Plan:
+    """Crossings at several points of the locus one after the other, certified as a whole.
+
+    It starts at rest, and ends at rest in the same place where the number of crossings is even (on the other side of the
+    locus where it is odd). In a tour of an odd number of points each lap runs through them the other way round.
+
+    Args:
+        robot: whose working mode the points belong to.
+        points: locus points, or positions (2,), m, each alone or with its direction (the sign of s after it); or how
+            many, to have them spread over the locus.
+        repeat: laps.
+        seed: of the spread.
+        start: (2,) m where it starts; chosen when None.
+        duration: s, of each crossing where it is planned by itself; chosen when None.
+        dwell: of the rests at both ends, s.
+        flow: pass from one crossing to the next without stopping where possible.
+        criterion: what holds at the crossings.
+        progress: called with the fraction done and what is being planned.
+
+    Raises:
+        ParameterError: no points, or repeat < 1.
+        GeometryError: a point is off the locus or cannot be reached from the one before.
+        TrajectoryError: directions do not alternate, or a crossing or motion has no plan within the limits.
+    """
+    if repeat < 1:
+        raise ParameterError(f"repeat = {repeat}; it must be >= 1")
+    if not (np.isfinite(dwell) and dwell > 0.0):
+        raise ParameterError(f"dwell = {dwell} s; it must be > 0")
+    begin = None if start is None else np.asarray(start, dtype=np.float64)
+    wishes: Sequence[Wish] = spread_points(robot, points, seed) if isinstance(points, int) else points
+    stops = _stops(robot, wishes, repeat, begin)
+    return _certified(robot, _tour(robot, stops, begin, duration, dwell, flow, criterion, progress), stops)
+
+
+def _tour(
+    robot: RobotParameters,
+    stops: Sequence[Stop],
+    begin: Array | None,
+    duration: float | None,
+    dwell: float,
+    flow: bool,
+    criterion: Criterion,
+    progress: Progress | None,
+) -> Trajectory:
+    ways: dict[tuple[bytes, float], Trajectory] = {}
+    legs: dict[tuple[bytes, bytes, float], list[Trajectory]] = {}
+    parts: list[Trajectory] = []
+    for row, stop in enumerate(stops):
+        if progress is not None:
+            progress(row / len(stops), f"crossing {row + 1} of {len(stops)} at ({stop.point.x[0]:.4f}, {stop.point.x[1]:.4f}) m")
+        name = stop.point.x.tobytes()
+        if (name, stop.sign) not in ways:
+            plan = plan_through(robot, stop.point, int(stop.sign), duration, criterion=criterion)
+            ways[name, stop.sign] = plan.trajectory
+        way = ways[name, stop.sign]
+        if row == 0:
+            first = way.at(0.0).x
+            origin = first if begin is None else begin
+            parts.append(hold(origin, dwell))
+            if float(np.hypot(*(first - origin))) > SAME_PLACE:
+                parts.append(plan_approach(robot, origin, first, REGULAR_SPEED))
+            parts.append(_piece(way, 0))
+        else:
+            last = stops[row - 1]
+            key = (last.point.x.tobytes(), name, last.sign)
+            if key not in legs:
+                before = ways[last.point.x.tobytes(), last.sign]
+                leg = _flow(robot, before, way, last.sign) if flow else None
+                legs[key] = _rest_between(robot, before, way) if leg is None else [leg]
+            parts += legs[key]
+    parts.append(_piece(way, 1))
+    end = way.at(way.duration).x
+    if len(stops) % 2 == 0 and float(np.hypot(*(origin - end))) > SAME_PLACE:
+        parts.append(plan_approach(robot, end, origin, REGULAR_SPEED))
+        end = origin
+    parts.append(hold(end, dwell))
+    if progress is not None:
+        progress(1.0, "certifying")
+    return join(parts)
+
+
+def _certified(robot: RobotParameters, trajectory: Trajectory, stops: Sequence[Stop]) -> Plan:
+    """The tour with its certificate.
+
+    Raises:
+        TrajectoryError: a limit is broken, or the crossings are not exactly those asked for, in order.
+    """
+    certificate = certify(robot, trajectory, max_residual=PLAN_RESIDUAL, crossings=len(stops))
+    for row, (crossing, stop) in enumerate(zip(certificate.crossings, stops, strict=True)):
+        gap = float(np.hypot(*(np.array(crossing.x) - stop.point.x)))
+        if gap > SAME_PLACE or crossing.sign != stop.sign:
+            raise TrajectoryError(
+                f"crossing {row + 1} of the tour is {1e3 * gap:.3f} mm from its point, direction {crossing.sign:+d};"
+                f" it must be there with {int(stop.sign):+d}"
+            )
+    return Plan(trajectory, certificate)

@@ -1,0 +1,146 @@
+"""Trajectories of the end effector: piecewise polynomials, and the form in which they travel.
+
+A planned trajectory is exact between its knots. On the ``trajectory`` topic it travels as samples
+(position, velocity, acceleration); quintic Hermite interpolation gives it back, and because each
+crossing instant is itself a sample, the criterion holds there to machine precision.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import NamedTuple
+
+import numpy as np
+
+from dextar_control.contract.errors import TrajectoryError
+from dextar_control.symbols.types import Array
+
+AT_ONCE = 512  # instants of a table: what keeps the interpreter for less than a control period
+
+
+class Point(NamedTuple):
+    """One instant of a trajectory."""
+
+    x: Array  # (n,) m
+    x_dot: Array  # (n,) m/s
+    x_ddot: Array  # (n,) m/s^2
+
+
+class Trajectory:
+    """A piecewise polynomial of the end effector over [0, duration]; its numbers are not to be changed.
+
+    Args:
+        knots: (m + 1,) rising times of the segment ends, s, from 0.
+        origins: (m,) the time at which each segment's polynomial argument is zero, s.
+        coefficients: (m, k, n) by rising power.
+    """
+
+    def __init__(self, knots: Array, origins: Array, coefficients: Array) -> None:
+        self.knots = np.ascontiguousarray(knots, dtype=np.float64)
+        self.origins = np.ascontiguousarray(origins, dtype=np.float64)
+        self.coefficients = np.ascontiguousarray(coefficients, dtype=np.float64)
+        _, rows, n = self.coefficients.shape
+        self._begins, self._origins = self.knots[:-1].tolist(), self.origins.tolist()
+        self._powers, self._n, self._end = np.arange(rows, dtype=np.float64), n, float(self.knots[-1])
+        first, second = np.zeros((2, *self.coefficients.shape))
+        first[:, :-1] = self.coefficients[:, 1:] * self._powers[1:, None]
+        second[:, :-1] = first[:, 1:] * self._powers[1:, None]
+        self._rows = np.concatenate([self.coefficients, first, second], axis=2)  # (m, k, 3n): x, x_dot and x_ddot at once
+
+    @property
+    def duration(self) -> float:
+        """s."""
+        return self._end
+
+    def at(self, time: float) -> Point:
+        """The instant at a time, held at both ends."""
+        held = min(max(float(time), 0.0), self._end)
+        row = max(bisect_right(self._begins, held) - 1, 0)
+        found = (held - self._origins[row]) ** self._powers @ self._rows[row]
+        n = self._n
+        return Point(found[:n], found[n : 2 * n], found[2 * n :])
+
+    def table(self, times: Array) -> tuple[Array, Array, Array]:
+        """(x, x_dot, x_ddot), each (k, n), at times (k,), held at both ends."""
+        held = np.clip(np.asarray(times, dtype=np.float64), 0.0, self.duration)
+        found = np.empty((len(held), 3 * self._n))
+        for begin in range(0, len(held), AT_ONCE):
+            part = slice(begin, begin + AT_ONCE)
+            rows = np.maximum(np.searchsorted(self.knots[:-1], held[part], side="right") - 1, 0)
+            powers = (held[part] - self.origins[rows])[:, None] ** self._powers
+            found[part] = (powers[:, None, :] @ self._rows[rows])[:, 0]
+        x, x_dot, x_ddot = np.split(found, 3, axis=1)
+        return x, x_dot, x_ddot
+
+    def scaled(self, factor: float) -> Trajectory:
+        """The same path, ``factor`` times as long; keeps the criterion without gravity."""
+        powers = factor ** -np.arange(self.coefficients.shape[1])
+        return Trajectory(self.knots * factor, self.origins * factor, self.coefficients * powers[None, :, None])
+
+    def reversed(self) -> Trajectory:
+        """The time reversal; keeps the criterion, since w_d is quadratic in velocity."""
+        signs = (-1.0) ** np.arange(self.coefficients.shape[1])
+        duration = self.duration
+        return Trajectory(
+            duration - self.knots[::-1],
+            duration - self.origins[::-1],
+            (self.coefficients * signs[None, :, None])[::-1],
+        )
+
+
+def hold(x: Array, duration: float) -> Trajectory:
+    """At rest at x (n,) for a duration, s."""
+    return Trajectory(np.array([0.0, duration]), np.zeros(1), np.array([[x]]))
+
+
+def join(parts: list[Trajectory]) -> Trajectory:
+    """Trajectories one after the other, each starting where the one before ends."""
+    width = max(part.coefficients.shape[1] for part in parts)
+    knots, origins, coefficients = [np.zeros(1)], [], []
+    start = 0.0
+    for part in parts:
+        knots.append(part.knots[1:] + start)
+        origins.append(part.origins + start)
+        padding = ((0, 0), (0, width - part.coefficients.shape[1]), (0, 0))
+        coefficients.append(np.pad(part.coefficients, padding))
+        start += part.duration
+    return Trajectory(np.concatenate(knots), np.concatenate(origins), np.concatenate(coefficients))
+
+
+def quintic(times: Array, x: Array, x_dot: Array, x_ddot: Array) -> Trajectory:
+    """Quintic Hermite interpolation of samples.
+
+    Args:
+        times: (m,) rising from 0, s.
+        x, x_dot, x_ddot: (m, n), m, m/s, m/s^2.
+
+    Raises:
+        TrajectoryError: fewer than two samples, times not rising from zero, a number not finite.
+    """
+    times, x, x_dot, x_ddot = (np.asarray(part, dtype=np.float64) for part in (times, x, x_dot, x_ddot))
+    if len(times) < 2:
+        raise TrajectoryError(f"the trajectory has {len(times)} points; at least 2 are needed")
+    for name, part in (("times", times), ("positions", x), ("velocities", x_dot), ("accelerations", x_ddot)):
+        if not np.isfinite(part).all():
+            row = int(np.argmax(~np.isfinite(part.reshape(len(times), -1)).all(axis=1)))
+            raise TrajectoryError(f"trajectory {name} at point {row} are not finite: {part[row]}")
+    steps = np.diff(times)
+    if times[0] != 0.0 or (steps <= 0.0).any():
+        row = int(np.argmax(steps <= 0.0)) + 1 if times[0] == 0.0 else 0
+        raise TrajectoryError(f"time_from_start at point {row} is {times[row]:.6f} s; times must rise from 0")
+    h = steps[:, None]
+    dx = x[1:] - x[:-1] - h * x_dot[:-1] - 0.5 * h**2 * x_ddot[:-1]
+    dv = (x_dot[1:] - x_dot[:-1] - h * x_ddot[:-1]) * h
+    da = (x_ddot[1:] - x_ddot[:-1]) * h**2
+    coefficients = np.stack(
+        [
+            x[:-1],
+            x_dot[:-1],
+            0.5 * x_ddot[:-1],
+            (10.0 * dx - 4.0 * dv + 0.5 * da) / h**3,
+            (-15.0 * dx + 7.0 * dv - da) / h**4,
+            (6.0 * dx - 3.0 * dv + 0.5 * da) / h**5,
+        ],
+        axis=1,
+    )
+    return Trajectory(times, times[:-1], coefficients)

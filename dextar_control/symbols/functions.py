@@ -1,0 +1,257 @@
+"""From symbols to fast functions: compiled together once where there is a C compiler, interpreted otherwise.
+
+CasADi writes all functions of a mechanism as one file of C; the system's compiler makes it a library, which is kept by the hash
+of that text, the compiler and the machine, so that nothing stale can be called. Where there is no compiler, or it fails or hangs,
+CasADi's own virtual machine serves, some four times slower, and says so once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import namedtuple
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from dextar_control.contract import caches
+from dextar_control.symbols.types import Array, Symbol
+
+FLAGS = ("-fPIC", "-shared", "-ffp-contract=off")  # no fused operations: the same numbers on every machine of a kind
+BLOCK = 64  # states of a batch that one call takes
+COMPILE_TIMEOUT = 60.0  # s
+KEPT = 60  # libraries: some ten for each version of the equations
+SEAL = 32  # bytes
+_told: set[str] = set()
+COMPILER_VARIABLE = "DEXTAR_CC"
+"""Environment variable that names the C compiler; empty for none."""
+
+
+class Fast:
+    """One function with places of its own for arguments and results: not for two threads at once.
+
+    Args:
+        function: with names, dense arguments and dense results.
+        shared: arrays that serve as places of arguments or results of these names: of one function's result and another's
+            argument, or of a record. The caller keeps them.
+
+    Attributes:
+        arguments: by name, arrays that ``run`` reads, (size,); a matrix column by column.
+        results: by name, arrays that ``run`` fills, (size,) or (rows, columns).
+    """
+
+    def __init__(self, function: ca.Function, shared: Mapping[str, Array] | None = None) -> None:
+        given = dict(shared or {})
+        self.arguments = SimpleNamespace()
+        self._buffer, self.run = function.buffer()
+        self._places: list[Array] = []
+        for i, name in enumerate(function.name_in()):
+            place = _place(name, function.sparsity_in(i), given)
+            self._buffer.set_arg(i, memoryview(place))
+            self._places.append(place)
+            setattr(self.arguments, name, place)
+        results = []
+        for i, name in enumerate(function.name_out()):
+            place = _place(name, function.sparsity_out(i), given)
+            self._buffer.set_res(i, memoryview(place))
+            results.append(place.reshape(function.size_out(i), order="F") if function.size2_out(i) > 1 else place)
+        self._record = _record(function)
+        self.results = self._record(*results)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The results as a record of new arrays."""
+        for place, argument in zip(self._places, arguments, strict=True):
+            place[:] = argument
+        self.run()
+        return self._record(*[result.copy() for result in self.results])
+
+
+class Batch:
+    """One function of many states, block by block: not for two threads at once.
+
+    Args:
+        function: with names, dense arguments and dense results.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        buffer: Any
+        buffer, self._run = function.map(BLOCK).buffer()
+        self._places = [np.zeros((BLOCK, function.numel_in(i))) for i in range(function.n_in())]
+        self._results = [np.zeros((BLOCK, function.numel_out(i))) for i in range(function.n_out())]
+        for i, place in enumerate(self._places):
+            buffer.set_arg(i, memoryview(place.reshape(-1)))
+        for i, place in enumerate(self._results):
+            buffer.set_res(i, memoryview(place.reshape(-1)))
+        self._buffer = buffer
+        self._shapes = [function.size_out(i) for i in range(function.n_out())]
+        self._record = _record(function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """A record of (m, size) or (m, rows, columns), of arguments (m, size), or (size,) for all states."""
+        given = [np.asarray(argument, dtype=np.float64) for argument in arguments]
+        many = [(place, argument) for place, argument in zip(self._places, given, strict=True) if argument.ndim == 2]
+        for place, argument in zip(self._places, given, strict=True):
+            if argument.ndim < 2:
+                place[:] = argument
+        count = len(many[0][1]) if many else 1
+        tables = [np.empty((count, result.shape[1])) for result in self._results]
+        for begin in range(0, count, BLOCK):
+            rows = min(BLOCK, count - begin)
+            for place, argument in many:
+                place[:rows] = argument[begin : begin + rows]
+            self._run()
+            for table, result in zip(tables, self._results, strict=True):
+                table[begin : begin + rows] = result[:rows]
+        return self._record(*(_matrices(table, shape) for table, shape in zip(tables, self._shapes, strict=True)))
+
+
+class Library:
+    """Functions of one mechanism that are compiled together.
+
+    Args:
+        functions: on symbols, with names of their own.
+        folder: where compiled libraries are kept; None keeps none and interprets.
+        level: of the compiler's optimisation: 1 takes half as long as 2 and makes long functions one tenth slower.
+
+    Attributes:
+        compiled: whether they are.
+        symbolic: by name, as they were given.
+    """
+
+    def __init__(self, functions: Sequence[ca.Function], folder: Path | None, level: int = 2) -> None:
+        self.symbolic: Mapping[str, ca.Function] = {function.name(): function for function in functions}
+        loaded = _compiled(self.symbolic, folder, (f"-O{level}", *FLAGS)) if folder is not None else None
+        self.compiled = loaded is not None
+        self._functions = self.symbolic if loaded is None else loaded
+
+    def fast(self, name: str, **shared: Array) -> Fast:
+        """A function with places of its own, but for those of these names."""
+        return Fast(self._functions[name], shared)
+
+    def batch(self, name: str) -> Batch:
+        """The same for many states at once."""
+        return Batch(self._functions[name])
+
+
+def named(name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Symbol]) -> ca.Function:
+    """A function on symbols with dense results, its common parts computed once."""
+    dense = [ca.densify(result) for result in results.values()]
+    return ca.Function(name, list(arguments.values()), dense, list(arguments), list(results), {"cse": True})
+
+
+def _record(function: ca.Function) -> Any:
+    return namedtuple(function.name(), function.name_out())  # noqa: PYI024  the names are the function's
+
+
+def _matrices(table: Array, shape: tuple[int, int]) -> Array:
+    """(m, rows) or (m, rows, columns) of a table whose rows hold matrices column by column."""
+    rows, columns = shape
+    return table if columns == 1 else table.reshape(-1, columns, rows).transpose(0, 2, 1)
+
+
+def _place(name: str, sparsity: ca.Sparsity, given: Mapping[str, Array]) -> Array:
+    assert sparsity.is_dense(), f"{name} is not dense"
+    place = given.get(name)
+    if place is None:
+        return np.zeros(sparsity.numel())
+    assert place.dtype == np.float64 and place.flags.c_contiguous and place.shape == (sparsity.numel(),), name
+    return place
+
+
+def cache_folder() -> Path | None:
+    """Where compiled functions are kept; None where nothing can be written, which is told."""
+    folder = caches.cache_folder("functions")
+    if folder is None:
+        _tell("no folder can be written where they could be kept compiled; set XDG_CACHE_HOME to one")
+    return folder
+
+
+def compiler() -> str | None:
+    """Path of the C compiler, or None."""
+    named = os.environ.get(COMPILER_VARIABLE)
+    if named is not None:
+        return shutil.which(named) if named else None
+    return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+
+
+def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequence[str]) -> Mapping[str, ca.Function] | None:
+    """The functions from a library, compiled unless it is there already; None where that cannot be done, which is told."""
+    command = compiler()
+    if command is None:
+        _tell("no C compiler (cc) was found; install one, such as gcc")
+        return None
+    generator = ca.CodeGenerator("dextar_model", {"with_header": False, "main": False})
+    for function in functions.values():
+        generator.add(function)
+    text = generator.dump()
+    key = hashlib.sha256("\0".join([text, *flags, command, platform.machine(), ca.__version__]).encode()).hexdigest()[:32]
+    library = folder / f"model-{key}.so"
+    if (known := _loaded(functions, library)) is not None:
+        return known
+    try:
+        with tempfile.TemporaryDirectory(prefix=".model-", dir=folder) as working:
+            source, target = Path(working) / "model.c", Path(working) / "model.so"
+            source.write_text(text, encoding="utf-8")
+            subprocess.run([command, *flags, "-o", str(target), str(source), "-lm"], check=True, capture_output=True,
+                           stdin=subprocess.DEVNULL, timeout=COMPILE_TIMEOUT)  # fmt: skip
+            with target.open("r+b") as stream:
+                stream.write(_seal(stream.read()))
+            os.replace(target, library)  # whole or not at all, whoever else compiles the same
+        _prune(folder)
+    except subprocess.TimeoutExpired:
+        _tell(f"the C compiler {command} took more than {COMPILE_TIMEOUT:g} s")
+    except subprocess.CalledProcessError as error:
+        lines = error.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
+        _tell(f"the C compiler {command} failed: {lines[0]}")
+    except OSError as error:
+        _tell(f"{folder} cannot be written: {error.strerror or error}")
+    else:
+        if (made := _loaded(functions, library)) is not None:
+            return made
+        _tell(f"what the C compiler {command} made cannot be loaded")
+    return None
+
+
+def _loaded(functions: Mapping[str, ca.Function], library: Path) -> Mapping[str, ca.Function] | None:
+    """The functions of a compiled library; None where it is none."""
+    try:
+        content = library.read_bytes()
+        if content[-SEAL:] != _seal(content[:-SEAL]):
+            return None
+        os.utime(library)  # the least recently used ones go
+    except OSError:
+        if not os.access(library, os.R_OK):
+            return None
+    try:
+        return {name: ca.external(name, str(library)) for name in functions}
+    except RuntimeError:  # cut off, of another machine, or not ours
+        return None
+
+
+def _seal(content: bytes) -> bytes:
+    """What stands behind a whole library: a cut one would end the process that calls into it."""
+    return hashlib.sha256(content).digest()
+
+
+def _prune(folder: Path) -> None:
+    """Keep the libraries that were used last."""
+    used = sorted(folder.glob("model-*.so"), key=lambda file: file.stat().st_mtime)
+    for file in used[:-KEPT]:
+        file.unlink(missing_ok=True)
+
+
+def _tell(why: str) -> None:
+    """Once in a process."""
+    text = f"dextar: the model's equations are interpreted, about four times slower: {why}"
+    if text not in _told:
+        _told.add(text)
+        print(text, file=sys.stderr)

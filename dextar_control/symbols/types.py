@@ -1,0 +1,10 @@
+"""What numbers and symbols are."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+Symbol = ca.SX
+Array = NDArray[np.float64]
