@@ -23,7 +23,7 @@ from dextar_control.planning.certificate import Plan
 from dextar_control.planning.locus import MIN_END_S, LocusPoint, beside, make_point, place_of, trace_locus
 from dextar_control.planning.regions import find_way, make_regions
 from dextar_control.planning.regular import side_of
-from dextar_control.planning.search import Criterion, Problem, Progress, crossing_problem
+from dextar_control.planning.search import Criterion, Problem, Progress, crossing_problem, silent
 from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
 
@@ -64,7 +64,7 @@ def plan_crossing(
     *,
     point: LocusPoint | Array | None = None,
     criterion: Criterion = Criterion.RECIPROCAL,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Plan:
     """One way from start to goal, rest to rest, through the locus once.
 
@@ -84,8 +84,35 @@ def plan_crossing(
     start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
     sides = _ends(robot, start, goal)
     place = None if point is None else place_of(robot, point)
-
-    return _between(robot, start, goal, sides, place, duration, criterion, progress)
+    before, after = _parts(robot, start, goal, sides, place)
+    length = _length(np.vstack([before, after]))
+    scale = BASE_DURATION + length / PACE if duration is None else duration
+    middle = place or _nearest_on_locus(robot, 0.5 * (before[-1] + after[0]))
+    free = OPEN + (("place",) if place is None else ())
+    direct = length < DETOUR * float(np.hypot(*(goal - start)))
+    attempts: list[tuple[LocusPoint, bool]] = [(middle, False)] if direct else []
+    shifted: Sequence[LocusPoint | None] = [beside(robot, middle, shift) for shift in SHIFTS] if place is None else [middle]
+    attempts += [(at, True) for at in shifted if at is not None]
+    best = Best(robot)
+    for row, (at, bent) in enumerate(attempts):
+        progress(row / len(attempts), f"crossing near ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
+        opened = free + (BENDS if bent else ())
+        problem = crossing_problem(robot, at, float(np.sign(sides[1])), scale, criterion, opened, 0.0)
+        if best.offer(problem, _guess(problem, at, before, after, bent)):
+            break
+    generator = np.random.default_rng(0)
+    for row in range(RESTARTS):
+        if best.plan is not None or best.problem is None or best.z is None:
+            break
+        progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS}")
+        best.offer(best.problem, shaken(best.z, best.problem.free, generator, RESTART_SPREAD))
+    progress(1.0, "certified" if best.plan is not None else "not found")
+    if duration is None and best.problem is not None and best.z is not None:
+        return stretched(robot, best.problem, best.z)
+    if best.plan is not None:
+        return best.plan
+    what = f"way from ({start[0]:.4f}, {start[1]:.4f}) to ({goal[0]:.4f}, {goal[1]:.4f}) m"
+    raise refuse(robot, what, best, lambda: None)
 
 
 def _parts(
@@ -147,47 +174,3 @@ def _bends(way: Array) -> Array:
     reached = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
     middle = np.array([np.interp(0.5 * reached[-1], reached, way[:, axis]) for axis in range(2)])
     return np.column_stack([middle - 0.5 * (way[0] + way[-1]), np.zeros(2)])
-
-
-def _between(
-    robot: RobotParameters,
-    start: Array,
-    goal: Array,
-    sides: tuple[float, float],
-    place: LocusPoint | None,
-    duration: float | None,
-    criterion: Criterion,
-    progress: Progress | None,
-) -> Plan:
-    before, after = _parts(robot, start, goal, sides, place)
-    length = _length(np.vstack([before, after]))
-    scale = BASE_DURATION + length / PACE if duration is None else duration
-    middle = place or _nearest_on_locus(robot, 0.5 * (before[-1] + after[0]))
-    free = OPEN + (("place",) if place is None else ())
-    direct = length < DETOUR * float(np.hypot(*(goal - start)))
-    attempts: list[tuple[LocusPoint, bool]] = [(middle, False)] if direct else []
-    shifted: Sequence[LocusPoint | None] = [beside(robot, middle, shift) for shift in SHIFTS] if place is None else [middle]
-    attempts += [(point, True) for point in shifted if point is not None]
-    best = Best(robot)
-    for row, (point, bent) in enumerate(attempts):
-        if progress is not None:
-            progress(row / len(attempts), f"crossing near ({point.x[0]:.4f}, {point.x[1]:.4f}) m")
-        opened = free + (BENDS if bent else ())
-        problem = crossing_problem(robot, point, float(np.sign(sides[1])), scale, criterion, opened, 0.0)
-        if best.offer(problem, _guess(problem, point, before, after, bent)):
-            break
-    generator = np.random.default_rng(0)
-    for row in range(RESTARTS):
-        if best.plan is not None or best.problem is None or best.z is None:
-            break
-        if progress is not None:
-            progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS}")
-        best.offer(best.problem, shaken(best.z, best.problem.free, generator, RESTART_SPREAD))
-    if progress is not None:
-        progress(1.0, "certified" if best.plan is not None else "not found")
-    if duration is None and best.problem is not None and best.z is not None:
-        return stretched(robot, best.problem, best.z)
-    if best.plan is not None:
-        return best.plan
-    what = f"way from ({start[0]:.4f}, {start[1]:.4f}) to ({goal[0]:.4f}, {goal[1]:.4f}) m"
-    raise refuse(robot, what, best, lambda: None)

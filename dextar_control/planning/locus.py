@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import Enum
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -36,7 +35,7 @@ class LocusPoint(NamedTuple):
 
     x: Array  # (n,) m
     working_mode: Mode
-    family: Enum
+    family: Family
     t_s: Array  # (n,) unit kernel of A_r
     gradient: Array  # (n,) of s, 1/m: a crossing towards s > 0 moves along it
     type1: float  # distance to Type 1
@@ -48,14 +47,14 @@ class Arc(NamedTuple):
     """A connected piece of the locus in one working mode, traced."""
 
     working_mode: Mode
-    family: Enum
+    family: Family
     branch: int
     angles: Array  # (m,) rising, rad
     x: Array  # (m, n) m
     length: Array  # (m,) from the arc's begin, m
 
 
-def locus_position(model: PlanningModel, family: Enum, branch: int, angle: float) -> Array:
+def locus_position(model: PlanningModel, family: Family, branch: int, angle: float) -> Array:
     """Position (n,), m, of the locus at a tracing angle, rad."""
     x: Array = model.locus([family.value], [branch], np.array([[angle]])).x[0]
     return x
@@ -147,7 +146,7 @@ def point_on_arc(robot: RobotParameters, arc: Arc, length: float) -> LocusPoint:
     return make_point(robot, arc.working_mode, arc.family, arc.branch, float(np.interp(length, arc.length, arc.angles)))
 
 
-def make_point(robot: RobotParameters, working_mode: Mode, family: Enum, branch: int, angle: float) -> LocusPoint:
+def make_point(robot: RobotParameters, working_mode: Mode, family: Family, branch: int, angle: float) -> LocusPoint:
     """The point of the locus at a tracing angle, rad, of one branch."""
     model = planning_model(robot.replace(working_mode=working_mode))
     x = locus_position(model, family, branch, angle)
@@ -257,7 +256,7 @@ def sample_locus(
         ParameterError: count is smaller than what folded and the working modes ask for.
         GeometryError: no working mode reaches the locus, or none reaches a folded point and some are asked for.
     """
-    strata: dict[tuple[Enum, Mode], list[Arc]] = {}
+    strata: dict[tuple[Family, Mode], list[Arc]] = {}
     for arc in trace_locus(robot, tuple(map(tuple, working_modes)), crossable=True):
         strata.setdefault((arc.family, arc.working_mode), []).append(arc)
     if not strata:

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.mechanisms.five_bar_locus import FiveBarLocus
+from dextar_control.mechanisms.five_bar import FiveBar
 from dextar_control.model.model import Model, equations_of
 from dextar_control.planning.candidate import candidates, costs, layouts
 from dextar_control.symbols.functions import Library, cache_folder, named
@@ -36,9 +36,9 @@ class PlanningModel(Model):
         workspace: corners (n,) of a box that holds every place it reaches.
     """
 
-    mechanism: FiveBarLocus
+    mechanism: FiveBar
 
-    def __init__(self, mechanism: FiveBarLocus, values: Mapping[str, Any]) -> None:
+    def __init__(self, mechanism: FiveBar, values: Mapping[str, Any]) -> None:
         super().__init__(mechanism, values)
         library, self.numbers = planning_library(mechanism), mechanism.named(self.p)
         self.sides, self.instants, self.locus = (
@@ -68,14 +68,14 @@ def planning_model(robot: RobotParameters) -> PlanningModel:
     return model
 
 
-def planning_library(mechanism: FiveBarLocus) -> Library:
+def planning_library(mechanism: FiveBar) -> Library:
     """The functions of planning for a mechanism, compiled where that can be done, once."""
     with _building:
         return _library(mechanism)
 
 
 @lru_cache
-def _library(mechanism: FiveBarLocus) -> Library:
+def _library(mechanism: FiveBar) -> Library:
     e = equations_of(mechanism)
     numbers, x = {"p": e.p}, {"x": e.x}
     at = e.at(e.p, mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)), e.x, e.x_dot, e.x_ddot)

@@ -18,7 +18,7 @@ from dextar_control.planning.checks import certify
 from dextar_control.planning.locus import MIN_END_S, LocusPoint, place_of
 from dextar_control.planning.model import planning_model
 from dextar_control.planning.regular import MIN_APPROACH_S, plan_approach
-from dextar_control.planning.search import Criterion, Progress, coefficients_over
+from dextar_control.planning.search import Criterion, Progress, coefficients_over, silent
 from dextar_control.planning.through import plan_through
 from dextar_control.planning.trajectory import Trajectory, hold, join
 from dextar_control.symbols.types import Array
@@ -69,7 +69,7 @@ def plan_return_trip(
     *,
     point: LocusPoint | Array | None = None,
     criterion: Criterion = Criterion.RECIPROCAL,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Plan:
     """start -> goal -> start, ``repeat`` times, with rests before, between and after.
 
@@ -105,7 +105,7 @@ def plan_return_trip_through(
     repeat: int = 1,
     *,
     criterion: Criterion = Criterion.RECIPROCAL,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Plan:
     """Out through a given point of the locus and back, ``repeat`` times, with rests before, between and after.
 

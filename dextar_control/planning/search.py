@@ -34,6 +34,10 @@ VISIT = 0.9  # cosine of the angle between the ways of two guesses that are take
 Progress = Callable[[float, str], None]
 
 
+def silent(fraction: float, stage: str) -> None:
+    """Progress that nobody asked for."""
+
+
 class Criterion(Enum):
     """What holds at the crossing: t_s.w_d = 0 (Eq. 5), or w_d = 0 altogether (the paper's [10])."""
 

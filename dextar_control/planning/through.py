@@ -20,7 +20,7 @@ from dextar_control.planning.attempts import (
 from dextar_control.planning.certificate import Plan
 from dextar_control.planning.locus import MIN_CROSSING_TYPE1, MIN_END_S, LocusPoint, beside, place_of, trace_locus
 from dextar_control.planning.model import planning_model
-from dextar_control.planning.search import Criterion, Progress, crossing_problem, guesses_through
+from dextar_control.planning.search import Criterion, Progress, crossing_problem, guesses_through, silent
 from dextar_control.symbols.types import Array
 
 MIN_SLOPE = 0.1  # sine of the angle between a crossing's direction and the locus
@@ -56,7 +56,7 @@ def plan_through(
     duration: float | None = None,
     *,
     criterion: Criterion = Criterion.RECIPROCAL,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Plan:
     """One way through a given point of the locus, rest to rest; the planner chooses both ends.
 
@@ -76,19 +76,6 @@ def plan_through(
     check_duration(duration)
     place = place_of(robot, point)
     sign, towards = _way(place, direction)
-
-    return _through(robot, place, sign, towards, duration, criterion, progress)
-
-
-def _through(
-    robot: RobotParameters,
-    place: LocusPoint,
-    sign: float,
-    towards: Array | None,
-    duration: float | None,
-    criterion: Criterion,
-    progress: Progress | None,
-) -> Plan:
     scale = BASE_DURATION + planning_model(robot).length / PACE if duration is None else duration
     best = Best(robot)
 
@@ -96,8 +83,7 @@ def _through(
         problem = crossing_problem(robot, at, sign, scale, criterion, OPEN, towards=towards)
         guesses = guesses_through(problem, at, towards)[:most]
         for row, guess in enumerate(guesses):
-            if progress is not None:
-                progress(row / len(guesses), f"guess {row + 1} of {len(guesses)} at ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
+            progress(row / len(guesses), f"guess {row + 1} of {len(guesses)} at ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
             if into.offer(problem, guess):
                 return True
         bent = problem.opened("first_bends", "second_bends")
@@ -105,8 +91,7 @@ def _through(
         for row in range(RESTARTS if most is None else 0):
             if into.z is None:
                 break
-            if progress is not None:
-                progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS} at ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
+            progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS} at ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
             if into.offer(bent, shaken(into.z, bent.free, generator, RESTART_SPREAD * (row > 0))):
                 break
         return len(guesses) > 0
@@ -116,8 +101,7 @@ def _through(
             f"the locus point ({place.x[0]:.4f}, {place.x[1]:.4f}) m has no room for a rest with |s| >= {MIN_END_S} straight"
             f" ahead on both sides (distance to Type 1: {place.type1:.3f}){_nearest_with_room(robot, place)}"
         )
-    if progress is not None:
-        progress(1.0, "certified" if best.plan is not None else "not found")
+    progress(1.0, "certified" if best.plan is not None else "not found")
     if duration is None and best.problem is not None and best.z is not None:
         return stretched(robot, best.problem, best.z)
     if best.plan is not None:

@@ -20,7 +20,7 @@ from dextar_control.planning.locus import LocusPoint, locus_point, sample_locus
 from dextar_control.planning.model import planning_model
 from dextar_control.planning.regions import find_way, make_regions, region_of
 from dextar_control.planning.regular import plan_approach, side_of
-from dextar_control.planning.search import Criterion, Problem, Progress, descend, leg_problem, trajectory_of
+from dextar_control.planning.search import Criterion, Problem, Progress, descend, leg_problem, silent, trajectory_of
 from dextar_control.planning.through import plan_through
 from dextar_control.planning.trajectory import Trajectory, hold, join
 from dextar_control.symbols.record import Record
@@ -201,7 +201,7 @@ def plan_tour(
     dwell: float = DWELL,
     flow: bool = True,
     criterion: Criterion = Criterion.RECIPROCAL,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Plan:
     """Crossings at several points of the locus one after the other, certified as a whole.
 
@@ -244,14 +244,13 @@ def _tour(
     dwell: float,
     flow: bool,
     criterion: Criterion,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Trajectory:
     ways: dict[tuple[bytes, float], Trajectory] = {}
     legs: dict[tuple[bytes, bytes, float], list[Trajectory]] = {}
     parts: list[Trajectory] = []
     for row, stop in enumerate(stops):
-        if progress is not None:
-            progress(row / len(stops), f"crossing {row + 1} of {len(stops)} at ({stop.point.x[0]:.4f}, {stop.point.x[1]:.4f}) m")
+        progress(row / len(stops), f"crossing {row + 1} of {len(stops)} at ({stop.point.x[0]:.4f}, {stop.point.x[1]:.4f}) m")
         name = stop.point.x.tobytes()
         if (name, stop.sign) not in ways:
             plan = plan_through(robot, stop.point, int(stop.sign), duration, criterion=criterion)
@@ -278,8 +277,7 @@ def _tour(
         parts.append(plan_approach(robot, end, origin, REGULAR_SPEED))
         end = origin
     parts.append(hold(end, dwell))
-    if progress is not None:
-        progress(1.0, "certifying")
+    progress(1.0, "certifying")
     return join(parts)
 
 

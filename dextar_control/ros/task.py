@@ -15,7 +15,7 @@ from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.locus import locus_point
 from dextar_control.planning.planner import Criterion, Plan, plan_crossing, plan_return_trip, plan_return_trip_through
 from dextar_control.planning.regular import side_of
-from dextar_control.planning.search import Progress
+from dextar_control.planning.search import Progress, silent
 from dextar_control.planning.tour import plan_tour
 from dextar_control.symbols.types import Array
 
@@ -88,7 +88,7 @@ class Task:
             repeat=values["repeat"], criterion=Criterion[values["criterion"].upper()],
         )  # fmt: skip
 
-    def plan(self, robot: RobotParameters, progress: Progress | None = None) -> Plan:
+    def plan(self, robot: RobotParameters, progress: Progress = silent) -> Plan:
         """The certified plan; a tour begins in A, a trip through a point where the planner lets it begin.
 
         Raises:
@@ -111,7 +111,7 @@ class Task:
             robot, start, np.array(self.goal), self.duration, self.dwell, self.repeat, criterion=self.criterion, progress=progress
         )
 
-    def plan_between(self, robot: RobotParameters, start: Array, goal: Array, progress: Progress | None = None) -> Plan:
+    def plan_between(self, robot: RobotParameters, start: Array, goal: Array, progress: Progress = silent) -> Plan:
         """One way between two given places.
 
         Raises:
