@@ -84,9 +84,9 @@ def nodes(context: LaunchContext) -> list[Node]:
 
 
 def after_warmup(event: ProcessExited, context: LaunchContext) -> list[Any]:
-    """The nodes once the model is compiled: they could not answer before."""
+    """The nodes once the equations are compiled, so that not each of them compiles."""
     if event.returncode != 0:
-        return [Shutdown(reason="the model could not be compiled")]
+        return [Shutdown(reason="the equations could not be prepared")]
     return nodes(context)
 
 
@@ -101,7 +101,7 @@ def generate_launch_description() -> LaunchDescription:
                                   description=ARGUMENTS["discovery_range"].told),
             OpaqueFunction(function=check),
             SetEnvironmentVariable(DISCOVERY, LaunchConfiguration("discovery_range")),
-            LogInfo(msg="loading the model; the first start compiles it, about a minute"),
+            LogInfo(msg="preparing the equations; the first start compiles them, some seconds"),
             RegisterEventHandler(OnProcessExit(target_action=warmup, on_exit=after_warmup)),
             warmup,
         ]

@@ -41,8 +41,8 @@ MODULES = {
 }
 CAMERA = {"pose_rate": 100.0, "pose_delay": 0.02, "pose_noise": 0.0002}  # of the plant, where the estimator wants one: Hz, s, m
 PR_SET_PDEATHSIG = 1  # of Linux' prctl
-STARTING = "starting the nodes (the first start on a machine compiles the model)"
-START_TIMEOUT = 180.0  # s: the first start on a machine compiles the core
+STARTING = "starting the nodes"
+START_TIMEOUT = 120.0  # s, on a busy machine
 RUN_TIMEOUT = 20.0  # s beyond 20 times the trip's duration
 STOP_TIMEOUT = 15.0  # s until a node that does not end is killed
 LINGER = 0.2  # s of holding after the trip

@@ -43,7 +43,7 @@ MODULES = {
 CAMERA_RATE = 1000.0  # Hz
 TOUR_PERIOD = 30  # s between two tours
 ANSWER = 5.0  # s
-STARTING = 240.0  # s until the nodes have to be there; the first start compiles
+STARTING = 120.0  # s until the nodes have to be there
 STOPPING = 30.0  # s
 
 

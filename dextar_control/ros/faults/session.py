@@ -43,7 +43,7 @@ from dextar_control.ros.faults.operator import Operator
 from dextar_control.ros.faults.processes import MODULES, FaultsError, Processes
 
 NANOSECONDS = 1_000_000_000
-START_TIMEOUT = 180.0  # s: the first start on a machine compiles the core
+START_TIMEOUT = 120.0  # s, on a busy machine
 RECOVERY_PATIENCE = 30.0  # s until a robot that does not come back to HOLD is given up
 LAST_WORDS = 0.3  # s
 LEASE_PATIENCE = 60.0  # s
