@@ -153,9 +153,9 @@ def _uninterrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    handler = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a closed terminal must not end the tracker before the workers
+    hang_up = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a closed terminal must not end the tracker before the workers
     resource_tracker.ensure_running()
-    signal.signal(signal.SIGHUP, handler)
+    signal.signal(signal.SIGHUP, hang_up)
     came: list[int] = []
     before = signals.install(lambda number, _: came.append(number))
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, set(signals.ENDING) - {signal.SIGTERM})

@@ -176,9 +176,11 @@ class _Filters:
             "s": e.s, "s_variance": slope @ state["covariance"][:n, :n] @ slope.T, "type1": e.type1,
             "folded": self.mechanism.folded(e.q_a, state["x"], self.p),
         }
-        estimate = {"x": state["x"], "x_dot": state["x_dot"], "q_a": e.q_a + state["b"], "q_a_dot": e.q_a_dot,
-                    "assembly_mode": 0.0, "confidence": 0.0, "s": e.s}
-        return {"look": self.look.join(look), "estimate": self.estimate.join(estimate)}
+        estimate = self.estimate.join({
+            "x": state["x"], "x_dot": state["x_dot"], "q_a": e.q_a + state["b"], "q_a_dot": e.q_a_dot, "assembly_mode": 0.0,
+            "confidence": 0.0, "s": e.s,
+        })  # fmt: skip
+        return {"look": self.look.join(look), "estimate": estimate}
 
 
 def _gain_parts(P: Symbol, H: Symbol, variance: Symbol) -> tuple[Symbol, Symbol]:

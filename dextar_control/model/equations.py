@@ -136,8 +136,7 @@ def equations(mechanism: Mechanism) -> Equations:
     at_rest = ca.vertcat(a, x_ddot), ca.SX.zeros(2 * n)
     c_a, c_x = ca.substitute(w_b, *at_rest), ca.substitute(w_d, *at_rest)  # Eq. 10
 
-    bound: list[Any] = [v], [q_a_dot]
-    b, w_b, w_d, c_a, c_x = ca.substitute([b, w_b, w_d, c_a, c_x], *bound)
+    b, w_b, w_d, c_a, c_x = ca.substitute([b, w_b, w_d, c_a, c_x], [v], [q_a_dot])
     drift = -ca.solve(B, b)  # Eq. 12
     q_a_ddot = J_inv @ x_ddot + drift  # Eq. 12
     w_b, w_d = ca.substitute([w_b, w_d], [a], [q_a_ddot])  # Eq. 10

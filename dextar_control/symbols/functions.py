@@ -52,10 +52,11 @@ class Fast:
     def __init__(self, function: ca.Function, shared: Mapping[str, Array] | None = None) -> None:
         given = dict(shared or {})
         self.arguments = SimpleNamespace()
+        self._buffer: Any
         self._buffer, self.run = function.buffer()
         self._places: list[Array] = []
         for i, name in enumerate(function.name_in()):
-            place = _place(name, function.sparsity_in(i), given)
+            place: Any = _place(name, function.sparsity_in(i), given)
             self._buffer.set_arg(i, memoryview(place))
             self._places.append(place)
             setattr(self.arguments, name, place)
@@ -85,8 +86,8 @@ class Batch:
     def __init__(self, function: ca.Function) -> None:
         buffer: Any
         buffer, self._run = function.map(BLOCK).buffer()
-        self._places = [np.zeros((BLOCK, function.numel_in(i))) for i in range(function.n_in())]
-        self._results = [np.zeros((BLOCK, function.numel_out(i))) for i in range(function.n_out())]
+        self._places: list[Any] = [np.zeros((BLOCK, function.numel_in(i))) for i in range(function.n_in())]
+        self._results: list[Any] = [np.zeros((BLOCK, function.numel_out(i))) for i in range(function.n_out())]
         for i, place in enumerate(self._places):
             buffer.set_arg(i, memoryview(place.reshape(-1)))
         for i, place in enumerate(self._results):
@@ -142,7 +143,7 @@ class Library:
         return Batch(self._functions[name])
 
 
-def named(name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Symbol]) -> ca.Function:
+def named(name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Any]) -> ca.Function:
     """A function on symbols with dense results, its common parts computed once."""
     dense = [ca.densify(result) for result in results.values()]
     return ca.Function(name, list(arguments.values()), dense, list(arguments), list(results), {"cse": True})
@@ -193,7 +194,7 @@ def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequenc
     for function in functions.values():
         generator.add(function)
     text = generator.dump()
-    key = hashlib.sha256("\0".join([text, *flags, command, platform.machine(), ca.__version__]).encode()).hexdigest()[:32]
+    key = hashlib.sha256("\0".join([text, *flags, command, platform.machine(), ca.CasadiMeta.version()]).encode()).hexdigest()[:32]
     library = folder / f"model-{key}.so"
     if (known := _loaded(functions, library)) is not None:
         return known

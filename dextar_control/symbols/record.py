@@ -129,7 +129,8 @@ class Layout:
 
     def of(self, numbers: Array) -> Record:
         """The record whose numbers are in this array (size,)."""
-        return self._class(numbers)  # type: ignore[no-any-return]
+        record: Record = self._class(numbers)
+        return record
 
     def indices(self, *names: str) -> NDArray[np.int64]:
         """Where the numbers of these fields lie in the vector, rising."""
@@ -149,6 +150,6 @@ class Layout:
             parts[name] = part if shape is None or len(shape) == 1 else ca.reshape(part, *shape)
         return parts
 
-    def join(self, fields: Mapping[str, Symbol]) -> Symbol:
+    def join(self, fields: Mapping[str, Symbol | float]) -> Symbol:
         """One vector on symbols of all fields."""
         return ca.vertcat(*(ca.vec(ca.densify(ca.SX(fields[field.name]))) for field in self.fields))

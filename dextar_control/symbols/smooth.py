@@ -9,7 +9,7 @@ from dextar_control.symbols.types import Symbol
 HUGE = 1e300
 
 
-def smooth_step(value: Symbol, low: Symbol, high: Symbol) -> Symbol:
+def smooth_step(value: Symbol, low: Symbol | float, high: Symbol | float) -> Symbol:
     """0 below low, 1 above high, a quintic with two zero derivatives at both ends between; a step where high <= low."""
     width = high - low
     z = ca.fmin(ca.fmax((value - low) / ca.if_else(width > 0.0, width, 1.0), 0.0), 1.0)
