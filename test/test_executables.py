@@ -165,7 +165,7 @@ def test_what_is_not_known_is_one_line_before_anything_is_started(
 def test_an_executable_helps_without_compiler_and_physics(name: str, tmp_path: Path) -> None:
     code = (f"import atexit, sys; from dextar_control.executables import {name};"
             f" atexit.register(lambda: print('pybullet' in sys.modules)); sys.exit({name}())")  # fmt: skip
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")}
     answer = subprocess.run([sys.executable, "-c", code, "--help"], cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr
     assert answer.stdout.startswith("usage: ")

@@ -194,8 +194,8 @@ def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequenc
     for function in functions.values():
         generator.add(function)
     text = generator.dump()
-    key = hashlib.sha256("\0".join([text, *flags, command, platform.machine(), ca.CasadiMeta.version()]).encode()).hexdigest()[:32]
-    library = folder / f"model-{key}.so"
+    made_of = "\0".join([text, *flags, command, platform.machine(), ca.CasadiMeta.version()])
+    library = folder / f"model-{hashlib.sha256(made_of.encode()).hexdigest()[:32]}.so"
     if (known := _loaded(functions, library)) is not None:
         return known
     try:
