@@ -6,6 +6,8 @@ two tips. Nothing here comes from ``dextar_control.model`` or ``dextar_control.m
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -54,6 +56,21 @@ class Oracle:
             q[2 * i + 1] = np.arctan2(r[1], r[0]) - q_a[i]
             v[2 * i + 1] = (r[0] * slip[1] - r[1] * slip[0]) / (r @ r) - rate
         return q, v
+
+    def constraint_dynamics(self, q_a: np.ndarray, x: np.ndarray) -> Callable[[], object]:
+        """One call of pinocchio's own solver at rest, without torque: what a tick's time is measured by."""
+        model = pin.Model(self.model)
+        ends = [pin.SE3(np.eye(3), np.array([leg.distal_length, 0.0, 0.0])) for leg in self.robot.legs]
+        contacts = pin.StdVec_RigidConstraintModel()
+        contacts.append(pin.RigidConstraintModel(
+            pin.ContactType.CONTACT_3D, model, 2, ends[0], 4, ends[1], pin.ReferenceFrame.LOCAL))  # fmt: skip
+        found = pin.StdVec_RigidConstraintData()
+        found.append(contacts[0].createData())
+        data, proximal = model.createData(), pin.ProximalSettings(1e-9, 1e-9, 5)
+        pin.initConstraintDynamics(model, data, contacts, found)
+        q, v = self.joints(q_a, x, np.zeros(2))
+        tau = np.zeros(4)
+        return lambda: pin.constraintDynamics(model, data, q, v, tau, contacts, found, proximal)
 
     def _terms(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray], list[np.ndarray]]:
         pin.computeAllTerms(self.model, self.data, q, v)
