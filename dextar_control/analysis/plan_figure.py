@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.certificate import Certificate, Plan
 from dextar_control.planning.locus import Family, trace_locus
-from dextar_control.planning.model import planning_model
+from dextar_control.planning.model import states_model
 
 BLACK, GREY, LIGHT = "#000000", "#6b6b6b", "#b8b8b8"
 LOCUS_STYLES = {Family.STRETCHED: ("dashed", "locus, stretched"), Family.FOLDED: ("dotted", "locus, folded")}
@@ -55,7 +55,7 @@ def _path(axes: Any, robot: RobotParameters, certificate: Certificate) -> None:
     for numbers, row in _places(certificate):
         crossing = certificate.crossings[row]
         point, velocity = np.array(crossing.x), np.array(crossing.x_dot)
-        t_s = planning_model(robot).place(point).t_s
+        t_s = states_model(robot).place(point).t_s
         along, across = velocity / np.hypot(*velocity), np.array([-velocity[1], velocity[0]]) / np.hypot(*velocity)
         axes.plot(*np.stack([point - 0.6 * ARROW * t_s, point + 0.6 * ARROW * t_s]).T, color=LIGHT, linewidth=4.0, zorder=3)
         axes.annotate(

@@ -11,7 +11,7 @@ from dextar_control.analysis.run import Floats, Run
 from dextar_control.analysis.tracking import tracked
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.locus import trace_locus
-from dextar_control.planning.model import planning_model
+from dextar_control.planning.model import states_model
 
 T_S_LENGTH = 6.0e-3  # m, half of what is drawn of t_s
 MARGIN = 0.02  # m around everything
@@ -85,19 +85,19 @@ def locus_of(robot: RobotParameters | None) -> list[tuple[str, Floats]]:
 
 def linkage_at(robot: RobotParameters, x: Floats) -> Floats:
     """(5, 2) motor, elbow, end effector, elbow, motor, m, in the robot's working mode; nan where it cannot be."""
-    return chain(robot, x, planning_model(robot).place(x).q_a)
+    return chain(robot, x, states_model(robot).place(x).q_a)
 
 
 def chain(robot: RobotParameters, x: Floats, q_a: Floats) -> Floats:
     """(5, 2) motor, elbow, end effector, elbow, motor, m, of an end effector and active joints."""
-    model = planning_model(robot)
+    model = states_model(robot)
     linkage: Floats = model.mechanism.linkage(q_a, x, model.numbers)
     return linkage
 
 
 def t_s_at(robot: RobotParameters, x: Floats) -> Floats:
     """(2,) weak direction of A_r at an end effector position: t_s where it is on the locus."""
-    t_s: Floats = planning_model(robot).place(x).t_s
+    t_s: Floats = states_model(robot).place(x).t_s
     return t_s
 
 

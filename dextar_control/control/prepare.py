@@ -16,8 +16,10 @@ from dextar_control.control.supervisor import watch_of
 from dextar_control.estimation.direct import direct_of
 from dextar_control.estimation.filters import filters_of
 from dextar_control.estimation.joint_filter import joint_filter_of
+from dextar_control.mechanisms.five_bar import FiveBar
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.model import Model, library_of
+from dextar_control.planning.model import planning_library, states_library
 
 
 def prepare(mechanism: Mechanism) -> bool:
@@ -26,6 +28,8 @@ def prepare(mechanism: Mechanism) -> bool:
         library_of(mechanism), laws_of(mechanism), filters_of(mechanism), direct_of(mechanism), joint_filter_of(mechanism),
         watch_of(mechanism), stops_of(mechanism), references_of(mechanism),
     ]
+    if isinstance(mechanism, FiveBar):  # what checks a trajectory, and what plans one
+        libraries += [states_library(mechanism), planning_library(mechanism)]
     return all(library.compiled for library in libraries)
 
 

@@ -122,7 +122,7 @@ class Mechanism(ABC):
 
     @abstractmethod
     def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> Symbol | None:
-        """x (n,) of joints with sign(s) = assembly_mode, its root clamped above zero; None where it has no closed form."""
+        """x (n,) of joint positions with sign(s) = assembly_mode, its root kept above zero; None where it has no closed form."""
 
     def mirror_image(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol | None:
         """The other place (n,) of the platform that the joints q_a leave, with -sign(s); None where it has no closed form."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.planning.model import planning_model
+from dextar_control.planning.model import states_model
 from dextar_control.planning.profile import ON_CROSSING, Profile, find_crossings, sample_profile, sample_times
 from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.types import Array
@@ -137,7 +137,7 @@ def measure(robot: RobotParameters, trajectory: Trajectory, period: float = 1e-3
 
 def _crossing(robot: RobotParameters, profile: Profile, far: NDArray[np.int64], row: int, sign: float) -> Crossing:
     """The crossing at one row of a profile, whose rows ``far`` lie away from the locus."""
-    model, x, x_dot = planning_model(robot), profile.x[row], profile.x_dot[row]
+    model, x, x_dot = states_model(robot), profile.x[row], profile.x_dot[row]
     found = model.place(x)
     place = int(np.searchsorted(far, row))
     enter = profile.time[far[place - 1] + 1] if place > 0 else profile.time[0]

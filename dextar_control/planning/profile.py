@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.planning.model import PlanningModel, planning_model
+from dextar_control.planning.model import StatesModel, states_model
 from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.types import Array
 
@@ -51,7 +51,7 @@ def sample_profile(robot: RobotParameters, trajectory: Trajectory, times: Array)
     Within LIMIT_ZONE of the locus the multipliers are continued from either side of the crossing by a parabola:
     towards the value they tend to when the criterion holds.
     """
-    times, model = np.asarray(times, dtype=np.float64), planning_model(robot)
+    times, model = np.asarray(times, dtype=np.float64), states_model(robot)
     x, x_dot, x_ddot = trajectory.table(times)
     found = model.instants(x, x_dot, x_ddot)
     s, multipliers = found.s[:, 0], found.multipliers
@@ -69,7 +69,7 @@ def sample_profile(robot: RobotParameters, trajectory: Trajectory, times: Array)
 
 
 def _continued(
-    model: PlanningModel, trajectory: Trajectory, times: Array, s: Array, around: tuple[Any, Any], inside: Array
+    model: StatesModel, trajectory: Trajectory, times: Array, s: Array, around: tuple[Any, Any], inside: Array
 ) -> Array:
     """The multipliers (k, n) at times (k,) between the two rows ``around`` a crossing, from its neighbourhood."""
     first, last = around
@@ -88,7 +88,7 @@ def _continued(
 
 def find_crossings(robot: RobotParameters, trajectory: Trajectory, times: Array, s: Array) -> Array:
     """Instants (k,), s, where s changes sign, by bisection between samples to machine precision."""
-    model = planning_model(robot)
+    model = states_model(robot)
 
     def value(time: float) -> float:
         return model.s(trajectory.at(time).x)

@@ -9,7 +9,7 @@ from dextar_control.contract.errors import GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.certificate import PLAN_RESIDUAL, measure
 from dextar_control.planning.checks import beyond_range, certify
-from dextar_control.planning.model import planning_model
+from dextar_control.planning.model import states_model
 from dextar_control.planning.regions import SPACING, find_way, make_regions
 from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.types import Array
@@ -29,7 +29,7 @@ def side_of(robot: RobotParameters, name: str, x: Array) -> float:
     Raises:
         GeometryError: it is unreachable, too near to Type 1 or out of a joint's range.
     """
-    model = planning_model(robot)
+    model = states_model(robot)
     if not np.isfinite(x).all() or x.shape != (model.n,):
         raise GeometryError(f"{name} = {x.tolist()}; it must be two finite numbers, m")
     try:
