@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 from dextar_control.contract.resources import ROBOT_FILE, config_file
 from dextar_control.contract.robot import load_robot
@@ -22,15 +23,15 @@ from dextar_control.model.model import Model, library_of
 from dextar_control.planning.model import planning_library, states_library
 
 
+ALWAYS = library_of, laws_of, filters_of, direct_of, joint_filter_of, watch_of, stops_of, references_of
+WHERE_PLANNED = planning_library, states_library  # what plans a trajectory, and what checks one
+
+
 def prepare(mechanism: Mechanism) -> bool:
-    """Compile and load the functions of a mechanism, or find them in the cache; whether they are compiled."""
-    libraries = [
-        library_of(mechanism), laws_of(mechanism), filters_of(mechanism), direct_of(mechanism), joint_filter_of(mechanism),
-        watch_of(mechanism), stops_of(mechanism), references_of(mechanism),
-    ]
-    if isinstance(mechanism, FiveBar):  # what checks a trajectory, and what plans one
-        libraries += [states_library(mechanism), planning_library(mechanism)]
-    return all(library.compiled for library in libraries)
+    """Compile, side by side, and load the functions of a mechanism, or find them in the cache; whether they are compiled."""
+    makers = (*WHERE_PLANNED, *ALWAYS) if isinstance(mechanism, FiveBar) else ALWAYS
+    with ThreadPoolExecutor() as pool:
+        return all([library.compiled for library in pool.map(lambda make: make(mechanism), makers)])
 
 
 def main(arguments: list[str] | None = None) -> int:
