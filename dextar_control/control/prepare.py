@@ -22,7 +22,6 @@ from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.model import Model, library_of
 from dextar_control.planning.model import planning_library, states_library
 
-
 ALWAYS = library_of, laws_of, filters_of, direct_of, joint_filter_of, watch_of, stops_of, references_of
 WHERE_PLANNED = planning_library, states_library  # what plans a trajectory, and what checks one
 
