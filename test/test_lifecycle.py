@@ -171,7 +171,7 @@ def test_no_parameter_is_without_description_and_range(asleep: Rig) -> None:
     assert {spec.name for spec in PARAMETERS} <= told.keys()
     for spec in PARAMETERS:
         descriptor = told[spec.name]
-        assert descriptor.description == spec.description
+        assert descriptor.description == spec.measured
         assert not descriptor.read_only
         ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
         if spec.choices:
