@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import signal
 
 from dextar_control.campaign.config import load_config
-from dextar_control.campaign.pool import END
 from dextar_control.campaign.rerun import rerun
 from dextar_control.campaign.run import TRIAL_MODULE, prepare, run_campaign
 from dextar_control.campaign.selection import names, select
@@ -23,8 +21,6 @@ def run_command(arguments: argparse.Namespace, trial_module: str = TRIAL_MODULE)
     Raises:
         DextarError: the campaign file, an argument, the folder or the workers cannot be used.
     """
-    for number in END:
-        signal.signal(number, signal.default_int_handler)
     console = Terminal()
     config = select(
         load_config(arguments.config),
