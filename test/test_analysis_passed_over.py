@@ -24,6 +24,7 @@ from synthetic_run import START, TICKS, TYPES, joint_state, message, write_run
 from dextar_control import cli
 from dextar_control.analysis import Metrics, compute_metrics, load_run
 from dextar_control.bags.folder import in_order
+from dextar_control.bags.records import RECOVERY_NAME
 from dextar_control.contract import decoding
 from dextar_control.contract.errors import BagError, StateError
 from dextar_control.ros.recovery import recover
@@ -232,10 +233,51 @@ def test_a_trajectory_without_velocities_is_passed_over(good: Path, tmp_path: Pa
 
 
 def test_a_metadata_record_that_cannot_be_read_leaves_the_messages(good: Path, tmp_path: Path) -> None:
-    for text in ("[1, 2]", '{"joint_states": 5}', "{"):
+    for text in ("[1, 2]", '{"joint_states": 5}', "{", "[" * 100_000):
         bag = write(tmp_path / "run.mcap", messages_of(good), metadata={"dextar": {"contract": text}})
         with pytest.warns(UserWarning, match="record 'dextar' cannot be read and is passed over"):
             assert len(load_run(bag).states.stamps) == TICKS
+
+
+def test_records_without_a_bottom_are_read_as_unknown(good: Path, tmp_path: Path) -> None:
+    deep = "[" * 100_000
+    record = record_of(good)
+    record["dextar"] |= {"certificate": deep, "versions": deep}
+    bag = write(tmp_path / "run.mcap", messages_of(good), metadata={**record, RECOVERY_NAME: {"holes": deep}})
+    assert cli.main(["analyze", str(bag)]) in (0, 1)
+
+
+NUMBERED = """- {history: 1, depth: 10, reliability: 2, durability: 1, deadline: {sec: 9223372036, nsec: 854775807},
+  lifespan: {sec: 1, nsec: 0}, liveliness: 1, liveliness_lease_duration: {sec: 1, nsec: 0},
+  avoid_ros_namespace_conventions: false}"""
+
+
+@pytest.mark.parametrize(
+    ("profiles", "kept"),
+    [
+        *((odd, 0) for odd in ("", "2020-99-99", "!!timestamp x", "[" * 20_000, "hello", "{a: 1}", "[5]", "- {depth: x}")),
+        (NUMBERED, 1), (NUMBERED.replace("reliability: 2", "reliability: best_effort"), 1),
+        (NUMBERED.replace("nsec: 0}, live", "n: 0}, live"), 0), (f"{NUMBERED}\n- 5\n{NUMBERED}", 2),
+    ],
+)  # fmt: skip
+def test_a_recovered_bag_has_the_qos_profiles_that_rosbag2_can_read(profiles: str, kept: int, tmp_path: Path) -> None:
+    bag = tmp_path / "run.mcap"
+    with bag.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="test")
+        schema = writer.register_schema(JOINT_STATE, "ros2msg", b"")
+        channel = writer.register_channel("/joint_states", "cdr", schema, {"offered_qos_profiles": profiles})
+        writer.add_message(channel, START, serialized(joint_state(START, ["q11"], (1.0,))), START)
+        writer.finish()
+    with bag.open("r+b") as stream:
+        stream.truncate(bag.stat().st_size - 20)
+    assert cli.main(["recover", str(bag)]) == 0
+    with Reader(tmp_path / "run-recovered") as reader:
+        assert len(list(reader.messages())) == 1
+    listing = yaml.safe_load((tmp_path / "run-recovered" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    offered = listing["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
+    assert [profile["reliability"] for profile in offered] == ["best_effort"] * kept
+    assert [profile["durability"] for profile in offered] == ["transient_local"] * kept
 
 
 # One reader, one tolerance.

@@ -161,6 +161,30 @@ def test_what_is_not_known_is_one_line_before_anything_is_started(
     assert message in err
 
 
+def test_parameters_that_come_through_a_pipe_reach_the_node(capfd: pytest.CaptureFixture[str]) -> None:
+    reading, writing = os.pipe()
+    os.write(writing, b"/**/recorder:\n  ros__parameters:\n    sync_period: -7.0\n")
+    os.close(writing)
+    try:
+        assert run_node(RecorderNode, ["--ros-args", "--params-file", f"/dev/fd/{reading}"]) == 2
+    finally:
+        os.close(reading)
+    assert "parameter 'sync_period' = -7.0" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["--frob"], ["-p", "law"]])
+def test_what_is_not_known_beside_a_pipe_is_one_line_too(
+    words: list[str], unstarted: None, capfd: pytest.CaptureFixture[str]
+) -> None:
+    reading, writing = os.pipe()
+    os.close(writing)
+    try:
+        assert run_node(RecorderNode, ["--ros-args", "--params-file", f"/dev/fd/{reading}", *words]) == 2
+    finally:
+        os.close(reading)
+    assert len(capfd.readouterr().err.splitlines()) == 1
+
+
 @pytest.mark.parametrize("name", ["plant", "warmup"])
 def test_an_executable_helps_without_compiler_and_physics(name: str, tmp_path: Path) -> None:
     code = (f"import atexit, sys; from dextar_control.executables import {name};"

@@ -219,8 +219,7 @@ def test_what_is_no_text_file_is_told_in_one_sentence(tmp_path: Path, read: Any)
     latin.write_bytes(b"seed: 1\nrobot: caf\xe9\n")
     for path, said in (
         (tmp_path, "it is a folder, not a file"), (loop, "Too many levels of symbolic links"),
-        (tmp_path / "none", "No such file"),
-        (Path("/dev/zero"), "it is larger than 4 MB"), (latin, "line 2 is not UTF-8"),
+        (tmp_path / "none", "No such file"), (Path("/dev/zero"), "it is larger than 4 MB"), (latin, "line 2 is not UTF-8"),
     ):  # fmt: skip
         with pytest.raises(ParameterError) as caught:
             read(path)

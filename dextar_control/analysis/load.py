@@ -80,7 +80,7 @@ def load_run(
         resolved = _table_of(record, "contract", str)
         losses = _losses(_table_of(record, "topics", dict))
         parameters = _parameters(record)
-    except (ValueError, yaml.YAMLError) as error:
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
         why = " ".join(str(error).split())
         bag.faults.append(f"its metadata record 'dextar' cannot be read and is passed over: {why}")
         record, resolved, losses, parameters = {}, {}, {}, {}

@@ -372,7 +372,7 @@ def _parsed(text: str, kind: type) -> Any:
     """A recorded JSON value of a kind; an empty one where there is none."""
     try:
         value = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         value = None
     return value if isinstance(value, kind) else kind()
 

@@ -195,7 +195,7 @@ class Scan:
         try:
             holes = [Hole(self.path, int(chunks), first, last) for chunks, first, last in json.loads(metadata.get("holes", "[]"))]
             cut = bool(json.loads(metadata.get("cut", "false")))
-        except (ValueError, TypeError):  # not ours
+        except (ValueError, TypeError, RecursionError):  # not ours
             return
         self.inherited, self.cut = holes, cut
 

@@ -379,9 +379,9 @@ def _answer(make: Callable[[], Any], words: list[str]) -> int | None:
     if own:
         instead = f"write --ros-args -p {own[0]}" if ":=" in own[0] else "--help says what there is"
         return _refuse(f"argument '{own[0]}' is not known: a node takes --help, and what stands behind --ros-args; {instead}")
-    check_parameter_files(words)
+    files_and_more = check_parameter_files(words)
     try:
-        remove_ros_args(words)
+        remove_ros_args(files_and_more)
     except Exception as error:  # rcl raises its own types for a bad --ros-args or parameter file
         return _refuse(_in_one_line(error))
     return None

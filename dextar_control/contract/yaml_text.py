@@ -125,15 +125,25 @@ def load_parameters(*paths: str | Path, what: str = "parameter file") -> Section
     return sections
 
 
-def check_parameter_files(arguments: Sequence[str]) -> None:
+def check_parameter_files(arguments: Sequence[str]) -> list[str]:
     """Refuse a file after ``--params-file`` as a command would: rcl's own words name neither line nor remedy.
+
+    Returns:
+        The arguments without pipes, which give their content once: that is for the node.
 
     Raises:
         ParameterError: a file cannot be read, or ROS 2 would not take it.
     """
-    for flag, path in zip(arguments, arguments[1:], strict=False):
-        if flag == "--params-file" and not stat.S_ISFIFO(_mode(path)):  # a pipe is read once, by rcl
-            load_parameters(path)
+    left: list[str] = []
+    for word in arguments:
+        if not left or left[-1] != "--params-file":
+            left.append(word)
+        elif stat.S_ISFIFO(_mode(word)):
+            left.pop()
+        else:
+            load_parameters(word)
+            left.append(word)
+    return left
 
 
 def _mode(path: str) -> int:

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import yaml
 from mcap.records import Attachment, Channel, Metadata, Schema
@@ -24,10 +24,22 @@ from dextar_control.bags.folder import (
 )
 from dextar_control.bags.records import MAGIC, PER_MESSAGE, RECOVERY_NAME, Messages, Progress, Scan
 from dextar_control.contract.errors import BagError
-from dextar_control.ros.bag_metadata import RECORD_NAME, FileSummary, TopicDescription, write_metadata_file
+from dextar_control.ros.bag_metadata import RECORD_NAME, FileSummary, Qos, TopicDescription, write_metadata_file
 from dextar_control.ros.mcap_file import McapFile, Sample
 
 SUFFIX = "-recovered"
+# Of a QoS profile in rosbag2's order: a type, or the words for the numbers of rmw that stand there before version 9.
+QOS_KEYS: dict[str, type | tuple[str, ...]] = {
+    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+    "depth": int,
+    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
+    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
+    "deadline": dict,
+    "lifespan": dict,
+    "liveliness": ("system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown", "best_available"),
+    "liveliness_lease_duration": dict,
+    "avoid_ros_namespace_conventions": bool,
+}
 
 
 @dataclass
@@ -265,9 +277,34 @@ def _copy(
 
 def _topic(channel: Channel, schema: Schema) -> TopicDescription:
     details: Mapping[str, str] = channel.metadata
-    try:
-        qos = yaml.safe_load(details.get("offered_qos_profiles", "")) or []
-    except yaml.YAMLError:
-        qos = []
+    qos = _profiles(details.get("offered_qos_profiles", ""))
     text = schema.data.decode("utf-8", errors="replace")
     return TopicDescription(channel.topic, schema.name, qos, text, details.get("topic_type_hash", ""), schema.encoding)
+
+
+def _profiles(text: str) -> list[Qos]:
+    """The offered QoS profiles that version 9 of rosbag2's metadata can hold; what earlier versions numbered in words."""
+    try:
+        listed = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, AttributeError, RecursionError):  # what PyYAML raises at content that is none
+        return []
+    return [found for profile in (listed if isinstance(listed, list) else []) if (found := _profile(profile)) is not None]
+
+
+def _profile(profile: Any) -> Qos | None:
+    if not isinstance(profile, dict):
+        return None
+    found: dict[str, object] = {}
+    for key, kind in QOS_KEYS.items():
+        value = profile.get(key)
+        if isinstance(kind, tuple):
+            value = kind[value] if type(value) is int and 0 <= value < len(kind) else value
+            good = isinstance(value, str)
+        elif kind is dict:
+            good = isinstance(value, dict) and all(type(value.get(part)) is int for part in ("sec", "nsec"))
+        else:
+            good = type(value) is kind
+        if not good:
+            return None
+        found[key] = value
+    return found
