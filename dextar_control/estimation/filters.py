@@ -179,7 +179,7 @@ class _Filters:
         estimate = self.estimate.join({
             "x": state["x"], "x_dot": state["x_dot"], "q_a": e.q_a + state["b"], "q_a_dot": e.q_a_dot, "assembly_mode": 0.0,
             "confidence": 0.0, "s": e.s,
-        })  # fmt: skip
+        })
         return {"look": self.look.join(look), "estimate": estimate}
 
 

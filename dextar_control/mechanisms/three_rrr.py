@@ -53,7 +53,7 @@ class ThreeRRR(Mechanism):
         """Half of |C_i - P_i|^2 - l2^2, m^2."""
         rods = [self.corner(leg, x, p) - self.elbow(leg, q_a[leg], p) for leg in range(3)]
         return ca.vertcat(*(0.5 * (ca.sumsqr(r) - getattr(p, name).distal_length ** 2)
-                            for r, name in zip(rods, LEGS, strict=True)))  # fmt: skip
+                            for r, name in zip(rods, LEGS, strict=True)))
 
     def lagrangian(self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any) -> Symbol:
         """Each distal rod is seen from its two ends, the elbow and the platform's corner."""
@@ -65,9 +65,9 @@ class ThreeRRR(Mechanism):
             P_dot, C_dot = ca.jtimes(P, q_a, q_a_dot), ca.jtimes(C, x, x_dot)
             energy += 0.5 * link.rotor_inertia * q_a_dot[leg] ** 2
             energy += rod(link.proximal_mass, link.proximal_center, link.proximal_inertia, link.proximal_length,
-                          (self.base(leg, p), P), (ca.SX.zeros(2), P_dot), p.gravity)  # fmt: skip
+                          (self.base(leg, p), P), (ca.SX.zeros(2), P_dot), p.gravity)
             energy += rod(link.distal_mass, link.distal_center, link.distal_inertia, link.distal_length,
-                          (P, C), (P_dot, C_dot), p.gravity)  # fmt: skip
+                          (P, C), (P_dot, C_dot), p.gravity)
         return energy
 
     def inverse_geometric_model(self, x: Symbol, p: Any) -> Symbol:
@@ -77,7 +77,7 @@ class ThreeRRR(Mechanism):
             two_link_angle(self.corner(leg, x, p) - self.base(leg, p), link.proximal_length, link.distal_length,
                            p.working_mode[leg])
             for leg, link in enumerate(legs)
-        ))  # fmt: skip
+        ))
 
     def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> None:
         """None: up to six solutions, of a polynomial of the sixth degree."""

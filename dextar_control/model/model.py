@@ -133,7 +133,7 @@ def library_of(mechanism: Mechanism) -> Library:
             "tau": e.inverse_dynamics + e.friction, "friction": e.friction, "criterion": e.criterion, "t_s": e.singular.v_weak,
         }),
         named("platform_dynamics", closed | {"tau": e.tau}, {"M": e.M, "h": e.h, "x_ddot": e.forward_dynamics}),
-    ]  # fmt: skip
+    ]
     q_a, mode = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("assembly_mode")
     direct = mechanism.direct_geometric_model(q_a, mode, p)
     if direct is None:
@@ -158,7 +158,7 @@ def _closed_near(mechanism: Mechanism, e: Equations) -> ca.Function:
     s = e.at(vector, q_a, x, ca.SX.zeros(mechanism.n)).s
     return named("closed_near", {"p": vector, "q_a": q_a, "near": near}, {
         "x": x, "gap": ca.norm_inf(mechanism.closures(q_a, x, p)), "s": s, "image": mirror_image(mechanism, q_a, x, p),
-    })  # fmt: skip
+    })
 
 
 def check_geometry(model: Model, places: Array) -> None:

@@ -203,7 +203,7 @@ def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequenc
             source, target = Path(working) / "model.c", Path(working) / "model.so"
             source.write_text(text, encoding="utf-8")
             subprocess.run([command, *flags, "-o", str(target), str(source), "-lm"], check=True, capture_output=True,
-                           stdin=subprocess.DEVNULL, timeout=COMPILE_TIMEOUT)  # fmt: skip
+                           stdin=subprocess.DEVNULL, timeout=COMPILE_TIMEOUT)
             with target.open("r+b") as stream:
                 stream.write(_seal(stream.read()))
             os.replace(target, library)  # whole or not at all, whoever else compiles the same
