@@ -17,7 +17,7 @@ from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.record import Record
 
 BASE_DURATION, PACE = 0.25, 0.8  # s and m/s: duration over a way's length at which a way of open duration is searched
-RESTARTS, RESTART_SPREAD = 6, 0.15  # from the best so far where it is not good, and by how much it is shaken
+RESTARTS, RESTART_SPREAD = 12, 0.15  # from the best so far where it is not good, and by how much it is shaken
 BISECTIONS = 3  # of the nearest duration
 HEADROOM = 1.002  # of a duration over the one at which the limit is met
 LONGEST_STRETCH = 20.0  # of the duration, that is offered instead
