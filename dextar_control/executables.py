@@ -1,18 +1,28 @@
 """The package's executables, as ``ros2 run dextar NAME`` and pip's scripts start them; each loads its module when it is called.
 
 Loading takes seconds, and a Ctrl-C in them ends the process without a traceback; what is loaded then takes the signals itself.
+Once it has ended, further signals change nothing: a launcher repeats the Ctrl-C that the terminal has sent already, and the
+interpreter's own end takes long enough to be hit.
 """
 
 from __future__ import annotations
 
 import importlib
+import signal
+from collections.abc import Callable
 
 from dextar_control.contract import signals
 
 
+def _run(module: str, code: Callable[[int], int]) -> int:
+    with signals.loading(code):
+        ended = int(importlib.import_module(module).main())
+    signals.install(signal.SIG_IGN)
+    return ended
+
+
 def _node(module: str) -> int:
-    with signals.loading(lambda _: 0):  # as any node that is asked to end
-        return int(importlib.import_module(module).main())
+    return _run(module, lambda _: 0)  # as any node that is asked to end
 
 
 def plant() -> int:
@@ -42,15 +52,9 @@ def markers() -> int:
 
 def warmup() -> int:
     """The equations' compilation."""
-    with signals.loading():
-        from dextar_control.control.prepare import main
-
-        return main()
+    return _run("dextar_control.control.prepare", signals.killed)
 
 
 def dextar() -> int:
     """The command ``dextar``."""
-    with signals.loading():
-        from dextar_control.cli import main
-
-        return main()
+    return _run("dextar_control.cli", signals.killed)

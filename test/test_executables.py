@@ -343,3 +343,28 @@ def test_the_command_is_ended_by_a_hang_up(monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.setattr(cli.COMMANDS["bench"], "run", lambda _: raising(signal.SIGHUP)())
     assert cli.main(["bench"]) == 129
     assert capsys.readouterr().err == "dextar bench: interrupted\n"
+
+
+ENDS = """
+import atexit, os, sys, time, types
+from dextar_control import executables
+from dextar_control.contract import signals
+
+sys.modules["fake"] = types.SimpleNamespace(main=lambda: 7)
+atexit.register(lambda: [(os.kill(os.getpid(), number), time.sleep(0.01)) for number in signals.ENDING])
+sys.exit(executables._node("fake"))
+"""
+
+
+def test_a_signal_after_the_end_changes_nothing() -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ended = subprocess.run([sys.executable, "-c", ENDS], env=environment, capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (7, "")
+
+
+def test_a_node_that_the_system_does_not_let_start_says_why(capsys: pytest.CaptureFixture[str]) -> None:
+    def make() -> None:
+        raise OSError(24, "Too many open files", "METADATA")
+
+    assert run_node(make, []) == 2
+    assert capsys.readouterr().err == "error: the node cannot be started: [Errno 24] Too many open files: 'METADATA'\n"

@@ -7,7 +7,9 @@ import contextlib
 import io
 import os
 import sys
+import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,9 +18,11 @@ from rich.table import Table
 from synthetic_run import write_run
 
 from dextar_control import cli
+from dextar_control.analysis import report
 from dextar_control.analysis.compare import Comparison, summary_table
 from dextar_control.contract import terminal
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, plain
+from dextar_control.ros import demo
 
 NASTY = "runs [friday] [/y] [bold]x[/bold] :smile: [link=a]b %s {0} \\[c]"
 PACKAGE = Path(__file__).resolve().parents[1] / "dextar_control"
@@ -161,3 +165,30 @@ def test_an_output_that_takes_nothing_is_told_in_one_line(
         assert cli.main(["export", str(bag), "--format", "csv", "--output", str(bag.parent / "full")]) == 2
     said = capsys.readouterr().err
     assert "No space left on device" in said and said.count("\n") == 1
+
+
+def test_a_reader_that_has_enough_does_not_make_a_run_a_failure() -> None:
+    class Left(io.StringIO):
+        def write(self, _: str) -> int:
+            raise BrokenPipeError
+
+    with pytest.raises(BrokenPipeError):
+        Terminal(file=Left()).print("x")
+
+
+def test_the_demo_tells_what_the_analysis_warns_of_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def analyze(_: Path) -> SimpleNamespace:
+        for _ in range(2):
+            warnings.warn("the bag breaks off", stacklevel=1)
+        return SimpleNamespace(success=True)
+
+    for name in ("_wait_until_ready", "_follow"):
+        monkeypatch.setattr(demo, name, lambda *_: None)
+    monkeypatch.setattr(demo, "_monitor", lambda: contextlib.nullcontext(SimpleNamespace(resume=lambda: None)))
+    monkeypatch.setattr(demo._Processes, "start", lambda *_: None)
+    monkeypatch.setattr(report, "analyze", analyze)
+    monkeypatch.setattr(report, "summary_table", lambda _: "")
+    assert cli.main(["demo", "--output", str(tmp_path)]) == 0
+    assert capsys.readouterr().err == "dextar demo: the bag breaks off\n"

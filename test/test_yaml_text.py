@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,7 @@ from rclpy.node import Node
 from dextar_control import cli
 from dextar_control.bags.folder import METADATA_FILE, METADATA_ROOT, read_listing
 from dextar_control.campaign.config import load_config
+from dextar_control.contract import yaml_text
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.node import run_node
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
@@ -261,3 +264,25 @@ def test_a_file_without_a_byte_order_mark_is_what_it_was(tmp_path: Path) -> None
     file = tmp_path / "x"
     file.write_bytes("\ufeffgrün\n".encode())
     assert read_text(file, "file") == "grün\n"
+
+
+def test_a_pipe_without_a_writer_is_told_and_one_with_a_writer_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(yaml_text, "WRITER_PATIENCE", 0.05)
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(ParameterError, match="parameter file .*pipe: it is a pipe, and nobody wrote into it within 0.05 s"):
+        load_parameters(pipe)
+    reading, writing = os.pipe()
+
+    def write() -> None:
+        time.sleep(0.3)  # longer than the patience with a pipe that has no writer
+        os.write(writing, b"/**:\n  ros__parameters:\n    a: 1e-1\n")
+        os.close(writing)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    assert load_parameters(f"/dev/fd/{reading}") == {"/**": {"a": 0.1}}
+    writer.join()
+    os.close(reading)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dextar_control.commands import EXIT_FAILED, EXIT_USAGE
-from dextar_control.commands.bags import add_robot, given_robot, shown_progress, spoken_warnings
+from dextar_control.commands.bags import add_robot, given_robot, shown_progress
 from dextar_control.contract.errors import DextarError
 
 SUMMARY = "metrics, figures and a report from recorded runs"
@@ -49,7 +49,7 @@ def _width(text: str) -> float:
 def run(arguments: argparse.Namespace) -> int:
     """The exit code."""
     from dextar_control.analysis.report import analyze, summary_table
-    from dextar_control.contract.terminal import Terminal, say
+    from dextar_control.contract.terminal import Terminal, say, spoken_warnings
 
     console, code, robot = Terminal(), 0, given_robot(arguments)
     for bag, folder in zip(arguments.bag, folders(arguments.bag, arguments.output), strict=True):

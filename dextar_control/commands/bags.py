@@ -1,10 +1,9 @@
-"""What the commands that read bags share: an argument, what is under way, and warnings as a user reads them."""
+"""What the commands that read bags share: an argument, and what is under way."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import warnings
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -61,18 +60,3 @@ def shown_progress(first: str = "") -> Iterator[Shown]:
             task = bars.add_task(text, total=None)
 
         yield Shown(stage, lambda done, total: bars.update(task, completed=done, total=total))
-
-
-@contextlib.contextmanager
-def spoken_warnings(command: str) -> Iterator[None]:
-    """Print each warning once, as one line on the error output, without the line of code that it comes from.
-
-    Not where an error ends it all: that is told in one line, which says what is damaged too.
-    """
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("default", UserWarning)
-        yield
-    from dextar_control.contract.terminal import say
-
-    for text in dict.fromkeys(str(warning.message) for warning in caught if issubclass(warning.category, UserWarning)):
-        say(f"dextar {command}: {text}")

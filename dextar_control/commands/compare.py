@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dextar_control.commands.bags import add_robot, given_robot, shown_progress, spoken_warnings
+from dextar_control.commands.bags import add_robot, given_robot, shown_progress
 
 SUMMARY = "recorded runs side by side, with their differences"
 DESCRIPTION = (
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """The exit code."""
     from dextar_control.analysis.compare import compare_bags, summary_table, write_comparison
-    from dextar_control.contract.terminal import Terminal
+    from dextar_control.contract.terminal import Terminal, spoken_warnings
 
     console = Terminal()
     with spoken_warnings("compare"), shown_progress() as shown:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dextar_control.commands.bags import add_robot, given_robot, shown_progress, spoken_warnings
+from dextar_control.commands.bags import add_robot, given_robot, shown_progress
 
 SUMMARY = "a recorded run as a table for pandas or MATLAB"
 DESCRIPTION = (
@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     """The exit code."""
     from dextar_control.analysis.load import load_run
     from dextar_control.analysis.table import check_formats, export
-    from dextar_control.contract.terminal import Terminal
+    from dextar_control.contract.terminal import Terminal, spoken_warnings
 
     console, formats = Terminal(), arguments.formats or ["parquet", "csv"]
     check_formats(formats)

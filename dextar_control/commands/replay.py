@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from dextar_control.commands.bags import add_robot, given_robot, shown_progress, spoken_warnings
+from dextar_control.commands.bags import add_robot, given_robot, shown_progress
 from dextar_control.contract.errors import ParameterError
 
 SUMMARY = "animate a recorded run"
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dextar_control.analysis.animate import animate, check_output
     from dextar_control.analysis.load import load_run
     from dextar_control.analysis.motion import motion_of
-    from dextar_control.contract.terminal import Steps, Terminal, TextColumn
+    from dextar_control.contract.terminal import Steps, Terminal, TextColumn, spoken_warnings
 
     if arguments.window and not os.environ.get("DISPLAY"):
         raise ParameterError("--window needs a display, and DISPLAY is not set; write a file instead: --output replay.gif")

@@ -363,6 +363,8 @@ def run_node(
             return 0
         if node is None and type(error).__module__.startswith("rclpy._rclpy"):  # e.g. security is asked for and not there
             return _refuse(_in_one_line(error))
+        if node is None and isinstance(error, OSError):  # e.g. too many open files
+            return _refuse(f"the node cannot be started: {error}")
         raise
     finally:
         if node is not None:

@@ -41,7 +41,7 @@ class Interrupted(KeyboardInterrupt):
 
 def exit_code(interrupt: BaseException) -> int:
     """Of a command that a signal ended: 128 + its number, 130 after Ctrl-C."""
-    return 128 + int(getattr(interrupt, "number", signal.SIGINT))
+    return killed(int(getattr(interrupt, "number", signal.SIGINT)))
 
 
 def caused_by_interrupt(error: BaseException) -> KeyboardInterrupt | None:
@@ -116,8 +116,13 @@ def interruptible() -> Iterator[None]:
         restore(before)
 
 
+def killed(number: int) -> int:
+    """The exit code of a process that this signal ended."""
+    return 128 + number
+
+
 @contextlib.contextmanager
-def loading(code: Callable[[int], int] = lambda number: 128 + number) -> Iterator[None]:
+def loading(code: Callable[[int], int] = killed) -> Iterator[None]:
     """Ending signals end the process at once, without a word, until something else takes them: only modules are being loaded.
 
     Args:

@@ -7,9 +7,12 @@ need to be, and what is under way is told in lines, now and then, instead of bar
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import time
+import warnings
+from collections.abc import Iterator
 from typing import Any
 
 from rich.console import Console
@@ -40,6 +43,19 @@ def say(text: object) -> None:
     print(plain(text), file=sys.stderr)
 
 
+@contextlib.contextmanager
+def spoken_warnings(command: str) -> Iterator[None]:
+    """Print each warning once, as one line on the error output, without the line of code that it comes from.
+
+    Not where an error ends it all: that is told in one line, which says what is damaged too.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default", UserWarning)
+        yield
+    for text in dict.fromkeys(str(warning.message) for warning in caught if issubclass(warning.category, UserWarning)):
+        say(f"dextar {command}: {text}")
+
+
 class Terminal(Console):
     """A console for texts that are no markup.
 
@@ -52,6 +68,10 @@ class Terminal(Console):
         super().__init__(stderr=stderr, markup=False, highlight=False, emoji=False, **options)
         if not self.is_terminal and "width" not in options and "COLUMNS" not in os.environ:
             self.width = FILE_WIDTH
+
+    def on_broken_pipe(self) -> None:
+        """Leave it to who called: rich would end the process with 1, which says that a run was no success."""
+        raise  # noqa: PLE0704  called where it is caught
 
     def render_str(self, text: str, **options: Any) -> Text:
         """As rich does, without control characters in the text."""

@@ -13,6 +13,7 @@ import errno
 import math
 import os
 import re
+import select
 import stat
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
@@ -25,6 +26,7 @@ import yaml
 from dextar_control.contract.errors import ParameterError
 
 MOST_BYTES = 4_000_000
+WRITER_PATIENCE = 5.0  # s until a pipe has a writer
 BYTE_ORDER_MARK = "\ufeff"
 STRING_TAG = "tag:yaml.org,2002:str"
 PLAIN_TAG = "plain"
@@ -58,7 +60,7 @@ def read_text(path: str | Path, what: str) -> str:
     try:
         if stat.S_ISDIR(_mode(os.fspath(path))):
             raise IsADirectoryError(errno.EISDIR, "it is a folder, not a file")
-        with open(os.open(path, os.O_RDONLY | os.O_NOCTTY), "rb") as stream:
+        with open(_descriptor(path), "rb") as stream:
             content = stream.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:  # a path with a NUL byte is a ValueError
         raise ParameterError(f"{what} {path}: {getattr(error, 'strerror', None) or error}") from error
@@ -75,6 +77,27 @@ def read_text(path: str | Path, what: str) -> str:
             f"{what} {path}: line {_line(content, error.start)} is not UTF-8 (byte 0x{content[error.start]:02x}); if it is"
             " Latin-1, convert it: iconv -f ISO-8859-1 -t UTF-8 OLD > NEW"
         ) from error
+
+
+def _descriptor(path: str | Path) -> int:
+    """Of a file that is opened to be read; of a pipe only where somebody writes into it.
+
+    Raises:
+        OSError: it cannot be opened, or is a pipe into which nobody writes.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    poll = select.poll()
+    poll.register(descriptor, select.POLLIN)
+    if stat.S_ISFIFO(os.fstat(descriptor).st_mode) and not poll.poll(1e3 * WRITER_PATIENCE):
+        try:
+            os.read(descriptor, 1)  # nothing: a writer that only has not written yet would make it fail
+        except BlockingIOError:
+            pass
+        else:
+            os.close(descriptor)
+            raise OSError(errno.ENXIO, f"it is a pipe, and nobody wrote into it within {WRITER_PATIENCE:g} s")
+    os.set_blocking(descriptor, True)
+    return descriptor
 
 
 def _line(content: bytes, place: int) -> int:

@@ -26,7 +26,7 @@ from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.node import check_value, qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
-from dextar_control.contract.terminal import Steps, Terminal, TextColumn
+from dextar_control.contract.terminal import Steps, Terminal, TextColumn, spoken_warnings
 from dextar_control.contract.topics import DIAGNOSTICS
 from dextar_control.contract.yaml_text import assignment, load_parameters, parse_value
 from dextar_control.ros.domain import choose_domain
@@ -172,7 +172,8 @@ def run_demo(arguments: argparse.Namespace) -> int:
             if code:
                 troubles.append(processes.describe_end(name, code))
     try:
-        metrics = analyze(folder / "run.mcap")
+        with spoken_warnings("demo"):
+            metrics = analyze(folder / "run.mcap")
     except BagError as error:
         raise BagError("; ".join([*troubles, str(error)])) from error
     console.print(summary_table(metrics))
