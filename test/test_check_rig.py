@@ -531,7 +531,7 @@ def test_limits_that_make_no_sense_are_refused(change: dict[str, float], words: 
         (["--wait", "nan"], "wait = nan s"),
         (["--states", "joint states"], "joint states"),
         (["--robot", "nowhere.yaml"], "No such file"),
-        (["--json", "nowhere/report.json"], "no folder nowhere"),
+        (["--json", "nowhere/report.json"], "--json nowhere/report.json cannot be written: No such file or directory"),
     ],
 )
 def test_wrong_arguments_end_with_one_sentence(

@@ -12,6 +12,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from dextar_control.contract.errors import ParameterError
+
 
 def cache_folder(name: str, *preferred: Path) -> Path | None:
     """A folder that can be written, made where it does not exist; None where there is none.
@@ -33,6 +35,28 @@ def writable(folder: Path) -> bool:
     except (OSError, ValueError):
         return False
     return True
+
+
+def check_file(file: Path, option: str) -> None:
+    """Refuse a file that cannot be written, before anything is done for it; what is there stays as it is.
+
+    Args:
+        file: to be written later.
+        option: of the command line, that names it.
+
+    Raises:
+        ParameterError: says why, and what to name instead.
+    """
+    new = not file.exists()
+    try:
+        with file.open("ab"):
+            pass
+        if new:
+            file.unlink()
+    except (OSError, ValueError) as error:
+        raise ParameterError(
+            f"{option} {file} cannot be written: {getattr(error, 'strerror', None) or error}; name a file in a folder that can"
+        ) from error
 
 
 def home() -> Path | None:

@@ -24,6 +24,7 @@ from rich.text import Text
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from dextar_control.contract.caches import check_file
 from dextar_control.contract.cdr import from_time, to_time
 from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import DextarError, ParameterError
@@ -209,8 +210,8 @@ def run_check(arguments: argparse.Namespace) -> int:
         raise ParameterError(f"duration = {arguments.duration} s at {limits.rate:g} Hz; it must be >= {100 / limits.rate:g} s")
     if not 0.0 <= arguments.wait < math.inf:
         raise ParameterError(f"wait = {arguments.wait} s; it must be >= 0 and finite")
-    if arguments.json is not None and not arguments.json.parent.is_dir():
-        raise ParameterError(f"report {arguments.json} cannot be written: no folder {arguments.json.parent}")
+    if arguments.json is not None:
+        check_file(arguments.json, "--json")
     console = Terminal()
     with _watch(arguments) as (node, stop):
         graph, samples = _look(console, node, stop, arguments.wait, arguments.duration)
