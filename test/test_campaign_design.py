@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
+from dextar_control.campaign import design
 from dextar_control.campaign.config import CampaignConfig, load_config
 from dextar_control.campaign.design import CrossingPoint, Trial, code_digest, digest, row_key, trials_of
 from dextar_control.campaign.selection import select
@@ -81,6 +83,18 @@ def test_a_trial_is_plain_data(trials: list[Trial]) -> None:
     for trial in trials:
         assert json.loads(json.dumps(trial.columns())) == trial.columns()
         assert digest(dataclasses.asdict(trial))
+
+
+def test_the_digest_of_the_code_sees_every_room_of_the_mathematics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home = Path(design.__file__).resolve().parents[1]
+    shutil.copytree(home, tmp_path / "copy", ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(design, "__file__", str(tmp_path / "copy" / "campaign" / "design.py"))
+    seen = {code_digest("dextar_sim.rig:Rig", "campaign_fake")}
+    for room in ("contract", "symbols", "mechanisms", "model", "planning", "estimation", "control"):
+        source = sorted((tmp_path / "copy" / room).glob("*.py"))[-1]
+        source.write_text(source.read_text(encoding="utf-8") + "# another number\n", encoding="utf-8")
+        seen.add(code_digest("dextar_sim.rig:Rig", "campaign_fake"))
+    assert len(seen) == 8
 
 
 def test_the_digest_of_the_code_sees_the_rigs_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

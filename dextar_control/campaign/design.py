@@ -138,15 +138,18 @@ def version() -> str:
         return "unknown"
 
 
+NUMBERS = "contract", "symbols", "mechanisms", "model", "planning", "estimation", "control"  # rooms that a row comes from
+
+
 def code_digest(rig: str, trial: str) -> str:
-    """Digest of the sources that a row's numbers come from: contract, core, the trial and the rig's package.
+    """Digest of the sources that a row's numbers come from: contract, mathematics, the trial and the rig's package.
 
     Args:
         rig: ``module:Class``.
         trial: the module that runs a trial.
     """
     home = Path(__file__).resolve().parents[1]
-    sources = [*home.glob("contract/*.py"), *home.glob("core/*.py")]
+    sources = [source for room in NUMBERS for source in home.glob(f"{room}/*.py")]
     for module, whole_folder in ((rig.partition(":")[0], True), (trial, False)):
         spec = importlib.util.find_spec(module)
         if spec is not None and spec.origin is not None:

@@ -18,9 +18,9 @@ ESTIMATORS = ("observer", "dgm", "plain", "external")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     parser.add_argument(
-        "--law", default="consistent", choices=LAWS,
+        "--law", choices=LAWS,
         help="control law near the locus; classic is the plain inverse model, which fails with the estimator plain"
-        " (default: %(default)s)",
+        " (default: config/crossing.yaml)",
     )  # fmt: skip
     parser.add_argument("--estimator", choices=ESTIMATORS, help="of the platform state (default: config/crossing.yaml)")
     where = parser.add_mutually_exclusive_group()

@@ -71,7 +71,7 @@ def _item(name: str, text: str) -> str:
 def _topic(topic: Topic, node: str = "") -> str:
     """One line; where a parameter of the node brings the topic into being, with that."""
     owner, _, parameter = topic.switch.partition(".")
-    switch = f" (only with {parameter})" if owner == node else ""
+    switch = f" (only with {parameter})" if parameter and owner == node else ""
     return _item(topic.name, f"{topic.type}, {rate(topic)}{switch}")
 
 

@@ -153,8 +153,8 @@ def run_demo(arguments: argparse.Namespace) -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain = choose_domain()
     mode = "lockstep" if arguments.lockstep else "real time"
-    estimator = f", estimator {arguments.estimator}" if arguments.estimator else ""
-    said = f"law {arguments.law}{estimator}, {mode}, ROS_DOMAIN_ID={domain}, into {folder}"
+    chosen = "".join(f"{name} {getattr(arguments, name)}, " for name in ("law", "estimator") if getattr(arguments, name))
+    said = f"{chosen}{mode}, ROS_DOMAIN_ID={domain}, into {folder}"
     console.print(said, soft_wrap=True)
     troubles: list[str] = []
     with _monitor() as monitor, contextlib.ExitStack() as stack:
@@ -188,10 +188,11 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     given: dict[str, dict[str, Any]] = {name: {} for name in MODULES}
     given["plant"] |= {"mode": "lockstep" if arguments.lockstep else "realtime", "start_paused": True}
     given["plant"] |= {"window": True} if arguments.window else {}
-    given["controller"] |= {"law": arguments.law, "lockstep": arguments.lockstep}
+    given["controller"] |= {"lockstep": arguments.lockstep}
     given["trajectory_server"] |= {"autostart": True}
-    if arguments.estimator is not None:
-        given["controller"]["estimator"] = arguments.estimator
+    for name in ("law", "estimator"):
+        if getattr(arguments, name) is not None:
+            given["controller"][name] = getattr(arguments, name)
     if arguments.estimator == "external":
         given["plant"] |= CAMERA
     if arguments.law == "multi_model":

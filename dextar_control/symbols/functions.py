@@ -23,7 +23,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dextar_control.contract import caches
+from dextar_control.contract import caches, signals
 from dextar_control.symbols.types import Array, Symbol
 
 FLAGS = ("-fPIC", "-shared", "-ffp-contract=off")  # no fused operations: the same numbers on every machine of a kind
@@ -188,7 +188,12 @@ def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequenc
     """The functions from a library, compiled unless it is there already; None where that cannot be done, which is told."""
     command = compiler()
     if command is None:
-        _tell("no C compiler (cc) was found; install one, such as gcc")
+        named = os.environ.get(COMPILER_VARIABLE)
+        _tell(
+            "no C compiler (cc) was found; install one, such as gcc" if named is None
+            else f"{COMPILER_VARIABLE} is empty" if not named
+            else f"there is no C compiler {named}, which {COMPILER_VARIABLE} names"
+        )
         return None
     generator = ca.CodeGenerator("dextar_model", {"with_header": False, "main": False})
     for function in functions.values():
@@ -212,7 +217,8 @@ def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequenc
         _tell(f"the C compiler {command} took more than {COMPILE_TIMEOUT:g} s")
     except subprocess.CalledProcessError as error:
         lines = error.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
-        _tell(f"the C compiler {command} failed: {lines[0]}")
+        if -error.returncode not in signals.ENDING:  # whoever asked it to end asks this process too
+            _tell(f"the C compiler {command} failed: {lines[0]}")
     except OSError as error:
         _tell(f"{folder} cannot be written: {error.strerror or error}")
     else:
