@@ -17,13 +17,13 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import Settings
 from dextar_control.control.law import OUTPUT
 from dextar_control.estimation.records import ESTIMATE
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.model import Model
+from dextar_control.model.robot import AnyRobot
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.record import Field, Layout, Record
 from dextar_control.symbols.smooth import is_finite
@@ -130,7 +130,7 @@ class Supervisor:
         estimate, output: records of the loop, which are watched.
     """
 
-    def __init__(self, robot: RobotParameters, model: Model, estimate: Record, output: Record) -> None:
+    def __init__(self, robot: AnyRobot, model: Model, estimate: Record, output: Record) -> None:
         self._robot, self._joints = robot, [joint.name for joint in model.mechanism.joints]
         low, high = (np.array(bounds) for bounds in robot.joint_range)
         watched = Layout("watched", model.n, VALUES)
