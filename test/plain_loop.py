@@ -29,6 +29,11 @@ class ExactPlant:
         """(n,) as the encoders count them."""
         return np.round(self.model.place(self.x).q_a / self.resolution) * self.resolution
 
+    def turn(self) -> None:
+        """The velocity along t_s turns round."""
+        t_s = self.model.place(self.x).t_s
+        self.x_dot = self.x_dot - 2.0 * (t_s @ self.x_dot) * t_s
+
     def step(self, tau: np.ndarray) -> None:
         """One period under torques (n,)."""
         def rate(state: np.ndarray) -> np.ndarray:
@@ -72,8 +77,15 @@ class Run(NamedTuple):
         return [signs[0], *signs[1:][np.diff(signs) != 0.0]]
 
 
-def drive(robot: Robot, plan: Plan, built: Robot | None = None, resolution: float = TURN, **changes: object) -> Run:
-    """One trip of a robot as built, in the hands of a controller that knows it as ``robot``."""
+def drive(
+    robot: Robot, plan: Plan, built: Robot | None = None, resolution: float = TURN, *, turned: float | None = None,
+    **changes: object,
+) -> Run:  # fmt: skip
+    """One trip of a robot as built, in the hands of a controller that knows it as ``robot``.
+
+    Args:
+        turned: moment, s, at which a blow turns the motion along t_s round, which the joints do not show on the locus.
+    """
     start = plan.trajectory.at(0.0).x
     plant = ExactPlant(built or robot, start, resolution)
     s = float(plant.model.place(start).s[0])
@@ -86,6 +98,8 @@ def drive(robot: Robot, plan: Plan, built: Robot | None = None, resolution: floa
         assert tick is not None
         rows.append([plant.x, tick.reference.x, tick.estimate.x, tau, np.full(len(tau), plant.model.place(plant.x).s[0])])
         rows[-1] = [np.array(part) for part in rows[-1]]
+        if turned is not None and abs(k * PERIOD - turned) < 0.5 * PERIOD:
+            plant.turn()
         plant.step(tau)
     x, x_ref, x_hat, torque, side = (np.array(part) for part in zip(*rows, strict=True))
     return Run(loop, x, x_ref, x_hat, side[:, 0], torque)

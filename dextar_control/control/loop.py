@@ -366,7 +366,8 @@ class ControlLoop:
         """
         q_a = np.array(q_a, dtype=np.float64)
         if q_a.shape != self._tau.shape or not math.isfinite(time + sum(q_a.tolist())):
-            raise StateError(f"state at {time} s: active joints {q_a} are not {COUNTS[self.model.n]} finite numbers")
+            count = COUNTS.get(self.model.n, self.model.n)
+            raise StateError(f"state at {time} s: active joints {q_a} are not {count} finite numbers")
         if math.isnan(self._time):
             self._first(q_a)
             dt = FIRST_PERIOD

@@ -31,6 +31,11 @@ class Coordinate:
     name: str
     unit: str
 
+    @property
+    def effort_unit(self) -> str:
+        """Of what drives it."""
+        return "N" if self.unit == "m" else "N m"
+
 
 @dataclass(frozen=True)
 class Parameter:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dextar_control.mechanisms.mechanism import Coordinate
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.model import states_model
 from dextar_control.planning.profile import ON_CROSSING, Profile, find_crossings, sample_profile, sample_times
@@ -52,6 +53,7 @@ class Certificate(NamedTuple):
     profile: Profile
     crossings: tuple[Crossing, ...] = ()
     least_s: float = float("nan")  # |s| at the start and the end
+    joint: Coordinate = Coordinate("q_a", "rad")  # an active one, whose units torques and joint speeds have
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the profile, in plain numbers and lists: what travels with the trajectory."""
@@ -69,9 +71,9 @@ class Certificate(NamedTuple):
     def lines(self) -> list[str]:
         """The certificate in words, one fact a line."""
         text = [
-            f"duration {self.duration:.3f} s, peak torque {self.peak_torque:.4f} N m"
-            f", peak joint speed {self.peak_joint_speed:.2f} rad/s, peak platform speed {self.peak_platform_speed:.3f} m/s"
-            f", distance to Type 1 {self.least_type1:.3f}"
+            f"duration {self.duration:.3f} s, peak torque {self.peak_torque:.4f} {self.joint.effort_unit}"
+            f", peak joint speed {self.peak_joint_speed:.2f} {self.joint.unit}/s"
+            f", peak platform speed {self.peak_platform_speed:.3f} m/s, distance to Type 1 {self.least_type1:.3f}"
         ]
         for index, crossing in enumerate(self.crossings):
             which = ", ".join(filter(None, (crossing.family, f"to s {'>' if crossing.sign > 0 else '<'} 0")))
@@ -80,7 +82,7 @@ class Certificate(NamedTuple):
                 f" in {_list(crossing.x)} m, {crossing.speed:.3f} m/s along t_s"
                 f", {1e3 * crossing.near_time:.0f} ms within |s| < {NEAR_LOCUS}"
                 f", residual {crossing.residual:.1e} N, multiplier {_list(crossing.multipliers, 3)} N/m"
-                f", torque {_list(crossing.torque)} N m"
+                f", torque {_list(crossing.torque)} {self.joint.effort_unit}"
             )
         return text
 
@@ -133,6 +135,7 @@ def measure(robot: AnyRobot, trajectory: Trajectory, period: float = 1e-3) -> Ce
         profile=profile,
         crossings=found,
         least_s=float(np.abs(profile.s[[0, -1]]).min()),
+        joint=states_model(robot).mechanism.joints[0],
     )
 
 

@@ -35,7 +35,7 @@ def certify(
         TrajectoryError: names the value, the limit and where.
     """
     certificate = measure(robot, trajectory, period)
-    profile = certificate.profile
+    profile, joint = certificate.profile, certificate.joint
 
     def fail(what: str, value: float, limit: float, unit: str, row: int) -> TrajectoryError:
         at = f"{profile.time[row]:.4f} s, {in_words(profile.x[row])}"
@@ -59,8 +59,8 @@ def certify(
             f"the trajectory crosses the locus {len(certificate.crossing_times)} times ({instants}); it must {crossings} times"
         )
     limits = (
-        ("the peak torque", np.abs(profile.torque).max(axis=1), robot.max_torque, "N m"),
-        ("the peak joint speed", np.abs(profile.q_a_dot).max(axis=1), robot.max_joint_speed, "rad/s"),
+        ("the peak torque", np.abs(profile.torque).max(axis=1), robot.max_torque, joint.effort_unit),
+        ("the peak joint speed", np.abs(profile.q_a_dot).max(axis=1), robot.max_joint_speed, f"{joint.unit}/s"),
         ("the peak platform speed", np.linalg.norm(profile.x_dot, axis=1), robot.max_platform_speed, "m/s"),
     )
     for what, values, limit, unit in limits:
