@@ -103,3 +103,10 @@ def drive(
         plant.step(tau)
     x, x_ref, x_hat, torque, side = (np.array(part) for part in zip(*rows, strict=True))
     return Run(loop, x, x_ref, x_hat, side[:, 0], torque)
+
+
+def heavier(robot: Robot, share: float) -> Robot:
+    """The robot with all its masses and inertias times a share."""
+    return robot.replace(**{
+        key: share * value for key, value in robot.numbers.items() if key.endswith(("mass", "inertia"))
+    })  # fmt: skip

@@ -31,6 +31,7 @@ DIRECTIONS, STEPS = 24, 24  # of that search, in the plane
 PROJECTIONS, POLISHES = 60, 4  # steps to the nearest place of a locus that is not traced, and to zero s
 LONGEST_STEP = 0.2  # of the mechanism's length, of one
 LOCUS_S = 1e-12  # |s| of such a place
+TRIES = 1000  # places near which the locus is looked for, to spread some over it
 
 Mode = tuple[int, ...]
 
@@ -215,6 +216,42 @@ def _nearest_by_gradient(robot: Robot, x: Array, type1: float) -> LocusPoint:
             f" {type1}"
         )
     return LocusPoint(place, robot.working_mode, None, found.t_s, found.gradient, float(found.type1[0]), 1, 0.0)
+
+
+def spread_places(
+    robot: AnyRobot, low: Array, high: Array, count: int, *, type1: float = MIN_CROSSING_TYPE1, seed: int = 0
+) -> list[LocusPoint]:
+    """Places of the locus that can be crossed, far from each other: for any mechanism what ``sample_locus`` is for the five-bar.
+
+    Args:
+        low, high: (n,) corners of the box in which they lie, m.
+        count: of places.
+        type1: least distance to Type 1.
+        seed: of the places near which the locus is looked for.
+
+    Raises:
+        GeometryError: there are not so many.
+    """
+    low, high, model = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64), planning_model(robot)
+    found: list[LocusPoint] = []
+    for near in np.random.default_rng(seed).uniform(low, high, (TRIES, model.n)):
+        try:
+            point = nearest_point(robot, near, type1)
+        except GeometryError:
+            continue
+        if (point.x >= low).all() and (point.x <= high).all():
+            found.append(point)
+    chosen: list[LocusPoint] = []
+    distance = np.full(len(found), np.inf)
+    while len(chosen) < count and (distance > 0.0).any():
+        row = int(np.argmax(distance))
+        if are_crossable(model, found[row].x[None], type1)[0]:
+            chosen.append(found[row])
+            distance = np.minimum(distance, [float(np.linalg.norm(point.x - found[row].x)) for point in found])
+        distance[row] = 0.0
+    if len(chosen) < count:
+        raise GeometryError(f"{len(chosen)} places of the Type 2 locus that can be crossed were found there; {count} are wanted")
+    return chosen
 
 
 def locus_point(robot: AnyRobot, x: Array) -> LocusPoint:
