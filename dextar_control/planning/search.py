@@ -26,8 +26,9 @@ LEG_TIME = 2.0  # s of a leg between two crossings that costs one
 GOOD = 1.5  # cost below which no further guess is tried
 ITERATIONS = 200  # of one descent
 TOLERANCE = 1e-3  # on the gradient
-GUESSES = 3
+GUESSES = 3  # in the plane
 HURRIED, HURRY = 2, 2.5  # of them that are tried with a velocity so many times larger
+SPACE = 4  # times as many for each dimension more: there are more ways
 IMPOSSIBLE = 1e12  # cost of a candidate without a finite one
 VISIT = 0.9  # cosine of the angle between the ways of two guesses that are taken as one
 
@@ -197,9 +198,9 @@ def guesses_through(problem: Problem, point: LocusPoint, towards: Array | None =
             split=np.clip(far_before[row] / total[row, column], 0.35, 0.65),
             velocity=2.0 * (way if towards is None else distance * np.eye(n)[0]) / length,
         ))
-        if len(found) == GUESSES:
+        if len(found) == GUESSES * SPACE ** (n - 2):
             break
-    hurried = [guess.copy() for guess in found[:HURRIED]]
+    hurried = [guess.copy() for guess in found[: HURRIED * SPACE ** (n - 2)]]
     for guess in hurried:
         guess.velocity *= HURRY
     return found + hurried
