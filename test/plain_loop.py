@@ -81,7 +81,7 @@ def drive(
     robot: Robot, plan: Plan, built: Robot | None = None, resolution: float = TURN, *, turned: float | None = None,
     **changes: object,
 ) -> Run:  # fmt: skip
-    """One trip of a robot as built, in the hands of a controller that knows it as ``robot``.
+    """One trip of a robot as built, in the hands of a controller that knows it as ``robot``; over where a leg passes Type 1.
 
     Args:
         turned: moment, s, at which a blow turns the motion along t_s round, which the joints do not show on the locus.
@@ -93,7 +93,10 @@ def drive(
     loop.accept(plan.trajectory)
     rows = []
     for k in range(round((plan.trajectory.duration + AFTER) / PERIOD)):
-        tau = loop.step(k * PERIOD, plant.joints())
+        q_a = plant.joints()
+        if not np.isfinite(q_a).all():  # through Type 1, where the model of this working mode ends
+            break
+        tau = loop.step(k * PERIOD, q_a)
         tick = loop.tick
         assert tick is not None
         rows.append([plant.x, tick.reference.x, tick.estimate.x, tau, np.full(len(tau), plant.model.place(plant.x).s[0])])

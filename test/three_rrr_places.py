@@ -1,11 +1,15 @@
 """Twenty places of the 3-RRR's locus there and back, both ways, with the masses as known and a fifth off: run as a script.
 
+Each also with a blow on the locus that turns the motion along t_s round: whether the bounced crossing is called one.
+
     python test/three_rrr_places.py
 
 Prints a row a plan, and what the largest error and the largest torque near the locus were.
 """
 
 from __future__ import annotations
+
+from collections import Counter
 
 import numpy as np
 from plain_loop import drive, heavier
@@ -22,6 +26,7 @@ SHARES = (1.0, 1.2, 0.8)  # of the known masses and inertias
 def main() -> None:
     robot = load_any_robot(config_file("three_rrr.yaml"))
     found: dict[float, list[tuple[bool, float, float, int]]] = {share: [] for share in SHARES}
+    ends: dict[float, list[str]] = {share: [] for share in SHARES}
     for place in spread_places(robot, LOW, HIGH, 20):
         for direction in (1, -1):
             plan = plan_return_trip_through(robot, place, direction, None, 0.1)
@@ -32,13 +37,18 @@ def main() -> None:
                 crossed = run.sides == [-direction, direction, -direction] and run.loop.completed == 1
                 told = sum(passed.verdict.name == "CROSSED" for passed in run.loop.passed)
                 found[share].append((crossed, 1e3 * run.error.max(), run.near_torque / peak, told))
-                words.append(f"{share}: {'crossed' if crossed else 'NOT'} {found[share][-1][1]:.3f} mm {found[share][-1][2]:.2f}")
+                turned = drive(robot, plan, heavier(robot, share), turned=float(plan.certificate.crossing_times[0]))
+                end = turned.loop.passed[0].verdict.name if turned.loop.phase.name == "SAFE_STOP" else "UNNOTICED"
+                ends[share].append(end)
+                error, torque = found[share][-1][1:3]
+                words.append(f"{share}: {'crossed' if crossed else 'NOT'} {error:.3f} mm {torque:.2f} {end}")
             print(" | ".join(words), flush=True)
     for share, rows in found.items():
         crossed, error, torque, told = np.array(rows, dtype=float).T
         print(f"masses x {share}: crossed {int(crossed.sum())} of {len(rows)}, called so {int(told.sum())} of {2 * len(rows)};"
               f" true error median {np.median(error):.3f}, max {error.max():.3f} mm;"
-              f" torque near the locus over the planned peak median {np.median(torque):.2f}, max {torque.max():.2f}")  # fmt: skip
+              f" torque near the locus over the planned peak median {np.median(torque):.2f}, max {torque.max():.2f};"
+              f" bounced: {dict(Counter(ends[share]))}")  # fmt: skip
 
 
 if __name__ == "__main__":
