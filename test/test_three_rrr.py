@@ -19,7 +19,7 @@ from dextar_control.model.model import Model
 from dextar_control.model.robot import Robot, load_any_robot
 from dextar_control.planning.certificate import PLAN_RESIDUAL
 from dextar_control.planning.locus import nearest_point, spread_places
-from dextar_control.planning.planner import Plan, plan_return_trip_through, plan_through
+from dextar_control.planning.planner import Plan, plan_approach, plan_return_trip, plan_return_trip_through, plan_through
 from dextar_control.planning.search import Criterion
 
 BOX = [-0.12, -0.12, -0.1], [0.12, 0.12, 0.1]  # m
@@ -100,12 +100,43 @@ def test_a_bounced_crossing_is_called_one(three_rrr: Robot, trips: list[Plan], r
     assert run.s[-1] < 0.0
 
 
-def test_a_way_back_with_weight_and_a_wrong_direction_are_refused(three_rrr: Robot) -> None:
-    place = nearest_point(three_rrr, np.array(PLACES[0]))
-    with pytest.raises(TrajectoryError, match=r"weighs nothing in its coordinates: set its gravity to zero"):
-        plan_return_trip_through(three_rrr.replace(gravity=[0.0, -1.0]), place.x, 1, 0.35, 0.1)
+def test_between_given_places_it_goes_through_a_given_place_of_the_locus(three_rrr: Robot) -> None:
+    start, goal, place = np.array([0.0, 0.0, -0.07]), np.array([0.03, 0.02, 0.01]), nearest_point(three_rrr, [0.02, 0.0, -0.04])
+    for point in (place, None):
+        plan = plan_return_trip(three_rrr, start, goal, 0.35, 0.1, point=point)
+        certificate = plan.certificate
+        assert len(certificate.crossing_times) == 2 and certificate.residuals.max() <= PLAN_RESIDUAL
+        if point is not None:
+            np.testing.assert_allclose(certificate.crossing_points, [place.x, place.x], rtol=0.0, atol=1e-9)
+        run = drive(three_rrr, plan)
+        np.testing.assert_allclose(run.x[0], start, rtol=0.0, atol=1e-12)
+        assert run.loop.phase is Phase.HOLD and run.sides == [-1.0, 1.0, -1.0], run.loop.reason
+        assert run.error.max() <= MAX_ERROR
+
+
+def test_with_weight_in_its_plane_the_way_back_is_planned_by_itself(three_rrr: Robot) -> None:
+    heavy = three_rrr.replace(gravity=[0.0, -1.5])
+    place = nearest_point(heavy, np.array(PLACES[0]))
+    plan = plan_return_trip_through(heavy, place, 1, 0.35, 0.1)
+    assert plan.certificate.residuals.max() <= PLAN_RESIDUAL
+    run = drive(heavy, plan)
+    assert run.loop.phase is Phase.HOLD and run.sides == [-1.0, 1.0, -1.0], run.loop.reason
+    assert run.error.max() <= MAX_ERROR
+
+
+def test_on_one_side_it_goes_straight_and_what_leads_across_is_refused(three_rrr: Robot) -> None:
+    start, goal = np.array([0.0, 0.0, 0.0]), np.array([0.03, 0.02, 0.02])
+    certificate = plan_approach(three_rrr, start, goal, 0.2)
+    assert certificate.duration > 0.1
+    with pytest.raises(TrajectoryError, match=r"an approach keeps 0\.2, and no way around was found"):
+        plan_approach(three_rrr, start, np.array([0.0, 0.0, -0.07]), 0.2)
+    with pytest.raises(GeometryError, match="it must be three finite numbers, m"):
+        plan_approach(three_rrr, start[:2], goal, 0.2)
+
+
+def test_a_direction_of_another_size_is_refused(three_rrr: Robot) -> None:
     with pytest.raises(TrajectoryError, match="it must be a vector of 3 finite numbers"):
-        plan_through(three_rrr, place, np.array([1.0, 0.0]))
+        plan_through(three_rrr, nearest_point(three_rrr, np.array(PLACES[0])), np.array([1.0, 0.0]))
 
 
 def test_a_file_without_a_mechanism_or_a_limit_is_named(tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ def robot_at(robot: RobotParameters, point: LocusPoint) -> RobotParameters:
 
 
 def plan_return_trip(
-    robot: RobotParameters,
+    robot: AnyRobot,
     start: Array,
     goal: Array,
     duration: float | None,
@@ -125,11 +125,6 @@ def plan_return_trip_through(
     out = plan_through(robot, place, direction, duration, criterion=criterion, progress=progress).trajectory
     back = out.reversed()
     if not weightless(planning_model(robot), out):
-        if not isinstance(robot, RobotParameters):
-            raise TrajectoryError(
-                f"the way back of {robot.mechanism.name} is the way out reversed, which keeps the criterion only where the robot"
-                " weighs nothing in its coordinates: set its gravity to zero"
-            )
         ends = out.at(out.duration).x, out.at(0.0).x
         back = plan_crossing(
             robot, *ends, duration, point=place, criterion=criterion, progress=progress
