@@ -30,6 +30,7 @@ setup(
         (f"share/{name}", ["package.xml"]),
         (f"share/{name}/config", sorted(glob("config/*.*"))),
         (f"share/{name}/config/sros2", sorted(glob("config/sros2/*"))),
+        (f"share/{name}/examples", sorted(glob("examples/*.py"))),
         (f"share/{name}/launch", sorted(glob("launch/*.launch.py"))),
     ],
     zip_safe=False,

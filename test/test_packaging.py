@@ -137,6 +137,7 @@ def test_config_launch_files_and_index_marker_are_installed(tmp_path):
     installed = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     wanted = {f"share/dextar/{path.relative_to(ROOT)}" for path in (ROOT / "config").rglob("*") if path.is_file()}
     wanted |= {f"share/dextar/launch/{path.name}" for path in LAUNCH_FILES}
+    wanted |= {f"share/dextar/examples/{path.name}" for path in (ROOT / "examples").glob("*.py")}
     wanted |= {"share/dextar/package.xml", "share/ament_index/resource_index/packages/dextar"}
     assert installed == wanted
 

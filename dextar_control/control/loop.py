@@ -10,7 +10,6 @@ import math
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
-from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import Law, Settings
 from dextar_control.control.law import GAINS, OUTPUT, laws_of
 from dextar_control.control.phases import LIMP, MOVING, Phase, Tick
@@ -21,9 +20,10 @@ from dextar_control.control.verdicts import CrossingJudge, Passed
 from dextar_control.estimation.estimate import Pose
 from dextar_control.estimation.estimator import make_estimator
 from dextar_control.model.model import Model
+from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import certify, check_rest
-from dextar_control.planning.trajectory import Trajectory, hold
+from dextar_control.planning.trajectory import Trajectory, hold, in_words
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
@@ -45,13 +45,15 @@ class ControlLoop:
         settings: gains and limits.
         assembly_mode: sign of s where the robot stands at the first sample.
         enabled: whether the first sample is held; otherwise the loop idles until ``enable``.
+        near: (n,) m, about where the robot stands at the first sample, for a mechanism without a direct geometric model in
+            closed form; the origin when None.
 
     Raises:
         ParameterError: assembly_mode is neither +1 nor -1.
     """
 
     def __init__(
-        self, robot: RobotParameters, settings: Settings, assembly_mode: int, *, enabled: bool = True
+        self, robot: AnyRobot, settings: Settings, assembly_mode: int, *, enabled: bool = True, near: Array | None = None
     ) -> None:
         if assembly_mode not in (-1, 1):
             raise ParameterError(f"assembly_mode = {assembly_mode}; it must be +1 or -1")
@@ -70,7 +72,7 @@ class ControlLoop:
         self._estimate: Record = self.estimator.estimate
         self._output: Record = Layout("output", n, OUTPUT).make()
         self.supervisor = Supervisor(robot, self.model, self._estimate, self._output)
-        self._assembly_mode = assembly_mode
+        self._assembly_mode, self._near = assembly_mode, near
         self._judge = CrossingJudge(self.model)
         self._stop = SafeStop(self.model)
         self._planned = PlannedReference(self.model)
@@ -199,10 +201,10 @@ class ControlLoop:
         if not self.mode_known:
             raise TrajectoryError(f"{UNKNOWN_SIDE} disable, set assembly_mode to the side where it stands, enable")
         first, held = trajectory.at(0.0).x, self.trajectory.at(0.0).x
-        distance = float(np.hypot(*(first - held)))
+        distance = float(np.linalg.norm(first - held))
         if not distance <= self.settings.max_start_distance:
             raise TrajectoryError(
-                f"the trajectory starts in ({first[0]:.4f}, {first[1]:.4f}) m, {distance:.4f} m from the robot;"
+                f"the trajectory starts in {in_words(first)}, {distance:.4f} m from the robot;"
                 f" the limit is {self.settings.max_start_distance} m: serve one that starts where the robot stands"
             )
         if start is not None and time - start > START_MARGIN:
@@ -337,7 +339,7 @@ class ControlLoop:
         self._planned.set(trajectory, times, multipliers)
 
     def _first(self, q_a: Array) -> None:
-        x = self.model.close(q_a, self._assembly_mode)
+        x = self.model.close(q_a, self._assembly_mode, self._near)
         implied = self.model.inverse_geometric_model(x)
         if not max(abs(math.remainder(angle, 2.0 * math.pi)) for angle in implied - q_a) < SAME_JOINTS:
             angles = ", ".join(f"{angle:.4f}" for angle in q_a)
@@ -364,7 +366,8 @@ class ControlLoop:
         """
         q_a = np.array(q_a, dtype=np.float64)
         if q_a.shape != self._tau.shape or not math.isfinite(time + sum(q_a.tolist())):
-            raise StateError(f"state at {time} s: active joints {q_a} are not {COUNTS[self.model.n]} finite numbers")
+            count = COUNTS.get(self.model.n, self.model.n)
+            raise StateError(f"state at {time} s: active joints {q_a} are not {count} finite numbers")
         if math.isnan(self._time):
             self._first(q_a)
             dt = FIRST_PERIOD

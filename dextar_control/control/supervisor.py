@@ -17,13 +17,13 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import Settings
 from dextar_control.control.law import OUTPUT
 from dextar_control.estimation.records import ESTIMATE
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.model import Model
+from dextar_control.model.robot import AnyRobot
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.record import Field, Layout, Record
 from dextar_control.symbols.smooth import is_finite
@@ -130,8 +130,8 @@ class Supervisor:
         estimate, output: records of the loop, which are watched.
     """
 
-    def __init__(self, robot: RobotParameters, model: Model, estimate: Record, output: Record) -> None:
-        self._robot, self._joints = robot, [joint.name for joint in model.mechanism.joints]
+    def __init__(self, robot: AnyRobot, model: Model, estimate: Record, output: Record) -> None:
+        self._robot, self._joint = robot, model.mechanism.joints[0]
         low, high = (np.array(bounds) for bounds in robot.joint_range)
         watched = Layout("watched", model.n, VALUES)
         self._values, self._limits = watched.make(), watched.make()
@@ -222,6 +222,7 @@ class Supervisor:
 
     def _sentence(self, name: str, q_a: Array) -> str:
         value, limit = getattr(self._values, name), getattr(self._limits, name)
+        joint, effort = self._joint.unit, self._joint.effort_unit
         if name == "finite":
             return "the law gave a number that is not finite"
         if name == "tracking_error":
@@ -232,19 +233,19 @@ class Supervisor:
                    for q, low, high in zip(q_a.tolist(), lows, highs, strict=True)]
             leg = int(np.argmax(off))
             return (
-                f"the {self._robot.sides[leg]} joint is {value:.3f} rad outside its range of {lows[leg]:.4g} to"
-                f" {highs[leg]:.4g} rad; the limit is {limit:.4g} rad"
+                f"the {self._robot.sides[leg]} joint is {value:.3f} {joint} outside its range of {lows[leg]:.4g} to"
+                f" {highs[leg]:.4g} {joint}; the limit is {limit:.4g} {joint}"
             )
         if name == "joint_jump":
-            return f"a joint jumped by {value:.4f} rad in one sample; the limit is {limit:.4g} rad"
+            return f"a joint jumped by {value:.4f} {joint} in one sample; the limit is {limit:.4g} {joint}"
         if name == "locus":
             return f"the robot is at |s| = {value:.3f} of the locus without a planned crossing; the limit is {limit:.4g}"
         what, unit = {
-            "joint_speed": ("joint speed {:.1f} rad/s", "rad/s"),
+            "joint_speed": (f"joint speed {{:.1f}} {joint}/s", f"{joint}/s"),
             "platform_speed": ("platform speed {:.2f} m/s", "m/s"),
-            "estimator": ("the joints are {:.4f} rad from the estimate's", "rad"),
-            "saturation": ("torque {:.3f} N m", "N m"),
-            "torque_rate": ("the torque changes by {:.0f} N m/s", "N m/s"),
+            "estimator": (f"the joints are {{:.4f}} {joint} from the estimate's", joint),
+            "saturation": (f"torque {{:.3f}} {effort}", effort),
+            "torque_rate": (f"the torque changes by {{:.0f}} {effort}/s", f"{effort}/s"),
         }[name]
         shown = f"{limit:.3f}" if name == "saturation" else f"{limit:.4g}"
         lasted, allowed = 1e3 * self._timers[name], 1e3 * self._times[name]

@@ -71,6 +71,10 @@ class FiveBarLocus(Mechanism):
         """The family that a place of the locus belongs to; A_r has r_1 and r_2 as rows."""
         return Family.STRETCHED if A_r[0] @ A_r[1] < 0.0 else Family.FOLDED
 
+    def family_name(self, A_r: Array) -> str:
+        """Of ``family``, in lower case."""
+        return self.family(A_r).name.lower()
+
     def modes(self, type1_sines: Array) -> Array:
         """Working modes (..., 2): +1 where the elbow is on the left, which makes the sine of its angle negative."""
         return np.where(type1_sines < 0.0, 1, -1)

@@ -31,6 +31,11 @@ class Coordinate:
     name: str
     unit: str
 
+    @property
+    def effort_unit(self) -> str:
+        """Of what drives it."""
+        return "N" if self.unit == "m" else "N m"
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -124,6 +129,23 @@ class Mechanism(ABC):
     def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> Symbol | None:
         """x (n,) of joint positions with sign(s) = assembly_mode, its root kept above zero; None where it has no closed form."""
 
+    def type2_locus(
+        self, family: Symbol, branch: Symbol, angle: Symbol, p: Any
+    ) -> tuple[Symbol, Symbol, Symbol] | None:
+        """(q_a (n,), x (n,), closing) of the Type 2 locus at a tracing angle; None where it is not traced in closed form.
+
+        Of a mechanism without, a place of the locus is found near a given one, and planned for as it stands.
+        """
+        return None
+
+    def family_name(self, A_r: Array) -> str:
+        """Which family of the locus a place of it belongs to, by A_r (n, n); "" where there is one."""
+        return ""
+
+    def length(self, p: Any) -> float:
+        """By which distances are measured, m; ``p`` has numbers."""
+        return float(np.ravel(self.singularity_length(p))[0])
+
     def mirror_image(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol | None:
         """The other place (n,) of the platform that the joints q_a leave, with -sign(s); None where it has no closed form."""
         return None
@@ -142,6 +164,10 @@ class Mechanism(ABC):
     def singularity_of_joints(self, q_a: Symbol, p: Any) -> Symbol | None:
         """|s| from the active joints alone, the same in both assembly modes, 0 where they do not close; None where unknown."""
         return None
+
+    def linkage(self, q_a: Array, x: Array, p: Any) -> Array:
+        """(k, 2) places in the plane, m, whose polygon is drawn as the robot; none where there is no picture of it."""
+        return np.zeros((0, 2))
 
     @abstractmethod
     def singularity_scale(self, p: Any) -> Symbol:

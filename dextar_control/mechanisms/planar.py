@@ -45,7 +45,9 @@ def direction(angle: Symbol | float) -> Symbol:
     return ca.vertcat(ca.cos(angle), ca.sin(angle))
 
 
-def rod(mass: Symbol, center: Symbol, inertia: Symbol, length: Symbol, ends: Ends, velocities: Ends, gravity: Symbol) -> Symbol:
+def rod(
+    mass: Symbol, center: Symbol | float, inertia: Symbol, length: Symbol, ends: Ends, velocities: Ends, gravity: Symbol
+) -> Symbol:
     """Lagrangian, J, of a rigid rod seen from its two ends.
 
     Args:

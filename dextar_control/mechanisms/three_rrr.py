@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 
 from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter
-from dextar_control.mechanisms.planar import direction, friction, leg_parameters, rod, two_link_angle
+from dextar_control.mechanisms.planar import direction, friction, leg_parameters, nearest_two_link_angle, rod, two_link_angle
 from dextar_control.symbols.types import Symbol
 
 LEGS = ("leg1", "leg2", "leg3")
@@ -78,6 +78,14 @@ class ThreeRRR(Mechanism):
                            p.working_mode[leg])
             for leg, link in enumerate(legs)
         ))
+
+    def nearest_joints(self, x: Symbol, p: Any) -> tuple[Symbol, Symbol]:
+        """In closed form."""
+        found = []
+        for leg, name in enumerate(LEGS):
+            link, reach = getattr(p, name), self.corner(leg, x, p) - self.base(leg, p)
+            found.append(nearest_two_link_angle(reach, link.proximal_length, link.distal_length, p.working_mode[leg]))
+        return ca.vertcat(*(q for q, _ in found)), ca.vertcat(*(extension for _, extension in found))
 
     def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> None:
         """None: up to six solutions, of a polynomial of the sixth degree."""

@@ -14,6 +14,7 @@ from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.mechanisms import mechanism_named
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.equations import Equations, equations
+from dextar_control.model.robot import AnyRobot
 from dextar_control.model.solved import closed_near, mirror_image
 from dextar_control.symbols.functions import Fast, Library, cache_folder, named
 from dextar_control.symbols.types import Array, Symbol
@@ -53,9 +54,11 @@ class Model:
         )
 
     @classmethod
-    def of(cls: type[AnyModel], robot: RobotParameters) -> AnyModel:
+    def of(cls: type[AnyModel], robot: AnyRobot) -> AnyModel:
         """That of a robot's description."""
-        return cls(mechanism_named("five_bar"), flatten(robot))
+        if isinstance(robot, RobotParameters):
+            return cls(mechanism_named("five_bar"), flatten(robot))
+        return cls(robot.mechanism, robot.numbers)
 
     def _bound(self, name: str) -> Any:
         fast: Fast = self.library.fast(name)
@@ -91,14 +94,17 @@ class Model:
         good = found.gap[0] < SOLVED and found.s[0] * assembly_mode > 0.0
         return np.asarray(found.x if good else np.full(self.n, np.nan))
 
-    def close(self, q_a: Array, assembly_mode: float) -> Array:
+    def close(self, q_a: Array, assembly_mode: float, near: Array | None = None) -> Array:
         """x (n,) of joints q_a (n,) with sign(s) = assembly_mode.
+
+        Args:
+            near: (n,) where the search begins that a mechanism without a closed form needs; the origin when None.
 
         Raises:
             GeometryError: the loops do not close there.
         """
         problem = self.mechanism.why_open(np.asarray(q_a), self.mechanism.named(self.p))
-        x = self.direct_geometric_model(q_a, assembly_mode, np.zeros(self.n))
+        x = self.direct_geometric_model(q_a, assembly_mode, np.zeros(self.n) if near is None else near)
         if problem or not np.isfinite(x).all():
             raise GeometryError(problem or f"the loops of {self.mechanism.name} do not close at joints {np.round(q_a, 6)}")
         return x

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.contract.errors import TrajectoryError
-from dextar_control.contract.robot import RobotParameters
+from dextar_control.model.model import Model
+from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.certificate import PLAN_RESIDUAL, Plan, measure
 from dextar_control.planning.checks import certify
 from dextar_control.planning.locus import LocusPoint
 from dextar_control.planning.search import GOOD, TORQUE_SHARE, Problem, descend, trajectory_of
-from dextar_control.planning.trajectory import Trajectory
+from dextar_control.planning.trajectory import Trajectory, in_words
 from dextar_control.symbols.record import Record
 
 BASE_DURATION, PACE = 0.25, 0.8  # s and m/s: duration over a way's length at which a way of open duration is searched
@@ -25,7 +26,7 @@ STRETCHES = 4  # of a way of open duration, each to what its torque asks for
 SETTLED = 0.01  # of the duration, below which it is not stretched again
 
 
-def checked(robot: RobotParameters, trajectory: Trajectory) -> Plan:
+def checked(robot: AnyRobot, trajectory: Trajectory) -> Plan:
     """A certified way with one crossing.
 
     Raises:
@@ -50,7 +51,7 @@ def shaken(z: Record, free: NDArray[np.int64], generator: np.random.Generator, s
 class Best:
     """The best candidate so far: certified ones first, then by cost."""
 
-    def __init__(self, robot: RobotParameters) -> None:
+    def __init__(self, robot: AnyRobot) -> None:
         self.robot = robot
         self.cost = np.inf
         self.plan: Plan | None = None
@@ -73,7 +74,16 @@ class Best:
         return self.plan is not None and self.cost < GOOD
 
 
-def stretched(robot: RobotParameters, problem: Problem, z: Record) -> Plan:
+def weightless(model: Model, trajectory: Trajectory) -> bool:
+    """Whether the robot needs no torque at rest where a trajectory starts and ends: then time may be scaled, and reversed."""
+    for x in (trajectory.at(0.0).x, trajectory.at(trajectory.duration).x):
+        found = model.wrenches(model.place(x).q_a, x, np.zeros(model.n), np.zeros(model.n))
+        if found.w_b.any() or found.w_d.any():
+            return False
+    return True
+
+
+def stretched(robot: AnyRobot, problem: Problem, z: Record) -> Plan:
     """A candidate at the duration at which its peak torque is TORQUE_SHARE of the limit."""
     duration = problem.task.duration
     trajectory = trajectory_of(problem, z)
@@ -88,7 +98,7 @@ def stretched(robot: RobotParameters, problem: Problem, z: Record) -> Plan:
         if abs(factor - 1.0) < SETTLED:
             break
         duration *= factor
-        if robot.gravity == (0.0, 0.0):
+        if weightless(problem.model, trajectory):
             trajectory = trajectory.scaled(factor)
         else:
             problem = problem.lasting(duration)
@@ -97,7 +107,7 @@ def stretched(robot: RobotParameters, problem: Problem, z: Record) -> Plan:
     return checked(robot, trajectory)
 
 
-def _nearest_duration(robot: RobotParameters, best: Best) -> float | None:
+def _nearest_duration(robot: AnyRobot, best: Best) -> float | None:
     """A duration at which the best candidate's way works, when only its torque or speed is in the way."""
     if best.problem is None or best.z is None:
         return None
@@ -131,7 +141,7 @@ def _nearest_duration(robot: RobotParameters, best: Best) -> float | None:
     return high
 
 
-def refuse(robot: RobotParameters, what: str, best: Best, other_point: Callable[[], LocusPoint | None]) -> TrajectoryError:
+def refuse(robot: AnyRobot, what: str, best: Best, other_point: Callable[[], LocusPoint | None]) -> TrajectoryError:
     """What stands in the way, by how much, and what would work instead."""
     duration = best.problem.task.duration if best.problem is not None else float("nan")
     text = f"no {what} within {duration:.4g} s was found: {best.error}"
@@ -140,5 +150,5 @@ def refuse(robot: RobotParameters, what: str, best: Best, other_point: Callable[
         return TrajectoryError(f"{text}; the nearest duration that works is {nearest:.4f} s")
     point = other_point()
     if point is not None:
-        return TrajectoryError(f"{text}; the nearest point that works is ({point.x[0]:.4f}, {point.x[1]:.4f}) m")
+        return TrajectoryError(f"{text}; the nearest point that works is {in_words(point.x)}")
     return TrajectoryError(f"{text}; neither a longer duration nor a point nearby was found to work")

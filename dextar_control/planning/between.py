@@ -8,6 +8,7 @@ import numpy as np
 
 from dextar_control.contract.errors import GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.attempts import (
     BASE_DURATION,
     PACE,
@@ -20,10 +21,11 @@ from dextar_control.planning.attempts import (
     stretched,
 )
 from dextar_control.planning.certificate import Plan
-from dextar_control.planning.locus import MIN_END_S, LocusPoint, beside, make_point, place_of, trace_locus
+from dextar_control.planning.locus import MIN_END_S, LocusPoint, beside, make_point, nearest_point, place_of, trace_locus
 from dextar_control.planning.regions import find_way, make_regions
 from dextar_control.planning.regular import side_of
 from dextar_control.planning.search import Criterion, Problem, Progress, crossing_problem, silent
+from dextar_control.planning.trajectory import in_words
 from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
 
@@ -33,7 +35,7 @@ OPEN = ("split", "velocity", "strong", "jerk")  # what the search chooses, besid
 BENDS = ("first_bends", "second_bends")
 
 
-def _ends(robot: RobotParameters, start: Array, goal: Array) -> tuple[float, float]:
+def _ends(robot: AnyRobot, start: Array, goal: Array) -> tuple[float, float]:
     """s at start and goal, both checked.
 
     Raises:
@@ -45,7 +47,7 @@ def _ends(robot: RobotParameters, start: Array, goal: Array) -> tuple[float, flo
         s = side_of(robot, name, x)
         if abs(s) < MIN_END_S:
             raise GeometryError(
-                f"{name} ({x[0]:.4f}, {x[1]:.4f}) m is too near to the Type 2 locus: |s| = {abs(s):.3f}; the limit is {MIN_END_S}"
+                f"{name} {in_words(x)} is too near to the Type 2 locus: |s| = {abs(s):.3f}; the limit is {MIN_END_S}"
             )
         sides.append(s)
     if sides[0] * sides[1] > 0.0:
@@ -57,7 +59,7 @@ def _ends(robot: RobotParameters, start: Array, goal: Array) -> tuple[float, flo
 
 
 def plan_crossing(
-    robot: RobotParameters,
+    robot: AnyRobot,
     start: Array,
     goal: Array,
     duration: float | None = None,
@@ -69,9 +71,9 @@ def plan_crossing(
     """One way from start to goal, rest to rest, through the locus once.
 
     Args:
-        start, goal: (2,) m, on two sides of the Type 2 locus.
+        start, goal: (n,) m, on two sides of the Type 2 locus.
         duration: s; chosen when None, so that the peak torque is TORQUE_SHARE of the limit.
-        point: of the locus where to cross; chosen when None.
+        point: of the locus where to cross; chosen when None (of a locus that is not traced: the nearest to the middle).
         criterion: what holds at the crossing.
         progress: called with the fraction done and what is being tried.
 
@@ -88,14 +90,16 @@ def plan_crossing(
     length = _length(np.vstack([before, after]))
     scale = BASE_DURATION + length / PACE if duration is None else duration
     middle = place or _nearest_on_locus(robot, 0.5 * (before[-1] + after[0]))
-    free = OPEN + (("place",) if place is None else ())
-    direct = length < DETOUR * float(np.hypot(*(goal - start)))
+    free = OPEN + (("place",) if place is None and isinstance(robot, RobotParameters) else ())
+    direct = length < DETOUR * float(np.linalg.norm(goal - start))
     attempts: list[tuple[LocusPoint, bool]] = [(middle, False)] if direct else []
-    shifted: Sequence[LocusPoint | None] = [beside(robot, middle, shift) for shift in SHIFTS] if place is None else [middle]
+    shifted: Sequence[LocusPoint | None] = [middle]
+    if place is None and isinstance(robot, RobotParameters):
+        shifted = [beside(robot, middle, shift) for shift in SHIFTS]
     attempts += [(at, True) for at in shifted if at is not None]
     best = Best(robot)
     for row, (at, bent) in enumerate(attempts):
-        progress(row / len(attempts), f"crossing near ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
+        progress(row / len(attempts), f"crossing near {in_words(at.x)}")
         opened = free + (BENDS if bent else ())
         problem = crossing_problem(robot, at, float(np.sign(sides[1])), scale, criterion, opened, 0.0)
         if best.offer(problem, _guess(problem, at, before, after, bent)):
@@ -111,18 +115,20 @@ def plan_crossing(
         return stretched(robot, best.problem, best.z)
     if best.plan is not None:
         return best.plan
-    what = f"way from ({start[0]:.4f}, {start[1]:.4f}) to ({goal[0]:.4f}, {goal[1]:.4f}) m"
+    what = f"way from {in_words(start)} to {in_words(goal)}"
     raise refuse(robot, what, best, lambda: None)
 
 
 def _parts(
-    robot: RobotParameters, start: Array, goal: Array, sides: tuple[float, float], place: LocusPoint | None
+    robot: AnyRobot, start: Array, goal: Array, sides: tuple[float, float], place: LocusPoint | None
 ) -> tuple[Array, Array]:
-    """The places of a way from start to goal before and after its crossing.
+    """The places of a way from start to goal before and after its crossing: the ends alone where no map of the plane is made.
 
     Raises:
         TrajectoryError: Type 1 parts start and goal.
     """
+    if not isinstance(robot, RobotParameters):
+        return start[None], goal[None]
     regions = make_regions(robot)
     if place is None:
         found = find_way(regions, start, sides[0], goal, sides[1])
@@ -141,14 +147,16 @@ def _parts(
     )
 
 
-def _nearest_on_locus(robot: RobotParameters, x: Array) -> LocusPoint:
+def _nearest_on_locus(robot: AnyRobot, x: Array) -> LocusPoint:
+    if not isinstance(robot, RobotParameters):
+        return nearest_point(robot, x)
     arcs = trace_locus(robot, (robot.working_mode,), robot.min_type1_distance)
     arc = min(arcs, key=lambda arc: float(np.hypot(*(arc.x - x).T).min()))
     return make_point(robot, arc.working_mode, arc.family, arc.branch, float(arc.angles[np.argmin(np.hypot(*(arc.x - x).T))]))
 
 
 def _length(way: Array) -> float:
-    return float(np.hypot(*np.diff(way, axis=0).T).sum())
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
 def _guess(problem: Problem, point: LocusPoint, before: Array, after: Array, bent: bool) -> Record:
@@ -157,12 +165,12 @@ def _guess(problem: Problem, point: LocusPoint, before: Array, after: Array, ben
     before, after = np.vstack([before, point.x]), np.vstack([point.x, after])
     lengths = _length(before), _length(after)
     ahead = after[-1] - before[0] if len(before) < 4 or len(after) < 4 else after[3] - before[-4]
-    normal = problem.task.sign * point.gradient / np.hypot(*point.gradient)
-    ahead = ahead / np.hypot(*ahead)
+    normal = problem.task.sign * point.gradient / np.linalg.norm(point.gradient)
+    ahead = ahead / np.linalg.norm(ahead)
     ahead = ahead + max(0.0, 0.4 - float(ahead @ normal)) * normal
     z = problem.variables.make(
         start=before[0] / unit, goal=after[-1] / unit, place=point.angle, split=np.clip(lengths[0] / sum(lengths), 0.3, 0.7),
-        velocity=1.8 * sum(lengths) / unit * ahead / np.hypot(*ahead),
+        velocity=1.8 * sum(lengths) / unit * ahead / np.linalg.norm(ahead),
     )
     if bent:
         z.first_bends, z.second_bends = (_bends(way) / unit for way in (before, after))
@@ -170,7 +178,7 @@ def _guess(problem: Problem, point: LocusPoint, before: Array, after: Array, ben
 
 
 def _bends(way: Array) -> Array:
-    """(2, 2): the first bump takes the middle of the straight way to the middle of this one (n, 2), m; the second is none."""
-    reached = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
-    middle = np.array([np.interp(0.5 * reached[-1], reached, way[:, axis]) for axis in range(2)])
-    return np.column_stack([middle - 0.5 * (way[0] + way[-1]), np.zeros(2)])
+    """(n, 2): the first bump takes the middle of the straight way to the middle of this one (m, n), m; the second is none."""
+    reached = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+    middle = np.array([np.interp(0.5 * reached[-1], reached, along) for along in way.T])
+    return np.column_stack([middle - 0.5 * (way[0] + way[-1]), np.zeros(len(middle))])

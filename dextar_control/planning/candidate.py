@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from dextar_control.mechanisms.five_bar_locus import FiveBarLocus
+from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.equations import Equations
 from dextar_control.symbols.functions import named
 from dextar_control.symbols.record import Field, Layout
@@ -81,6 +81,7 @@ def layouts(n: int) -> Layouts:
         )),
         Layout("crossing_task", n, (
             *times, Field("family", "1", "of the locus"), Field("branch", "1", "of the family"),
+            Field("point", "m", "of the locus, where the mechanism does not trace it in closed form", n),
             Field("zero_wrench", "1", "1 for w_d = 0 at the crossing, 0 for its component along t_s alone"),
             Field("directions", "1", "x_dot over the variable velocity: the identity, or a given direction alone", n, n),
         )),
@@ -115,19 +116,20 @@ def half(n: int) -> ca.Function:
     return named("half", {"begin": begin, "end": end, "span": span, "bends": bends}, {"half": coefficients})
 
 
-def candidates(mechanism: FiveBarLocus, e: Equations) -> list[ca.Function]:
+def candidates(mechanism: Mechanism, e: Equations) -> list[ca.Function]:
     """``half``, ``crossing`` and ``leg``: the halves of a candidate, and what its own variables cost."""
     layout, curve = layouts(mechanism.n), half(mechanism.n)
     parts = _crossing(mechanism, e, layout), _leg(e.p, layout)
     return [curve, *(_joined(name, part, curve) for name, part in zip(("crossing", "leg"), parts, strict=True))]
 
 
-def _crossing(mechanism: FiveBarLocus, e: Equations, layout: Layouts) -> ca.Function:
+def _crossing(mechanism: Mechanism, e: Equations, layout: Layouts) -> ca.Function:
     """What the halves of a crossing are made of."""
     given, task = layout.crossing_task.symbols("task")
     free, z = layout.crossing.symbols("variables")
     unit, p = task["length"] / task["duration"], mechanism.named(e.p)
-    _, x, closing = mechanism.type2_locus(task["family"], task["branch"], z["place"], p)
+    traced = mechanism.type2_locus(task["family"], task["branch"], z["place"], p)
+    _, x, closing = (None, task["point"], ca.SX(0.0)) if traced is None else traced
     q_a, _ = mechanism.nearest_joints(x, p)
     x_dot = task["directions"] @ z["velocity"] * unit
     at = e.at(e.p, q_a, x, x_dot, e.x_ddot)  # linear in x_ddot
@@ -185,7 +187,7 @@ def _over(value: Any, limit: Any) -> Any:
     return ca.fmax(value - limit, 0.0)
 
 
-def _instant(mechanism: FiveBarLocus, e: Equations) -> tuple[ca.Function, ca.Function]:
+def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Function]:
     """What one sample of a candidate costs (load, near, broken, reached), and what its end does."""
     p, layout = mechanism.named(e.p), layouts(mechanism.n).limits
     limits, limit = layout.symbols()
@@ -216,7 +218,7 @@ def _basis(order: int) -> Any:
     return ca.DM(np.array(rows))
 
 
-def costs(mechanism: FiveBarLocus, e: Equations, made: list[ca.Function]) -> list[ca.Function]:
+def costs(mechanism: Mechanism, e: Equations, made: list[ca.Function]) -> list[ca.Function]:
     """``crossing_cost`` and ``leg_cost``: what a candidate costs, and its gradient over the variables.
 
     The cost is its peak torque, its time near the locus, and what it breaks.

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dextar_control.contract.robot import RobotParameters
+from dextar_control.mechanisms.mechanism import Coordinate
+from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.model import states_model
 from dextar_control.planning.profile import ON_CROSSING, Profile, find_crossings, sample_profile, sample_times
 from dextar_control.planning.trajectory import Trajectory
@@ -24,7 +25,7 @@ class Crossing(NamedTuple):
     time: float  # s
     x: tuple[float, ...]  # m
     x_dot: tuple[float, ...]  # m/s
-    family: str  # of the locus: "stretched" or "folded"
+    family: str  # of the locus: "stretched" or "folded" for the five-bar; "" where there is one
     sign: int  # of s after the crossing; 0 when it leaves the workspace there
     rate: float  # of s, 1/s
     speed: float  # along t_s, m/s
@@ -52,6 +53,7 @@ class Certificate(NamedTuple):
     profile: Profile
     crossings: tuple[Crossing, ...] = ()
     least_s: float = float("nan")  # |s| at the start and the end
+    joint: Coordinate = Coordinate("q_a", "rad")  # an active one, whose units torques and joint speeds have
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the profile, in plain numbers and lists: what travels with the trajectory."""
@@ -69,17 +71,18 @@ class Certificate(NamedTuple):
     def lines(self) -> list[str]:
         """The certificate in words, one fact a line."""
         text = [
-            f"duration {self.duration:.3f} s, peak torque {self.peak_torque:.4f} N m"
-            f", peak joint speed {self.peak_joint_speed:.2f} rad/s, peak platform speed {self.peak_platform_speed:.3f} m/s"
-            f", distance to Type 1 {self.least_type1:.3f}"
+            f"duration {self.duration:.3f} s, peak torque {self.peak_torque:.4f} {self.joint.effort_unit}"
+            f", peak joint speed {self.peak_joint_speed:.2f} {self.joint.unit}/s"
+            f", peak platform speed {self.peak_platform_speed:.3f} m/s, distance to Type 1 {self.least_type1:.3f}"
         ]
         for index, crossing in enumerate(self.crossings):
+            which = ", ".join(filter(None, (crossing.family, f"to s {'>' if crossing.sign > 0 else '<'} 0")))
             text.append(
-                f"crossing {index + 1} ({crossing.family}, to s {'>' if crossing.sign > 0 else '<'} 0) at {crossing.time:.4f} s"
+                f"crossing {index + 1} ({which}) at {crossing.time:.4f} s"
                 f" in {_list(crossing.x)} m, {crossing.speed:.3f} m/s along t_s"
                 f", {1e3 * crossing.near_time:.0f} ms within |s| < {NEAR_LOCUS}"
                 f", residual {crossing.residual:.1e} N, multiplier {_list(crossing.multipliers, 3)} N/m"
-                f", torque {_list(crossing.torque)} N m"
+                f", torque {_list(crossing.torque)} {self.joint.effort_unit}"
             )
         return text
 
@@ -104,7 +107,7 @@ class Plan(NamedTuple):
     certificate: Certificate
 
 
-def measure(robot: RobotParameters, trajectory: Trajectory, period: float = 1e-3) -> Certificate:
+def measure(robot: AnyRobot, trajectory: Trajectory, period: float = 1e-3) -> Certificate:
     """A trajectory's crossings and extremes, limits unchecked."""
     times = sample_times(trajectory, period)
     rough = sample_profile(robot, trajectory, times)
@@ -132,10 +135,11 @@ def measure(robot: RobotParameters, trajectory: Trajectory, period: float = 1e-3
         profile=profile,
         crossings=found,
         least_s=float(np.abs(profile.s[[0, -1]]).min()),
+        joint=states_model(robot).mechanism.joints[0],
     )
 
 
-def _crossing(robot: RobotParameters, profile: Profile, far: NDArray[np.int64], row: int, sign: float) -> Crossing:
+def _crossing(robot: AnyRobot, profile: Profile, far: NDArray[np.int64], row: int, sign: float) -> Crossing:
     """The crossing at one row of a profile, whose rows ``far`` lie away from the locus."""
     model, x, x_dot = states_model(robot), profile.x[row], profile.x_dot[row]
     found = model.place(x)
@@ -146,7 +150,7 @@ def _crossing(robot: RobotParameters, profile: Profile, far: NDArray[np.int64], 
     span = np.ptp(profile.time[near])
     return Crossing(
         time=float(profile.time[row]), x=_tuple(x), x_dot=_tuple(x_dot),
-        family=model.mechanism.family(found.A_r).name.lower(), sign=int(np.nan_to_num(sign)),
+        family=model.mechanism.family_name(found.A_r), sign=int(np.nan_to_num(sign)),
         rate=float(np.diff(profile.s[near][[0, -1]])[0] / span) if span > 0.0 else float("nan"),
         speed=float(abs(found.t_s @ x_dot)), residual=float(abs(profile.residual[row])),
         multipliers=_tuple(profile.multipliers[row]), torque=_tuple(profile.torque[row]), near_time=float(leave - enter),

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from dextar_control.contract.errors import TrajectoryError
-from dextar_control.contract.robot import RobotParameters
+from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.certificate import Certificate, measure
 from dextar_control.planning.profile import Profile
-from dextar_control.planning.trajectory import Trajectory
+from dextar_control.planning.trajectory import Trajectory, in_words
 from dextar_control.symbols.types import Array
 
 SIDE = 0.3  # |s| of a plan before and after a crossing that is clear of the locus
@@ -17,7 +17,7 @@ REST_ACCELERATION = 1e-3  # m/s^2
 
 
 def certify(
-    robot: RobotParameters,
+    robot: AnyRobot,
     trajectory: Trajectory,
     *,
     max_residual: float,
@@ -35,19 +35,16 @@ def certify(
         TrajectoryError: names the value, the limit and where.
     """
     certificate = measure(robot, trajectory, period)
-    profile = certificate.profile
+    profile, joint = certificate.profile, certificate.joint
 
     def fail(what: str, value: float, limit: float, unit: str, row: int) -> TrajectoryError:
-        x, y = profile.x[row]
-        return TrajectoryError(
-            f"{what} is {value:.4g} {unit}; the limit is {limit:.4g} {unit} (at {profile.time[row]:.4f} s, ({x:.4f}, {y:.4f}) m)"
-        )
+        at = f"{profile.time[row]:.4f} s, {in_words(profile.x[row])}"
+        return TrajectoryError(f"{what} is {value:.4g} {unit}; the limit is {limit:.4g} {unit} (at {at})")
 
     unreachable = ~np.isfinite(profile.q_a).all(axis=1)
     if unreachable.any():
         row = int(np.argmax(unreachable))
-        x, y = profile.x[row]
-        raise TrajectoryError(f"point ({x:.4f}, {y:.4f}) m at {profile.time[row]:.4f} s lies outside the workspace")
+        raise TrajectoryError(f"point {in_words(profile.x[row])} at {profile.time[row]:.4f} s lies outside the workspace")
     if certificate.least_type1 < robot.min_type1_distance:
         row = int(np.argmin(profile.type1))
         raise fail("the distance to Type 1", certificate.least_type1, robot.min_type1_distance, "(least |sin|)", row)
@@ -62,8 +59,8 @@ def certify(
             f"the trajectory crosses the locus {len(certificate.crossing_times)} times ({instants}); it must {crossings} times"
         )
     limits = (
-        ("the peak torque", np.abs(profile.torque).max(axis=1), robot.max_torque, "N m"),
-        ("the peak joint speed", np.abs(profile.q_a_dot).max(axis=1), robot.max_joint_speed, "rad/s"),
+        ("the peak torque", np.abs(profile.torque).max(axis=1), robot.max_torque, joint.effort_unit),
+        ("the peak joint speed", np.abs(profile.q_a_dot).max(axis=1), robot.max_joint_speed, f"{joint.unit}/s"),
         ("the peak platform speed", np.linalg.norm(profile.x_dot, axis=1), robot.max_platform_speed, "m/s"),
     )
     for what, values, limit, unit in limits:
@@ -73,26 +70,25 @@ def certify(
     return certificate
 
 
-def beyond_range(robot: RobotParameters, q_a: Array) -> Array:
+def beyond_range(robot: AnyRobot, q_a: Array) -> Array:
     """How far each active joint (..., n), rad, on any turn, is outside its range, rad; negative inside.
 
     A range of a whole turn is no bound.
     """
-    low, high = (np.array([getattr(leg, key) for leg in robot.legs]) for key in ("min_angle", "max_angle"))
+    low, high = (np.array(bounds) for bounds in robot.joint_range)
     off = q_a - 0.5 * (low + high)
     return np.asarray(np.abs(off - 2.0 * np.pi * np.floor((off + np.pi) / (2.0 * np.pi))) - 0.5 * (high - low))
 
 
-def check_joint_range(robot: RobotParameters, profile: Profile) -> None:
+def check_joint_range(robot: AnyRobot, profile: Profile) -> None:
     """Raise TrajectoryError where an active joint leaves its range; names the joint, its angle and the range."""
     beyond = beyond_range(robot, profile.q_a)
     row, leg = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
     if beyond[row, leg] > 0.0:
-        low, high = robot.legs[leg].min_angle, robot.legs[leg].max_angle
-        x, y = profile.x[row]
+        low, high = (bounds[leg] for bounds in robot.joint_range)
         raise TrajectoryError(
-            f"the {('left', 'right')[leg]} joint's angle is {profile.q_a[row, leg]:.4g} rad, {beyond[row, leg]:.4g} rad outside"
-            f" its range; the limits are {low:.4g} and {high:.4g} rad (at {profile.time[row]:.4f} s, ({x:.4f}, {y:.4f}) m)"
+            f"the {robot.sides[leg]} joint's angle is {profile.q_a[row, leg]:.4g} rad, {beyond[row, leg]:.4g} rad outside"
+            f" its range; the limits are {low:.4g} and {high:.4g} rad (at {profile.time[row]:.4f} s, {in_words(profile.x[row])})"
         )
 
 
@@ -100,7 +96,7 @@ def check_rest(trajectory: Trajectory) -> None:
     """Raise TrajectoryError unless the trajectory starts and ends at rest."""
     for name, time in (("start", 0.0), ("end", trajectory.duration)):
         point = trajectory.at(time)
-        speed, acceleration = float(np.hypot(*point.x_dot)), float(np.hypot(*point.x_ddot))
+        speed, acceleration = float(np.linalg.norm(point.x_dot)), float(np.linalg.norm(point.x_ddot))
         if speed > REST_SPEED:
             raise TrajectoryError(f"the {name} moves at {speed:.4g} m/s; it must rest (limit {REST_SPEED:.0e} m/s)")
         if acceleration > REST_ACCELERATION:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,10 @@ from scipy.optimize import minimize_scalar
 from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.mechanisms.five_bar import FiveBar
-from dextar_control.mechanisms.five_bar_locus import Family
+from dextar_control.mechanisms.five_bar_locus import Family, FiveBarLocus
+from dextar_control.model.robot import AnyRobot, Robot
 from dextar_control.planning.model import PlanningModel, planning_model
+from dextar_control.planning.trajectory import in_words
 from dextar_control.symbols.types import Array
 
 WORKING_MODES = FiveBar.working_modes
@@ -25,7 +27,11 @@ ON_LOCUS = 1e-3  # m, a point this near is taken as the locus point beside it
 MIN_END_S = 0.4  # |s| at start and goal: there the direct model holds the estimate again (hold_zone + hold_width)
 REST_S = 0.5  # |s| of a rest that the planner offers itself
 REST_REACH = 1.0  # of the mean distal length: how far from the locus such a rest is looked for
-DIRECTIONS, STEPS = 24, 24  # of that search
+DIRECTIONS, STEPS = 24, 24  # of that search, in the plane
+PROJECTIONS, POLISHES = 60, 4  # steps to the nearest place of a locus that is not traced, and to zero s
+LONGEST_STEP = 0.2  # of the mechanism's length, of one
+LOCUS_S = 1e-12  # |s| of such a place
+TRIES = 1000  # places near which the locus is looked for, to spread some over it
 
 Mode = tuple[int, ...]
 
@@ -35,12 +41,12 @@ class LocusPoint(NamedTuple):
 
     x: Array  # (n,) m
     working_mode: Mode
-    family: Family
+    family: Any  # member of the mechanism's families; None where there is one
     t_s: Array  # (n,) unit kernel of A_r
     gradient: Array  # (n,) of s, 1/m: a crossing towards s > 0 moves along it
     type1: float  # distance to Type 1
     branch: int  # +1 or -1: which of the family's two
-    angle: float  # along the branch, rad
+    angle: float  # along the branch, rad; 0 where the mechanism does not trace its locus
 
 
 class Arc(NamedTuple):
@@ -61,15 +67,14 @@ def locus_position(model: PlanningModel, family: Family, branch: int, angle: flo
 
 
 def rests_around(model: PlanningModel, points: Array, clear: float, least_s: float) -> list[Array]:
-    """Places around locus points (m, 2), straight ahead of each: per point, (k, 4) x, y, s and distance to Type 1.
+    """Places around locus points (m, n), straight ahead of each: per point, (k, n + 2) x, s and distance to Type 1.
 
     The straight line from the point to each keeps the sign of s and the distance ``clear`` from Type 1; along each of the
     directions the farthest place within REST_REACH and the first one with |s| >= least_s count.
     """
-    turns = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     away = REST_REACH * model.length * np.arange(1, STEPS + 1) / STEPS
-    places = points[:, None, None] + away[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=1)[:, None]
-    found = model.sides(places.reshape(-1, 2))
+    places = points[:, None, None] + away[:, None] * _directions(model.n)[:, None]
+    found = model.sides(places.reshape(-1, model.n))
     s, type1 = (values.reshape(places.shape[:3]) for values in (found.s, found.type1))
     with np.errstate(invalid="ignore"):
         side = s[:, :, :1]  # of each line, from its first step on
@@ -83,10 +88,20 @@ def rests_around(model: PlanningModel, points: Array, clear: float, least_s: flo
     return [table[row][ends[row]] for row in range(len(points))]
 
 
+@lru_cache
+def _directions(n: int) -> Array:
+    """Unit vectors (k, n) all around: evenly in the plane, at random but always the same in more dimensions."""
+    if n == 2:
+        turns = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        return np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    vectors = np.random.default_rng(0).normal(size=(DIRECTIONS * 3 ** (n - 2), n))
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None])
+
+
 def are_crossable(model: PlanningModel, points: Array, clear: float) -> NDArray[np.bool_]:
-    """Whether a rest lies straight ahead on both sides of each locus point (m, 2)."""
+    """Whether a rest lies straight ahead on both sides of each locus point (m, n)."""
     rests = rests_around(model, points, clear, REST_S)
-    return np.array([bool((places[:, 2] > 0.0).any() and (places[:, 2] < 0.0).any()) for places in rests], dtype=bool)
+    return np.array([bool((places[:, -2] > 0.0).any() and (places[:, -2] < 0.0).any()) for places in rests], dtype=bool)
 
 
 @lru_cache(maxsize=64)
@@ -105,12 +120,14 @@ def trace_locus(
         crossable: only where a rest lies straight ahead on both sides, that far from Type 1.
     """
     model = planning_model(robot)
+    mechanism = model.mechanism
+    assert isinstance(mechanism, FiveBarLocus)
     angles = np.linspace(-np.pi, np.pi, TRACE + 1)
     arcs = []
-    for family in model.mechanism.families:
+    for family in mechanism.families:
         for branch in (1, -1):
             traced = model.locus([family.value], [branch], angles[:, None])
-            modes: list[Mode] = [tuple(mode) for mode in model.mechanism.modes(traced.type1_sines).tolist()]
+            modes: list[Mode] = [tuple(mode) for mode in mechanism.modes(traced.type1_sines).tolist()]
             with np.errstate(invalid="ignore"):
                 fit = (np.abs(traced.type1_sines).min(axis=1) >= type1) & (traced.closing[:, 0] >= 0.0)
             fit &= np.array([mode in working_modes for mode in modes])
@@ -154,14 +171,18 @@ def make_point(robot: RobotParameters, working_mode: Mode, family: Family, branc
     return LocusPoint(x, working_mode, family, found.t_s, found.gradient, float(found.type1[0]), branch, angle)
 
 
-def nearest_point(robot: RobotParameters, x: Array, type1: float | None = None) -> LocusPoint:
-    """The point of the locus nearest to x (2,), m, in the robot's working mode.
+def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> LocusPoint:
+    """The point of the locus nearest to x (n,), m, in the robot's working mode.
+
+    Where the mechanism does not trace its locus it is found down the gradient of s, which leads to the nearest one from near it.
 
     Raises:
-        GeometryError: the working mode has no locus that far from Type 1.
+        GeometryError: the working mode has no locus that far from Type 1, or none was found from there.
     """
     x = np.asarray(x, dtype=np.float64)
     limit = robot.min_type1_distance if type1 is None else type1
+    if not isinstance(robot, RobotParameters):
+        return _nearest_by_gradient(robot, x, limit)
     arcs = trace_locus(robot, (robot.working_mode,), limit)
     if not arcs:
         raise GeometryError(f"working mode {list(robot.working_mode)} has no Type 2 locus at least {limit} from Type 1")
@@ -176,8 +197,65 @@ def nearest_point(robot: RobotParameters, x: Array, type1: float | None = None) 
     return make_point(robot, arc.working_mode, arc.family, arc.branch, float(found.x))
 
 
-def locus_point(robot: RobotParameters, x: Array) -> LocusPoint:
-    """The locus point at x (2,), m, in the robot's working mode.
+def _nearest_by_gradient(robot: Robot, x: Array, type1: float) -> LocusPoint:
+    """Projections on the locus' tangent, from the given place first, then from where they led, until s is zero to rounding."""
+    model, place = planning_model(robot), x
+    longest = LONGEST_STEP * model.length
+    found = model.place(place)
+    for row in range(PROJECTIONS + POLISHES):
+        beside = x - place if row < PROJECTIONS else np.zeros(model.n)
+        slope = float(found.gradient @ found.gradient)
+        step = beside - (float(found.s[0]) + float(found.gradient @ beside)) / slope * found.gradient
+        place = place + step * min(1.0, longest / max(float(np.linalg.norm(step)), 1e-300))
+        found = model.place(place)
+    if not abs(found.s[0]) <= LOCUS_S:
+        raise GeometryError(f"no place of the Type 2 locus was found near {in_words(x)}: the search ended in {in_words(place)}")
+    if found.type1[0] < type1:
+        raise GeometryError(
+            f"the Type 2 locus near {in_words(x)}, in {in_words(place)}, is {float(found.type1[0]):.3f} from Type 1; the limit is"
+            f" {type1}"
+        )
+    return LocusPoint(place, robot.working_mode, None, found.t_s, found.gradient, float(found.type1[0]), 1, 0.0)
+
+
+def spread_places(
+    robot: AnyRobot, low: Array, high: Array, count: int, *, type1: float = MIN_CROSSING_TYPE1, seed: int = 0
+) -> list[LocusPoint]:
+    """Places of the locus that can be crossed, far from each other: for any mechanism what ``sample_locus`` is for the five-bar.
+
+    Args:
+        low, high: (n,) corners of the box in which they lie, m.
+        count: of places.
+        type1: least distance to Type 1.
+        seed: of the places near which the locus is looked for.
+
+    Raises:
+        GeometryError: there are not so many.
+    """
+    low, high, model = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64), planning_model(robot)
+    found: list[LocusPoint] = []
+    for near in np.random.default_rng(seed).uniform(low, high, (TRIES, model.n)):
+        try:
+            point = nearest_point(robot, near, type1)
+        except GeometryError:
+            continue
+        if (point.x >= low).all() and (point.x <= high).all():
+            found.append(point)
+    chosen: list[LocusPoint] = []
+    distance = np.full(len(found), np.inf)
+    while len(chosen) < count and (distance > 0.0).any():
+        row = int(np.argmax(distance))
+        if are_crossable(model, found[row].x[None], type1)[0]:
+            chosen.append(found[row])
+            distance = np.minimum(distance, [float(np.linalg.norm(point.x - found[row].x)) for point in found])
+        distance[row] = 0.0
+    if len(chosen) < count:
+        raise GeometryError(f"{len(chosen)} places of the Type 2 locus that can be crossed were found there; {count} are wanted")
+    return chosen
+
+
+def locus_point(robot: AnyRobot, x: Array) -> LocusPoint:
+    """The locus point at x (n,), m, in the robot's working mode.
 
     Raises:
         GeometryError: x is unreachable or farther than ON_LOCUS from the locus; names |s| and the nearest point.
@@ -186,17 +264,17 @@ def locus_point(robot: RobotParameters, x: Array) -> LocusPoint:
     model = planning_model(robot)
     model.inverse_geometric_model(x)
     nearest = nearest_point(robot, x)
-    gap = float(np.hypot(*(nearest.x - x)))
+    gap = float(np.linalg.norm(nearest.x - x))
     if gap > ON_LOCUS:
         s = abs(model.s(x))
         raise GeometryError(
-            f"point ({x[0]:.4f}, {x[1]:.4f}) m is off the Type 2 locus: |s| = {s:.4f}; the nearest point of the locus that is"
-            f" clear of Type 1 is ({nearest.x[0]:.4f}, {nearest.x[1]:.4f}) m, {1e3 * gap:.1f} mm away"
+            f"point {in_words(x)} is off the Type 2 locus: |s| = {s:.4f}; the nearest point of the locus that is"
+            f" clear of Type 1 is {in_words(nearest.x)}, {1e3 * gap:.1f} mm away"
         )
     return nearest
 
 
-def place_of(robot: RobotParameters, point: LocusPoint | Array) -> LocusPoint:
+def place_of(robot: AnyRobot, point: LocusPoint | Array) -> LocusPoint:
     """A locus point, or the one at a position (n,), m, in the robot's working mode.
 
     Raises:
@@ -206,7 +284,7 @@ def place_of(robot: RobotParameters, point: LocusPoint | Array) -> LocusPoint:
         return locus_point(robot, point)
     if point.working_mode != robot.working_mode:
         raise GeometryError(
-            f"the locus point ({point.x[0]:.4f}, {point.x[1]:.4f}) m belongs to working mode {list(point.working_mode)}, the"
+            f"the locus point {in_words(point.x)} belongs to working mode {list(point.working_mode)}, the"
             f" robot is in {list(robot.working_mode)}: set robot.working_mode"
         )
     return point

@@ -9,9 +9,10 @@ from typing import Any, TypeVar
 
 import casadi as ca
 
-from dextar_control.contract.robot import RobotParameters
-from dextar_control.mechanisms.five_bar import FiveBar
+from dextar_control.mechanisms.five_bar_locus import FiveBarLocus
+from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.model import Model, equations_of
+from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.candidate import candidates, costs, layouts
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.types import Array
@@ -32,9 +33,7 @@ class StatesModel(Model):
         numbers: the parameters by their dotted names.
     """
 
-    mechanism: FiveBar
-
-    def __init__(self, mechanism: FiveBar, values: Mapping[str, Any]) -> None:
+    def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
         super().__init__(mechanism, values)
         library, self.numbers = states_library(mechanism), mechanism.named(self.p)
         self.sides, self.instants = (self._with_numbers(library.batch(name)) for name in ("sides", "instants"))
@@ -52,56 +51,59 @@ class PlanningModel(StatesModel):
     """The same with the locus and the functions of the search.
 
     Attributes:
-        locus: of (family, branch, tracing angles (m, 1)) -> x, type1_sines, closing.
+        locus: of (family, branch, tracing angles (m, 1)) -> x, type1_sines, closing; where it is traced in closed form.
         half, crossing, leg, crossing_cost, leg_cost: see ``candidate``.
         layouts: of the records that the last four take.
         length: by which distances are measured, m.
-        workspace: corners (n,) of a box that holds every place it reaches.
+        workspace: corners (n,) of a box that holds every place it reaches; of the five-bar.
     """
 
-    def __init__(self, mechanism: FiveBar, values: Mapping[str, Any]) -> None:
+    def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
         super().__init__(mechanism, values)
         library = planning_library(mechanism)
-        self.locus, self.half = self._with_numbers(library.batch("locus")), library.fast("half")
+        self.half = library.fast("half")
+        if "locus" in library.symbolic:
+            self.locus = self._with_numbers(library.batch("locus"))
         self.crossing, self.leg, self.crossing_cost, self.leg_cost = (
             self._with_numbers(library.fast(name)) for name in ("crossing", "leg", "crossing_cost", "leg_cost")
         )
         self.layouts = layouts(self.n)
         self.length: float = mechanism.length(self.numbers)
-        self.workspace: tuple[Array, Array] = mechanism.workspace(self.numbers)
+        if isinstance(mechanism, FiveBarLocus):
+            self.workspace: tuple[Array, Array] = mechanism.workspace(self.numbers)
 
 
-def states_model(robot: RobotParameters) -> StatesModel:
+def states_model(robot: AnyRobot) -> StatesModel:
     """A robot's; one for each thread, since its functions have places of their own."""
     return _own(StatesModel, robot)
 
 
-def planning_model(robot: RobotParameters) -> PlanningModel:
+def planning_model(robot: AnyRobot) -> PlanningModel:
     """A robot's; one for each thread, since its functions have places of their own."""
     return _own(PlanningModel, robot)
 
 
-def _own(kind: type[AnyStates], robot: RobotParameters) -> AnyStates:
+def _own(kind: type[AnyStates], robot: AnyRobot) -> AnyStates:
     if not hasattr(_of_thread, kind.__name__):
         setattr(_of_thread, kind.__name__, lru_cache(KEPT)(kind.of))
     model: AnyStates = getattr(_of_thread, kind.__name__)(robot)
     return model
 
 
-def states_library(mechanism: FiveBar) -> Library:
+def states_library(mechanism: Mechanism) -> Library:
     """What ``StatesModel`` calls, compiled where that can be done, once."""
     with _building:
         return _states_library(mechanism)
 
 
-def planning_library(mechanism: FiveBar) -> Library:
+def planning_library(mechanism: Mechanism) -> Library:
     """What ``PlanningModel`` calls beside that, likewise."""
     with _building:
         return _planning_library(mechanism)
 
 
 @lru_cache
-def _states_library(mechanism: FiveBar) -> Library:
+def _states_library(mechanism: Mechanism) -> Library:
     e = equations_of(mechanism)
     at = e.at(e.p, mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)), e.x, e.x_dot, e.x_ddot)
     place, side = {"p": e.p, "x": e.x}, {"q_a": at.q_a, "s": at.s, "type1": at.type1}
@@ -115,14 +117,15 @@ def _states_library(mechanism: FiveBar) -> Library:
 
 
 @lru_cache
-def _planning_library(mechanism: FiveBar) -> Library:
+def _planning_library(mechanism: Mechanism) -> Library:
     e = equations_of(mechanism)
     family, branch, angle = (ca.SX.sym(name) for name in ("family", "branch", "angle"))
-    q_a, x, closing = mechanism.type2_locus(family, branch, angle, mechanism.named(e.p))
     made = candidates(mechanism, e)
-    return Library([
-        named("locus", {"p": e.p, "family": family, "branch": branch, "angle": angle}, {
+    functions = [*made, *costs(mechanism, e, made)]
+    traced = mechanism.type2_locus(family, branch, angle, mechanism.named(e.p))
+    if traced is not None:
+        q_a, x, closing = traced
+        functions.insert(0, named("locus", {"p": e.p, "family": family, "branch": branch, "angle": angle}, {
             "x": x, "type1_sines": mechanism.type1_sines(q_a, x, mechanism.named(e.p)), "closing": closing,
-        }),
-        *made, *costs(mechanism, e, made),
-    ], cache_folder(), 1)
+        }))
+    return Library(functions, cache_folder(), 1)

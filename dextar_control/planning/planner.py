@@ -12,6 +12,8 @@ import numpy as np
 
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.model.robot import AnyRobot
+from dextar_control.planning.attempts import weightless
 from dextar_control.planning.between import plan_crossing
 from dextar_control.planning.certificate import PLAN_RESIDUAL, Plan
 from dextar_control.planning.checks import certify
@@ -30,16 +32,16 @@ __all__ = [
 
 
 def crossing_polynomial(
-    robot: RobotParameters, start: Array, goal: Array, x: Array, x_dot: Array, x_ddot: Array, before: float, after: float,
+    robot: AnyRobot, start: Array, goal: Array, x: Array, x_dot: Array, x_ddot: Array, before: float, after: float,
     jerk: Array | None = None,
 ) -> Trajectory:
     """Rest (zero jerk too) at start, given state at the crossing, rest at goal.
 
     Args:
-        start, goal: (2,) m.
-        x, x_dot, x_ddot: (2,) at the crossing.
+        start, goal: (n,) m.
+        x, x_dot, x_ddot: (n,) at the crossing.
         before, after: durations from the start to the crossing and from there to the goal, s.
-        jerk: (2,) at the crossing, m/s^3; the one that both ends ask for on average when None.
+        jerk: (n,) at the crossing, m/s^3; the one that both ends ask for on average when None.
     """
     ends = [np.asarray(end, dtype=np.float64) for end in (start, goal)]
     if jerk is None:
@@ -60,7 +62,7 @@ def robot_at(robot: RobotParameters, point: LocusPoint) -> RobotParameters:
 
 
 def plan_return_trip(
-    robot: RobotParameters,
+    robot: AnyRobot,
     start: Array,
     goal: Array,
     duration: float | None,
@@ -92,12 +94,12 @@ def plan_return_trip(
         ).trajectory
 
     out = one_way(start, goal)
-    back = out.reversed() if robot.gravity == (0.0, 0.0) else one_way(goal, start)
+    back = out.reversed() if weightless(planning_model(robot), out) else one_way(goal, start)
     return _there_and_back(robot, out, back, dwell, repeat)
 
 
 def plan_return_trip_through(
-    robot: RobotParameters,
+    robot: AnyRobot,
     point: LocusPoint | Array,
     direction: int | Array,
     duration: float | None,
@@ -122,7 +124,7 @@ def plan_return_trip_through(
     place = place_of(robot, point)
     out = plan_through(robot, place, direction, duration, criterion=criterion, progress=progress).trajectory
     back = out.reversed()
-    if robot.gravity != (0.0, 0.0):
+    if not weightless(planning_model(robot), out):
         ends = out.at(out.duration).x, out.at(0.0).x
         back = plan_crossing(
             robot, *ends, duration, point=place, criterion=criterion, progress=progress
@@ -137,7 +139,7 @@ def _repeated(repeat: int, dwell: float) -> None:
         raise TrajectoryError(f"dwell = {dwell} s; it must be > 0")
 
 
-def _there_and_back(robot: RobotParameters, out: Trajectory, back: Trajectory, dwell: float, repeat: int) -> Plan:
+def _there_and_back(robot: AnyRobot, out: Trajectory, back: Trajectory, dwell: float, repeat: int) -> Plan:
     start, goal = out.at(0.0).x, out.at(out.duration).x
     trip = join([hold(start, dwell)] + [out, hold(goal, dwell), back, hold(start, dwell)] * repeat)
     return Plan(trip, certify(robot, trip, max_residual=PLAN_RESIDUAL, crossings=2 * repeat))

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dextar_control.contract.robot import RobotParameters
+from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.model import StatesModel, states_model
 from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.types import Array
@@ -45,7 +45,7 @@ def sample_times(trajectory: Trajectory, period: float) -> Array:
     return merged[keep]
 
 
-def sample_profile(robot: RobotParameters, trajectory: Trajectory, times: Array) -> Profile:
+def sample_profile(robot: AnyRobot, trajectory: Trajectory, times: Array) -> Profile:
     """What the robot needs along a trajectory at times (m,), s.
 
     Within LIMIT_ZONE of the locus the multipliers are continued from either side of the crossing by a parabola:
@@ -86,7 +86,7 @@ def _continued(
     return np.asarray((1.0 - weight) * sides[0] + weight * sides[1])
 
 
-def find_crossings(robot: RobotParameters, trajectory: Trajectory, times: Array, s: Array) -> Array:
+def find_crossings(robot: AnyRobot, trajectory: Trajectory, times: Array, s: Array) -> Array:
     """Instants (k,), s, where s changes sign, by bisection between samples to machine precision."""
     model = states_model(robot)
 

@@ -7,11 +7,12 @@ from scipy.interpolate import PPoly, make_interp_spline
 
 from dextar_control.contract.errors import GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.certificate import PLAN_RESIDUAL, measure
 from dextar_control.planning.checks import beyond_range, certify
 from dextar_control.planning.model import states_model
 from dextar_control.planning.regions import SPACING, find_way, make_regions
-from dextar_control.planning.trajectory import Trajectory
+from dextar_control.planning.trajectory import Trajectory, in_words
 from dextar_control.symbols.types import Array
 
 MIN_APPROACH_S = 0.2  # |s| that an approach keeps on its way
@@ -20,10 +21,11 @@ LEAST_DURATION = 0.1  # s, of a motion however short
 SPLINE_DEGREE = 7
 BUSY_TORQUE = 0.3  # of max_torque that a regular motion takes at most
 STRIDES = (16, 10, 6, 4, 2)  # grid places from one spline point to the next: the first that keeps clear counts
+COUNTS = {2: "two", 3: "three"}
 TIGHTENINGS = 6  # of the pace, each to what the torque asks for
 
 
-def side_of(robot: RobotParameters, name: str, x: Array) -> float:
+def side_of(robot: AnyRobot, name: str, x: Array) -> float:
     """s of a place (n,), m, where a motion starts or ends.
 
     Raises:
@@ -31,7 +33,7 @@ def side_of(robot: RobotParameters, name: str, x: Array) -> float:
     """
     model = states_model(robot)
     if not np.isfinite(x).all() or x.shape != (model.n,):
-        raise GeometryError(f"{name} = {x.tolist()}; it must be two finite numbers, m")
+        raise GeometryError(f"{name} = {x.tolist()}; it must be {COUNTS.get(model.n, model.n)} finite numbers, m")
     try:
         model.inverse_geometric_model(x)
     except GeometryError as error:
@@ -40,14 +42,14 @@ def side_of(robot: RobotParameters, name: str, x: Array) -> float:
     distance = float(found.type1[0])
     if distance < robot.min_type1_distance:
         raise GeometryError(
-            f"{name} ({x[0]:.4f}, {x[1]:.4f}) m is {distance:.4f} from Type 1; the limit is {robot.min_type1_distance}"
+            f"{name} {in_words(x)} is {distance:.4f} from Type 1; the limit is {robot.min_type1_distance}"
         )
     beyond = beyond_range(robot, found.q_a)
     if beyond.max() > 0.0:
-        leg = int(np.argmax(beyond))
+        leg, unit = int(np.argmax(beyond)), model.mechanism.joints[0].unit
         raise GeometryError(
-            f"{name} ({x[0]:.4f}, {x[1]:.4f}) m takes the {('left', 'right')[leg]} joint to {found.q_a[leg]:.4g} rad;"
-            f" the limits are {robot.legs[leg].min_angle:.4g} and {robot.legs[leg].max_angle:.4g} rad"
+            f"{name} {in_words(x)} takes the {robot.sides[leg]} joint to {found.q_a[leg]:.4g} {unit};"
+            f" the limits are {robot.joint_range[0][leg]:.4g} and {robot.joint_range[1][leg]:.4g} {unit}"
         )
     return float(found.s[0])
 
@@ -55,7 +57,7 @@ def side_of(robot: RobotParameters, name: str, x: Array) -> float:
 def straight(start: Array, goal: Array, speed: float) -> Trajectory:
     """x = start + (goal - start)(35 t^4 - 84 t^5 + 70 t^6 - 20 t^7): rest to rest, zero jerk at both ends."""
     law = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
-    duration = max(35.0 / 16.0 * float(np.hypot(*(goal - start))) / speed, LEAST_DURATION)
+    duration = max(35.0 / 16.0 * float(np.linalg.norm(goal - start)) / speed, LEAST_DURATION)
     coefficients = np.outer(law / duration ** np.arange(8), goal - start)
     coefficients[0] += start
     return Trajectory(np.array([0.0, duration]), np.zeros(1), coefficients[None])
@@ -80,7 +82,7 @@ def spline(places: Array, speed: float) -> Trajectory:
     return unit.scaled(max(fastest / speed, LEAST_DURATION))
 
 
-def _clear(robot: RobotParameters, motion: Trajectory) -> bool:
+def _clear(robot: AnyRobot, motion: Trajectory) -> bool:
     profile = measure(robot, motion, motion.duration / 400.0).profile
     return bool(
         np.isfinite(profile.s).all()
@@ -91,7 +93,7 @@ def _clear(robot: RobotParameters, motion: Trajectory) -> bool:
     )
 
 
-def _paced(robot: RobotParameters, motion: Trajectory) -> Trajectory:
+def _paced(robot: AnyRobot, motion: Trajectory) -> Trajectory:
     """The motion, slowed down until it takes BUSY_TORQUE of the torque limit (or as little as gravity lets it)."""
     for _ in range(TIGHTENINGS):
         peak = measure(robot, motion, motion.duration / 400.0).peak_torque
@@ -101,11 +103,11 @@ def _paced(robot: RobotParameters, motion: Trajectory) -> Trajectory:
     return motion
 
 
-def plan_approach(robot: RobotParameters, start: Array, goal: Array, speed: float) -> Trajectory:
-    """From start to goal, rest to rest, on one side of the locus: a straight line, or a spline where that fails.
+def plan_approach(robot: AnyRobot, start: Array, goal: Array, speed: float) -> Trajectory:
+    """From start to goal, rest to rest, on one side of the locus: a straight line, or for the five-bar a spline where that fails.
 
     Args:
-        start, goal: (2,) m.
+        start, goal: (n,) m.
         speed: peak speed, m/s.
 
     Raises:
@@ -118,15 +120,15 @@ def plan_approach(robot: RobotParameters, start: Array, goal: Array, speed: floa
     signs = [np.sign(side_of(robot, name, x)) for name, x in (("start", start), ("goal", goal))]
     line = straight(start, goal, speed)
     motion = line if _clear(robot, line) else None
-    if motion is None and signs[0] == signs[1]:
+    if motion is None and signs[0] == signs[1] and isinstance(robot, RobotParameters):
         found = find_way(make_regions(robot), start, signs[0], goal, signs[1], KEPT_S * MIN_APPROACH_S)
         curves = () if found is None else (spline(_thinned(found[0], stride), speed) for stride in STRIDES)
         motion = next((curve for curve in curves if _clear(robot, curve)), None)
     if motion is None:
         least = np.abs(measure(robot, line).profile.s).min()
         raise TrajectoryError(
-            f"the straight way from ({start[0]:.4f}, {start[1]:.4f}) to ({goal[0]:.4f}, {goal[1]:.4f}) m comes to |s| ="
-            f" {least:.3f} of the Type 2 locus; an approach keeps {MIN_APPROACH_S}, and no way around was found"
+            f"the straight way from {in_words(start)} to {in_words(goal)} comes to |s| = {least:.3f} of the Type 2 locus;"
+            f" an approach keeps {MIN_APPROACH_S}, and no way around was found"
         )
     motion = _paced(robot, motion)
     certify(robot, motion, max_residual=PLAN_RESIDUAL, crossings=0)

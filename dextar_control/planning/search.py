@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from dextar_control.contract.robot import RobotParameters
+from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.locus import REST_S, LocusPoint, rests_around
 from dextar_control.planning.model import PlanningModel, planning_model
 from dextar_control.planning.trajectory import Trajectory
@@ -26,8 +26,9 @@ LEG_TIME = 2.0  # s of a leg between two crossings that costs one
 GOOD = 1.5  # cost below which no further guess is tried
 ITERATIONS = 200  # of one descent
 TOLERANCE = 1e-3  # on the gradient
-GUESSES = 3
+GUESSES = 3  # in the plane
 HURRIED, HURRY = 2, 2.5  # of them that are tried with a velocity so many times larger
+SPACE = 4  # times as many for each dimension more: there are more ways
 IMPOSSIBLE = 1e12  # cost of a candidate without a finite one
 VISIT = 0.9  # cosine of the angle between the ways of two guesses that are taken as one
 
@@ -89,7 +90,7 @@ class Problem(NamedTuple):
         return function(self.limits.numbers, self.task.numbers, z.numbers)
 
 
-def soft_limits(robot: RobotParameters, end_s: float) -> Record:
+def soft_limits(robot: AnyRobot, end_s: float) -> Record:
     """What the search aims at, inside the robot's limits."""
     return planning_model(robot).layouts.limits.make(
         torque=TORQUE_SHARE * robot.max_torque, near_time=NEAR_TIME, near_weight=NEAR_WEIGHT, time=LEG_TIME,
@@ -99,7 +100,7 @@ def soft_limits(robot: RobotParameters, end_s: float) -> Record:
 
 
 def crossing_problem(
-    robot: RobotParameters,
+    robot: AnyRobot,
     point: LocusPoint,
     sign: float,
     duration: float,
@@ -121,14 +122,15 @@ def crossing_problem(
     directions = np.eye(model.n)
     if towards is not None:
         directions = np.column_stack([towards, np.zeros((model.n, model.n - 1))])
+    family = 0 if point.family is None else point.family.value
     task = model.layouts.crossing_task.make(
-        duration=duration, length=model.length, sign=sign, family=point.family.value, branch=point.branch,
-        zero_wrench=criterion is Criterion.ZERO_WRENCH, directions=directions,
+        duration=duration, length=model.length, sign=sign, family=family, branch=point.branch,
+        zero_wrench=criterion is Criterion.ZERO_WRENCH, directions=directions, point=point.x,
     )
     return Problem(model, False, soft_limits(robot, end_s), task, model.layouts.crossing.indices(*free))
 
 
-def leg_problem(robot: RobotParameters, left: Array, reached: Array, sign: float, duration: float) -> Problem:
+def leg_problem(robot: AnyRobot, left: Array, reached: Array, sign: float, duration: float) -> Problem:
     """A leg on the side ``sign`` between two crossing states (n, 4), about ``duration`` s long."""
     model = planning_model(robot)
     task = model.layouts.leg_task.make(duration=duration, length=model.length, sign=sign, left=left, reached=reached)
@@ -168,14 +170,15 @@ def guesses_through(problem: Problem, point: LocusPoint, towards: Array | None =
     """Guesses with rests straight ahead of the point on both sides, as much in line as can be."""
     model, x, length, sign = problem.model, point.x, problem.task.length, problem.task.sign
     rests = rests_around(model, x[None], problem.limits.type1, REST_S)[0]
-    starts, goals = rests[rests[:, 2] * sign < 0.0], rests[rests[:, 2] * sign > 0.0]
+    n, s, type1 = model.n, rests[:, -2], rests[:, -1]
+    starts, goals, clear = rests[s * sign < 0.0, :n], rests[s * sign > 0.0, :n], (type1[s * sign < 0.0], type1[s * sign > 0.0])
     if len(starts) == 0 or len(goals) == 0:
         return []
-    before, after = x - starts[:, :2], goals[:, :2] - x
-    far_before, far_after = np.hypot(*before.T), np.hypot(*after.T)
+    before, after = x - starts, goals - x
+    far_before, far_after = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
     aligned = (before / far_before[:, None]) @ (after / far_after[:, None]).T
     total = far_before[:, None] + far_after[None]
-    clearance = np.minimum(starts[:, 3][:, None], goals[:, 3][None])
+    clearance = np.minimum(clear[0][:, None], clear[1][None])
     score = 1.0 - aligned + np.abs(total / (0.7 * length) - 1.0) + 0.5 * np.maximum(0.0, 1.0 - clearance / 0.3)
     if towards is not None:
         score = score - 2.0 * (after / far_after[:, None] @ towards)[None]
@@ -184,19 +187,20 @@ def guesses_through(problem: Problem, point: LocusPoint, towards: Array | None =
     found: list[Record] = []
     for index in np.argsort(score, axis=None):
         row, column = np.unravel_index(index, score.shape)
-        way = goals[column, :2] - starts[row, :2]
-        direction = way / np.hypot(*way)
+        way = goals[column] - starts[row]
+        distance = float(np.linalg.norm(way))
+        direction = way / distance
         if any(direction @ other > VISIT for other in chosen):
             continue
         chosen.append(direction)
         found.append(problem.variables.make(
-            start=starts[row, :2] / length, goal=goals[column, :2] / length, place=point.angle,
+            start=starts[row] / length, goal=goals[column] / length, place=point.angle,
             split=np.clip(far_before[row] / total[row, column], 0.35, 0.65),
-            velocity=2.0 * (way if towards is None else np.array([np.hypot(*way), 0.0])) / length,
+            velocity=2.0 * (way if towards is None else distance * np.eye(n)[0]) / length,
         ))
-        if len(found) == GUESSES:
+        if len(found) == GUESSES * SPACE ** (n - 2):
             break
-    hurried = [guess.copy() for guess in found[:HURRIED]]
+    hurried = [guess.copy() for guess in found[: HURRIED * SPACE ** (n - 2)]]
     for guess in hurried:
         guess.velocity *= HURRY
     return found + hurried

@@ -6,6 +6,7 @@ import numpy as np
 
 from dextar_control.contract.errors import GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.attempts import (
     BASE_DURATION,
     PACE,
@@ -21,6 +22,7 @@ from dextar_control.planning.certificate import Plan
 from dextar_control.planning.locus import MIN_CROSSING_TYPE1, MIN_END_S, LocusPoint, beside, place_of, trace_locus
 from dextar_control.planning.model import planning_model
 from dextar_control.planning.search import Criterion, Progress, crossing_problem, guesses_through, silent
+from dextar_control.planning.trajectory import in_words
 from dextar_control.symbols.types import Array
 
 MIN_SLOPE = 0.1  # sine of the angle between a crossing's direction and the locus
@@ -35,22 +37,22 @@ def _way(point: LocusPoint, direction: int | float | Array) -> tuple[float, Arra
             raise TrajectoryError(f"direction = {direction}; it must be +1 or -1 (the sign of s after the crossing) or a vector")
         return float(direction), None
     towards = np.asarray(direction, dtype=np.float64)
-    norm = float(np.hypot(*towards)) if towards.shape == (2,) else float("nan")
+    norm = float(np.linalg.norm(towards)) if towards.shape == point.x.shape else float("nan")
     if not (np.isfinite(norm) and norm > 0.0):
-        raise TrajectoryError(f"direction = {towards.tolist()}; it must be a vector of two finite numbers, not zero")
-    slope = float(point.gradient @ towards) / norm / float(np.hypot(*point.gradient))
+        raise TrajectoryError(f"direction = {towards.tolist()}; it must be a vector of {len(point.x)} finite numbers, not zero")
+    slope = float(point.gradient @ towards) / norm / float(np.linalg.norm(point.gradient))
     if abs(slope) < MIN_SLOPE:
-        normal = point.gradient / np.hypot(*point.gradient)
+        normal = point.gradient / np.linalg.norm(point.gradient)
         raise TrajectoryError(
-            f"the direction ({towards[0]:.3f}, {towards[1]:.3f}) runs along the locus at ({point.x[0]:.4f}, {point.x[1]:.4f}) m:"
+            f"the direction ({', '.join(f'{part:.3f}' for part in towards)}) runs along the locus at {in_words(point.x)}:"
             f" the sine of its angle to the locus is {abs(slope):.3f}, a crossing needs {MIN_SLOPE}; straight across is"
-            f" ({normal[0]:.3f}, {normal[1]:.3f})"
+            f" ({', '.join(f'{part:.3f}' for part in normal)})"
         )
     return float(np.sign(slope)), towards / norm
 
 
 def plan_through(
-    robot: RobotParameters,
+    robot: AnyRobot,
     point: LocusPoint | Array,
     direction: int | Array,
     duration: float | None = None,
@@ -62,8 +64,8 @@ def plan_through(
 
     Args:
         robot: in the working mode of the point (``robot_at``).
-        point: a locus point, or its position (2,), m.
-        direction: the sign of s after the crossing, or the direction (2,) of the velocity there.
+        point: a locus point, or its position (n,), m.
+        direction: the sign of s after the crossing, or the direction (n,) of the velocity there.
         duration: s; chosen when None, so that the peak torque is TORQUE_SHARE of the limit.
         criterion: what holds at the crossing.
         progress: called with the fraction done and what is being tried.
@@ -83,7 +85,7 @@ def plan_through(
         problem = crossing_problem(robot, at, sign, scale, criterion, OPEN, towards=towards)
         guesses = guesses_through(problem, at, towards)[:most]
         for row, guess in enumerate(guesses):
-            progress(row / len(guesses), f"guess {row + 1} of {len(guesses)} at ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
+            progress(row / len(guesses), f"guess {row + 1} of {len(guesses)} at {in_words(at.x)}")
             if into.offer(problem, guess):
                 return True
         bent = problem.opened("first_bends", "second_bends")
@@ -91,14 +93,14 @@ def plan_through(
         for row in range(RESTARTS if most is None else 0):
             if into.z is None:
                 break
-            progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS} at ({at.x[0]:.4f}, {at.x[1]:.4f}) m")
+            progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS} at {in_words(at.x)}")
             if into.offer(bent, shaken(into.z, bent.free, generator, RESTART_SPREAD * (row > 0))):
                 break
         return len(guesses) > 0
 
     if not attempt(place, None, best):
         raise GeometryError(
-            f"the locus point ({place.x[0]:.4f}, {place.x[1]:.4f}) m has no room for a rest with |s| >= {MIN_END_S} straight"
+            f"the locus point {in_words(place.x)} has no room for a rest with |s| >= {MIN_END_S} straight"
             f" ahead on both sides (distance to Type 1: {place.type1:.3f}){_nearest_with_room(robot, place)}"
         )
     progress(1.0, "certified" if best.plan is not None else "not found")
@@ -108,6 +110,8 @@ def plan_through(
         return best.plan
 
     def other_point() -> LocusPoint | None:
+        if not isinstance(robot, RobotParameters):
+            return None
         for shift in NEIGHBOURS:
             near = beside(robot, place, shift)
             other = Best(robot)
@@ -115,14 +119,16 @@ def plan_through(
                 return near
         return None
 
-    raise refuse(robot, f"way through ({place.x[0]:.4f}, {place.x[1]:.4f}) m", best, other_point)
+    raise refuse(robot, f"way through {in_words(place.x)}", best, other_point)
 
 
-def _nearest_with_room(robot: RobotParameters, place: LocusPoint) -> str:
+def _nearest_with_room(robot: AnyRobot, place: LocusPoint) -> str:
     """In words, the point of the locus nearest to one without room that has some; nothing when there is none."""
+    if not isinstance(robot, RobotParameters):
+        return ""
     arcs = trace_locus(robot, (robot.working_mode,), MIN_CROSSING_TYPE1, crossable=True)
     if not arcs:
         return ""
     x = np.vstack([arc.x for arc in arcs])
-    nearest = x[int(np.argmin(np.hypot(*(x - place.x).T)))]
-    return f"; the nearest point that has is ({nearest[0]:.4f}, {nearest[1]:.4f}) m"
+    nearest = x[int(np.argmin(np.linalg.norm(x - place.x, axis=1)))]
+    return f"; the nearest point that has is {in_words(nearest)}"

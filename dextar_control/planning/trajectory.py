@@ -18,6 +18,11 @@ from dextar_control.symbols.types import Array
 AT_ONCE = 512  # instants of a table: what keeps the interpreter for less than a control period
 
 
+def in_words(x: Array) -> str:
+    """A place of the platform (n,), m, as messages give it."""
+    return f"({', '.join(f'{value:.4f}' for value in x)}) m"
+
+
 class Point(NamedTuple):
     """One instant of a trajectory."""
 
