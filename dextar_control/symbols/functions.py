@@ -2,7 +2,7 @@
 
 CasADi writes all functions of a mechanism as one file of C; the system's compiler makes it a library, which is kept by the hash
 of that text, the compiler and the machine, so that nothing stale can be called. Where there is no compiler, or it fails or hangs,
-CasADi's own virtual machine serves, some four times slower, and says so once.
+CasADi's own virtual machine serves, some two to three times slower, and says so once.
 """
 
 from __future__ import annotations
@@ -258,7 +258,7 @@ def _prune(folder: Path) -> None:
 
 def _tell(why: str) -> None:
     """Once in a process."""
-    text = f"dextar: the model's equations are interpreted, about four times slower: {why}"
+    text = f"dextar: the model's equations are interpreted, two to three times slower: {why}"
     if text not in _told:
         _told.add(text)
         print(text, file=sys.stderr)
