@@ -20,7 +20,7 @@ from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from dextar_control.ros.launch_arguments import ARGUMENTS, misspelt, read
+from dextar_control.ros.launch_arguments import ARGUMENTS, changes, check_nodes, misspelt, read
 
 WARMUP = Path(get_package_prefix("dextar")) / "lib" / "dextar" / "warmup"
 CONFIG = Path(get_package_share_directory("dextar")) / "config"
@@ -45,6 +45,7 @@ def given(context: LaunchContext) -> dict[str, Any]:
 def check(context: LaunchContext) -> list[Any]:
     """Before anything is compiled or started; raises what launch prints as one line."""
     values = given(context)
+    check_nodes(values)
     context.launch_configurations["discovery_range"] = values["discovery_range"] or "LOCALHOST"  # the variable was empty
     return [LogInfo(msg=text) for text in misspelt(context.launch_configurations)]
 
@@ -52,20 +53,9 @@ def check(context: LaunchContext) -> list[Any]:
 def nodes(context: LaunchContext) -> list[Node]:
     """The nodes; only arguments that were given override the parameter files."""
     values = given(context)
-    overrides: dict[str, dict[str, Any]] = {
-        "plant": {"mode": "lockstep" if values["lockstep"] else "realtime", "window": values["window"]},
-        "controller": {"lockstep": values["lockstep"], "autostart": values["activate"]},
-        "trajectory_server": {"autostart": values["autostart"]},
-        "recorder": {},
-        "markers": {},
-    }
-    for name, arguments in (("controller", ("law", "estimator")), ("trajectory_server", ("tour", "duration"))):
-        overrides[name] |= {argument: values[argument] for argument in arguments if values[argument] != ""}
-    if values["output"]:
-        overrides["recorder"]["output"] = ParameterValue(values["output"], value_type=str)  # a text, whatever YAML makes of it
-    if values["law"] == "multi_model":
-        overrides["trajectory_server"]["criterion"] = "zero_wrench"
-    unwanted = {"plant": not values["plant"], "recorder": not values["record"], "markers": not values["markers"]}
+    overrides = changes(values)
+    if output := overrides.get("recorder", {}).get("output"):
+        overrides["recorder"]["output"] = ParameterValue(output, value_type=str)  # a text, whatever YAML makes of it
     namespace = values["namespace"].rstrip("/")
     return [
         Node(
@@ -79,7 +69,6 @@ def nodes(context: LaunchContext) -> list[Node]:
             on_exit=None if name == "markers" else Shutdown(reason=f"{name} has ended"),  # a display is nobody's need
         )
         for name in overrides
-        if not unwanted.get(name)
     ]
 
 

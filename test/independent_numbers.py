@@ -8,10 +8,10 @@ The geometry is read from the controller's parameters in the bag's metadata reco
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import struct
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -183,4 +183,9 @@ def numbers(path: Path) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(numbers(Path(sys.argv[1])), indent=2))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("bag", type=Path, help="the .mcap file of one run")
+    given = parser.parse_args()
+    if not given.bag.is_file():
+        parser.error(f"{given.bag} is no file")
+    print(json.dumps(numbers(given.bag), indent=2))

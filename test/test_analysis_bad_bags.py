@@ -171,6 +171,28 @@ def test_a_truncated_bag_is_analysed_and_says_so(good: Path, tmp_path: Path, cap
     assert "The end of the bag is missing" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize(
+    ("words", "left"),
+    [
+        (("export", "CUT", "--format", "csv"), "run.csv"),
+        (("compare", "GOOD", "CUT"), "comparison.json"),
+        (("replay", "CUT", "--speed", "1", "--fps", "5"), "replay.gif"),
+    ],
+)
+def test_the_other_commands_write_what_is_left_of_a_truncated_bag_and_end_alike(
+    words: tuple[str, ...], left: str, good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = good.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: int(0.6 * len(content))])
+    places = {"CUT": str(tmp_path / "cut.mcap"), "GOOD": str(good)}
+    output = tmp_path / "out" / ("replay.gif" if words[0] == "replay" else "")
+    output.parent.mkdir(exist_ok=True)
+    assert cli.main([*(places.get(word, word) for word in words), "--output", str(output)]) == 1
+    assert "breaks off or is damaged" in capsys.readouterr().err
+    assert (tmp_path / "out" / left).stat().st_size > 0
+
+
 def test_one_wrong_stamp_is_no_second_run(good: Path, tmp_path: Path) -> None:
     def once(topic: str, content: Any) -> list[tuple[str, Any]]:
         wrong = topic == "/joint_states" and content.header.stamp.nanosec == 500_000_000

@@ -13,7 +13,7 @@ import pytest
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.settings import Estimation
-from dextar_control.ros.launch_arguments import ARGUMENTS, misspelt, read
+from dextar_control.ros.launch_arguments import ARGUMENTS, check_nodes, misspelt, read
 
 LAUNCH_FILE = Path(__file__).resolve().parents[1] / "launch" / "crossing.launch.py"
 PLAIN = {name: argument.default for name, argument in ARGUMENTS.items()} | {
@@ -97,6 +97,38 @@ def test_a_parameter_file_that_no_node_can_read_is_refused_before_they_start(tmp
     with pytest.raises(ParameterError, match=f"launch argument 'params_file' = '{file}'; it must be .*{words}") as refused:
         read(PLAIN | {"params_file": str(file)})
     assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("    law: consistent ", "    lwa: consistent ", "controller: unknown parameter 'lwa' for node controller"),
+        ("    substeps: 4 ", "    substepz: 4 ", "plant: unknown parameter 'substepz' for node plant"),
+        ("    repeat: 1 ", "    repeat: 0 ", "trajectory_server: parameter 'repeat' = 0; it must be >= 1"),
+        ("    law: consistent ", "    law: clasic ", "controller: parameter 'law' = 'clasic'; it must be one of"),
+    ],
+)
+def test_what_a_node_would_refuse_of_its_parameter_file_is_refused_before_it_starts(
+    old: str, new: str, words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    text = Path(PLAIN["params_file"]).read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    file = tmp_path / "params.yaml"
+    file.write_text(text.replace(old, new), encoding="utf-8")
+    check = loaded(monkeypatch, tmp_path).check
+    for namespace in ("/", "/left"):
+        with pytest.raises(ParameterError) as refused:
+            check(context_of(params_file=str(file), namespace=namespace))
+        assert words in str(refused.value) and str(file) in str(refused.value)
+        assert len(str(refused.value).splitlines()) == 1
+
+
+def test_only_nodes_that_are_started_are_asked_and_arguments_win_over_files(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("/**/plant: {ros__parameters: {substepz: 4}}\n/**/controller: {ros__parameters: {law: clasic}}\n")
+    check_nodes(read(PLAIN | {"params_file": str(file), "plant": "false", "law": "classic"}))
+    with pytest.raises(ParameterError, match="plant: unknown parameter 'substepz'"):
+        check_nodes(read(PLAIN | {"params_file": str(file), "law": "classic"}))
 
 
 def test_a_name_that_looks_like_an_argument_is_told() -> None:

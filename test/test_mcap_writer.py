@@ -109,7 +109,7 @@ def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(BagError, match="Not a directory|File exists|exists already"):
+    with pytest.raises(BagError, match="Not a directory"):
         BagWriter(tmp_path / "file" / "run.mcap")
 
 

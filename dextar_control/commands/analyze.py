@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dextar_control.commands import EXIT_FAILED, EXIT_USAGE
-from dextar_control.commands.bags import add_robot, given_robot, shown_progress
+from dextar_control.commands.bags import add_robot, exit_code_of, given_robot, shown_progress
 from dextar_control.contract.errors import DextarError
 
 SUMMARY = "metrics, figures and a report from recorded runs"
@@ -71,8 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         console.print(summary_table(metrics))
         names = ["metrics.json", "figure.png", "report.html", *(f"paper.{name}" for name in dict.fromkeys(arguments.formats))]
         console.print(f"{folder or Path(metrics.bag).parent}: {' '.join(names)}", soft_wrap=True)
-        damaged = metrics.truncated or metrics.holes or metrics.unreadable
-        code = code or (EXIT_FAILED if metrics.success is False or damaged else 0)
+        code = code or (EXIT_FAILED if metrics.success is False else exit_code_of(metrics))
     return code
 
 

@@ -1,4 +1,4 @@
-"""What the commands that read bags share: an argument, and what is under way."""
+"""What the commands that read bags share: an argument, what is under way, and the exit code of a damaged bag."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ import contextlib
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
+from dextar_control.commands import EXIT_FAILED
+
 if TYPE_CHECKING:
+    from dextar_control.analysis.metrics import Metrics
+    from dextar_control.analysis.run import Run
     from dextar_control.contract.robot import RobotParameters
 
 
@@ -40,6 +44,11 @@ def given_robot(arguments: argparse.Namespace) -> RobotParameters | None:
     from dextar_control.contract.robot import load_robot
 
     return None if arguments.robot is None else load_robot(arguments.robot)
+
+
+def exit_code_of(*runs: Run | Metrics) -> int:
+    """0 where the bags are whole, 1 where one is damaged or breaks off."""
+    return EXIT_FAILED if any(run.truncated or run.holes or run.unreadable for run in runs) else 0
 
 
 @contextlib.contextmanager

@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dextar_control.commands.bags import add_robot, given_robot, shown_progress
+from dextar_control.commands.bags import add_robot, exit_code_of, given_robot, shown_progress
 
 SUMMARY = "recorded runs side by side, with their differences"
 DESCRIPTION = (
     "Puts two or more runs side by side, law against law or rig against simulation: comparison.html (curves over each other),"
-    " comparison.md and comparison.json. Differences are to the first bag. Exit code 0, or 2 for a bad file."
+    " comparison.md and comparison.json. Differences are to the first bag. Exit code 0, 1 when a bag is"
+    " damaged or breaks off and what is left was compared, 2 for a bad file."
 )
 
 
@@ -35,4 +36,4 @@ def run(arguments: argparse.Namespace) -> int:
     for remark in comparison.remarks:
         console.print(remark)
     console.print(f"{arguments.output}: comparison.html comparison.md comparison.json", soft_wrap=True)
-    return 0
+    return exit_code_of(*comparison.runs)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from dextar_control.commands.bags import add_robot, given_robot, shown_progress
+from dextar_control.commands.bags import add_robot, exit_code_of, given_robot, shown_progress
 
 SUMMARY = "a recorded run as a table for pandas or MATLAB"
 DESCRIPTION = (
     "Writes run.parquet, run.csv or run.mat: one row for each state, everything else joined to it by its stamp, with units (in"
-    " Parquet's column metadata, in CSV's column names, in MATLAB's struct units). Only Parquet needs pyarrow. Exit code 0, or 2"
-    " for a bad file."
+    " Parquet's column metadata, in CSV's column names, in MATLAB's struct units). Only Parquet needs pyarrow. Exit code 0, 1"
+    " when the bag is damaged or breaks off and what is left was written, 2 for a bad file."
 )
 FORMATS = ("parquet", "csv", "mat")
 
@@ -41,4 +41,4 @@ def run(arguments: argparse.Namespace) -> int:
         folder = arguments.output or recorded.path.parent / "export"
         files = export(recorded, folder, formats, arguments.topics, shown.stage)
     console.print(f"{folder}: {' '.join(file.name for file in files)}", soft_wrap=True)
-    return 0
+    return exit_code_of(recorded)

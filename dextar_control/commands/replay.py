@@ -9,13 +9,14 @@ import sys
 import tempfile
 from pathlib import Path
 
-from dextar_control.commands.bags import add_robot, given_robot, shown_progress
+from dextar_control.commands.bags import add_robot, exit_code_of, given_robot, shown_progress
 from dextar_control.contract.errors import ParameterError
 
 SUMMARY = "animate a recorded run"
 DESCRIPTION = (
     "Draws the linkage with the Type 2 locus, the path, the motors' torques and t_s over time, from the true motion where the"
-    " bag holds it and else from the estimate, and writes a GIF or an MP4; or shows it in PyBullet's window."
+    " bag holds it and else from the estimate, and writes a GIF or an MP4; or shows it in PyBullet's window. Exit code 0, 1 when"
+    " the bag is damaged or breaks off and what is left was drawn, 2 for a bad file."
 )
 WINDOW_MODULE = "dextar_sim.replay"
 
@@ -69,7 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "motion.npz"
             motion.write(file, arguments.speed)
-            return subprocess.run([sys.executable, "-m", WINDOW_MODULE, str(file)], check=False).returncode
+            ended = subprocess.run([sys.executable, "-m", WINDOW_MODULE, str(file)], check=False).returncode
+            return ended or exit_code_of(recorded)
     output = arguments.output or recorded.path.parent / "replay.gif"
     check_output(output, len(motion.time))
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeRemainingColumn())
@@ -77,4 +79,4 @@ def run(arguments: argparse.Namespace) -> int:
         bar = progress.add_task("frames", total=len(motion.time))
         animate(motion, output, arguments.speed, arguments.fps, lambda done, total: progress.update(bar, completed=done))
     console.print(f"{output}", soft_wrap=True)
-    return 0
+    return exit_code_of(recorded)

@@ -6,7 +6,7 @@ import inspect
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -107,6 +107,35 @@ def check_value(spec: Parameter, value: Any, default: Any) -> Any:
     return cast if array else cast[0]
 
 
+def settled(node: str, specs: Sequence[Parameter], overrides: Mapping[str, Any], *, robot: bool) -> dict[str, Any]:
+    """The values of a node's parameters, as the node itself takes them at its start.
+
+    Args:
+        node: its name.
+        specs: of its parameters.
+        overrides: of the defaults in ``config/crossing.yaml``.
+        robot: whether the node takes the robot description.
+
+    Raises:
+        ParameterError: an override is unknown, of another type or out of its bounds.
+    """
+    defaults = resources.node_defaults(node)
+    names = [spec.name for spec in specs]
+    known = {*names, *defaults, *(_robot_defaults(node) if robot else ()), "use_sim_time", "start_type_description_service"}
+    for key in overrides:
+        others = key.startswith("qos_overrides.") or (key.startswith("robot.") and not robot)
+        if key not in known and not others:
+            raise ParameterError(f"unknown parameter '{key}' for node {node}; known are: {', '.join(names)}")
+    for name in names:
+        if name not in defaults:
+            raise ParameterError(f"config/{resources.NODES_FILE} has no '{name}' for node {node}")
+    return {spec.name: check_value(spec, overrides.get(spec.name, defaults[spec.name]), defaults[spec.name]) for spec in specs}
+
+
+def _robot_defaults(node: str) -> dict[str, Any]:
+    return resources.node_defaults(node, resources.config_file(resources.ROBOT_FILE))
+
+
 def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoSProfile:
     """The profile of a contract topic; a subscriber on the control path asks for ``reliable=False``."""
     return QoSProfile(
@@ -163,20 +192,12 @@ class DextarNode(Node):
         self.finished = False
         self._specs = {spec.name: spec for spec in self.PARAMETERS}
         self._defaults = resources.node_defaults(name)
-        self.values: dict[str, Any] = {}
-        robot_defaults = resources.node_defaults(name, resources.config_file(resources.ROBOT_FILE)) if robot else {}
+        robot_defaults = _robot_defaults(name) if robot else {}
         overrides = {key: parameter.value for key, parameter in self._parameter_overrides.items()}
-        known = {*self._specs, *self._defaults, *robot_defaults, "use_sim_time", "start_type_description_service"}
-        for key in overrides:
-            others = key.startswith("qos_overrides.") or (key.startswith("robot.") and not robot)
-            if key not in known and not others:
-                raise ParameterError(f"unknown parameter '{key}' for node {name}; known are: {', '.join(self._specs)}")
+        self.values = settled(name, self.PARAMETERS, overrides, robot=robot)
         for spec in self._specs.values():
-            if spec.name not in self._defaults:
-                raise ParameterError(f"config/{resources.NODES_FILE} has no '{spec.name}' for node {name}")
-            default = self._defaults[spec.name]
-            value = check_value(spec, overrides.get(spec.name, default), default)
-            self.values[spec.name] = self._declare(spec.name, value, _descriptor(spec, value))
+            value = self.values[spec.name]
+            self._declare(spec.name, value, _descriptor(spec, value))
         if robot:
             prefix = "robot."
             whole = f"{prefix}name" in overrides  # a description, not a change of the shipped one
@@ -231,9 +252,8 @@ class DextarNode(Node):
         self._polled.discard(id(subscription))
         return bool(super().destroy_subscription(subscription))
 
-    def _declare(self, name: str, value: Any, descriptor: ParameterDescriptor) -> Any:
+    def _declare(self, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
         self.declare_parameter(name, value, descriptor, ignore_override=True)
-        return value
 
     def _on_set(self, parameters: list[Any]) -> SetParametersResult:
         changes: dict[str, Any] = {}

@@ -23,14 +23,14 @@ from rich.progress import BarColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool
 
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
-from dextar_control.contract.node import check_value, qos
-from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
+from dextar_control.contract.node import qos
+from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, spoken_warnings
 from dextar_control.contract.topics import DIAGNOSTICS
 from dextar_control.contract.yaml_text import assignment, load_parameters, parse_value
 from dextar_control.ros.domain import choose_domain
-from dextar_control.ros.task import PARAMETERS as TASK_PARAMETERS
+from dextar_control.ros.start_check import check_start
 from dextar_control.ros.task import Task
 
 MODULES = {
@@ -144,12 +144,13 @@ def run_demo(arguments: argparse.Namespace) -> int:
     files = _parameter_files(arguments)
     robot = load_robot(files[0])
     values = _node_values(arguments)
+    settings = {node: check_start(node, _changes(node, own), *files) for node, own in values.items()}
     if arguments.point is not None:
-        _stand_at_start(console, robot, values, files)
+        _stand_at_start(console, robot, Task.from_values(settings["trajectory_server"]), values)
     folder = _make_folder(arguments.output)
     values["recorder"].append(assignment("output", folder / "run.mcap"))
     values["trajectory_server"].append(assignment("drawing", folder / "plan.png"))
-    settings = _node_arguments(values, files)
+    ros_arguments = _node_arguments(values, files)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain = choose_domain()
     mode = "lockstep" if arguments.lockstep else "real time"
@@ -161,8 +162,9 @@ def run_demo(arguments: argparse.Namespace) -> int:
         processes = _Processes(folder)
         stack.callback(processes.stop_all)
         for name in MODULES:
-            processes.start(name, settings[name])
+            processes.start(name, ros_arguments[name])
         _wait_until_ready(console, monitor, processes)
+        _link_latest(folder)
         try:
             monitor.resume()
             _follow(console, monitor, processes)
@@ -210,23 +212,21 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     return values
 
 
-def _stand_at_start(
-    console: Terminal, robot: RobotParameters, values: dict[str, list[str]], files: Sequence[Path]
-) -> None:
+def _changes(node: str, texts: Sequence[str]) -> dict[str, Any]:
+    """The values in NAME:=VALUE of one node."""
+    parts = [text.partition(":=") for text in texts]
+    return {name: parse_value(value, f"-p {node}.{name}:={value}") for name, _, value in parts}
+
+
+def _stand_at_start(console: Terminal, robot: RobotParameters, task: Task, values: dict[str, list[str]]) -> None:
     """Plan the trip through the point, so that the robot can be put where it begins, and on that side of the locus.
 
     The trajectory server then finds the same plan in the cache.
     """
-    defaults = node_defaults("trajectory_server")
-    given = node_defaults("trajectory_server", *files)
-    for text in values["trajectory_server"]:
-        name, _, value = text.partition(":=")
-        given[name] = parse_value(value, f"-p trajectory_server.{text}")
-    checked = {spec.name: check_value(spec, (defaults | given)[spec.name], defaults[spec.name]) for spec in TASK_PARAMETERS}
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Steps(*columns, console=console, transient=True) as progress:
         bar = progress.add_task("planning", total=1.0)
-        plan = Task.from_values(checked).plan(
+        plan = task.plan(
             robot, lambda fraction, stage: progress.update(bar, completed=fraction, description=stage)
         )
     start = plan.trajectory.at(0.0).x.tolist()
@@ -265,14 +265,21 @@ def _make_folder(output: Path) -> Path:
             number += 1
             folder = output / f"{stamp}-{number}"
         folder.mkdir(parents=True)
-        latest = output / "latest"
+    except OSError as error:
+        raise BagError(f"run folder {folder} cannot be made: {error.strerror}; name another with --output") from error
+    return folder
+
+
+def _link_latest(folder: Path) -> None:
+    """``latest`` beside the run's folder leads to it, once the run has begun."""
+    latest = folder.parent / "latest"
+    try:
         if latest.is_symlink():
             latest.unlink()
         if not latest.exists():
             latest.symlink_to(folder.name)
     except OSError as error:
-        raise BagError(f"run folder {folder} cannot be made: {error.strerror}; name another with --output") from error
-    return folder
+        raise BagError(f"link {latest} cannot be made: {error.strerror}; name another folder with --output") from error
 
 
 @contextlib.contextmanager

@@ -16,6 +16,7 @@ from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.settings import Estimation, Law
 from dextar_control.contract.yaml_text import load_parameters
 from dextar_control.ros import task
+from dextar_control.ros.start_check import check_start
 
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 """In any case; launch's own conditions take the first two of each."""
@@ -86,6 +87,46 @@ def read(given: Mapping[str, str]) -> dict[str, Any]:
             shown = ", ".join(f"{name}:={given[name]}" for name in numbers)
             raise ParameterError(f"launch argument {shown} cannot be used: {error}") from error
     return values
+
+
+def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The nodes that are to be started, and what the arguments change of their parameters.
+
+    Args:
+        values: from ``read``.
+    """
+    own: dict[str, dict[str, Any]] = {
+        "plant": {"mode": "lockstep" if values["lockstep"] else "realtime", "window": values["window"]},
+        "controller": {"lockstep": values["lockstep"], "autostart": values["activate"]},
+        "trajectory_server": {"autostart": values["autostart"]},
+        "recorder": {},
+        "markers": {},
+    }
+    for name, arguments in (
+        ("controller", ("law", "estimator")), ("trajectory_server", ("tour", "duration")), ("recorder", ("output",))
+    ):  # fmt: skip
+        own[name] |= {argument: values[argument] for argument in arguments if values[argument] != ""}
+    if values["law"] == "multi_model":
+        own["trajectory_server"]["criterion"] = "zero_wrench"
+    unwanted = {"plant": not values["plant"], "recorder": not values["record"], "markers": not values["markers"]}
+    return {name: parameters for name, parameters in own.items() if not unwanted.get(name)}
+
+
+def check_nodes(values: Mapping[str, Any]) -> None:
+    """Refuse, before anything is started, parameters that a node would refuse.
+
+    Args:
+        values: from ``read``.
+
+    Raises:
+        ParameterError: a parameter is unknown or cannot be used; names the files, the node and the parameter.
+    """
+    files = [values[name] for name in ("robot_file", "params_file")]
+    for node, parameters in changes(values).items():
+        try:
+            check_start(node, parameters, *map(Path, files), namespace=values["namespace"])
+        except ParameterError as error:
+            raise ParameterError(f"the nodes refuse robot_file:={files[0]} params_file:={files[1]}: {error}") from error
 
 
 def misspelt(given: Iterable[str]) -> list[str]:

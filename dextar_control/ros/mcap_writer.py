@@ -73,6 +73,8 @@ class BagWriter:
                 raise BagError(f"cannot record to {path}: {path.parent} holds another bag's {METADATA_FILE}; name another folder")
             self._file = self._open()
         except FileExistsError as error:
+            if not path.parent.is_dir():
+                raise BagError(f"cannot record to {path}: Not a directory: {path.parent}; name another output") from error
             raise BagError(f"cannot record to {path}: it exists already; name another output or remove it") from error
         except OSError as error:
             raise BagError(f"cannot record to {path}: {error.strerror or error}") from error

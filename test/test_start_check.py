@@ -1,0 +1,72 @@
+"""What the demo's nodes would refuse at their start is refused before any of them is started."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from dextar_control import cli
+from dextar_control.contract.resources import NODES_FILE, config_file
+from dextar_control.ros import demo
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of the nodes that would have been started; their start is refused as soon as it is waited for."""
+    names: list[str] = []
+
+    def refuse(*_: object) -> None:
+        raise demo.DemoError("the trajectory server: there is no trip")
+
+    monkeypatch.setattr(demo, "_monitor", lambda: contextlib.nullcontext(SimpleNamespace(resume=lambda: None)))
+    monkeypatch.setattr(demo._Processes, "start", lambda _, name, __: names.append(name))
+    monkeypatch.setattr(demo, "_wait_until_ready", refuse)
+    return names
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--duration", "-1"), "trajectory_server: parameter 'duration' = -1.0; it must be >= 0"),
+        (("--duration", "nan"), "trajectory_server: parameter 'duration' = nan; it must be finite"),
+        (("--duration", "0.001"), "trajectory_server: duration = 0.001 s; it must be 0 or >= 0.02"),
+        (("--repeat", "0"), "trajectory_server: parameter 'repeat' = 0; it must be >= 1"),
+        (("--tour", "-3"), "trajectory_server: parameter 'tour' = -3; it must be >= 0"),
+        (("--tour", "1001"), "trajectory_server: parameter 'tour' = 1001; it must be <= 1000"),
+        (("-p", "trajectory_server.dwell:=0"), "trajectory_server: parameter 'dwell' = 0; it must be >= 0.01"),
+        (("--tour", "2", "-p", "trajectory_server.point:=[0.0, 0.08]"), "are given; one may be"),
+        (("-p", "controller.lwa:=classic"), "controller: unknown parameter 'lwa' for node controller"),
+        (("-p", "plant.substepz:=4"), "plant: unknown parameter 'substepz' for node plant"),
+        (("-p", "plant.substeps:=many"), "plant: parameter 'substeps' = 'many'; it must be a number"),
+        (("-p", "recorder.compression:=rar"), "recorder: parameter 'compression' = 'rar'; it must be one of"),
+    ],
+)  # fmt: skip
+def test_what_can_be_known_as_wrong_is_refused_before_there_is_a_folder(
+    arguments: tuple[str, ...], said: str, started: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["demo", "--output", str(tmp_path / "runs"), *arguments]) == 2
+    told = capsys.readouterr().err
+    assert said in told and told.count("\n") == 1
+    assert not started and not (tmp_path / "runs").exists()
+
+
+def test_a_file_given_with_params_is_held_to_the_same_rules(
+    started: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = config_file(NODES_FILE).read_text(encoding="utf-8")
+    file = tmp_path / "params.yaml"
+    file.write_text(text.replace("    law: consistent ", "    lwa: consistent "), encoding="utf-8")
+    assert cli.main(["demo", "--output", str(tmp_path / "runs"), "--params", str(file)]) == 2
+    assert "controller: unknown parameter 'lwa'" in capsys.readouterr().err
+    assert not started and not (tmp_path / "runs").exists()
+
+
+def test_the_latest_run_stays_the_one_that_began_where_a_start_is_refused(started: list[str], tmp_path: Path) -> None:
+    (tmp_path / "earlier").mkdir()
+    (tmp_path / "latest").symlink_to("earlier")
+    assert cli.main(["demo", "--output", str(tmp_path)]) == 2
+    assert started == list(demo.MODULES)
+    assert (tmp_path / "latest").resolve() == tmp_path / "earlier"
