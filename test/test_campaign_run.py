@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import signal
@@ -13,17 +14,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import campaign_fake
 import pytest
 import yaml
 from distributed import LocalCluster
 
 from dextar_control.campaign import pool as pool_module
+from dextar_control.campaign.command import run_command
 from dextar_control.campaign.config import CampaignConfig
 from dextar_control.campaign.design import Trial, code_digest, trials_of
 from dextar_control.campaign.pool import DIED, Pool
 from dextar_control.campaign.rerun import TIMES
 from dextar_control.campaign.store import Store, read_rows
 from dextar_control.campaign.worker import Job, Row, run_trials
+from dextar_control.commands import campaign
 from dextar_control.contract.errors import CampaignError, ParameterError
 from dextar_control.contract.robot import RobotParameters
 
@@ -230,6 +234,24 @@ def test_a_scheduler_that_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatc
         Pool(workers=2, scheduler="tcp://127.0.0.1:1")
     with pytest.raises(ParameterError, match="workers = 0; it must be >= 1"):
         Pool(workers=0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--workers", "0"), "workers = 0; it must be >= 1"),
+        (("--workers", "2", "--scheduler", "tcp://127.0.0.1:1"), "workers = 2 with scheduler tcp://127.0.0.1:1"),
+    ],
+)
+def test_workers_that_cannot_be_are_refused_before_there_is_a_folder(
+    arguments: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = Bench(tmp_path)
+    parser = argparse.ArgumentParser()
+    campaign.add_arguments(parser)
+    with pytest.raises(ParameterError, match=said):
+        run_command(parser.parse_args([str(bench.file), "--output", str(bench.output), *arguments]), campaign_fake.MODULE)
+    assert capsys.readouterr().out == "" and not bench.output.exists()
 
 
 def always_dies(job: Job, trials: Sequence[Trial]) -> list[Row]:

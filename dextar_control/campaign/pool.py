@@ -41,6 +41,18 @@ def core_count() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def check_workers(workers: int | None, scheduler: str | None) -> None:
+    """Whether there can be a ``Pool`` of them, without starting any.
+
+    Raises:
+        ParameterError: there are too few, or workers and scheduler contradict each other.
+    """
+    if workers is not None and scheduler is not None:
+        raise ParameterError(f"workers = {workers} with scheduler {scheduler}; a scheduler has its own workers")
+    if workers is not None and workers < 1:
+        raise ParameterError(f"workers = {workers}; it must be >= 1")
+
+
 class Pool:
     """Worker processes that may die; a context manager."""
 
@@ -55,10 +67,7 @@ class Pool:
             ParameterError: workers and scheduler contradict each other.
             CampaignError: no scheduler answers, or it has no workers.
         """
-        if workers is not None and scheduler is not None:
-            raise ParameterError(f"workers = {workers} with scheduler {scheduler}; a scheduler has its own workers")
-        if workers is not None and workers < 1:
-            raise ParameterError(f"workers = {workers}; it must be >= 1")
+        check_workers(workers, scheduler)
         for logger in ("distributed", "distributed.client"):
             logging.getLogger(logger).setLevel(logging.CRITICAL)
         self._cluster: LocalCluster | None = None

@@ -19,7 +19,7 @@ from dextar_control.campaign.config import CampaignConfig
 from dextar_control.campaign.design import Trial
 from dextar_control.campaign.loading import resolve
 from dextar_control.campaign.outcome import judge
-from dextar_control.campaign.pool import Pool
+from dextar_control.campaign.pool import Pool, check_workers
 from dextar_control.campaign.selection import check_names
 from dextar_control.campaign.store import Store, read_rows
 from dextar_control.campaign.worker import Job, plan_trials, run_trials
@@ -98,8 +98,10 @@ def run_campaign(
         The exit code: 0 if all bars hold, 1 if one is missed, 128 + the signal's number (130: Ctrl-C) if interrupted.
 
     Raises:
+        ParameterError: workers and scheduler contradict each other, or there are too few.
         CampaignError: the folder or the workers cannot be used.
     """
+    check_workers(workers, scheduler)
     with Store(folder, campaign.manifest) as store:
         missing = {key: trial for key, trial in campaign.trials.items() if key not in store.rows}
         kept = len(campaign.trials) - len(missing)
