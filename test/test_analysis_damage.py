@@ -172,7 +172,7 @@ def test_whatever_is_damaged_there_is_one_message_and_no_traceback(
         options = ["--output", str(tmp_path / "out"), "--format", "csv"] if command == "export" else []
         code = cli.main([command, str(hurt), *options])
         lines = capsys.readouterr().err.splitlines()
-        assert code in (0, 2), trial
+        assert code in ((0, 1, 2) if command == "export" else (0, 2)), trial  # 1: written, but not all is there
         assert len(lines) == 1 if code else len(lines) <= 1, (trial, lines)
         assert all(line.startswith(f"dextar {command}: ") for line in lines)
 
