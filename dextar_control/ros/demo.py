@@ -221,7 +221,7 @@ def _changes(node: str, texts: Sequence[str]) -> dict[str, Any]:
 def _stand_at_start(console: Terminal, robot: RobotParameters, task: Task, values: dict[str, list[str]]) -> None:
     """Plan the trip through the point, so that the robot can be put where it begins, and on that side of the locus.
 
-    The trajectory server then finds the same plan in the cache.
+    The trajectory server makes the same plan again.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Steps(*columns, console=console, transient=True) as progress:
