@@ -11,7 +11,7 @@ SUMMARY = "run crossing points x directions x cases x laws x estimators x seeds 
 DESCRIPTION = (
     "Runs what its folder lacks, so an interrupted campaign goes on with the same command, and writes rows.parquet,"
     " summary.md, summary.json, failures.md and figure.png there. Exit code 0 when all bars of the file hold, 1 when one is"
-    " missed, 2 for a wrong argument, 130 when interrupted."
+    " missed, 2 for a wrong argument, 128 + the signal's number when one ended it."
 )
 
 

@@ -10,7 +10,7 @@ DESCRIPTION = (
     "Starts the real nodes in real processes, does each fault of the file while the robot crosses its singularities, and judges"
     " from the robot's truth what became of it. Leaves runs/faults-<UTC stamp>/ with faults.md, faults.json, faults.png and the"
     " nodes' logs. Exit code 0 when every outcome was an expected one and nothing happened that never must, else 1; 2 for a"
-    " wrong argument, 130 when interrupted."
+    " wrong argument, 128 + the signal's number when one ended it."
 )
 
 
