@@ -18,7 +18,7 @@ from synthetic_run import CROSSINGS, DECIDED, MISSED, START, TICKS, TRUE_OFFSET,
 
 from dextar_control import cli
 from dextar_control.analysis import load_run
-from dextar_control.analysis.table import state_table, topic_tables
+from dextar_control.analysis.table import export
 
 WORDS = ("phase", "verdict")
 UNITS = {"ns", "s", "m", "m/s", "m/s^2", "rad", "rad/s", "N m", "N", "1"}
@@ -75,7 +75,8 @@ def test_words_are_categories_whose_meaning_stands_with_the_column(folder: Path)
 
 def test_a_verdict_that_was_not_recorded_is_null(tmp_path: Path) -> None:
     write_run(tmp_path / "old.mcap", says=None)
-    assert set(state_table(load_run(tmp_path / "old.mcap")).column("verdict").to_pylist()) == {None}
+    export(load_run(tmp_path / "old.mcap"), tmp_path, ["parquet"])
+    assert set(pyarrow.parquet.read_table(tmp_path / "run.parquet").column("verdict").to_pylist()) == {None}
 
 
 def test_csv_holds_the_same_numbers_under_names_with_units(folder: Path) -> None:
@@ -114,9 +115,9 @@ def test_each_topic_has_its_own_rows(folder: Path) -> None:
 
 def test_a_rigs_bag_has_no_true_column(tmp_path: Path) -> None:
     write_run(tmp_path / "rig.mcap", truth=False)
-    run = load_run(tmp_path / "rig.mcap")
-    assert not [name for name in state_table(run).column_names if name.startswith("true")]
-    assert "truth" not in topic_tables(run)
+    export(load_run(tmp_path / "rig.mcap"), tmp_path, ["parquet"], topics=True)
+    assert not [name for name in pyarrow.parquet.read_table(tmp_path / "run.parquet").column_names if name.startswith("true")]
+    assert (tmp_path / "states.parquet").exists() and not (tmp_path / "truth.parquet").exists()
 
 
 def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

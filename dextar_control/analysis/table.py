@@ -102,20 +102,11 @@ class Sheet(NamedTuple):
     about: dict[str, str]
 
 
-def state_table(run: Run) -> pa.Table:
+def _states(run: Run) -> Sheet:
     """One row for each recorded state, the others joined to it by their stamps; null where there is none.
 
-    Units and meanings stand in the metadata of each column, the robot, the parameters and time zero in that of the table.
+    Units and meanings stand with each column, the robot, the parameters and time zero with the table.
     """
-    return _arrow(_states(run))
-
-
-def topic_tables(run: Run) -> dict[str, pa.Table]:
-    """Each topic in its own rows, by rising stamp: states, commands, controller_state, criterion, truth, trajectory."""
-    return {name: _arrow(sheet) for name, sheet in _topics(run).items()}
-
-
-def _states(run: Run) -> Sheet:
     stamps = run.states.stamps
     track = tracked(run)
     zero = track.start if track else int(stamps[0])
