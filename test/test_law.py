@@ -13,11 +13,12 @@ from oracle import Oracle
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import Law
 from dextar_control.control.law import GAINS as GAIN_FIELDS
-from dextar_control.control.law import OUTPUT, laws_of
+from dextar_control.control.law import OUTPUT, law_of
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan, plan_return_trip
 from dextar_control.planning.search import Criterion
+from dextar_control.symbols.functions import Fast
 from dextar_control.symbols.record import Layout, Record
 
 GAINS = Layout("gains", 2, GAIN_FIELDS).make(
@@ -48,7 +49,7 @@ class Bench:
         self.model = Model.of(robot)
         self.oracle = Oracle(robot)
         self.crossing = float(plan.certificate.crossing_times[0])
-        self._laws = {law: laws_of(self.model.mechanism).fast(f"law_{law.name.lower()}") for law in Law}
+        self._laws = {law: Fast(law_of(self.model.mechanism, law)) for law in Law}
 
     def reference(self, time: float) -> Record:
         point, profile = self.plan.trajectory.at(time), self.plan.certificate.profile

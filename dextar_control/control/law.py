@@ -27,7 +27,6 @@ The Cartesian laws ask for the platform acceleration u = x_ddot_ref + K_d e_dot 
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import casadi as ca
@@ -38,7 +37,7 @@ from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
 from dextar_control.model.model import equations_of
-from dextar_control.symbols.functions import Library, cache_folder, named
+from dextar_control.symbols.functions import named
 from dextar_control.symbols.record import Field, Layout
 from dextar_control.symbols.singular import singular_vectors
 from dextar_control.symbols.smooth import HUGE, is_finite, over, smooth_step
@@ -98,8 +97,8 @@ def joint_feedback(planned: Equations, a: Symbol, weight: Symbol) -> Symbol:
     return strong + J.v_weak * (weight * over(ca.dot(J.u_weak, a), J.sigma_weak))
 
 
-def _tick(mechanism: Mechanism, law: Law) -> ca.Function:
-    """One tick of a law: from a reference and an estimate to limited torques."""
+def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
+    """One tick of a law: (p, gains, reference, estimate, integral, limit, dt) -> output, integral_next."""
     n = mechanism.n
     vector, p = mechanism.symbols()
     (gains_vector, gains), (ref_vector, ref), (hat_vector, hat) = (
@@ -146,9 +145,3 @@ def _tick(mechanism: Mechanism, law: Law) -> ca.Function:
                  "limit": limit, "dt": dt}
     results = {"output": Layout("output", n, OUTPUT).join(found), "integral_next": grown}
     return named(f"law_{law.name.lower()}", arguments, results)
-
-
-@lru_cache
-def laws_of(mechanism: Mechanism) -> Library:
-    """``law_NAME`` of each law: (p, gains, reference, estimate, integral, limit, dt) -> output, integral_next."""
-    return Library([_tick(mechanism, law) for law in Law], cache_folder())

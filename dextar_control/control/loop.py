@@ -11,11 +11,11 @@ import numpy as np
 
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
 from dextar_control.contract.settings import Law, Settings
-from dextar_control.control.law import GAINS, OUTPUT, laws_of
-from dextar_control.control.phases import LIMP, MOVING, Phase, Tick
+from dextar_control.control.law import GAINS
+from dextar_control.control.phases import LIMP, MOVING, Frame, Phase, Tick
 from dextar_control.control.reference import PlannedReference
 from dextar_control.control.safe_stop import SafeStop, Stage, Stopped
-from dextar_control.control.supervisor import Supervisor
+from dextar_control.control.supervisor import Supervisor, acts_of
 from dextar_control.control.verdicts import CrossingJudge, Passed
 from dextar_control.estimation.estimate import Pose
 from dextar_control.estimation.estimator import make_estimator
@@ -68,30 +68,30 @@ class ControlLoop:
         self.saturated_ticks = 0
         self.completed = 0
         self.tick: Tick | None = None
-        self.estimator = make_estimator(self.model, settings, robot.min_type1_distance)
-        self._estimate: Record = self.estimator.estimate
-        self._output: Record = Layout("output", n, OUTPUT).make()
-        self.supervisor = Supervisor(robot, self.model, self._estimate, self._output)
+        self._frame = Frame(n)
+        self._reference, self._estimate, self._output = self._frame.reference, self._frame.estimate, self._frame.output
+        self.estimator = make_estimator(self.model, settings, robot.min_type1_distance, self._estimate)
+        self.supervisor = Supervisor(robot, self.model)
         self._assembly_mode, self._near = assembly_mode, near
         self._judge = CrossingJudge(self.model)
         self._stop = SafeStop(self.model)
-        self._planned = PlannedReference(self.model)
-        self._reference: Record = self._planned.now
+        self._planned = PlannedReference(self.model, self._reference)
         self._gains: Record = Layout("gains", n, GAINS).make()
-        self._laws = {
-            law: laws_of(self.model.mechanism).fast(
-                f"law_{law.name.lower()}", p=self.model.p, gains=self._gains.numbers, reference=self._reference.numbers,
-                estimate=self._estimate.numbers, output=self._output.numbers,
+        self._answer, self._integral, self._q_a = self._output.tau, np.zeros(n), np.zeros(n)
+        given = {"dt": np.zeros(1), "limit": np.zeros(1), "crossing": np.zeros(1), "q_meas": self._q_a}
+        self._acts = {
+            law: acts_of(self.model.mechanism).fast(
+                f"act_{law.name.lower()}", p=self.model.p, gains=self._gains.numbers, reference=self._reference.numbers,
+                estimate=self._estimate.numbers, output=self._output.numbers, integral=self._integral,
+                integral_next=self._integral, **given, **self.supervisor.places,
             )
             for law in Law
         }
-        self._tau = np.zeros(n)
-        self._integral = np.zeros(n)
+        self._places = self._acts[settings.law].views()
         self._time = math.nan
         self._start = 0.0
         self._pending: tuple[Trajectory, Certificate, float | None] | None = None
         self._crossing_limit = robot.max_torque
-        self._q_a = np.zeros(n)
         self._stop_wanted = False
         self.configure(settings)
 
@@ -112,7 +112,7 @@ class ControlLoop:
                 f"passage_armed = {settings.passage_armed} with passage_begin = {settings.passage_begin}; it must be smaller"
             )
         self.settings = settings
-        self._law = self._laws[settings.law]
+        self._act = self._acts[settings.law]
         gains = self._gains
         gains.K_p = settings.natural_frequency**2
         gains.K_d = 2.0 * settings.damping_ratio * settings.natural_frequency
@@ -364,8 +364,8 @@ class ControlLoop:
                 belong to another working mode or stand on the locus. Nothing is changed then.
             GeometryError: first sample: the distal links cannot meet.
         """
-        q_a = np.array(q_a, dtype=np.float64)
-        if q_a.shape != self._tau.shape or not math.isfinite(time + sum(q_a.tolist())):
+        time, q_a = float(time), np.asarray(q_a, dtype=np.float64)
+        if q_a.shape != self._q_a.shape or not math.isfinite(time + sum(q_a.tolist())):
             count = COUNTS.get(self.model.n, self.model.n)
             raise StateError(f"state at {time} s: active joints {q_a} are not {count} finite numbers")
         if math.isnan(self._time):
@@ -375,7 +375,7 @@ class ControlLoop:
             dt = time - self._time
             if not dt > 0.0:
                 raise StateError(f"state at {time:.6f} s is not after the last one at {self._time:.6f} s")
-        self._time, self._q_a = time, q_a
+        self._time, self._places.q_meas[:] = time, q_a
         if self._pending is not None and (self._pending[2] is None or time >= self._pending[2]):
             self._begin(time, *self._pending)
         reference_time = 0.0
@@ -386,14 +386,13 @@ class ControlLoop:
         if pose is not None:
             self.estimator.take_pose(pose, time)
         if self.phase in LIMP:
-            self.estimator.coast(dt, q_a, self._tau)
+            self.estimator.coast(dt, self._q_a, self._answer)
             self._follow()
             self._limp(dt)
         else:
-            self._servo(reference_time, dt, q_a)
-        self.tick = Tick(time, reference_time, self.phase, self._reference, self._estimate, self._output)
-        self._tau = self.tick.output.tau
-        return self._tau
+            self._servo(reference_time, dt)
+        self.tick = Tick(time, reference_time, self.phase, self._frame)
+        return self._answer.copy()
 
     def _begin(self, time: float, trajectory: Trajectory, certificate: Certificate, start: float | None) -> None:
         self._pending = None
@@ -428,32 +427,27 @@ class ControlLoop:
             self._go_limp(Phase.SAFE_STOP, self.reason)
         return 0.0
 
-    def _servo(self, reference_time: float, dt: float, q_a: Array) -> None:
+    def _servo(self, reference_time: float, dt: float) -> None:
         """One tick of the law, and whether it may go on."""
-        settings, reference, law = self.settings, self._reference, self._law
+        settings, given = self.settings, self._places
         crossing = self.phase is Phase.TRACK or self.phase is Phase.CROSSING
         zone, width = (settings.hold_zone, settings.hold_width) if crossing else (REST_ZONE, REST_WIDTH)
-        self._planned.at(reference_time)
-        self.estimator.track(dt, q_a, self._tau, reference, zone, width)
-        s_ref = reference.s
+        s_ref = self._planned.at(reference_time)
+        self.estimator.track(dt, self._q_a, self._answer, self._reference, zone, width)
         limit = self.robot.max_torque
         if crossing:
             near = abs(s_ref) < settings.hold_zone + settings.hold_width
             self.phase = Phase.CROSSING if near else Phase.TRACK
             limit = self._crossing_limit
-        given = law.arguments
-        given.integral[:] = self._integral
-        given.limit[0], given.dt[0] = limit, dt
-        law.run()
-        self._integral[:] = law.results.integral_next
-        self._supervise(dt, s_ref, limit)
+        given.dt[0], given.limit[0], given.crossing[0] = dt, limit, self.phase is Phase.CROSSING
+        self._act.run()
+        self._supervise(dt, s_ref)
         if self.phase in LIMP:
             self._limp(dt)
 
-    def _supervise(self, dt: float, s_ref: float, limit: float) -> None:
+    def _supervise(self, dt: float, s_ref: float) -> None:
         """Whether the law may go on, by the table of watches and by the estimator's opinion of the side."""
-        near = self.phase is Phase.CROSSING
-        problem = self.supervisor.check(self._q_a, dt, limit, near)
+        problem = self.supervisor.check(self._q_a, dt)
         self.saturated_ticks += self.supervisor.saturated
         if self._stop_wanted and not problem and self._comes_to_rest():
             self._go_limp(Phase.SAFE_STOP, self.reason)

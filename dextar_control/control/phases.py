@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from functools import lru_cache
 
-from dextar_control.symbols.record import Record
+import numpy as np
+
+from dextar_control.control.law import OUTPUT
+from dextar_control.estimation.records import ESTIMATE, REFERENCE
+from dextar_control.symbols.record import Layout, Record
+from dextar_control.symbols.types import Array
 
 
 class Phase(IntEnum):
@@ -23,25 +29,59 @@ LIMP = (Phase.IDLE, Phase.FAULT, Phase.SAFE_STOP)  # where the law gives no torq
 MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
 
-class Tick:
-    """Everything about one sample, in records of its own.
+@lru_cache
+def frame_of(n: int) -> dict[str, tuple[slice, Layout]]:
+    """Where reference, estimate and output of one sample lie beside each other, for n degrees of freedom."""
+    places, start = {}, 0
+    for name, fields in (("reference", REFERENCE), ("estimate", ESTIMATE), ("output", OUTPUT)):
+        layout = Layout(name, n, fields)
+        places[name] = slice(start, start + layout.size), layout
+        start += layout.size
+    return places
+
+
+class Frame:
+    """Everything about one sample, in one array.
+
+    Args:
+        n: degrees of freedom.
+        numbers: the array; zeros when None.
 
     Attributes:
-        time: of the state, s.
-        reference_time: since the trajectory's start, s.
-        phase: of the loop.
         reference: what the plan asks for (``estimation.records.REFERENCE``).
         estimate: what the estimator believes (``estimation.records.ESTIMATE``).
         output: what the law answers (``control.law.OUTPUT``).
     """
 
-    __slots__ = ("estimate", "output", "phase", "reference", "reference_time", "time")
+    __slots__ = ("n", "numbers")
 
-    def __init__(
-        self, time: float, reference_time: float, phase: Phase, reference: Record, estimate: Record, output: Record
-    ) -> None:
+    def __init__(self, n: int, numbers: Array | None = None) -> None:
+        self.n = n
+        self.numbers = np.zeros(max(place.stop for place, _ in frame_of(n).values())) if numbers is None else numbers
+
+    def _part(self, name: str) -> Record:
+        place, layout = frame_of(self.n)[name]
+        return layout.of(self.numbers[place])
+
+    reference = property(lambda self: self._part("reference"), doc="Record of ``estimation.records.REFERENCE``.")
+    estimate = property(lambda self: self._part("estimate"), doc="Record of ``estimation.records.ESTIMATE``.")
+    output = property(lambda self: self._part("output"), doc="Record of ``control.law.OUTPUT``.")
+
+
+class Tick(Frame):
+    """One sample that was answered.
+
+    Attributes:
+        time: of the state, s.
+        reference_time: since the trajectory's start, s.
+        phase: of the loop.
+    """
+
+    __slots__ = ("phase", "reference_time", "time")
+
+    def __init__(self, time: float, reference_time: float, phase: Phase, frame: Frame) -> None:
         self.time, self.reference_time, self.phase = time, reference_time, phase
-        self.reference, self.estimate, self.output = reference.copy(), estimate.copy(), output.copy()
+        self.n, self.numbers = frame.n, frame.numbers.copy()
 
     tau = property(lambda self: self.output.tau, doc="(n,) N m.")
     x_ref = property(lambda self: self.reference.x, doc="(n,) m.")

@@ -10,10 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dextar_control.contract.resources import ROBOT_FILE, config_file
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.signals import run_command, tell
-from dextar_control.control.law import laws_of
 from dextar_control.control.reference import references_of
 from dextar_control.control.safe_stop import stops_of
-from dextar_control.control.supervisor import watch_of
+from dextar_control.control.supervisor import acts_of
 from dextar_control.estimation.direct import direct_of
 from dextar_control.estimation.filters import filters_of
 from dextar_control.estimation.joint_filter import joint_filter_of
@@ -22,7 +21,7 @@ from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.model import Model, library_of
 from dextar_control.planning.model import planning_library, states_library
 
-ALWAYS = library_of, laws_of, filters_of, direct_of, joint_filter_of, watch_of, stops_of, references_of
+ALWAYS = library_of, acts_of, filters_of, direct_of, joint_filter_of, stops_of, references_of
 WHERE_PLANNED = planning_library, states_library  # what plans a trajectory, and what checks one
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+import math
 from functools import lru_cache
 
 import casadi as ca
@@ -14,30 +15,45 @@ from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.model import Model, equations_of
 from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.functions import Library, cache_folder, named
-from dextar_control.symbols.record import Layout
+from dextar_control.symbols.record import Field, Layout, Record
 from dextar_control.symbols.types import Array
 
 ROWS = 10  # most coefficients of a segment
+SEGMENT = (
+    Field("coefficients", "m/s^k", "by rising power", "n", ROWS),
+    Field("origin", "s", "from which its time counts"),
+    Field("first", "s", "of the trajectory's begin, before which it is held"),
+    Field("last", "s", "of its end, likewise"),
+)
+PAIR = (
+    Field("begin", "s", "of the multipliers before"),
+    Field("end", "s", "of those after"),
+    Field("before", "N/m", "multipliers", "n"),
+    Field("after", "N/m", "multipliers; between the two they go in proportion", "n"),
+)
 
 
 @lru_cache
 def references_of(mechanism: Mechanism) -> Library:
-    """``refer``: (p, coefficients, time, before, after, share) -> reference."""
+    """``refer``: (p, segment, pair, time) -> reference."""
     n = mechanism.n
     vector, p = mechanism.symbols()
-    coefficients = ca.SX.sym("coefficients", n * ROWS)  # by rising power
-    before, after = ca.SX.sym("before", n), ca.SX.sym("after", n)
-    time, share = ca.SX.sym("time"), ca.SX.sym("share")
-    table = ca.reshape(coefficients, n, ROWS)
+    (segment_vector, segment), (pair_vector, pair) = (
+        Layout(name, n, fields).symbols() for name, fields in (("segment", SEGMENT), ("pair", PAIR))
+    )
+    time, since, table = ca.SX.sym("time"), ca.SX.sym("since"), segment["coefficients"]
     x = table[:, ROWS - 1]
     for power in range(ROWS - 2, -1, -1):
-        x = x * time + table[:, power]
-    x_dot = ca.jacobian(x, time)
-    x_ddot = ca.jacobian(x_dot, time)
+        x = x * since + table[:, power]
+    x_dot = ca.jacobian(x, since)
+    x_ddot = ca.jacobian(x_dot, since)
+    held = ca.fmin(ca.fmax(time, segment["first"]), segment["last"]) - segment["origin"]
+    x, x_dot, x_ddot = ca.substitute([x, x_dot, x_ddot], [since], [held])
     e = equations_of(mechanism).at(vector, mechanism.inverse_geometric_model(x, p), x, x_dot)
+    share = ca.fmin(ca.fmax((time - pair["begin"]) / (pair["end"] - pair["begin"]), 0.0), 1.0)
     found = {"x": x, "x_dot": x_dot, "x_ddot": x_ddot, "q_a": e.q_a, "q_a_dot": e.q_a_dot,
-             "multipliers": before + share * (after - before), "s": e.s}
-    arguments = {"p": vector, "coefficients": coefficients, "time": time, "before": before, "after": after, "share": share}
+             "multipliers": pair["before"] + share * (pair["after"] - pair["before"]), "s": e.s}
+    arguments = {"p": vector, "segment": segment_vector, "pair": pair_vector, "time": time}
     return Library([named("refer", arguments, {"reference": Layout("reference", n, REFERENCE).join(found)})], cache_folder())
 
 
@@ -51,11 +67,11 @@ class PlannedReference:
         now: the reference of the last ``at``.
     """
 
-    def __init__(self, model: Model) -> None:
-        self._n = model.n
-        self.now = Layout("reference", model.n, REFERENCE).make()
+    def __init__(self, model: Model, now: Record | None = None) -> None:
+        n = model.n
+        self.now = now or Layout("reference", n, REFERENCE).make()
+        self._layouts = Layout("segment", n, SEGMENT), Layout("pair", n, PAIR)
         self._refer = references_of(model.mechanism).fast("refer", p=model.p, reference=self.now.numbers)
-        self._segment = self._row = -1
 
     def set(self, trajectory: Trajectory, times: Array, multipliers: Array) -> None:
         """Follow a trajectory.
@@ -68,27 +84,32 @@ class PlannedReference:
         Raises:
             TrajectoryError: a segment has more than ROWS coefficients.
         """
-        count, rows, _ = trajectory.coefficients.shape
+        rows = trajectory.coefficients.shape[1]
         if rows > ROWS:
             raise TrajectoryError(f"the trajectory's segments have {rows} coefficients; the limit is {ROWS}")
-        padded = np.zeros((count, ROWS, self._n))
+        count, n = len(trajectory.origins), len(self.now.x)
+        padded = np.zeros((count, ROWS, n))
         padded[:, :rows] = trajectory.coefficients
-        self._coefficients = padded.reshape(count, ROWS * self._n)
-        self._knots, self._origins = trajectory.knots.tolist(), trajectory.origins.tolist()
-        self._times, self._multipliers = times.tolist(), np.ascontiguousarray(multipliers)
-        self._segment = self._row = -1
+        (segment, pair), knots = self._layouts, trajectory.knots
+        self._segments = segment.rows(
+            coefficients=padded.reshape(count, -1), origin=trajectory.origins, first=knots[0], last=knots[-1]
+        )
+        self._pairs = pair.rows(begin=times[:-1], end=times[1:], before=multipliers[:-1], after=multipliers[1:])
+        self._begins, self._times = knots[:-1].tolist(), times[:-1].tolist()
+        self._row, self._from, self._until = -1, math.nan, math.nan
 
-    def at(self, time: float) -> None:
-        """Make ``now`` the reference at a time since the trajectory's start, s, held at both ends."""
-        given, knots, times = self._refer.arguments, self._knots, self._times
-        segment = min(max(bisect.bisect_right(knots, time) - 1, 0), len(self._origins) - 1)
-        if segment != self._segment:
-            self._segment = segment
-            given.coefficients[:] = self._coefficients[segment]
-        row = min(max(bisect.bisect_right(times, time) - 1, 0), len(times) - 2)
+    def at(self, time: float) -> float:
+        """Make ``now`` the reference at a time since the trajectory's start, s, held at both ends; its s."""
+        given = self._refer.arguments
+        if not self._from <= time < self._until:
+            segment = max(bisect.bisect_right(self._begins, time) - 1, 0)
+            given.segment[:] = self._segments[segment]
+            self._from, self._until = [-math.inf, *self._begins[1:], math.inf][segment : segment + 2]
+        row = max(bisect.bisect_right(self._times, time) - 1, 0)
         if row != self._row:
             self._row = row
-            given.before[:], given.after[:] = self._multipliers[row], self._multipliers[row + 1]
-        given.time[0] = min(max(time, knots[0]), knots[-1]) - self._origins[segment]
-        given.share[0] = min(max((time - times[row]) / (times[row + 1] - times[row]), 0.0), 1.0)
+            given.pair[:] = self._pairs[row]
+        given.time[0] = time
         self._refer.run()
+        s: float = self.now.s
+        return s

@@ -17,15 +17,15 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from dextar_control.contract.settings import Settings
-from dextar_control.control.law import OUTPUT
+from dextar_control.contract.settings import Law, Settings
+from dextar_control.control.law import OUTPUT, law_of
 from dextar_control.estimation.records import ESTIMATE
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.model import Model
 from dextar_control.model.robot import AnyRobot
 from dextar_control.symbols.functions import Library, cache_folder, named
-from dextar_control.symbols.record import Field, Layout, Record
+from dextar_control.symbols.record import Field, Layout
 from dextar_control.symbols.smooth import is_finite
 from dextar_control.symbols.types import Array, Symbol
 
@@ -70,6 +70,11 @@ WATCHES = (
 )
 NAMES = [watch.name for watch in WATCHES]
 VALUES = tuple(Field(watch.name, watch.unit or "1", watch.value) for watch in WATCHES)
+BOUNDS = (
+    Field("middle", "rad", "of the joints' ranges", "n"),
+    Field("half", "rad", "of their widths", "n"),
+    Field("limits", "SI", "of the watches; that of saturation comes with the sample", len(WATCHES)),
+)
 LAST = (
     Field("known", "1", "1 where there was a sample before"),
     Field("q_meas", "rad", "joints of the last sample", "n"),
@@ -80,16 +85,16 @@ LAST = (
 ESTIMATE_LOST = ("finite", "joint_jump", "estimator")  # watches that say that the estimate is not the robot's
 
 
-@lru_cache
-def watch_of(mechanism: Mechanism) -> Library:
-    """``watch``: (p, middle, half, limits, last, estimate, output, q_meas, dt) -> values, passed, any, last_next."""
-    n = mechanism.n
+def watch_of(mechanism: Mechanism) -> ca.Function:
+    """(p, bounds, last, estimate, output, q_meas, dt, limit, crossing) -> values, limits, passed, told, last_next."""
+    n, watched = mechanism.n, Layout("watched", mechanism.n, VALUES)
     vector, p = mechanism.symbols()
-    (last_vector, last), (hat_vector, hat), (out_vector, out) = (
-        Layout(name, n, fields).symbols() for name, fields in (("last", LAST), ("estimate", ESTIMATE), ("output", OUTPUT))
+    (bounds_vector, bounds), (last_vector, last), (hat_vector, hat), (out_vector, out) = (
+        Layout(name, n, fields).symbols()
+        for name, fields in (("bounds", BOUNDS), ("last", LAST), ("estimate", ESTIMATE), ("output", OUTPUT))
     )
-    middle, half, q_meas = (ca.SX.sym(name, n) for name in ("middle", "half", "q_meas"))
-    dt = ca.SX.sym("dt")
+    q_meas = ca.SX.sym("q_meas", n)
+    dt, limit, crossing = (ca.SX.sym(name) for name in ("dt", "limit", "crossing"))
     known, finite = last["known"] > 0.0, ca.if_else(is_finite(hat_vector) * out["finite"] > 0.0, 1.0, 0.0)
 
     def largest(values: Symbol, when: Symbol) -> Symbol:
@@ -102,23 +107,39 @@ def watch_of(mechanism: Mechanism) -> Library:
         "tracking_error": ca.if_else(finite, ca.norm_2(out["error"]), 0.0),
         "joint_speed": largest(wrapped(q_meas - last["q_meas"]), known) / dt,
         "platform_speed": ca.if_else(finite, ca.norm_2(hat["x_dot"]), 0.0),
-        "joint_range": ca.mmax(ca.fabs(wrapped(q_meas - middle)) - half),
+        "joint_range": ca.mmax(ca.fabs(wrapped(q_meas - bounds["middle"])) - bounds["half"]),
         "estimator": largest(wrapped(q_meas - mechanism.inverse_geometric_model(hat["x"], p)), finite),
         "locus": ca.if_else(finite, ca.fabs(out["s"]), 0.0),
         "saturation": largest(out["tau"], finite),
         "torque_rate": largest(out["tau"] - last["tau"], ca.logic_and(known, finite)) / dt,
     }
-    limits_vector, limits = Layout("watched", n, VALUES).symbols("limits")
+    limits = watched.split(bounds["limits"])
+    limits |= {"locus": ca.if_else(crossing > 0.0, 0.0, limits["locus"]), "saturation": limit}
     passed = {name: ca.logic_not(value <= limits[name]) for name, value in values.items()}
-    passed |= {"locus": values["locus"] < limits["locus"], "saturation": values["saturation"] >= limits["saturation"]}
+    passed |= {"locus": values["locus"] < limits["locus"], "saturation": values["saturation"] >= limit}
     now = {"known": ca.SX(1.0), "q_meas": q_meas, "q_a": hat["q_a"], "q_a_dot": hat["q_a_dot"], "tau": out["tau"]}
-    arguments = {"p": vector, "middle": middle, "half": half, "limits": limits_vector, "last": last_vector,
-                 "estimate": hat_vector, "output": out_vector,
-                 "q_meas": q_meas, "dt": dt}
-    return Library([named("watch", arguments, {
-        "values": Layout("watched", n, VALUES).join(values), "passed": Layout("watched", n, VALUES).join(passed),
-        "any": ca.mmax(ca.vertcat(*passed.values())), "last_next": Layout("last", n, LAST).join(now),
-    })], cache_folder())
+    arguments = {"p": vector, "bounds": bounds_vector, "last": last_vector, "estimate": hat_vector, "output": out_vector,
+                 "q_meas": q_meas, "dt": dt, "limit": limit, "crossing": crossing}
+    return named("watch", arguments, {
+        "values": watched.join(values), "limits": watched.join(limits), "passed": watched.join(passed),
+        "told": ca.vertcat(ca.mmax(ca.vertcat(*passed.values())), passed["saturation"]),
+        "last_next": Layout("last", n, LAST).join(now),
+    })
+
+
+@lru_cache
+def acts_of(mechanism: Mechanism) -> Library:
+    """``act_NAME`` of each law: its tick, and the watches on what it answers; what is between the two is its output."""
+    watch, acts = watch_of(mechanism), []
+    for law in Law:
+        tick = law_of(mechanism, law)
+        sizes = {name: function.size1_in(name) for function in (tick, watch) for name in function.name_in() if name != "output"}
+        given = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
+        answered = tick.call({name: given[name] for name in tick.name_in()}, False, True)
+        known = given | answered
+        found = answered | watch.call({name: known[name] for name in watch.name_in()}, False, True)
+        acts.append(ca.Function(f"act_{law.name.lower()}", list(given.values()), list(found.values()), list(given), list(found)))
+    return Library(acts, cache_folder())
 
 
 class Supervisor:
@@ -127,28 +148,32 @@ class Supervisor:
     Args:
         robot: the controller's model of it.
         model: the same, with its functions.
-        estimate, output: records of the loop, which are watched.
+
+    Attributes:
+        places: that the functions of ``acts_of`` share with it.
     """
 
-    def __init__(self, robot: AnyRobot, model: Model, estimate: Record, output: Record) -> None:
+    def __init__(self, robot: AnyRobot, model: Model) -> None:
         self._robot, self._joint = robot, model.mechanism.joints[0]
         low, high = (np.array(bounds) for bounds in robot.joint_range)
         watched = Layout("watched", model.n, VALUES)
-        self._values, self._limits = watched.make(), watched.make()
+        self._values, self._limits, self._passed, self._allowed = (watched.make() for _ in range(4))
         self._last = Layout("last", model.n, LAST).make()
-        self._watch = watch_of(model.mechanism).fast(
-            "watch", p=model.p, middle=0.5 * (low + high), half=0.5 * (high - low), last=self._last.numbers,
-            estimate=estimate.numbers, output=output.numbers, values=self._values.numbers, limits=self._limits.numbers,
-        )
+        self._bounds = Layout("bounds", model.n, BOUNDS).make(middle=0.5 * (low + high), half=0.5 * (high - low))
+        self._told = np.zeros(2)
+        self.places = {
+            "bounds": self._bounds.numbers, "last": self._last.numbers, "last_next": self._last.numbers, "told": self._told,
+            "values": self._values.numbers, "limits": self._limits.numbers, "passed": self._passed.numbers,
+        }
         self._times = dict.fromkeys(NAMES, -1.0)
         self._timers = dict.fromkeys(NAMES, 0.0)
         self._counting = False
-        self._locus_s = 0.0
+        self.saturated = False
         self.tripped = ""
 
     def configure(self, settings: Settings) -> None:
         """Take the limits, also while running."""
-        limits = self._limits
+        limits = self._allowed
         limits.tracking_error = settings.max_tracking_error
         limits.joint_speed = settings.speed_margin * self._robot.max_joint_speed
         limits.platform_speed = settings.speed_margin * self._robot.max_platform_speed
@@ -159,7 +184,8 @@ class Supervisor:
             "joint_speed": settings.speed_time, "platform_speed": settings.speed_time, "estimator": settings.misfit_time,
             "torque_rate": settings.torque_rate_time, "saturation": settings.watch_time,
         }
-        self._locus_s = settings.locus_s
+        limits.locus = settings.locus_s
+        self._bounds.limits = limits.numbers
 
     def begin(self) -> None:
         """Another trajectory: the times count anew."""
@@ -172,24 +198,17 @@ class Supervisor:
         self._values.numbers[:] = 0.0
         self._last.numbers[:] = 0.0
 
-    def check(self, q_a: Array, dt: float, torque_limit: float, crossing: bool) -> str:
-        """What is wrong with one sample, in a sentence with value and limit; empty for nothing.
+    def check(self, q_a: Array, dt: float) -> str:
+        """What is wrong with the sample that was just answered, in a sentence with value and limit; empty for nothing.
 
         Args:
             q_a: (n,) measured, rad.
             dt: since the last sample, s.
-            torque_limit: at which the torques were cut, N m.
-            crossing: the reference is near the locus because a crossing is planned there.
         """
-        watch = self._watch
-        self._limits.locus, self._limits.saturation = 0.0 if crossing else self._locus_s, torque_limit
-        watch.arguments.q_meas[:] = q_a
-        watch.arguments.dt[0] = dt
-        watch.run()
-        self._last.numbers[:] = watch.results.last_next
-        self.tripped = ""
-        if self._counting or watch.results.any.item() > 0.0:
-            self._count(watch.results.passed.tolist(), dt)
+        trips, saturated = self._told.tolist()
+        self.saturated, self.tripped = saturated > 0.0, ""
+        if self._counting or trips > 0.0:
+            self._count(self._passed.numbers.tolist(), dt)
         return self._sentence(self.tripped, q_a) if self.tripped else ""
 
     def _count(self, passed: list[float], dt: float) -> None:
@@ -208,11 +227,6 @@ class Supervisor:
     def estimate_lost(self) -> bool:
         """Whether what tripped at the last sample says that the estimate is not the robot's."""
         return self.tripped in ESTIMATE_LOST
-
-    @property
-    def saturated(self) -> bool:
-        """Whether a torque of the last sample was cut."""
-        return bool(self._values.saturation >= self._limits.saturation)
 
     @property
     def watches(self) -> dict[str, tuple[float, float]]:

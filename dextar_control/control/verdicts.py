@@ -47,7 +47,7 @@ class CrossingJudge:
         self._model = model
         self._times: list[float] = []
         self._signs: list[float] = []
-        self._start = 0.0
+        self._start, self._settled = 0.0, -math.inf  # s; until the latter what was said of the side stands while it is kept
         self._open = -1
 
     def configure(self, settings: Settings) -> None:
@@ -58,7 +58,7 @@ class CrossingJudge:
         """A checked trajectory is tracked from ``start`` on, s."""
         self.passed = [Passed(float(time), Verdict.UNDECIDED, 0.5, math.nan) for time in certificate.crossing_times]
         self._times, self._signs = certificate.crossing_times.tolist(), certificate.crossing_signs.tolist()
-        self._start = start
+        self._start, self._settled = start, -math.inf
 
     def let_go(self, time: float) -> None:
         """The robot is let go while it moves: the crossing that has begun is still to be judged."""
@@ -77,19 +77,27 @@ class CrossingJudge:
             estimator: whose belief is compared.
             moving: a trajectory is tracked; otherwise a point is held.
         """
+        if abs(s_ref) < self._clear_s:
+            return ""
         estimate = estimator.estimate
         confidence = estimate.confidence
-        if abs(s_ref) < self._clear_s or not confidence >= self._sure:
+        if not confidence >= self._sure:
+            return ""
+        same = estimate.assembly_mode * s_ref >= 0.0
+        if same and time < self._settled:
             return ""
         current = self._current(time)
-        if estimate.assembly_mode * s_ref < 0.0:
+        if not same:
             self._judge(time, current, Verdict.BOUNCED, confidence)
             return (
                 f"bounced: the robot is at s = {estimate.s:+.2f}, the reference at {s_ref:+.2f}"
                 f" (confidence {confidence:.3f})"
             )
-        if moving and current >= 0 and s_ref * self._signs[current] > 0.0:
+        if moving and current >= 0:
+            if not s_ref * self._signs[current] > 0.0:
+                return ""
             self._judge(time, current, Verdict.CROSSED, confidence)
+        self._settled = self._start + ([*self._times, math.inf][current + 1] - OPEN_BEFORE)
         return ""
 
     def compare_afterwards(self, time: float, estimator: Estimator) -> str:

@@ -101,12 +101,14 @@ class Belief:
             misfit: squared normalised innovation.
             dt: since the last sample, s.
         """
-        self.misfit_now += min(dt / DOUBT_TIME, 1.0) * (0.5 * misfit - self.misfit_now)
-        if self.misfit_now > DOUBT * max(1.0, self.misfit_known):
+        known, now = self.misfit_known, self.misfit_now
+        self.misfit_now = now = now + (dt / DOUBT_TIME if dt < DOUBT_TIME else 1.0) * (0.5 * misfit - now)
+        if now > DOUBT * known and now > DOUBT:
             self.doubtful = True
             return
-        excess = self.misfit_now - self.misfit_known
-        self.misfit_known += min(dt / (RISE if excess > 0.0 else FORGET), 1.0) * excess
+        excess = now - known
+        time = RISE if excess > 0.0 else FORGET
+        self.misfit_known = known + (dt / time if dt < time else 1.0) * excess
 
     def as_seen(self) -> tuple[float, float]:
         """(assembly mode, confidence in it, 0.5 to 1): the image's where that is the likelier one."""

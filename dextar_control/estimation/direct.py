@@ -28,7 +28,7 @@ from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.model import Model, equations_of
-from dextar_control.symbols.functions import Library, cache_folder, named
+from dextar_control.symbols.functions import Library, cache_folder, in_place, named
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.singular import singular_vectors
 from dextar_control.symbols.smooth import smooth_step
@@ -45,7 +45,7 @@ def direct_of(mechanism: Mechanism) -> Library:
     n = mechanism.n
     vector, p = mechanism.symbols()
     joints, estimates = Layout("joints", n, JOINTS), Layout("estimate", n, ESTIMATE)
-    memory_vector, memory = joints.symbols("memory")
+    (memory_vector, memory), (before_vector, before) = joints.symbols("memory"), estimates.symbols()
     ref_vector, ref = Layout("reference", n, REFERENCE).symbols()
     q_meas = ca.SX.sym("q_meas", n)
     dt, bandwidth, mode, zone, width, outside, returning = (
@@ -76,7 +76,7 @@ def direct_of(mechanism: Mechanism) -> Library:
     def estimate(joint: dict[str, Symbol], x: Symbol, x_dot: Symbol) -> Symbol:
         s = equations.at(vector, joint["q"], x, x_dot).s
         return estimates.join({"x": x, "x_dot": x_dot, "q_a": joint["q"], "q_a_dot": joint["q_dot"], "assembly_mode": mode,
-                               "confidence": 0.0, "s": s})
+                               "confidence": before["confidence"], "s": s})
 
     followed = track_joints(memory, q_meas, ref["q_a"], ref["q_a_dot"], dt, bandwidth)
     trust = smooth_step(ca.fabs(ref["s"]), zone, zone + width) * smooth_step(outside, 0.0, returning)
@@ -88,26 +88,28 @@ def direct_of(mechanism: Mechanism) -> Library:
 
     coasting = track_joints(memory, q_meas, memory["q_ref"], resting, dt, bandwidth)
     alone = {**coasting, "q_ref": coasting["q"]}
-    known = {"p": vector, "memory": memory_vector}
+    known = {"p": vector, "memory": memory_vector, "estimate": before_vector}
     given = {"dt": dt, "bandwidth": bandwidth, "q_meas": q_meas}
     return Library([
-        named("follow", known | given | {"reference": ref_vector, "zone": zone, "width": width, "time_outside": outside,
+        in_place(named("follow", known | given | {"reference": ref_vector, "zone": zone, "width": width, "time_outside": outside,
                                          "time_return": returning, "assembly_mode": mode},
               {"memory_next": joints.join(followed),
-               "estimate": estimate(followed, blend(x_held, x_direct), blend(v_held, v_direct))}),
-        named("coast", known | given | {"assembly_mode": mode},
-              {"memory_next": joints.join(alone), "estimate": estimate(alone, *direct(alone))}),
+               "estimate_next": estimate(followed, blend(x_held, x_direct), blend(v_held, v_direct))})),
+        in_place(named("coast", known | given | {"assembly_mode": mode},
+                       {"memory_next": joints.join(alone), "estimate_next": estimate(alone, *direct(alone))})),
     ], cache_folder())
 
 
 class DirectEstimator:
     """``dgm`` and, with ``held`` false, ``plain``."""
 
-    def __init__(self, model: Model, settings: Settings, *, held: bool) -> None:
+    def __init__(self, model: Model, settings: Settings, estimate: Record | None, *, held: bool) -> None:
         self._held = held
         self._memory = Layout("joints", model.n, JOINTS).make()
-        self.estimate: Record = Layout("estimate", model.n, ESTIMATE).make(s=np.nan)
-        library, shared = direct_of(model.mechanism), {"p": model.p, "memory": self._memory.numbers}
+        self.estimate = estimate or Layout("estimate", model.n, ESTIMATE).make()
+        self.estimate.s = np.nan
+        library, memory, shown = direct_of(model.mechanism), self._memory.numbers, self.estimate.numbers
+        shared = {"p": model.p, "memory": memory, "memory_next": memory, "estimate": shown, "estimate_next": shown}
         self._follow, self._coast = library.fast("follow", **shared), library.fast("coast", **shared)
         self._mode = 1.0
         self._outside = np.inf
@@ -143,12 +145,10 @@ class DirectEstimator:
         self._memory.q_ref, self._memory.q_ref_dot = self._memory.q, 0.0
 
     def _take(self, step: Any, dt: float, q_a: Array) -> None:
-        given, confidence = step.arguments, self.estimate.confidence
+        given = step.arguments
         given.q_meas[:] = q_a
         given.dt[0], given.bandwidth[0], given.assembly_mode[0] = dt, self._bandwidth, self._mode
         step.run()
-        self._memory.numbers[:], self.estimate.numbers[:] = step.results.memory_next, step.results.estimate
-        self.estimate.confidence = confidence
 
     def track(self, dt: float, q_a: Array, tau: Array, reference: Record, zone: float, width: float) -> None:
         """See ``Estimator``."""

@@ -15,6 +15,7 @@ from dextar_control.estimation.estimate import Pose
 from dextar_control.estimation.observing import ObserverEstimator
 from dextar_control.estimation.out_of_sequence import SAME_TIME, USED, Fate, History, Sight
 from dextar_control.model.model import Model
+from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
 
 
@@ -26,11 +27,11 @@ class ExternalEstimator(ObserverEstimator):
         outages: how often the positions stopped.
     """
 
-    def __init__(self, model: Model, settings: Settings, min_type1: float) -> None:
+    def __init__(self, model: Model, settings: Settings, min_type1: float, estimate: Record | None = None) -> None:
         self.fates: Counter[Fate] = Counter()
         self.outages = 0
         self._forget()
-        super().__init__(model, settings, min_type1)
+        super().__init__(model, settings, min_type1, estimate)
         self._history = History(self.observer)
 
     def configure(self, settings: Settings) -> None:

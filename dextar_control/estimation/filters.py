@@ -9,6 +9,7 @@ motion along t_s, amplified by 1/s. Where the weak direction of J_inv does not s
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import casadi as ca
@@ -19,7 +20,7 @@ from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
 from dextar_control.model.model import equations_of
 from dextar_control.model.solved import mirror_image
-from dextar_control.symbols.functions import Library, cache_folder, named
+from dextar_control.symbols.functions import Library, cache_folder, in_place, named
 from dextar_control.symbols.record import Field, Layout
 from dextar_control.symbols.smooth import is_finite
 from dextar_control.symbols.types import Symbol
@@ -42,11 +43,15 @@ NOISE = (
     Field("shock_gate", "1", "squared normalised innovation that only a blow explains"),
     Field("shock_speed", "m/s", "of x_dot after a blow"),
 )
-LOOK = (
+TOLD = (  # by a look at the main filter, and by the last sample; nan where there was none
     Field("s", "1", "singularity measure"),
     Field("s_variance", "1", "of s, by the covariance"),
     Field("type1", "1", "least distance of a leg to Type 1"),
     Field("folded", "1", "positive where the mirror image is far away even near the locus"),
+    Field("finite", "1", "1 where the mean is"),
+    Field("struck", "1", "1 where the robot was struck"),
+    Field("square", "1", "normalised, of the innovation of the filter that tells how well the model fits"),
+    Field("spread", "1", "ln det of its covariance"),
 )
 
 
@@ -55,9 +60,9 @@ class _Filters:
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.mechanism, self.n = mechanism, mechanism.n
-        self.filter, self.noise, self.look, self.estimate = (
+        self.filter, self.noise, self.estimate, self.told = (
             Layout(name, self.n, fields)
-            for name, fields in (("filter", FILTER), ("noise", NOISE), ("look", LOOK), ("estimate", ESTIMATE))
+            for name, fields in (("filter", FILTER), ("noise", NOISE), ("estimate", ESTIMATE), ("told", TOLD))
         )
         self._equations = equations_of(mechanism)
         self.vector, self.p = mechanism.symbols()
@@ -167,20 +172,16 @@ class _Filters:
                  "covariance": _symmetric(T @ state["covariance"] @ T.T)}
         return image, ca.if_else(off < 1e-6, 1.0, 0.0)  # still in this working mode
 
-    def seen(self, state: dict[str, Symbol]) -> dict[str, Symbol]:
-        """Where the mean is with respect to the locus, and the estimate that it makes but for the side."""
+    def look(self, state: dict[str, Symbol], estimate: dict[str, Symbol], **sample: Symbol) -> dict[str, Symbol]:
+        """Where the mean is, beside what the sample told, and the estimate that the filter makes; the side stays."""
         n, x = self.n, ca.SX.sym("x", self.n)
         slope = ca.substitute(ca.jacobian(self.at(x, ca.SX.zeros(n)).s, x), x, state["x"])
         e = self.at(state["x"], state["x_dot"])
-        look = {
-            "s": e.s, "s_variance": slope @ state["covariance"][:n, :n] @ slope.T, "type1": e.type1,
-            "folded": self.mechanism.folded(e.q_a, state["x"], self.p),
-        }
-        estimate = self.estimate.join({
-            "x": state["x"], "x_dot": state["x_dot"], "q_a": e.q_a + state["b"], "q_a_dot": e.q_a_dot, "assembly_mode": 0.0,
-            "confidence": 0.0, "s": e.s,
-        })
-        return {"look": self.look.join(look), "estimate": estimate}
+        variance = slope @ state["covariance"][:n, :n] @ slope.T
+        seen = {"s": e.s, "s_variance": variance, "type1": e.type1, "folded": self.mechanism.folded(e.q_a, state["x"], self.p)}
+        unknown = {field.name: math.nan for field in TOLD}
+        now = {"x": state["x"], "x_dot": state["x_dot"], "q_a": e.q_a + state["b"], "q_a_dot": e.q_a_dot, "s": e.s}
+        return {"told": self.told.join(unknown | sample | seen), "estimate_next": self.estimate.join(estimate | now)}
 
 
 def _gain_parts(P: Symbol, H: Symbol, variance: Symbol) -> tuple[Symbol, Symbol]:
@@ -202,11 +203,13 @@ def filters_of(mechanism: Mechanism) -> Library:
     noise_vector, noise = f.noise.symbols()
     tau, q_meas, x_meas = (ca.SX.sym(name, n) for name in ("tau", "q_meas", "x_meas"))
     dt, gap, speed, deviation = (ca.SX.sym(name) for name in ("dt", "gap", "speed", "deviation"))
-    p, whole, told = {"p": f.vector}, {"filter": state_vector}, {"noise": noise_vector}
+    estimate_vector, estimate = f.estimate.symbols()
+    p, whole, told, shown = {"p": f.vector}, {"filter": state_vector}, {"noise": noise_vector}, {"estimate": estimate_vector}
 
     image, near = f.mirror(state)
     corrected, struck = f.correct(noise, state, q_meas, dt)
     innovated, square, spread = f.innovate(noise, state, q_meas)
+    followed, square_f, spread_f = f.innovate(noise, f.predict(noise, state, tau, dt), q_meas)
     moved, square_x, spread_x = f.update(state, *f.position(state, x_meas), deviation**2)
 
     # One sample of the filter that serves and of the one that tells how well the model fits.
@@ -228,10 +231,14 @@ def filters_of(mechanism: Mechanism) -> Library:
                "distance": ca.norm_2(x_meas - state["x"])}),
         named("unseen_blow", p | told | whole, {"filter_next": f.filter.join(f.unseen_blow(noise, state))}),
         named("mirror", p | whole, {"image": f.filter.join(image), "near": near}),
-        named("look", p | whole, f.seen(state)),
-        named("advance", p | told | {"test_noise": test_vector} | whole | {"same": same_vector, "tau": tau, "dt": dt, "gap": gap,
-                                                                          "q_meas": q_meas},
-              {"filter_next": f.filter.join(main), "same_next": f.filter.join(same), "struck": hit, "square": fit,
-               "spread": fit_spread, **f.seen(main),
-               "finite": is_finite(ca.vertcat(main["x"], main["x_dot"], main["b"]))}),
+        in_place(named("follow", p | told | whole | {"tau": tau, "dt": dt, "q_meas": q_meas},
+                       {"filter_next": f.filter.join(followed), "fit": ca.vertcat(square_f, spread_f)})),
+        in_place(named("look", p | whole | shown, f.look(state, estimate))),
+        in_place(named("advance", p | told | {"test_noise": test_vector} | whole | shown | {
+            "same": same_vector, "tau": tau, "dt": dt, "gap": gap, "q_meas": q_meas,
+        }, {
+            "filter_next": f.filter.join(main), "same_next": f.filter.join(same),
+            **f.look(main, estimate, finite=is_finite(ca.vertcat(main["x"], main["x_dot"], main["b"])), struck=hit, square=fit,
+                     spread=fit_spread),
+        })),
     ], cache_folder())

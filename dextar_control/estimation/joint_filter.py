@@ -9,7 +9,7 @@ import numpy as np
 
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
-from dextar_control.symbols.functions import Library, cache_folder, named
+from dextar_control.symbols.functions import Library, cache_folder, in_place, named
 from dextar_control.symbols.record import Field, Layout
 from dextar_control.symbols.types import Array, Symbol
 
@@ -53,7 +53,7 @@ def joint_filter_of(mechanism: Mechanism) -> Library:
     q_meas, dt, bandwidth = ca.SX.sym("q_meas", n), ca.SX.sym("dt"), ca.SX.sym("bandwidth")
     coasting = track_joints(memory, q_meas, memory["q_ref"], ca.SX.zeros(n), dt, bandwidth)
     arguments = {"memory": vector, "dt": dt, "bandwidth": bandwidth, "q_meas": q_meas}
-    return Library([named("joints", arguments, {"memory_next": layout.join(coasting)})], cache_folder())
+    return Library([in_place(named("joints", arguments, {"memory_next": layout.join(coasting)}))], cache_folder())
 
 
 class JointFilter:
@@ -61,7 +61,9 @@ class JointFilter:
 
     def __init__(self, mechanism: Mechanism) -> None:
         self.memory = Layout("joints", mechanism.n, JOINTS).make()
-        self._step = joint_filter_of(mechanism).fast("joints", memory=self.memory.numbers)
+        self._step = joint_filter_of(mechanism).fast(
+            "joints", memory=self.memory.numbers, memory_next=self.memory.numbers
+        )
 
     def set(self, q: Array, q_dot: Array | float) -> None:
         """The joints are here (n,), rad, and move so, rad/s."""
@@ -75,4 +77,3 @@ class JointFilter:
         given.q_meas[:] = q_meas
         given.dt[0], given.bandwidth[0] = dt, bandwidth
         self._step.run()
-        memory.numbers[:] = self._step.results.memory_next

@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dextar_control.estimation.belief import CERTAIN, DOUBT_S, Belief, log_odds_of_side
-from dextar_control.estimation.filters import FILTER, LOOK, NOISE, filters_of
+from dextar_control.estimation.filters import FILTER, NOISE, TOLD, filters_of
 from dextar_control.estimation.records import ESTIMATE
 from dextar_control.model.model import Model
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
 REST_SPEED = 1e-3  # m/s, standard deviation of a robot at rest
-MAX_STEP = 1e-3  # s of one prediction; a longer gap is predicted in several
+MAX_STEP = 1e-3 * (1.0 + 1e-6)  # s of one prediction; a longer gap is predicted in several
 LONG = 0.1  # s of a gap over which nothing is predicted any more
 LOST = 0.5  # of the least distance to Type 1, below which the working mode is no longer sure
 
@@ -34,6 +34,7 @@ class Observer:
     Args:
         model: of the robot, as the controller knows it.
         min_type1: its least distance to Type 1.
+        estimate: the record that it keeps; one of its own when None.
 
     Attributes:
         main: the filter that serves.
@@ -41,30 +42,38 @@ class Observer:
         image: from its mirror image, likewise.
         noise: that the main filter is told of; test_noise: that the other two are.
         belief: about the assembly mode.
-        look: where the main filter's mean is with respect to the locus.
+        told: where the main filter's mean is with respect to the locus, and by the last sample.
         estimate: what it makes, with the side as ``tell_side`` was last called.
     """
 
-    def __init__(self, model: Model, min_type1: float) -> None:
+    def __init__(self, model: Model, min_type1: float, estimate: Record | None = None) -> None:
         self.n, self._min_type1 = model.n, min_type1
         self.layout = Layout("filter", model.n, FILTER)
         noise = Layout("noise", model.n, NOISE)
         self.main, self.same, self.image = (self.layout.make() for _ in range(3))
         self.noise, self.test_noise = noise.make(), noise.make()
-        self.look = Layout("look", model.n, LOOK).make()
-        self.estimate = Layout("estimate", model.n, ESTIMATE).make(s=math.nan)
-        self.belief = Belief()
+        self.told = Layout("told", model.n, TOLD).make()
+        self.estimate = estimate or Layout("estimate", model.n, ESTIMATE).make()
+        self.estimate.s = math.nan
+        self.belief, self._side = Belief(), (math.nan, math.nan)
         self.passage = Passage(0.0, 0.0, 0.0)
         self._finite = True
         self._p, self._library = model.p, filters_of(model.mechanism)
         self._model = model
+        places = {"p": model.p, "filter": self.main.numbers, "estimate": self.estimate.numbers,
+                  "estimate_next": self.estimate.numbers, "told": self.told.numbers}
         self._advance = self._library.fast(
-            "advance", p=model.p, noise=self.noise.numbers, test_noise=self.test_noise.numbers, filter=self.main.numbers,
-            same=self.same.numbers, look=self.look.numbers, estimate=self.estimate.numbers,
+            "advance", **places, filter_next=self.main.numbers, same=self.same.numbers, same_next=self.same.numbers,
+            noise=self.noise.numbers, test_noise=self.test_noise.numbers,
         )
-        self._steps = {name: self._library.fast(name) for name in (
-            "begin", "predict", "innovate", "correct", "correct_position", "unseen_blow", "mirror", "look",
-        )}
+        self._given = self._advance.views()
+        given = self._advance.arguments
+        self._follow_image = self._library.fast(
+            "follow", p=model.p, noise=self.test_noise.numbers, filter=self.image.numbers, filter_next=self.image.numbers,
+            tau=given.tau, dt=given.dt, q_meas=given.q_meas,
+        )
+        self._look = self._library.fast("look", **places)
+        self._steps = {name: self._library.fast(name) for name in _OWN}
 
     def _step(self, name: str, state: Record, *arguments: Any, noise: Record | None = None) -> Any:
         """One of the filter's steps on a state, which is changed; its other results."""
@@ -113,8 +122,7 @@ class Observer:
 
     def look_again(self) -> None:
         """After the main filter was changed."""
-        found = self._steps["look"](self._p, self.main.numbers)
-        self.look.numbers[:], self.estimate.numbers[:] = found.look, found.estimate
+        self._look.run()
 
     def direct_model(self, q_a: Array, assembly_mode: float) -> Array:
         """Platform (n,) of the joints (n,), rad, with sign(s) = assembly_mode; the nearest to the last one where it is solved."""
@@ -124,7 +132,7 @@ class Observer:
         """A robot at x (n,), m, known from its joints; speed: standard deviation of its velocity about zero, m/s."""
         self.main.numbers[:] = self._steps["begin"](self._p, self.noise.numbers, x, speed).filter
         self.same.take(self.main)
-        self._finite = True
+        self._finite, self._side = True, (math.nan, math.nan)
         self.look_again()
 
     def begin_again(self, q_meas: Array) -> None:
@@ -135,12 +143,15 @@ class Observer:
 
     def predict_all(self, tau: Array, dt: float) -> None:
         """All filters that run, over dt, s, in steps of at most MAX_STEP."""
-        steps = _steps_of(dt)
+        steps = math.ceil(dt / MAX_STEP)
+        self._predict_all(tau, dt / steps, steps)
+
+    def _predict_all(self, tau: Array, step: float, steps: int) -> None:
         for _ in range(steps):
-            self.predict(self.main, self.noise, tau, dt / steps)
-            self.predict(self.same, self.test_noise, tau, dt / steps)
+            self.predict(self.main, self.noise, tau, step)
+            self.predict(self.same, self.test_noise, tau, step)
             if self.belief.testing:
-                self.predict(self.image, self.test_noise, tau, dt / steps)
+                self.predict(self.image, self.test_noise, tau, step)
 
     def observe(self, tau: Array, dt: float, q_meas: Array) -> None:
         """One sample: the filters and the belief.
@@ -154,35 +165,30 @@ class Observer:
         if dt > LONG or not self._finite:
             self.begin_again(q_meas)
             return
-        steps = _steps_of(dt)
-        step = dt / steps
-        for _ in range(steps - 1):
-            self.predict(self.main, self.noise, tau, step)
-            self.predict(self.same, self.test_noise, tau, step)
-        given, results = advance.arguments, advance.results
-        given.tau[:], given.q_meas[:] = tau, q_meas
-        given.dt[0], given.gap[0] = step, dt
+        step = dt
+        if dt > MAX_STEP:
+            steps = math.ceil(dt / MAX_STEP)
+            step = dt / steps
+            self._predict_all(tau, step, steps - 1)
+        given = self._given
+        given.tau[:], given.q_meas[:], given.dt[0], given.gap[0] = tau, q_meas, step, dt
         advance.run()
-        self._finite = results.finite.item() > 0.0
-        self.main.numbers[:], self.same.numbers[:] = results.filter_next, results.same_next
-        struck, same, spread_same = results.struck.item() > 0.0, results.square.item(), results.spread.item()
-        testing = belief.testing
-        if struck and testing:  # the two filters of the test know nothing of the blow
+        s, s_variance, type1, folded, finite, hit, square, spread = self.told.numbers.tolist()  # in the order of TOLD
+        self._finite, struck, fits = finite > 0.0, hit > 0.0, math.isfinite(square)
+        if struck and belief.testing:  # the two filters of the test know nothing of the blow
             belief.testing, belief.log_odds, belief.armed = False, 0.0, True
-            testing = False
-        if testing:
-            for _ in range(steps):
-                self.predict(self.image, self.test_noise, tau, step)
-            image, spread_image = self.innovate(self.image, self.test_noise, q_meas)
-            if math.isfinite(same + image):
-                belief.weigh(same, spread_same, image, spread_image)
-        elif not belief.armed and not struck and math.isfinite(same):
-            belief.fit(same, dt)
-        if struck or not math.isfinite(same):
+        if belief.testing:
+            self._follow_image.run()
+            image, spread_image = self._follow_image.results.fit.tolist()
+            if math.isfinite(square + image):
+                belief.weigh(square, spread, image, spread_image)
+        elif not belief.armed and not struck and fits:
+            belief.fit(square, dt)
+        if struck or not fits:
             self.same.take(self.main)
-        self._judge_passage()
+        self._judge_passage(s, s_variance, type1, folded >= 0.0)
 
-    def _judge_passage(self) -> None:
+    def _judge_passage(self, s: float, s_variance: float, type1: float, folded: bool) -> None:
         """Begin, go on with or end the test of crossed against bounced.
 
         Where the distal links are folded there is nothing to test: the image is a whole turn of them away, and the
@@ -190,9 +196,8 @@ class Observer:
         working mode, of which nothing is known here: the belief is unsure until it is told. So it is, until the next passage,
         where the state is suddenly on the other side.
         """
-        belief, passage, look = self.belief, self.passage, self.look
-        s = look.s
-        if not (math.isfinite(s) and look.type1 >= LOST * self._min_type1):
+        belief, passage = self.belief, self.passage
+        if not (math.isfinite(s) and type1 >= LOST * self._min_type1):
             belief.strayed = True
         if belief.strayed:
             belief.unsure()
@@ -206,9 +211,9 @@ class Observer:
         if near < passage.armed:
             belief.end_test()
             belief.armed = True
-            belief.log_odds = log_odds_of_side(s, look.s_variance) if look.folded >= 0.0 else 0.0
-        elif belief.armed and look.folded >= 0.0:
-            belief.log_odds = log_odds_of_side(s, look.s_variance)
+            belief.log_odds = log_odds_of_side(s, s_variance) if folded else 0.0
+        elif belief.armed and folded:
+            belief.log_odds = log_odds_of_side(s, s_variance)
             belief.armed = near < passage.begin
         elif belief.armed and near >= passage.begin:
             belief.armed = False
@@ -235,16 +240,15 @@ class Observer:
 
     def tell_side(self) -> None:
         """Into the estimate."""
-        self.estimate.assembly_mode, self.estimate.confidence = self.belief.as_seen()
+        side = self.belief.mode, self.belief.log_odds
+        if side != self._side:
+            self._side = side
+            self.estimate.assembly_mode, self.estimate.confidence = self.belief.as_seen()
 
     def is_folded(self) -> bool:
         """Whether the main filter's distal links are nearer to folded than to stretched."""
-        return bool(self.look.folded >= 0.0)
+        return self.told.folded >= 0.0
 
 
 _OWN = {"predict": ("tau", "dt"), "correct": ("q_meas", "dt"), "innovate": ("q_meas",),
-        "correct_position": ("x_meas", "deviation"), "unseen_blow": ()}
-
-
-def _steps_of(dt: float) -> int:
-    return max(math.ceil(dt / MAX_STEP - 1e-6), 1)
+        "correct_position": ("x_meas", "deviation"), "unseen_blow": (), "begin": ("x", "speed"), "mirror": ()}

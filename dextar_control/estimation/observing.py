@@ -21,12 +21,13 @@ class ObserverEstimator:
         model: of the robot, as the controller knows it.
         settings: of the controller.
         min_type1: the robot's least distance to Type 1.
+        estimate: the record that it keeps; one of its own when None.
     """
 
-    def __init__(self, model: Model, settings: Settings, min_type1: float) -> None:
-        self.observer = Observer(model, min_type1)
+    def __init__(self, model: Model, settings: Settings, min_type1: float, estimate: Record | None = None) -> None:
+        self.observer = Observer(model, min_type1, estimate)
         self._joints = JointFilter(model.mechanism)
-        self.estimate: Record = self.observer.estimate
+        self.estimate = self.observer.estimate
         self.note = ""
         self.configure(settings)
 

@@ -129,13 +129,13 @@ class History:
         observer = self._observer
         swaps = observer.belief.swaps
         observer.observe(tau, dt, q_meas)
-        belief, look = observer.belief, observer.look
+        belief = observer.belief
         if belief.swaps > swaps:
             belief.seen = -belief.seen
-        s, folded = abs(look.s), observer.is_folded()
+        s, folded = abs(observer.told.s), observer.is_folded()
         if belief.seen != 0.0 and s < observer.passage.begin:
             known = s >= observer.passage.armed or folded
-            most = log_odds_of_side(s, look.s_variance) if known else 0.0
+            most = log_odds_of_side(s, observer.told.s_variance) if known else 0.0
             belief.seen = min(max(belief.seen, -most), most)
         if belief.armed and not folded:
             belief.log_odds = belief.seen

@@ -68,6 +68,10 @@ class Fast:
         self._record = _record(function)
         self.results = self._record(*results)
 
+    def views(self) -> SimpleNamespace:
+        """The arguments as memoryviews: numbers go into them in half the time."""
+        return SimpleNamespace(**{name: memoryview(place) for name, place in vars(self.arguments).items()})
+
     def __call__(self, *arguments: Any) -> Any:
         """The results as a record of new arrays."""
         for place, argument in zip(self._places, arguments, strict=True):
@@ -147,6 +151,12 @@ def named(name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Any]
     """A function on symbols with dense results, its common parts computed once."""
     dense = [ca.densify(result) for result in results.values()]
     return ca.Function(name, list(arguments.values()), dense, list(arguments), list(results), {"cse": True})
+
+
+def in_place(function: ca.Function) -> ca.Function:
+    """The same function, whose results may take the places of its arguments: it reads all of these first."""
+    given = [ca.MX.sym(name, function.size1_in(i)) for i, name in enumerate(function.name_in())]
+    return ca.Function(function.name(), given, function.call(given, False, True), function.name_in(), function.name_out())
 
 
 def _record(function: ca.Function) -> Any:

@@ -42,11 +42,12 @@ class Record:
         numbers: the array that holds them; zeros when None.
     """
 
-    __slots__ = ("numbers",)
+    __slots__ = ("_view", "numbers")
     layout: Layout
 
     def __init__(self, numbers: Array | None = None) -> None:
         self.numbers = np.zeros(self.layout.size) if numbers is None else numbers
+        self._view = memoryview(self.numbers)  # type: ignore[arg-type]
 
     def __getattr__(self, name: str) -> Any:  # what the class does not know
         raise AttributeError(f"a record '{self.layout.name}' has no field '{name}'")
@@ -68,10 +69,10 @@ class Record:
 def _property(field: Field, place: Any, shape: tuple[int, ...] | None) -> property:
     if shape is None:
         def read(self: Record) -> Any:
-            return self.numbers.item(place)
+            return self._view[place]
 
         def write(self: Record, value: Any) -> None:
-            self.numbers[place] = value
+            self._view[place] = value
     elif len(shape) == 1:
         def read(self: Record) -> Any:
             return self.numbers[place]
@@ -131,6 +132,13 @@ class Layout:
         """The record whose numbers are in this array (size,)."""
         record: Record = self._class(numbers)
         return record
+
+    def rows(self, **columns: Any) -> Array:
+        """(m, size) of many records: each field (m,), or (m, its size), a matrix column by column; or one number for all."""
+        table = np.empty((max(np.shape(column)[0] for column in columns.values() if np.ndim(column)), self.size))
+        for name, column in columns.items():
+            table[:, self.places[name][0]] = column
+        return table
 
     def indices(self, *names: str) -> NDArray[np.int64]:
         """Where the numbers of these fields lie in the vector, rising."""
