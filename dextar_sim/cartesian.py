@@ -11,7 +11,7 @@ from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import RobotParameters
 from dextar_sim import geometry
 from dextar_sim.platform_motion import Motion
-from dextar_sim.state import PlantState, check_steps, plant_state, saturated
+from dextar_sim.state import PlantState, check_steps, saturated
 
 _LEAST_SINE = 0.01
 """|sin delta| of a leg outside the coordinates below which the motion is not followed: both legs stretched or folded."""
@@ -44,7 +44,7 @@ class CartesianPlant:
         self.substeps = substeps
         self.max_torque = robot.max_torque if max_torque is None else max_torque
         self._substep = period / substeps
-        self._motion = Motion(robot, substeps)
+        self._motion = Motion(robot, substeps, self._substep)
         self._steps = 0
         self._push: tuple[float, float] = (0.0, 0.0)
         self._state: PlantState | None = None
@@ -79,11 +79,10 @@ class CartesianPlant:
         return self._place(geometry.joints_of(self.robot, q_a, assembly_mode), x_dot)
 
     def _place(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
-        self._motion.joints_dot[:] = geometry.joints_dot_at(self.robot, joints, x_dot)
-        self._motion.joints[:] = joints
+        joints_dot = geometry.joints_dot_at(self.robot, joints, x_dot)
         self._check(max(abs(math.sin(joints[1])), abs(math.sin(joints[3]))), 0.0)
         left, right = geometry.tips(geometry.shape(self.robot), tuple(map(float, joints)), (0.0, 0.0, 0.0, 0.0))
-        self._motion.platform[:] = (0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1]), *x_dot)
+        self._motion.place(joints, joints_dot, [0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1])], x_dot)
         self._steps = 0
         self._push = (0.0, 0.0)
         self._state = None
@@ -109,7 +108,7 @@ class CartesianPlant:
         """
         net = saturated(torque, self.max_torque)
         first = saturated(earlier, self.max_torque) if earlier is not None and late else net
-        least = self._motion.advance(first, net, late, self._push, self._substep)
+        least = self._motion.advance(first, net, late, self._push)
         self._steps += 1
         self._push = (0.0, 0.0)
         self._state = None
@@ -135,10 +134,8 @@ class CartesianPlant:
     def state(self) -> PlantState:
         """The true state now."""
         if self._state is None:
-            motion = self._motion
-            self._state = plant_state(
-                self._steps * self.period, motion.joints.tolist(), motion.joints_dot.tolist(), motion.platform.tolist(), 0.0
-            )
+            self._motion.state.time = self._steps * self.period
+            self._state = self._motion.state.copy()
         return self._state
 
     def close(self) -> None:

@@ -172,13 +172,11 @@ def tips(
     )
 
 
-def flat_state(shape: tuple[float, ...], joints: tuple[float, ...], joints_dot: tuple[float, ...]) -> np.ndarray:
-    """All numbers of a closed state, shape (17,), from the joints alone.
-
-    q11, q21 and their rates; all four joints; their rates; x, y, x_dot, y_dot of the end effector, the mean of both tips;
-    the distance of the tips.
-    """
+def state_at(
+    time: float, shape: tuple[float, ...], joints: tuple[float, ...], joints_dot: tuple[float, ...]
+) -> np.ndarray:
+    """The numbers of a record of ``state.STATE`` from the joints alone."""
     left, right = tips(shape, joints, joints_dot)
     platform = [0.5 * (one + other) for one, other in zip(left, right, strict=True)]
     gap = math.hypot(left[0] - right[0], left[1] - right[1])
-    return np.array((joints[0], joints[2], joints_dot[0], joints_dot[2], *joints, *joints_dot, *platform, gap))
+    return np.array((time, joints[0], joints[2], joints_dot[0], joints_dot[2], *joints, *joints_dot, *platform, gap))

@@ -12,7 +12,7 @@ import pybullet as p
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import RobotParameters
 from dextar_sim import geometry, world
-from dextar_sim.state import PlantState, check_steps, saturated, state_of
+from dextar_sim.state import STATE, PlantState, check_steps, saturated
 
 
 class Plant:
@@ -191,8 +191,8 @@ class Plant:
     def state(self) -> PlantState:
         """The true state now."""
         if self._state is None:
-            flat = geometry.flat_state(self._shape, self._angles, self._joints_dot)
-            self._state = state_of(self._steps * self.period, flat, float(flat[16]))
+            now = self._steps * self.period
+            self._state = STATE.of(geometry.state_at(now, self._shape, self._angles, self._joints_dot))
         return self._state
 
     def close(self) -> None:

@@ -18,6 +18,8 @@ same sum over the bodies; the leg passes, as a real one does.
 from __future__ import annotations
 
 import math
+import struct
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -25,9 +27,10 @@ import casadi as ca
 import numpy as np
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.symbols.functions import Fast, Library, named
-from dextar_control.symbols.functions import cache_folder as model_folder
+from dextar_control.symbols.functions import Library, cache_folder, named
+from dextar_control.symbols.record import Field, Layout
 from dextar_sim.geometry import bases
+from dextar_sim.state import STATE
 
 _OWN_SINE = 0.2
 """|sin delta| below which a leg's own angles are the coordinates; at 100 rad/s it turns by half of that in 1 ms."""
@@ -35,6 +38,12 @@ PLATFORM = -1
 """No leg's angles: the end effector's position is the coordinates."""
 CHARTS = {PLATFORM: "platform", 0: "left", 1: "right"}
 LEG_NUMBERS = 11
+DRIVE = Layout("drive", 2, (
+    Field("first", "N m", "motor torques of the first substeps", 2),
+    Field("last", "N m", "of the others", 2),
+    Field("push", "N", "force on the end effector over the first substep", 2),
+    Field("late", "1", "substeps under the first torques"),
+))
 
 Pair = tuple[float, float]
 Row = tuple[float, ...]
@@ -197,9 +206,9 @@ def motion(substeps: int) -> Library:
         substeps: Runge-Kutta steps in one period.
     """
     z, z_dot, sides, motors, push = (ca.SX.sym(name, 2) for name in ("z", "z_dot", "sides", "motors", "push"))
-    joints, h = ca.SX.sym("joints", 4), ca.SX.sym("h")
+    (now_vector, now), (drive_vector, drive), h = STATE.symbols(), DRIVE.symbols(), ca.SX.sym("h")
     robot, shared = ca.SX.sym("legs", 2 * LEG_NUMBERS), ca.SX.sym("shared", 4)
-    vectors = (z, z_dot, sides, motors, push, joints, shared)
+    vectors = (z, z_dot, sides, motors, push, now["joints"], shared)
     parts: list[Terms] = [[vector[i] for i in range(vector.numel())] for vector in vectors]
     legs = [[robot[LEG_NUMBERS * leg + k] for k in range(LEG_NUMBERS)] for leg in range(2)]
     pz, pz_dot, psides, pmotors, ppush, pjoints, pshared = parts
@@ -210,30 +219,52 @@ def motion(substeps: int) -> Library:
         moved, speed, least = _substep(pz, pz_dot, chart, psides, pmotors, ppush, h, legs, pshared)
         step = named(f"step_{name}", state | acting | {"h": h},
                      {"z_next": ca.vertcat(*moved), "z_dot_next": ca.vertcat(*speed), "least": least})
+        begun = named(f"begin_{name}", {"state": now_vector, "drive": drive_vector}, _begun(chart, now, drive, substeps))
         platform, found, rates, least = _placed(pz, pz_dot, chart, psides, pjoints, legs)
-        place = named(f"place_{name}", state | {"joints": joints, "legs": robot}, {
-            "platform": ca.vertcat(*platform), "joints_next": ca.vertcat(*found), "joints_dot": ca.vertcat(*rates),
-            "least": least,
+        after: dict[str, Term] = now | {"joints": ca.vertcat(*found), "joints_dot": ca.vertcat(*rates), "x": ca.vertcat(*platform[:2]),
+                       "x_dot": ca.vertcat(*platform[2:]), "q_a": ca.vertcat(*found[::2]), "q_a_dot": ca.vertcat(*rates[::2])}
+        met = ca.SX.sym("met", 1, substeps)
+        for k in range(substeps):
+            least = _lesser(least, met[k])
+        place = named(f"place_{name}", {"z": z, "z_dot": z_dot, "sides": sides, "legs": robot, "state": now_vector, "met": met}, {
+            "state_next": STATE.join(after),
+            "told": ca.vertcat(least, ca.fabs(ca.sin(found[1])), ca.fabs(ca.sin(found[3]))),
         })
-        functions.append(_period(f"period_{name}", step, place, substeps))
+        functions.append(_period(f"period_{name}", begun, step, place, substeps))
     first, second, least = _acceleration(pz, pz_dot, PLATFORM, psides, pmotors, ppush, legs, pshared)
     functions.append(named("acceleration", state | acting, {"z_ddot": ca.vertcat(first, second), "least": least}))
-    return Library(functions, model_folder())
+    return Library(functions, cache_folder())
 
 
-def _period(name: str, step: ca.Function, place: ca.Function, substeps: int) -> ca.Function:
-    """Substeps one after the other, then the joints; motors and push have a column for each."""
-    sizes = {"z": 2, "z_dot": 2, "sides": 2, "h": 1, "legs": 2 * LEG_NUMBERS, "shared": 4, "joints": 4}
+def _begun(chart: int, now: dict[str, Term], drive: dict[str, Term], substeps: int) -> dict[str, Term]:
+    """Coordinates, rates and elbows' sides of a state, and motor torques and push of each substep, in columns."""
+    joints, rates = now["joints"], now["joints_dot"]
+    z, z_dot = now["x"], now["x_dot"]
+    if chart != PLATFORM:
+        leg = 2 * chart
+        z, z_dot = (ca.vertcat(of[leg], of[leg] + of[leg + 1]) for of in (joints, rates))
+    motors = [ca.if_else(k < drive["late"], drive["first"], drive["last"]) for k in range(substeps)]
+    push = [drive["push"], *[ca.SX.zeros(2)] * (substeps - 1)]
+    return {"z": z, "z_dot": z_dot, "sides": _sides(joints), "motors": ca.horzcat(*motors), "push": ca.horzcat(*push)}
+
+
+def _sides(joints: Term) -> Term:
+    """An elbow lies left of the line base -> end effector (+1) where the distal link turns right."""
+    return ca.vertcat(*(ca.if_else(ca.sin(joints[k]) >= 0.0, -1.0, 1.0) for k in (1, 3)))
+
+
+def _period(name: str, begun: ca.Function, step: ca.Function, place: ca.Function, substeps: int) -> ca.Function:
+    """From state to state: substeps one after the other, then the joints."""
+    sizes = {"state": STATE.size, "drive": DRIVE.size, "h": 1, "legs": 2 * LEG_NUMBERS, "shared": 4}
     given = {key: ca.MX.sym(key, size) for key, size in sizes.items()}
-    given |= {key: ca.MX.sym(key, 2, substeps) for key in ("motors", "push")}
+    begin = begun(state=given["state"], drive=given["drive"])
     steps = step.mapaccum(f"{name}_steps", substeps, ["z", "z_dot"], ["z_next", "z_dot_next"])
-    same = {key: ca.repmat(given[key], 1, substeps) for key in ("sides", "h", "legs", "shared")}
-    moved = steps(z=given["z"], z_dot=given["z_dot"], motors=given["motors"], push=given["push"], **same)
-    found = place(z=moved["z_next"][:, -1], z_dot=moved["z_dot_next"][:, -1], sides=given["sides"], joints=given["joints"],
-                  legs=given["legs"])
-    results = {key: found[key] for key in ("platform", "joints_next", "joints_dot")}
-    results["leasts"] = ca.vertcat(moved["least"].T, found["least"])
-    return ca.Function(name, list(given.values()), list(results.values()), list(given), list(results))
+    same = {key: ca.repmat(value, 1, substeps) for key, value in {"sides": begin["sides"], **given}.items()
+            if key in ("sides", "h", "legs", "shared")}
+    moved = steps(z=begin["z"], z_dot=begin["z_dot"], motors=begin["motors"], push=begin["push"], **same)
+    found = place(z=moved["z_next"][:, -1], z_dot=moved["z_dot_next"][:, -1], sides=begin["sides"], legs=given["legs"],
+                  state=given["state"], met=moved["least"])
+    return ca.Function(name, list(given.values()), list(found.values()), list(given), list(found))
 
 
 class Motion:
@@ -242,71 +273,53 @@ class Motion:
     Args:
         robot: the description.
         substeps: Runge-Kutta steps in one period.
+        substep: duration of one, s.
 
     Attributes:
-        platform: x, y, x_dot, y_dot, m and m/s, shape (4,).
-        joints, joints_dot: q11, q12, q21, q22, rad and rad/s, shape (4,).
+        state: a record of ``state.STATE``, but for its time.
     """
 
-    def __init__(self, robot: RobotParameters, substeps: int) -> None:
-        self.platform, self.joints, self.joints_dot = np.zeros(4), np.zeros(4), np.zeros(4)
+    def __init__(self, robot: RobotParameters, substeps: int, substep: float) -> None:
+        self.state = STATE.make()
         numbers = {"legs": np.array([*leg_row(robot, 0), *leg_row(robot, 1)]),
                    "shared": np.array([robot.end_effector_mass, *robot.gravity, robot.coulomb_speed])}
-        library, places = motion(substeps), {"joints": self.joints, "platform": self.platform, "joints_dot": self.joints_dot}
-        self._periods: dict[int, Fast] = {
-            chart: library.fast(f"period_{name}", **numbers, **places) for chart, name in CHARTS.items()
-        }
+        library, drive, self._told = motion(substeps), np.zeros(DRIVE.size), np.zeros(3)
+        places = {"state": self.state.numbers, "state_next": self.state.numbers, "drive": drive,
+                  "told": self._told, "h": np.array([substep])}
+        self._pack, self._drive = struct.Struct(f"{DRIVE.size}d").pack_into, memoryview(drive)  # type: ignore[arg-type]
+        self._periods = {chart: library.fast(f"period_{name}", **numbers, **places) for chart, name in CHARTS.items()}
         self._acceleration = library.fast("acceleration", **numbers)
+        self._sines = (1.0, 1.0)
 
-    def advance(self, first: Pair, last: Pair, late: int, blow: Pair, substep: float) -> float:
+    def place(self, joints: Sequence[float], joints_dot: Sequence[float], x: Sequence[float], x_dot: Sequence[float]) -> None:
+        """Begin here."""
+        now = self.state
+        now.joints, now.joints_dot, now.x, now.x_dot = joints, joints_dot, x, x_dot
+        now.q_a, now.q_a_dot = joints[::2], joints_dot[::2]
+        self._sines = abs(math.sin(joints[1])), abs(math.sin(joints[3]))
+
+    def advance(self, first: Pair, last: Pair, late: int, blow: Pair) -> float:
         """One period; the least |sin delta| met, nan when lost.
 
         Args:
             first, last: motor torques of the first ``late`` substeps and of the others, N m.
             late: substeps.
             blow: force on the end effector over the first substep, N.
-            substep: s.
         """
-        joints, rates, chart = self.joints, self.joints_dot, self._chart()
-        period = self._periods[chart]
-        given, results = period.arguments, period.results
-        given.sides[:] = self._sides()
-        if chart == PLATFORM:
-            given.z[:], given.z_dot[:] = self.platform[:2], self.platform[2:]
-        else:
-            leg = 2 * chart
-            given.z[:] = joints[leg], joints[leg] + joints[leg + 1]
-            given.z_dot[:] = rates[leg], rates[leg] + rates[leg + 1]
-        given.h[0] = substep
-        motors = given.motors.reshape(-1, 2)
-        motors[:] = last
-        if late:
-            motors[:late] = first
-        given.push[:2] = blow
-        period.run()
-        joints[:] = results.joints_next
-        least = 1.0
-        for sine in results.leasts.tolist():
-            least = least if sine >= least else sine
-        return least
+        self._pack(self._drive, 0, *first, *last, *blow, late)  # in the order of DRIVE
+        left, right = self._sines
+        chart = PLATFORM if left >= _OWN_SINE and right >= _OWN_SINE else 0 if left < right else 1
+        self._periods[chart].run()
+        least, *self._sines = self._told.tolist()
+        return float(least)
 
     def acceleration(self, motors: Pair) -> np.ndarray:
         """Of the platform now, m/s^2, shape (2,), off Type 1, under motor torques before friction, N m."""
-        found = self._acceleration.arguments
-        found.z[:], found.z_dot[:], found.sides[:], found.motors[:] = self.platform[:2], self.platform[2:], self._sides(), motors
+        found, now = self._acceleration.arguments, self.state
+        sines = np.sin(now.joints[1::2])
+        found.z[:], found.z_dot[:], found.sides[:], found.motors[:] = now.x, now.x_dot, np.where(sines >= 0.0, -1.0, 1.0), motors
         self._acceleration.run()
         return np.array(self._acceleration.results.z_ddot)
-
-    def _sides(self) -> Pair:
-        """An elbow lies left of the line base -> end effector (+1) where the distal link turns right."""
-        return -math.copysign(1.0, math.sin(self.joints[1])), -math.copysign(1.0, math.sin(self.joints[3]))
-
-    def _chart(self) -> int:
-        """The leg whose angles are the coordinates, or ``PLATFORM``."""
-        left, right = abs(math.sin(self.joints[1])), abs(math.sin(self.joints[3]))
-        if min(left, right) >= _OWN_SINE:
-            return PLATFORM
-        return 0 if left < right else 1
 
 
 def leg_row(robot: RobotParameters, index: int) -> Row:

@@ -75,11 +75,11 @@ class Encoder:
 
     def position(self, q_a: Sequence[float]) -> list[float]:
         """Measured positions (rad) of true ones (rad, shape (n,)); no sample for the velocity."""
-        values = [float(value) for value in q_a]
+        values: Sequence[float] = q_a
         if self._noise:
             values = [value + self._noise * self._random.standard_normal() for value in values]
         count = self._count
-        return [count * round(value / count) for value in values] if count else values
+        return [count * round(float(value) / count) for value in values] if count else [float(value) for value in values]
 
     def read(self, q_a: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
         """One sample.

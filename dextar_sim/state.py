@@ -4,56 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError, StateError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.symbols.record import Field, Layout, Record
 
 _FRICTION_STABILITY = 1.0
 """Share of a joint's speed that friction may take away in one substep; beyond 2 it would swing up."""
 
 
-class PlantState(NamedTuple):
-    """True state of the plant.
-
-    Attributes:
-        time: steps taken times the period, s.
-        q_a, q_a_dot: active joints q11, q21, rad and rad/s, shape (2,).
-        joints, joints_dot: q11, q12, q21, q22, passive joints relative to their proximal link, shape (4,).
-        x, x_dot: end effector (mean of both distal tips), m and m/s, shape (2,).
-        loop_gap: distance of the distal tips, m.
-    """
-
-    time: float
-    q_a: np.ndarray  # (2,)
-    q_a_dot: np.ndarray  # (2,)
-    joints: np.ndarray  # (4,)
-    joints_dot: np.ndarray  # (4,)
-    x: np.ndarray  # (2,)
-    x_dot: np.ndarray  # (2,)
-    loop_gap: float
-
-
-def plant_state(
-    time: float, joints: Sequence[float], joints_dot: Sequence[float], platform: Sequence[float], loop_gap: float
-) -> PlantState:
-    """A state from plain numbers, its arrays contiguous parts of one.
-
-    Args:
-        time: s.
-        joints, joints_dot: q11, q12, q21, q22, rad and rad/s.
-        platform: x, y, x_dot, y_dot of the end effector, m and m/s.
-        loop_gap: m.
-    """
-    flat = np.array((joints[0], joints[2], joints_dot[0], joints_dot[2], *joints, *joints_dot, *platform))
-    return state_of(time, flat, loop_gap)
-
-
-def state_of(time: float, flat: np.ndarray, loop_gap: float) -> PlantState:
-    """A state whose arrays are views of one, laid out as ``geometry.flat_state`` says."""
-    return PlantState(time, flat[:2], flat[2:4], flat[4:8], flat[8:12], flat[12:14], flat[14:16], loop_gap)
+STATE = Layout("plant_state", 2, (
+    Field("time", "s", "steps taken times the period"),
+    Field("q_a", "rad", "active joints q11, q21", 2),
+    Field("q_a_dot", "rad/s", "their velocities", 2),
+    Field("joints", "rad", "q11, q12, q21, q22, passive joints relative to their proximal link", 4),
+    Field("joints_dot", "rad/s", "their velocities", 4),
+    Field("x", "m", "end effector, the mean of both distal tips", 2),
+    Field("x_dot", "m/s", "its velocity", 2),
+    Field("loop_gap", "m", "distance of the distal tips"),
+))
+PlantState = Record  # of STATE: the true state of a plant, in numbers of its own
 
 
 class AnyPlant(Protocol):
@@ -120,7 +93,9 @@ def saturated(torque: Sequence[float], limit: float) -> tuple[float, float]:
     Raises:
         StateError: a torque is not finite.
     """
-    first, second = float(torque[0]), float(torque[1])
+    first, second = torque
+    if -limit <= first <= limit and -limit <= second <= limit:
+        return float(first), float(second)
     if not (math.isfinite(first) and math.isfinite(second)):
         raise StateError(f"motor torque ({first}, {second}) N m is not finite")
-    return max(-limit, min(limit, first)), max(-limit, min(limit, second))
+    return float(max(-limit, min(limit, first))), float(max(-limit, min(limit, second)))

@@ -219,8 +219,7 @@ def _drive(
     turn = np.array([[cosine, -sine], [sine, cosine]])
     period = rig.period
     count = round((plan.trajectory.duration + SETTLE) / period)
-    joints, x, x_ref_log, tau_log, q_a_dot = (np.empty((count, size)) for size in (4, 2, 2, 2, 2))
-    limp = np.zeros(count, dtype=bool)
+    states, x_refs, taus, limp = [], [], [], []
     x_ref, tau, began = start, np.zeros(2), math.nan
     blow, impulse = (-1, np.zeros(2)) if strike is None else (round(strike.time / period), turn.T @ strike.impulse)
     for index in range(count):
@@ -232,22 +231,25 @@ def _drive(
             tau = loop.step(sample.time, sample.q_a + built.angle, pose)
             x_ref = loop.tick.x_ref if loop.tick is not None else start
             began = sample.time if math.isnan(began) else began
-        limp[index] = loop.phase in LIMP
-        if began <= index * period and (sample is None or limp[index]):  # the trip goes on without sample or robot
+        limp.append(loop.phase in LIMP)
+        if (sample is None or limp[index]) and began <= index * period:  # the trip goes on without sample or robot
             x_ref = plan.trajectory.at(index * period - began).x
         if index == blow:
             rig.strike(impulse)
-        joints[index], x[index], q_a_dot[index] = truth.joints, truth.x, truth.q_a_dot
-        x_ref_log[index], tau_log[index] = x_ref, tau
+        states.append(truth.numbers)
+        x_refs.append(x_ref)
+        taus.append(tau)
         rig.write(None if sample is None else tau)
+    numbers, tau_log = np.array(states), np.array(taus)
+    joints, x, q_a_dot = (numbers[:, truth.layout.places[name][0]] for name in ("joints", "x", "q_a_dot"))
     return Log(
         time=np.arange(count) * period,
         x=x @ turn.T + built.middle,
-        x_ref=x_ref_log,
+        x_ref=np.array(x_refs),
         tau=tau_log,
         power=(tau_log * q_a_dot).sum(axis=1),
         s=np.sin(joints[:, 2] + joints[:, 3] - joints[:, 0] - joints[:, 1]),
-        limp=limp,
+        limp=np.array(limp),
         strike=math.nan if strike is None else strike.time,
     )
 

@@ -24,6 +24,7 @@ from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import certify, check_rest
 from dextar_control.planning.trajectory import Trajectory, hold, in_words
+from dextar_control.symbols.functions import Fast
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
@@ -78,16 +79,8 @@ class ControlLoop:
         self._planned = PlannedReference(self.model, self._reference)
         self._gains: Record = Layout("gains", n, GAINS).make()
         self._answer, self._integral, self._q_a = self._output.tau, np.zeros(n), np.zeros(n)
-        given = {"dt": np.zeros(1), "limit": np.zeros(1), "crossing": np.zeros(1), "q_meas": self._q_a}
-        self._acts = {
-            law: acts_of(self.model.mechanism).fast(
-                f"act_{law.name.lower()}", p=self.model.p, gains=self._gains.numbers, reference=self._reference.numbers,
-                estimate=self._estimate.numbers, output=self._output.numbers, integral=self._integral,
-                integral_next=self._integral, **given, **self.supervisor.places,
-            )
-            for law in Law
-        }
-        self._places = self._acts[settings.law].views()
+        self._given = {"dt": np.zeros(1), "limit": np.zeros(1), "crossing": np.zeros(1), "q_meas": self._q_a}
+        self._acts: dict[Law, Fast] = {}
         self._time = math.nan
         self._start = 0.0
         self._pending: tuple[Trajectory, Certificate, float | None] | None = None
@@ -112,7 +105,14 @@ class ControlLoop:
                 f"passage_armed = {settings.passage_armed} with passage_begin = {settings.passage_begin}; it must be smaller"
             )
         self.settings = settings
+        if settings.law not in self._acts:
+            self._acts[settings.law] = acts_of(self.model.mechanism).fast(
+                f"act_{settings.law.name.lower()}", p=self.model.p, gains=self._gains.numbers,
+                reference=self._reference.numbers, estimate=self._estimate.numbers, output=self._output.numbers,
+                integral=self._integral, integral_next=self._integral, **self._given, **self.supervisor.places,
+            )
         self._act = self._acts[settings.law]
+        self._places = self._act.views()
         gains = self._gains
         gains.K_p = settings.natural_frequency**2
         gains.K_d = 2.0 * settings.damping_ratio * settings.natural_frequency

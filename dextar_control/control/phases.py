@@ -68,6 +68,18 @@ class Frame:
     output = property(lambda self: self._part("output"), doc="Record of ``control.law.OUTPUT``.")
 
 
+@lru_cache
+def _place(n: int, part: str, field: str) -> slice | int:
+    """Of one field in a frame."""
+    within, layout = frame_of(n)[part]
+    place, shape = layout.places[field]
+    return within.start + place if shape is None else slice(within.start + place.start, within.start + place.stop)
+
+
+def _field(part: str, name: str, doc: str) -> property:
+    return property(lambda self: self.numbers[_place(self.n, part, name)], doc=doc)
+
+
 class Tick(Frame):
     """One sample that was answered.
 
@@ -83,12 +95,12 @@ class Tick(Frame):
         self.time, self.reference_time, self.phase = time, reference_time, phase
         self.n, self.numbers = frame.n, frame.numbers.copy()
 
-    tau = property(lambda self: self.output.tau, doc="(n,) N m.")
-    x_ref = property(lambda self: self.reference.x, doc="(n,) m.")
-    x_hat = property(lambda self: self.estimate.x, doc="(n,) m.")
-    x_hat_dot = property(lambda self: self.estimate.x_dot, doc="(n,) m/s.")
-    error = property(lambda self: self.output.error, doc="(n,) x_ref - x_hat, m.")
-    s = property(lambda self: self.output.s, doc="Singularity measure at the model's state.")
-    residual = property(lambda self: self.output.residual, doc="t_s.w_d that u asks for, N.")
+    tau = _field("output", "tau", "(n,) N m.")
+    x_ref = _field("reference", "x", "(n,) m.")
+    x_hat = _field("estimate", "x", "(n,) m.")
+    x_hat_dot = _field("estimate", "x_dot", "(n,) m/s.")
+    error = _field("output", "error", "(n,) x_ref - x_hat, m.")
+    s = _field("output", "s", "Singularity measure at the model's state.")
+    residual = _field("output", "residual", "t_s.w_d that u asks for, N.")
+    confidence = _field("estimate", "confidence", "In the assembly mode, 0.5 to 1.")
     assembly_mode = property(lambda self: int(self.estimate.assembly_mode), doc="Believed sign of s.")
-    confidence = property(lambda self: self.estimate.confidence, doc="In the assembly mode, 0.5 to 1.")

@@ -16,6 +16,7 @@ import sys
 import tempfile
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -65,7 +66,7 @@ class Fast:
             place = _place(name, function.sparsity_out(i), given)
             self._buffer.set_res(i, memoryview(place))
             results.append(place.reshape(function.size_out(i), order="F") if function.size2_out(i) > 1 else place)
-        self._record = _record(function)
+        self._record = _record(function.name(), tuple(function.name_out()))
         self.results = self._record(*results)
 
     def views(self) -> SimpleNamespace:
@@ -98,7 +99,7 @@ class Batch:
             buffer.set_res(i, memoryview(place.reshape(-1)))
         self._buffer = buffer
         self._shapes = [function.size_out(i) for i in range(function.n_out())]
-        self._record = _record(function)
+        self._record = _record(function.name(), tuple(function.name_out()))
 
     def __call__(self, *arguments: Any) -> Any:
         """A record of (m, size) or (m, rows, columns), of arguments (m, size), or (size,) for all states."""
@@ -159,8 +160,9 @@ def in_place(function: ca.Function) -> ca.Function:
     return ca.Function(function.name(), given, function.call(given, False, True), function.name_in(), function.name_out())
 
 
-def _record(function: ca.Function) -> Any:
-    return namedtuple(function.name(), function.name_out())  # noqa: PYI024  the names are the function's
+@lru_cache
+def _record(name: str, results: tuple[str, ...]) -> Any:
+    return namedtuple(name, results)  # noqa: PYI024  the names are the function's
 
 
 def _matrices(table: Array, shape: tuple[int, int]) -> Array:
