@@ -11,7 +11,7 @@ from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import RobotParameters
 from dextar_sim import geometry
 from dextar_sim.platform_motion import Motion
-from dextar_sim.state import PlantState, check_steps, plant_state, saturated
+from dextar_sim.state import PlantState, check_steps, leg_motors, saturated, state_of
 
 _LEAST_SINE = 0.01
 """|sin delta| of a leg outside the coordinates below which the motion is not followed: both legs stretched or folded."""
@@ -38,7 +38,7 @@ class CartesianPlant:
         substeps: int = 4,
         max_torque: float | None = None,
     ) -> None:
-        check_steps(robot, period, substeps)
+        check_steps(period, substeps, leg_motors(robot))
         self.robot = robot
         self.period = period
         self.substeps = substeps
@@ -136,9 +136,9 @@ class CartesianPlant:
         """The true state now."""
         if self._state is None:
             motion = self._motion
-            self._state = plant_state(
-                self._steps * self.period, motion.joints.tolist(), motion.joints_dot.tolist(), motion.platform.tolist(), 0.0
-            )
+            joints, rates = motion.joints.tolist(), motion.joints_dot.tolist()
+            flat = (joints[0], joints[2], rates[0], rates[2], *joints, *rates, *motion.platform.tolist(), 0.0)
+            self._state = state_of(self._steps * self.period, np.array(flat), 2)
         return self._state
 
     def close(self) -> None:

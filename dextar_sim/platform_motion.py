@@ -36,7 +36,6 @@ PLATFORM = -1
 CHARTS = {PLATFORM: "platform", 0: "left", 1: "right"}
 LEG_NUMBERS = 11
 
-Pair = tuple[float, float]
 Row = tuple[float, ...]
 Term = Any  # a number or a symbol
 Terms = list[Any]
@@ -258,7 +257,7 @@ class Motion:
         }
         self._acceleration = library.fast("acceleration", **numbers)
 
-    def advance(self, first: Pair, last: Pair, late: int, blow: Pair, substep: float) -> float:
+    def advance(self, first: Row, last: Row, late: int, blow: Row, substep: float) -> float:
         """One period; the least |sin delta| met, nan when lost.
 
         Args:
@@ -290,14 +289,14 @@ class Motion:
             least = least if sine >= least else sine
         return least
 
-    def acceleration(self, motors: Pair) -> np.ndarray:
+    def acceleration(self, motors: Row) -> np.ndarray:
         """Of the platform now, m/s^2, shape (2,), off Type 1, under motor torques before friction, N m."""
         found = self._acceleration.arguments
         found.z[:], found.z_dot[:], found.sides[:], found.motors[:] = self.platform[:2], self.platform[2:], self._sides(), motors
         self._acceleration.run()
         return np.array(self._acceleration.results.z_ddot)
 
-    def _sides(self) -> Pair:
+    def _sides(self) -> tuple[float, float]:
         """An elbow lies left of the line base -> end effector (+1) where the distal link turns right."""
         return -math.copysign(1.0, math.sin(self.joints[1])), -math.copysign(1.0, math.sin(self.joints[3]))
 

@@ -20,40 +20,33 @@ class PlantState(NamedTuple):
 
     Attributes:
         time: steps taken times the period, s.
-        q_a, q_a_dot: active joints q11, q21, rad and rad/s, shape (2,).
-        joints, joints_dot: q11, q12, q21, q22, passive joints relative to their proximal link, shape (4,).
-        x, x_dot: end effector (mean of both distal tips), m and m/s, shape (2,).
-        loop_gap: distance of the distal tips, m.
+        q_a, q_a_dot: the n active joints, rad (m) and rad/s (m/s), shape (n,).
+        joints, joints_dot: all m joints in the order of the mechanism's bodies, each relative to its parent, shape (m,).
+        x, x_dot: of the platform, m and m/s, shape (n,).
+        loop_gap: the largest distance of two places that are pinned together, m.
     """
 
     time: float
-    q_a: np.ndarray  # (2,)
-    q_a_dot: np.ndarray  # (2,)
-    joints: np.ndarray  # (4,)
-    joints_dot: np.ndarray  # (4,)
-    x: np.ndarray  # (2,)
-    x_dot: np.ndarray  # (2,)
+    q_a: np.ndarray  # (n,)
+    q_a_dot: np.ndarray  # (n,)
+    joints: np.ndarray  # (m,)
+    joints_dot: np.ndarray  # (m,)
+    x: np.ndarray  # (n,)
+    x_dot: np.ndarray  # (n,)
     loop_gap: float
 
 
-def plant_state(
-    time: float, joints: Sequence[float], joints_dot: Sequence[float], platform: Sequence[float], loop_gap: float
-) -> PlantState:
-    """A state from plain numbers, its arrays contiguous parts of one.
+def state_of(time: float, flat: np.ndarray, n: int) -> PlantState:
+    """A state whose arrays are views of one.
 
     Args:
         time: s.
-        joints, joints_dot: q11, q12, q21, q22, rad and rad/s.
-        platform: x, y, x_dot, y_dot of the end effector, m and m/s.
-        loop_gap: m.
+        flat: shape (4 n + 2 m + 1,): all of the state but the time, in its order.
+        n: active joints.
     """
-    flat = np.array((joints[0], joints[2], joints_dot[0], joints_dot[2], *joints, *joints_dot, *platform))
-    return state_of(time, flat, loop_gap)
-
-
-def state_of(time: float, flat: np.ndarray, loop_gap: float) -> PlantState:
-    """A state whose arrays are views of one, laid out as ``geometry.flat_state`` says."""
-    return PlantState(time, flat[:2], flat[2:4], flat[4:8], flat[8:12], flat[12:14], flat[14:16], loop_gap)
+    a, c = 2 * n, len(flat) - 2 * n - 1
+    b, d = (a + c) // 2, c + n
+    return PlantState(time, flat[:n], flat[n:a], flat[a:b], flat[b:c], flat[c:d], flat[d:-1], float(flat[-1]))
 
 
 class AnyPlant(Protocol):
@@ -85,13 +78,36 @@ class AnyPlant(Protocol):
         """Let go of what the plant holds."""
 
 
-def check_steps(robot: RobotParameters, period: float, substeps: int) -> None:
+class Motor(NamedTuple):
+    """A motor as its friction sees it.
+
+    Attributes:
+        name: of its side.
+        steepness: friction over speed at rest, N m s/rad (N s/m).
+        inertia: of what it moves alone, kg m^2 (kg).
+    """
+
+    name: str
+    steepness: float
+    inertia: float
+
+
+def leg_motors(robot: RobotParameters) -> list[Motor]:
+    """Those of a five-bar."""
+    return [
+        Motor(side, leg.viscous_friction + leg.coulomb_friction / robot.coulomb_speed,
+              leg.proximal_inertia + leg.rotor_inertia + leg.proximal_mass * (leg.proximal_center * leg.proximal_length) ** 2)
+        for side, leg in zip(robot.sides, robot.legs, strict=True)
+    ]  # fmt: skip
+
+
+def check_steps(period: float, substeps: int, motors: Sequence[Motor]) -> None:
     """Refuse steps that are none, and an explicit friction that would turn a joint round within one substep.
 
     Args:
-        robot: the description.
         period: duration of one step, s.
         substeps: physics steps in one step.
+        motors: of the robot.
 
     Raises:
         ParameterError: period or substeps out of range, friction too steep for the substep.
@@ -101,11 +117,7 @@ def check_steps(robot: RobotParameters, period: float, substeps: int) -> None:
     if substeps < 1:
         raise ParameterError(f"substeps = {substeps}; it must be >= 1")
     substep = period / substeps
-    for side, leg in (("left", robot.left), ("right", robot.right)):
-        slope = leg.viscous_friction + leg.coulomb_friction / robot.coulomb_speed
-        inertia = (
-            leg.proximal_inertia + leg.rotor_inertia + leg.proximal_mass * (leg.proximal_center * leg.proximal_length) ** 2
-        )
+    for side, slope, inertia in motors:
         if slope * substep > _FRICTION_STABILITY * inertia:
             raise ParameterError(
                 f"{side} joint friction of {slope:g} N m s/rad at rest is too steep for {inertia:g} kg m^2 and "
@@ -114,13 +126,13 @@ def check_steps(robot: RobotParameters, period: float, substeps: int) -> None:
             )
 
 
-def saturated(torque: Sequence[float], limit: float) -> tuple[float, float]:
+def saturated(torque: Sequence[float], limit: float) -> tuple[float, ...]:
     """Motor torques within the limit, N m.
 
     Raises:
         StateError: a torque is not finite.
     """
-    first, second = float(torque[0]), float(torque[1])
-    if not (math.isfinite(first) and math.isfinite(second)):
-        raise StateError(f"motor torque ({first}, {second}) N m is not finite")
-    return max(-limit, min(limit, first)), max(-limit, min(limit, second))
+    wanted = list(map(float, torque))
+    if not all(map(math.isfinite, wanted)):
+        raise StateError(f"motor torque ({', '.join(map(str, wanted))}) N m is not finite")
+    return tuple([limit if value > limit else -limit if value < -limit else value for value in wanted])
