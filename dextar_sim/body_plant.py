@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -14,10 +13,10 @@ import pybullet as p
 
 from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.mechanisms.mechanism import Mechanism
-from dextar_control.symbols.functions import Fast, named
-from dextar_control.symbols.types import Symbol
+from dextar_control.symbols.functions import Fast
 from dextar_sim import world
 from dextar_sim.state import Motor, PlantState, check_steps, saturated, state_of
+from dextar_sim.tree import functions_of
 from dextar_sim.urdf import bodies_of
 
 
@@ -208,34 +207,3 @@ class BodyPlant:
         if self._client >= 0:
             world.release(self._client, self._window)
         self._client = -1
-
-
-@lru_cache
-def functions_of(mechanism: Mechanism) -> Mapping[str, ca.Function]:
-    """What a plant asks of a mechanism that has bodies, interpreted.
-
-    closed: x, x_dot -> q_a, joints, joints_dot. truth: joints as held, joints_dot, lead (s) by which held is ahead -> flat, as
-    ``state_of`` takes it. push: joints, force on the platform -> forces at all joints.
-    """
-    vector, numbers = mechanism.symbols()
-    bodies = mechanism.bodies(numbers)
-    assert bodies is not None
-    names, n = [link.joint for link in bodies.links], mechanism.n
-    x, x_dot, force = (ca.SX.sym(name, n) for name in ("x", "x_dot", "force"))
-    held, joints_dot, lead = ca.SX.sym("held", len(names)), ca.SX.sym("joints_dot", len(names)), ca.SX.sym("lead")
-    joints = held - lead * joints_dot
-    q_a = mechanism.inverse_geometric_model(x, numbers)
-    closed = mechanism.tree_joints(q_a, x, numbers)
-    def platform(joints: Symbol) -> Symbol:
-        return mechanism.tree_platform(joints, numbers)
-
-    motors = [names.index(joint.name) for joint in mechanism.joints]
-    gaps = [ca.norm_2(one - other) for one, other in bodies.pinned(joints)]
-    flat = ca.vertcat(joints[motors], joints_dot[motors], joints, joints_dot, platform(joints),
-                      ca.jtimes(platform(joints), held, joints_dot), ca.mmax(ca.vertcat(*gaps)))  # fmt: skip
-    results: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-        "closed": ({"x": x, "x_dot": x_dot}, {"q_a": q_a, "joints": closed, "joints_dot": ca.jtimes(closed, x, x_dot)}),
-        "truth": ({"held": held, "joints_dot": joints_dot, "lead": lead}, {"flat": flat}),
-        "push": ({"joints": held, "force": force}, {"forces": ca.jtimes(platform(held), held, force, True)}),
-    }
-    return {name: named(name, {"p": vector, **given}, found) for name, (given, found) in results.items()}

@@ -127,7 +127,11 @@ class Biglide(Mechanism):
 
     def tree_platform(self, joints: Symbol, p: Any) -> Symbol:
         """In the middle of the bars' ends."""
-        ((left, right),) = self.bodies(p).pinned(joints)
+        left, right = (
+            self.slider(leg, joints[2 * leg], p)
+            + getattr(p, name).bar_length * direction(getattr(p, name).rail_angle + joints[2 * leg + 1])
+            for leg, name in enumerate(LEGS)
+        )
         return 0.5 * (left + right)
 
     def singularity_scale(self, p: Any) -> Symbol:

@@ -12,7 +12,6 @@ from plain_loop import PERIOD, ExactPlant
 from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import flatten, load_robot
-from dextar_control.mechanisms.bodies import placed
 from dextar_control.mechanisms.five_bar import FiveBar
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.three_rrr import ThreeRRR
@@ -20,6 +19,7 @@ from dextar_control.model.model import Model
 from dextar_control.model.robot import Robot, load_any_robot
 from dextar_sim.body_plant import BodyPlant
 from dextar_sim.plant import Plant
+from dextar_sim.tree import frames, gaps, placed
 
 BOX = [-0.12, -0.12, -0.1], [0.12, 0.12, 0.1]  # m, of the platform
 LEAST_SINE = 0.2  # of a leg's elbow: near Type 1 the joints run away
@@ -76,7 +76,7 @@ def test_the_bodies_are_those_of_the_lagrangian(mechanism: Mechanism) -> None:
     q_a_dot = ca.jtimes(q_a, x, x_dot)
     joints = mechanism.tree_joints(q_a, x, p)
     energy = ca.SX(0.0)
-    for link, frame in zip(bodies.links, bodies.frames(joints), strict=True):
+    for link, frame in zip(bodies.links, frames(bodies, joints), strict=True):
         center = placed(frame, link.center)
         energy += 0.5 * link.mass * ca.sumsqr(ca.jtimes(center, x, x_dot)) + link.mass * ca.dot(bodies.gravity, center)
         energy += 0.5 * link.inertia * ca.jtimes(frame[1], x, x_dot) ** 2
@@ -85,10 +85,9 @@ def test_the_bodies_are_those_of_the_lagrangian(mechanism: Mechanism) -> None:
         link.viscous * rate + link.coulomb * ca.tanh(rate / bodies.coulomb_speed)
         for link, rate in zip(motors, ca.vertsplit(q_a_dot), strict=True)
     ]
-    gaps = ca.vertcat(*(one - other for one, other in bodies.pinned(joints)))
     compared = ca.Function("compared", [x, x_dot], [
         ca.vertcat(energy, mechanism.tree_platform(joints, p), *losses),
-        ca.vertcat(lagrangian(mechanism, p)(q_a, x, q_a_dot, x_dot), x, mechanism.friction(q_a_dot, p)), gaps,
+        ca.vertcat(lagrangian(mechanism, p)(q_a, x, q_a_dot, x_dot), x, mechanism.friction(q_a_dot, p)), gaps(bodies, joints),
     ])  # fmt: skip
     random, tried = np.random.default_rng(2), 0
     while tried < STATES:

@@ -138,21 +138,18 @@ class FiveBar(FiveBarLocus):
 
     def bodies(self, p: Any) -> Bodies:
         """Both legs, half of the end effector's mass on each tip: pinned together they are one body."""
-        links = [
-            link for leg, side in enumerate(SIDES)
-            for link in leg_links((f"q{leg + 1}1", f"q{leg + 1}2"), 2 * leg, self.base(leg, p), getattr(p, side),
-                                  0.5 * p.end_effector_mass)
-        ]
-        tips = tuple(ca.vertcat(getattr(p, side).distal_length, 0.0) for side in SIDES)
-        return Bodies(tuple(links), (Pin((1, 3), tips),), p.gravity, p.coulomb_speed)
+        links = leg_links([self.base(leg, p) for leg in range(2)], [p.left, p.right], 0.5 * p.end_effector_mass)
+        left, right = (ca.vertcat(link.distal_length, 0.0) for link in (p.left, p.right))
+        return Bodies(tuple(links), (Pin((1, 3), (left, right)),), p.gravity, p.coulomb_speed)
 
     def tree_joints(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
         """q11, q12, q21, q22."""
-        return ca.vertcat(*(angle for leg in range(2) for angle in leg_joints(q_a[leg], x - self.elbow(leg, q_a[leg], p))))
+        return ca.vertcat(*leg_joints(q_a, [x - self.elbow(leg, q_a[leg], p) for leg in range(2)]))
 
     def tree_platform(self, joints: Symbol, p: Any) -> Symbol:
         """In the middle of the tips."""
-        ((left, right),) = self.bodies(p).pinned(joints)
+        left, right = (self.elbow(leg, joints[2 * leg], p) + getattr(p, side).distal_length
+                       * direction(joints[2 * leg] + joints[2 * leg + 1]) for leg, side in enumerate(SIDES))
         return 0.5 * (left + right)
 
     def singularity_scale(self, p: Any) -> Symbol:

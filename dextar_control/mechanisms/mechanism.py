@@ -171,16 +171,16 @@ class Mechanism(ABC):
         return np.zeros((0, 2))
 
     def bodies(self, p: Any) -> Bodies | None:
-        """What one may build it of, motors in the order of ``joints``; None where that is not said."""
+        """What it is built of, for who builds it; None where that is not said, and then the next two are not asked."""
         return None
 
     def tree_joints(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
-        """Positions (m,) of all joints of ``bodies``, rad or m, where the loops are closed."""
-        raise NotImplementedError(f"mechanism {self.name} has no bodies")
+        """Positions (m,) of all joints of its bodies, rad or m, where the loops are closed."""
+        raise NotImplementedError
 
     def tree_platform(self, joints: Symbol, p: Any) -> Symbol:
-        """x (n,) of the bodies at positions (m,) of all their joints."""
-        raise NotImplementedError(f"mechanism {self.name} has no bodies")
+        """x (n,) of the bodies at positions (m,) of all joints."""
+        raise NotImplementedError
 
     @abstractmethod
     def singularity_scale(self, p: Any) -> Symbol:

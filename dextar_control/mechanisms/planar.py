@@ -68,38 +68,27 @@ def rod(
 def loaded_rod(
     mass: Symbol, center: Symbol, inertia: Symbol, length: Symbol, load: Symbol | float
 ) -> tuple[Symbol, Symbol, Symbol]:
-    """(mass, kg, centre from the first end (2,), m, inertia about it, kg m^2) of a rod with a point mass at its second end.
-
-    Args:
-        mass, inertia, length: of the rod alone, as ``rod`` takes them.
-        center: of mass from the first end, m.
-        load: the point mass, kg.
-    """
+    """(mass, kg, centre (2,), m, inertia about it, kg m^2) of a rod, its centre in m, with a point mass, kg, at its end."""
     total = mass + load
     both = ca.if_else(total > 0.0, (mass * center + load * length) / ca.if_else(total > 0.0, total, 1.0), center)
     return total, ca.vertcat(both, 0.0), inertia + mass * (center - both) ** 2 + load * (length - both) ** 2
 
 
-def leg_links(joints: tuple[str, str], parent: int, base: Symbol, leg: Any, load: Symbol | float) -> tuple[Link, Link]:
-    """The links of a leg whose motor stands on the ground, with a point mass at the end of the distal one.
-
-    Args:
-        joints: names of motor and elbow.
-        parent: number that the proximal link will have.
-        base: (2,) of the motor's axis, m.
-        leg: its parameters.
-        load: the point mass, kg.
-    """
-    l1, l2 = leg.proximal_length, leg.distal_length
-    proximal = Link(joints[0], GROUND, base, leg.proximal_mass, ca.vertcat(leg.proximal_center * l1, 0.0),
-                    leg.proximal_inertia + leg.rotor_inertia, viscous=leg.viscous_friction, coulomb=leg.coulomb_friction)
-    distal = loaded_rod(leg.distal_mass, leg.distal_center * l2, leg.distal_inertia, l2, load)
-    return proximal, Link(joints[1], parent, ca.vertcat(l1, 0.0), *distal)
+def leg_links(bases: Sequence[Symbol], legs: Sequence[Any], load: Symbol | float) -> list[Link]:
+    """Links on q11, q12, q21, q22, ... of legs whose motors stand at ``bases``, a point mass, kg, at the end of each."""
+    links = []
+    for i, (base, leg) in enumerate(zip(bases, legs, strict=True)):
+        l1, l2 = leg.proximal_length, leg.distal_length
+        links.append(Link(f"q{i + 1}1", GROUND, base, leg.proximal_mass, ca.vertcat(leg.proximal_center * l1, 0.0),
+                          leg.proximal_inertia + leg.rotor_inertia, viscous=leg.viscous_friction, coulomb=leg.coulomb_friction))
+        distal = loaded_rod(leg.distal_mass, leg.distal_center * l2, leg.distal_inertia, l2, load)
+        links.append(Link(f"q{i + 1}2", 2 * i, ca.vertcat(l1, 0.0), *distal))
+    return links
 
 
-def leg_joints(q: Symbol, rod: Symbol) -> tuple[Symbol, Symbol]:
-    """(motor, elbow) angles, rad, of a leg whose distal link lies along ``rod`` (2,)."""
-    return q, wrapped(ca.atan2(rod[1], rod[0]) - q)
+def leg_joints(q_a: Symbol, rods: Sequence[Symbol]) -> list[Symbol]:
+    """Angles of those joints, rad, where the distal links lie along ``rods`` (2,)."""
+    return [angle for i, rod in enumerate(rods) for angle in (q_a[i], wrapped(ca.atan2(rod[1], rod[0]) - q_a[i]))]
 
 
 def two_link_angle(reach: Symbol, l1: Symbol, l2: Symbol, working_mode: Symbol) -> Symbol:

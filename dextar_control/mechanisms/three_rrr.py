@@ -11,7 +11,7 @@ from typing import Any
 
 import casadi as ca
 
-from dextar_control.mechanisms.bodies import Bodies, Link, Pin, placed
+from dextar_control.mechanisms.bodies import Bodies, Link, Pin
 from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter
 from dextar_control.mechanisms.planar import (
     direction,
@@ -102,11 +102,9 @@ class ThreeRRR(Mechanism):
 
     def bodies(self, p: Any) -> Bodies:
         """The first leg carries the platform by its corner, at q13; the other legs are pinned to it."""
-        links = [
-            link for leg, name in enumerate(LEGS)
-            for link in leg_links((f"q{leg + 1}1", f"q{leg + 1}2"), 2 * leg, self.base(leg, p), getattr(p, name), 0.0)
-        ]
-        tips = [ca.vertcat(getattr(p, name).distal_length, 0.0) for name in LEGS]
+        legs = [getattr(p, name) for name in LEGS]
+        links = leg_links([self.base(leg, p) for leg in range(3)], legs, 0.0)
+        tips = [ca.vertcat(leg.distal_length, 0.0) for leg in legs]
         corners = [p.platform_radius * direction(angle) for angle in ANGLES]
         platform = Link("q13", 1, tips[0], p.platform_mass, -corners[0], p.platform_inertia)
         pins = tuple(Pin((6, 2 * leg + 1), (corners[leg] - corners[0], tips[leg])) for leg in (1, 2))
@@ -114,14 +112,15 @@ class ThreeRRR(Mechanism):
 
     def tree_joints(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
         """q11, q12, q21, q22, q31, q32, q13."""
-        legs = [leg_joints(q_a[leg], self.corner(leg, x, p) - self.elbow(leg, q_a[leg], p)) for leg in range(3)]
-        return ca.vertcat(*(angle for leg in legs for angle in leg), x[2] / p.rotation_radius - sum(legs[0]))
+        legs = leg_joints(q_a, [self.corner(leg, x, p) - self.elbow(leg, q_a[leg], p) for leg in range(3)])
+        return ca.vertcat(*legs, x[2] / p.rotation_radius - legs[0] - legs[1])
 
     def tree_platform(self, joints: Symbol, p: Any) -> Symbol:
-        """Of the platform's own frame."""
-        bodies = self.bodies(p)
-        frame = bodies.frames(joints)[-1]
-        return ca.vertcat(placed(frame, bodies.links[-1].center), p.rotation_radius * frame[1])
+        """The corner on the first leg, and from there."""
+        distal = joints[0] + joints[1]
+        corner = self.elbow(0, joints[0], p) + p.leg1.distal_length * direction(distal)
+        turned = ca.vertcat(0.0, 0.0, p.rotation_radius * (distal + joints[6]))
+        return turned + ca.vertcat(corner - self.corner(0, turned, p), 0.0)
 
     def singularity_scale(self, p: Any) -> Symbol:
         """The distal lengths, and the lever of a corner over rho."""
