@@ -11,7 +11,7 @@ from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import RobotParameters
 from dextar_sim import geometry
 from dextar_sim.platform_motion import Motion
-from dextar_sim.state import PlantState, check_steps, saturated
+from dextar_sim.state import PlantState, check_steps, leg_motors, saturated
 
 _LEAST_SINE = 0.01
 """|sin delta| of a leg outside the coordinates below which the motion is not followed: both legs stretched or folded."""
@@ -38,7 +38,7 @@ class CartesianPlant:
         substeps: int = 4,
         max_torque: float | None = None,
     ) -> None:
-        check_steps(robot, period, substeps)
+        check_steps(period, substeps, leg_motors(robot))
         self.robot = robot
         self.period = period
         self.substeps = substeps

@@ -9,8 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from dextar_control.contract.errors import GeometryError
 from dextar_control.contract.robot import LegParameters, RobotParameters
 
@@ -170,13 +168,3 @@ def tips(
         _tip(shape[0], shape[1], shape[2], shape[3], joints[0], joints[1], joints_dot[0], joints_dot[1]),
         _tip(shape[4], shape[5], shape[6], shape[7], joints[2], joints[3], joints_dot[2], joints_dot[3]),
     )
-
-
-def state_at(
-    time: float, shape: tuple[float, ...], joints: tuple[float, ...], joints_dot: tuple[float, ...]
-) -> np.ndarray:
-    """The numbers of a record of ``state.STATE`` from the joints alone."""
-    left, right = tips(shape, joints, joints_dot)
-    platform = [0.5 * (one + other) for one, other in zip(left, right, strict=True)]
-    gap = math.hypot(left[0] - right[0], left[1] - right[1])
-    return np.array((time, joints[0], joints[2], joints_dot[0], joints_dot[2], *joints, *joints_dot, *platform, gap))

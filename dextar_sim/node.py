@@ -41,7 +41,6 @@ from dextar_sim.pace import Schedule, keeping_pace, spin
 from dextar_sim.parameters import PARAMETERS
 from dextar_sim.sensors import Acknowledgement, Command, CommandDelay, CommandHold, Encoder, PoseSensor
 from dextar_sim.speakers import SPEAKING, Speakers
-from dextar_sim.urdf import five_bar
 
 REPEAT_AFTER = 0.5
 """s without an answer after which lockstep publishes a state again."""
@@ -73,7 +72,7 @@ class PlantNode(DextarNode):
     PARAMETERS = PARAMETERS
 
     def __init__(self, **options: Any) -> None:
-        from dextar_sim.plant import Plant  # here: --help needs no physics
+        from dextar_sim.plant import Plant, urdf_of  # here: --help needs no physics
 
         super().__init__(**options)
         values = self.values
@@ -121,7 +120,7 @@ class PlantNode(DextarNode):
         self._true_joints = self.create_publisher(JointState, SIM_JOINT_STATES.name, qos(SIM_JOINT_STATES))
         self._poses = self.create_publisher(PoseStamped, EXTERNAL_POSE.name, qos(EXTERNAL_POSE)) if values["pose_rate"] else None
         self._description = self.create_publisher(String, ROBOT_DESCRIPTION.name, qos(ROBOT_DESCRIPTION))
-        self._description.publish(String(data=five_bar(self.robot, visual=True)))
+        self._description.publish(String(data=urdf_of(self.robot)))
         topic, kind = (EFFORT_COMMANDS, Float64MultiArray) if self._arrays else (JOINT_COMMANDS, JointState)
         self._command_name = topic.name
         profile = qos(topic, reliable=self.lockstep)

@@ -30,7 +30,7 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.record import Field, Layout
 from dextar_sim.geometry import bases
-from dextar_sim.state import STATE
+from dextar_sim.state import state_layout
 
 _OWN_SINE = 0.2
 """|sin delta| below which a leg's own angles are the coordinates; at 100 rad/s it turns by half of that in 1 ms."""
@@ -38,6 +38,7 @@ PLATFORM = -1
 """No leg's angles: the end effector's position is the coordinates."""
 CHARTS = {PLATFORM: "platform", 0: "left", 1: "right"}
 LEG_NUMBERS = 11
+STATE = state_layout(2, 4)
 DRIVE = Layout("drive", 2, (
     Field("first", "N m", "motor torques of the first substeps", 2),
     Field("last", "N m", "of the others", 2),
@@ -45,7 +46,6 @@ DRIVE = Layout("drive", 2, (
     Field("late", "1", "substeps under the first torques"),
 ))
 
-Pair = tuple[float, float]
 Row = tuple[float, ...]
 Term = Any  # a number or a symbol
 Terms = list[Any]
@@ -221,8 +221,10 @@ def motion(substeps: int) -> Library:
                      {"z_next": ca.vertcat(*moved), "z_dot_next": ca.vertcat(*speed), "least": least})
         begun = named(f"begin_{name}", {"state": now_vector, "drive": drive_vector}, _begun(chart, now, drive, substeps))
         platform, found, rates, least = _placed(pz, pz_dot, chart, psides, pjoints, legs)
-        after: dict[str, Term] = now | {"joints": ca.vertcat(*found), "joints_dot": ca.vertcat(*rates), "x": ca.vertcat(*platform[:2]),
-                       "x_dot": ca.vertcat(*platform[2:]), "q_a": ca.vertcat(*found[::2]), "q_a_dot": ca.vertcat(*rates[::2])}
+        after: dict[str, Term] = now | {
+            "joints": ca.vertcat(*found), "joints_dot": ca.vertcat(*rates), "q_a": ca.vertcat(*found[::2]),
+            "q_a_dot": ca.vertcat(*rates[::2]), "x": ca.vertcat(*platform[:2]), "x_dot": ca.vertcat(*platform[2:]),
+        }
         met = ca.SX.sym("met", 1, substeps)
         for k in range(substeps):
             least = _lesser(least, met[k])
@@ -276,7 +278,7 @@ class Motion:
         substep: duration of one, s.
 
     Attributes:
-        state: a record of ``state.STATE``, but for its time.
+        state: a record of ``STATE``, but for its time.
     """
 
     def __init__(self, robot: RobotParameters, substeps: int, substep: float) -> None:
@@ -298,7 +300,7 @@ class Motion:
         now.q_a, now.q_a_dot = joints[::2], joints_dot[::2]
         self._sines = abs(math.sin(joints[1])), abs(math.sin(joints[3]))
 
-    def advance(self, first: Pair, last: Pair, late: int, blow: Pair) -> float:
+    def advance(self, first: Row, last: Row, late: int, blow: Row) -> float:
         """One period; the least |sin delta| met, nan when lost.
 
         Args:
@@ -313,7 +315,7 @@ class Motion:
         least, *self._sines = self._told.tolist()
         return float(least)
 
-    def acceleration(self, motors: Pair) -> np.ndarray:
+    def acceleration(self, motors: Row) -> np.ndarray:
         """Of the platform now, m/s^2, shape (2,), off Type 1, under motor torques before friction, N m."""
         found, now = self._acceleration.arguments, self.state
         sines = np.sin(now.joints[1::2])

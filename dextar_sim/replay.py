@@ -17,8 +17,10 @@ import numpy as np
 import pybullet as p
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.robot import from_flat
+from dextar_control.contract.robot import flatten, from_flat
 from dextar_control.contract.signals import run_command
+from dextar_control.mechanisms import mechanism_named
+from dextar_sim.urdf import bodies_of
 from dextar_sim.world import connect, load, release
 
 KEYS = ("time", "q", "x", "torque", "s", "t_s", "planned", "locus", "phase", "speed", "robot")
@@ -50,8 +52,9 @@ class Player:
         self.time, self.x, self._q = motion["time"], motion["x"], motion["q"]
         self._torque, self._s, self._t_s, self._phase = motion["torque"], motion["s"], motion["t_s"], motion["phase"]
         self._window = window
+        robot = from_flat(json.loads(str(motion["robot"])))
         self.client = connect(window)
-        self.loop = load(self.client, from_flat(json.loads(str(motion["robot"]))), 1e-3, window)
+        self.loop = load(self.client, bodies_of(mechanism_named("five_bar"), flatten(robot)), 1e-3, window)
         self._mark, self._words = -1, -1
         self.show(0)
         if window:

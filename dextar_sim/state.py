@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from functools import lru_cache
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,17 +17,23 @@ _FRICTION_STABILITY = 1.0
 """Share of a joint's speed that friction may take away in one substep; beyond 2 it would swing up."""
 
 
-STATE = Layout("plant_state", 2, (
-    Field("time", "s", "steps taken times the period"),
-    Field("q_a", "rad", "active joints q11, q21", 2),
-    Field("q_a_dot", "rad/s", "their velocities", 2),
-    Field("joints", "rad", "q11, q12, q21, q22, passive joints relative to their proximal link", 4),
-    Field("joints_dot", "rad/s", "their velocities", 4),
-    Field("x", "m", "end effector, the mean of both distal tips", 2),
-    Field("x_dot", "m/s", "its velocity", 2),
-    Field("loop_gap", "m", "distance of the distal tips"),
-))
-PlantState = Record  # of STATE: the true state of a plant, in numbers of its own
+PlantState = Record
+"""True state of a plant, of its ``state_layout``, in numbers of its own."""
+
+
+@lru_cache
+def state_layout(n: int, m: int) -> Layout:
+    """Of a plant with n active joints and m in all, each relative to its parent, in the order of the mechanism's bodies."""
+    return Layout("plant_state", n, (
+        Field("time", "s", "steps taken times the period"),
+        Field("q_a", "rad (m)", "active joints", "n"),
+        Field("q_a_dot", "rad/s (m/s)", "their velocities", "n"),
+        Field("joints", "rad (m)", "all joints", m),
+        Field("joints_dot", "rad/s (m/s)", "their velocities", m),
+        Field("x", "m", "platform", "n"),
+        Field("x_dot", "m/s", "its velocity", "n"),
+        Field("loop_gap", "m", "largest distance of two places that are pinned together"),
+    ))
 
 
 class AnyPlant(Protocol):
@@ -58,13 +65,36 @@ class AnyPlant(Protocol):
         """Let go of what the plant holds."""
 
 
-def check_steps(robot: RobotParameters, period: float, substeps: int) -> None:
+class Motor(NamedTuple):
+    """A motor as its friction sees it.
+
+    Attributes:
+        name: of its side.
+        steepness: friction over speed at rest, N m s/rad (N s/m).
+        inertia: of what it moves alone, kg m^2 (kg).
+    """
+
+    name: str
+    steepness: float
+    inertia: float
+
+
+def leg_motors(robot: RobotParameters) -> list[Motor]:
+    """Those of a five-bar."""
+    return [
+        Motor(side, leg.viscous_friction + leg.coulomb_friction / robot.coulomb_speed,
+              leg.proximal_inertia + leg.rotor_inertia + leg.proximal_mass * (leg.proximal_center * leg.proximal_length) ** 2)
+        for side, leg in zip(robot.sides, robot.legs, strict=True)
+    ]  # fmt: skip
+
+
+def check_steps(period: float, substeps: int, motors: Sequence[Motor]) -> None:
     """Refuse steps that are none, and an explicit friction that would turn a joint round within one substep.
 
     Args:
-        robot: the description.
         period: duration of one step, s.
         substeps: physics steps in one step.
+        motors: of the robot.
 
     Raises:
         ParameterError: period or substeps out of range, friction too steep for the substep.
@@ -74,11 +104,7 @@ def check_steps(robot: RobotParameters, period: float, substeps: int) -> None:
     if substeps < 1:
         raise ParameterError(f"substeps = {substeps}; it must be >= 1")
     substep = period / substeps
-    for side, leg in (("left", robot.left), ("right", robot.right)):
-        slope = leg.viscous_friction + leg.coulomb_friction / robot.coulomb_speed
-        inertia = (
-            leg.proximal_inertia + leg.rotor_inertia + leg.proximal_mass * (leg.proximal_center * leg.proximal_length) ** 2
-        )
+    for side, slope, inertia in motors:
         if slope * substep > _FRICTION_STABILITY * inertia:
             raise ParameterError(
                 f"{side} joint friction of {slope:g} N m s/rad at rest is too steep for {inertia:g} kg m^2 and "
@@ -87,15 +113,15 @@ def check_steps(robot: RobotParameters, period: float, substeps: int) -> None:
             )
 
 
-def saturated(torque: Sequence[float], limit: float) -> tuple[float, float]:
+def saturated(torque: Sequence[float], limit: float) -> tuple[float, ...]:
     """Motor torques within the limit, N m.
 
     Raises:
         StateError: a torque is not finite.
     """
-    first, second = torque
-    if -limit <= first <= limit and -limit <= second <= limit:
-        return float(first), float(second)
-    if not (math.isfinite(first) and math.isfinite(second)):
-        raise StateError(f"motor torque ({first}, {second}) N m is not finite")
-    return float(max(-limit, min(limit, first))), float(max(-limit, min(limit, second)))
+    wanted = list(map(float, torque))
+    if all([-limit <= value <= limit for value in wanted]):
+        return tuple(wanted)
+    if not all(map(math.isfinite, wanted)):
+        raise StateError(f"motor torque ({', '.join(map(str, wanted))}) N m is not finite")
+    return tuple([limit if value > limit else -limit if value < -limit else value for value in wanted])

@@ -1,76 +1,98 @@
-"""The five-bar as URDF text: two open 2R legs on a fixed base; the loop is closed by a constraint.
-
-The end effector's mass sits half on each distal tip, which is the same body once the tips
-coincide. Rotor inertia joins the proximal link, which only turns about its motor.
-"""
+"""A mechanism's bodies as URDF text: a tree of links on a fixed base; what closes the loops is not in it."""
 
 from __future__ import annotations
 
-from dextar_control.contract.robot import SIM_JOINT_NAMES, LegParameters, RobotParameters
-from dextar_sim.geometry import bases
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+
+from dextar_control.contract.errors import ParameterError
+from dextar_control.mechanisms.bodies import GROUND, Bodies
+from dextar_control.mechanisms.mechanism import Mechanism
+from dextar_control.symbols.types import Symbol
 
 MASS_FLOOR = 1.0e-7
 """kg on a link described as massless: the solver needs a body, and this one weighs nothing beside 0.1 kg."""
 
 _THICKNESS = 0.008
 
-
-def distal_body(leg: LegParameters, end_effector_mass: float) -> tuple[float, float, float]:
-    """Mass (kg), centre from the elbow (m) and inertia about it (kg m^2) of link and its half of the end effector."""
-    tip_mass = 0.5 * end_effector_mass
-    mass = leg.distal_mass + tip_mass
-    if mass < MASS_FLOOR:
-        return MASS_FLOOR, leg.distal_center * leg.distal_length, leg.distal_inertia
-    link_center = leg.distal_center * leg.distal_length
-    center = (leg.distal_mass * link_center + tip_mass * leg.distal_length) / mass
-    inertia = (
-        leg.distal_inertia
-        + leg.distal_mass * (link_center - center) ** 2
-        + tip_mass * (leg.distal_length - center) ** 2
-    )
-    return mass, center, inertia
+Point = tuple[float, float]
 
 
-def five_bar(robot: RobotParameters, *, visual: bool = False) -> str:
-    """URDF of both legs; joints carry the contract's names.
+def bodies_of(mechanism: Mechanism, values: Mapping[str, Any]) -> Bodies:
+    """A mechanism's bodies with the numbers of its parameters, which stand under their dotted names.
+
+    Raises:
+        ParameterError: a parameter is missing or out of its bounds, or the mechanism has no bodies.
+    """
+    bodies = mechanism.bodies(mechanism.named(ca.DM(mechanism.values(values))))
+    if bodies is None:
+        raise ParameterError(f"mechanism {mechanism.name} does not say of which bodies it is made")
+    return bodies
+
+
+def point(place: Symbol) -> Point:
+    """The two numbers of a place."""
+    x, y = ca.DM(place).full().ravel().tolist()
+    return x, y
+
+
+def urdf(name: str, bodies: Bodies, *, visual: bool = False) -> str:
+    """URDF of the tree; joints carry their names, links those with ``_link`` behind.
 
     Args:
-        robot: the description.
+        name: of the robot.
+        bodies: with numbers.
         visual: draw the links.
     """
-    parts = ['<robot name="five_bar">', _link("base", 0.0, 0.0, 0.0)]
-    for index, (leg, base) in enumerate(zip(robot.legs, bases(robot), strict=True)):
-        active, passive = SIM_JOINT_NAMES[2 * index : 2 * index + 2]
-        shift = 0.5 * _THICKNESS * (2 * index - 1) if visual else 0.0
-        parts.append(
-            _link(f"{active}_link", max(leg.proximal_mass, MASS_FLOOR), leg.proximal_center * leg.proximal_length,
-                  leg.proximal_inertia + leg.rotor_inertia, leg.proximal_length if visual else 0.0, shift)
-        )  # fmt: skip
-        parts.append(
-            _link(f"{passive}_link", *distal_body(leg, robot.end_effector_mass),
-                  leg.distal_length if visual else 0.0, shift + 2.0 * _THICKNESS)
-        )  # fmt: skip
-        parts.append(_joint(active, "base", f"{active}_link", base))
-        parts.append(_joint(passive, f"{active}_link", f"{passive}_link", (leg.proximal_length, 0.0)))
+    parts = [f'<robot name="{name}">', _link("base", 0.0, (0.0, 0.0), 0.0)]
+    names = [f"{link.joint}_link" for link in bodies.links]
+    pictures = _pictures(bodies) if visual else [""] * len(names)
+    for index, link in enumerate(bodies.links):
+        mass, center = max(float(link.mass), MASS_FLOOR), point(link.center)
+        parts.append(_link(names[index], mass, center, float(link.inertia), pictures[index]))
+        parent = "base" if link.parent == GROUND else names[link.parent]
+        parts.append(_joint(link.joint, parent, names[index], point(link.place), float(link.angle), link.prismatic))
     return "\n".join([*parts, "</robot>"])
 
 
-def _link(name: str, mass: float, center: float, inertia: float, drawn: float = 0.0, height: float = 0.0) -> str:
-    picture = (
-        f'<visual><origin xyz="{0.5 * drawn!r} 0 {height!r}"/>'
-        f'<geometry><box size="{drawn!r} {_THICKNESS} {_THICKNESS}"/></geometry></visual>'
-        if drawn
-        else ""
-    )
+def _pictures(bodies: Bodies) -> list[str]:
+    """Of each link, a box from its joint to each place where another is joined; the links of a leg lie above each other."""
+    joined = [(link.parent, link.place) for link in bodies.links]
+    joined += [each for pin in bodies.pins for each in zip(pin.links, pin.places, strict=True)]
+    roots = [index for index, link in enumerate(bodies.links) if link.parent == GROUND]
+    heights: list[float] = []
+    for index, link in enumerate(bodies.links):
+        if link.parent == GROUND:
+            heights.append(_THICKNESS * (roots.index(index) - 0.5 * (len(roots) - 1)))
+        else:
+            heights.append(heights[link.parent] + 2.0 * _THICKNESS)
+    return ["".join(_box(point(place), height) for at, place in joined if at == index) for index, height in enumerate(heights)]
+
+
+def _box(end: Point, height: float) -> str:
+    """From the link's origin to a place of it."""
     return (
-        f'<link name="{name}"><inertial><origin xyz="{center!r} 0 0"/><mass value="{mass!r}"/>'
+        f'<visual><origin xyz="{0.5 * end[0]!r} {0.5 * end[1]!r} {height!r}" rpy="0 0 {math.atan2(end[1], end[0])!r}"/>'
+        f'<geometry><box size="{math.hypot(*end)!r} {_THICKNESS} {_THICKNESS}"/></geometry></visual>'
+    )
+
+
+def _link(name: str, mass: float, center: Point, inertia: float, picture: str = "") -> str:
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{center[0]!r} {center[1]!r} 0"/><mass value="{mass!r}"/>'
         f'<inertia ixx="{inertia!r}" ixy="0" ixz="0" iyy="{inertia!r}" iyz="0" izz="{inertia!r}"/></inertial>'
         f"{picture}</link>"
     )
 
 
-def _joint(name: str, parent: str, child: str, origin: tuple[float, float]) -> str:
+def _joint(name: str, parent: str, child: str, origin: Point, angle: float, prismatic: bool) -> str:
+    kind, axis = ("prismatic", "1 0 0") if prismatic else ("continuous", "0 0 1")
+    limit = '<limit lower="1" upper="-1" effort="0" velocity="0"/>' if prismatic else ""  # crossed: none
     return (
-        f'<joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{origin[0]!r} {origin[1]!r} 0"/><axis xyz="0 0 1"/><dynamics damping="0" friction="0"/></joint>'
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{origin[0]!r} {origin[1]!r} 0" rpy="0 0 {angle!r}"/><axis xyz="{axis}"/>{limit}'
+        f'<dynamics damping="0" friction="0"/></joint>'
     )

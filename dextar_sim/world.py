@@ -1,4 +1,4 @@
-"""The five-bar in a PyBullet client: one body of four joints, closed at the end effector."""
+"""A mechanism's bodies in a PyBullet client: a tree of joints, closed by constraints."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import NamedTuple
 import pybullet as p
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.robot import SIM_JOINT_NAMES, RobotParameters
-from dextar_sim.urdf import distal_body, five_bar
+from dextar_control.mechanisms.bodies import Bodies
+from dextar_sim.urdf import point, urdf
 
 _SPEED_CLAMP = 1.0e6
 _ITERATIONS = 200
@@ -58,33 +58,33 @@ def release(client: int, window: bool) -> None:
 
 
 class Loop(NamedTuple):
-    """Where the five-bar is in its client.
+    """Where the bodies are in their client.
 
     Attributes:
-        body: unique id.
-        joints: indices of q11, q12, q21, q22, which are also those of the links they move.
+        body: unique id of the tree.
+        joints: indices of the joints in the order of the bodies, which are also those of the links they move.
     """
 
     body: int
     joints: list[int]
 
 
-def load(client: int, robot: RobotParameters, substep: float, window: bool) -> Loop:
-    """Legs without motors, damping or speed limit, and the constraint between their tips.
+def load(client: int, bodies: Bodies, substep: float, window: bool) -> Loop:
+    """The tree without motors, damping or speed limit, and a constraint for each pin.
 
     PyBullet keeps URDF text by path, so each plant has a path of its own. The constraint's pivots
     are measured from the centres of mass.
 
     Args:
         client: PyBullet's connection.
-        robot: the description.
+        bodies: with numbers.
         substep: duration of one physics step, s.
         window: draw the links.
     """
-    descriptor, path = tempfile.mkstemp(suffix=".urdf", prefix="five_bar_")
+    descriptor, path = tempfile.mkstemp(suffix=".urdf", prefix="bodies_")
     try:
         with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-            file.write(five_bar(robot, visual=window))
+            file.write(urdf("robot", bodies, visual=window))
         body = p.loadURDF(path, useFixedBase=True, flags=p.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client)
     finally:
         Path(path).unlink()
@@ -92,20 +92,19 @@ def load(client: int, robot: RobotParameters, substep: float, window: bool) -> L
         p.getJointInfo(body, index, physicsClientId=client)[1].decode(): index
         for index in range(p.getNumJoints(body, physicsClientId=client))
     }
-    joints = [found[name] for name in SIM_JOINT_NAMES]
+    joints = [found[link.joint] for link in bodies.links]
     for link in (-1, *joints):
         p.changeDynamics(body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
                          maxJointVelocity=_SPEED_CLAMP, physicsClientId=client)  # fmt: skip
-    p.setJointMotorControlArray(body, joints, p.VELOCITY_CONTROL, forces=[0.0] * 4, physicsClientId=client)
-    p.setGravity(*robot.gravity, 0.0, physicsClientId=client)
+    p.setJointMotorControlArray(body, joints, p.VELOCITY_CONTROL, forces=[0.0] * len(joints), physicsClientId=client)
+    p.setGravity(*point(bodies.gravity), 0.0, physicsClientId=client)
     p.setPhysicsEngineParameter(numSolverIterations=_ITERATIONS, erp=_ERP, solverResidualThreshold=_RESIDUAL,
                                 physicsClientId=client)  # fmt: skip
     set_step(client, substep)
-    left, right = (
-        [leg.distal_length - distal_body(leg, robot.end_effector_mass)[1], 0.0, 0.0] for leg in robot.legs
-    )
-    p.createConstraint(body, joints[1], body, joints[3], p.JOINT_POINT2POINT, [0.0] * 3, left, right,
-                       physicsClientId=client)  # fmt: skip
+    for (one, other), (here, there) in bodies.pins:
+        pivots = [[*point(place - bodies.links[link].center), 0.0] for link, place in ((one, here), (other, there))]
+        p.createConstraint(body, joints[one], body, joints[other], p.JOINT_POINT2POINT, [0.0] * 3, *pivots,
+                           physicsClientId=client)  # fmt: skip
     if window:
         p.configureDebugVisualizer(p.COV_ENABLE_GUI, 0, physicsClientId=client)
         p.resetDebugVisualizerCamera(0.35, 0.0, -89.9, [0.0, 0.05, 0.0], physicsClientId=client)

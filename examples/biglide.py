@@ -26,8 +26,9 @@ import numpy as np
 
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
+from dextar_control.mechanisms.bodies import GROUND, Bodies, Link, Pin
 from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter
-from dextar_control.mechanisms.planar import circles, direction, rod
+from dextar_control.mechanisms.planar import circles, direction, loaded_rod, rod
 from dextar_control.model.model import Model
 from dextar_control.model.robot import Robot
 from dextar_control.planning.locus import nearest_point
@@ -104,6 +105,34 @@ class Biglide(Mechanism):
         """Where the bars' circles about the sliders meet."""
         left, right = (self.slider(leg, q_a[leg], p) for leg in range(2))
         return circles(left, p.left.bar_length, right, p.right.bar_length, assembly_mode, LEAST)
+
+    def bodies(self, p: Any) -> Bodies:
+        """For a simulator: sliders on their rails, bars on them, half of the point's mass on each bar's end."""
+        links, ends = [], []
+        for leg, name in enumerate(LEGS):
+            link, zero = getattr(p, name), ca.SX.zeros(2)
+            bar = loaded_rod(link.bar_mass, 0.5 * link.bar_length, link.bar_mass * link.bar_length**2 / 12.0, link.bar_length,
+                             0.5 * p.point_mass)
+            links.append(Link(f"q{leg + 1}", GROUND, link.rail_origin, link.slider_mass, zero, ca.SX(0.0), link.rail_angle,
+                              prismatic=True, viscous=link.viscous_friction))
+            links.append(Link(f"bar{leg + 1}", 2 * leg, zero, *bar))
+            ends.append(ca.vertcat(link.bar_length, 0.0))
+        return Bodies(tuple(links), (Pin((1, 3), (ends[0], ends[1])),), p.gravity)
+
+    def tree_joints(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """q1, angle of its bar to its rail, q2, that of the other."""
+        bars = [x - self.slider(leg, q_a[leg], p) for leg in range(2)]
+        angles = [ca.atan2(bar[1], bar[0]) - getattr(p, name).rail_angle for bar, name in zip(bars, LEGS, strict=True)]
+        return ca.vertcat(q_a[0], angles[0], q_a[1], angles[1])
+
+    def tree_platform(self, joints: Symbol, p: Any) -> Symbol:
+        """In the middle of the bars' ends."""
+        left, right = (
+            self.slider(leg, joints[2 * leg], p)
+            + getattr(p, name).bar_length * direction(getattr(p, name).rail_angle + joints[2 * leg + 1])
+            for leg, name in enumerate(LEGS)
+        )
+        return 0.5 * (left + right)
 
     def singularity_scale(self, p: Any) -> Symbol:
         """s is then the sine of the angle between the bars."""

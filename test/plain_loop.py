@@ -1,4 +1,4 @@
-"""plan -> estimate -> control -> exact plant in a plain ``for``, for a robot of any mechanism."""
+"""plan -> estimate -> control -> plant in a plain ``for``, for a robot of any mechanism; exact, or PyBullet's bodies."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from dextar_control.control.loop import ControlLoop
 from dextar_control.model.model import Model
 from dextar_control.model.robot import Robot
 from dextar_control.planning.certificate import NEAR_LOCUS, Plan
+from dextar_sim.body_plant import BodyPlant
 
 PERIOD = 1e-3  # s
 SUBSTEPS = 4  # of Runge and Kutta's method, a period
@@ -49,6 +50,37 @@ class ExactPlant:
             state = state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
         self.x, self.x_dot = np.split(state, 2)
 
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class PyBulletPlant:
+    """The mechanism's bodies in PyBullet with the surface of ``ExactPlant``."""
+
+    def __init__(self, robot: Robot, x: np.ndarray, resolution: float = TURN) -> None:
+        self.model, self.resolution = Model.of(robot), resolution
+        self._plant = BodyPlant(robot.mechanism, robot.numbers, period=PERIOD, substeps=SUBSTEPS, max_torque=robot.max_torque)
+        self.close = self._plant.close
+        self._plant.reset(x)
+
+    @property
+    def x(self) -> np.ndarray:
+        """(n,) of the bodies."""
+        return self._plant.state().x
+
+    def joints(self) -> np.ndarray:
+        """(n,) as the encoders count them."""
+        return np.round(self._plant.state().q_a / self.resolution) * self.resolution
+
+    def turn(self) -> None:
+        """The velocity along t_s turns round."""
+        state, t_s = self._plant.state(), self.model.place(self.x).t_s
+        self._plant.reset(state.x, state.x_dot - 2.0 * (t_s @ state.x_dot) * t_s)
+
+    def step(self, tau: np.ndarray) -> None:
+        """One period under torques (n,)."""
+        self._plant.step(tau)
+
 
 class Run(NamedTuple):
     """A row each sample."""
@@ -79,15 +111,16 @@ class Run(NamedTuple):
 
 def drive(
     robot: Robot, plan: Plan, built: Robot | None = None, resolution: float = TURN, *, turned: float | None = None,
-    **changes: object,
+    plant_of: type[ExactPlant] | type[PyBulletPlant] = ExactPlant, **changes: object,
 ) -> Run:  # fmt: skip
     """One trip of a robot as built, in the hands of a controller that knows it as ``robot``; over where a leg passes Type 1.
 
     Args:
         turned: moment, s, at which a blow turns the motion along t_s round, which the joints do not show on the locus.
+        plant_of: what makes the plant.
     """
     start = plan.trajectory.at(0.0).x
-    plant = ExactPlant(built or robot, start, resolution)
+    plant = plant_of(built or robot, start, resolution)
     s = float(plant.model.place(start).s[0])
     loop = ControlLoop(robot, default_settings(estimator="observer", **changes), 1 if s > 0.0 else -1, near=start)
     loop.accept(plan.trajectory)
@@ -104,6 +137,7 @@ def drive(
         if turned is not None and abs(k * PERIOD - turned) < 0.5 * PERIOD:
             plant.turn()
         plant.step(tau)
+    plant.close()
     x, x_ref, x_hat, torque, side = (np.array(part) for part in zip(*rows, strict=True))
     return Run(loop, x, x_ref, x_hat, side[:, 0], torque)
 

@@ -51,12 +51,12 @@ DOORS = {  # each room, and those that it may import beside itself and the contr
     "dextar_control.security": set(),
     "dextar_control.ros": _rooms("analysis", "bags", "rig_check", "faults", *MATHEMATICS),
     "dextar_control.commands": _rooms("analysis", "campaign", "ros"),
-    "dextar_sim": _rooms("symbols"),
+    "dextar_sim": _rooms("symbols", "mechanisms"),
 }
 NO_ROS_MODULES = {"dextar_control/contract": {"robot.py", "topics.py", "tables.py", "errors.py", "resources.py",
                                              "decoding.py"},
-                  "dextar_sim": {"plant.py", "cartesian.py", "platform_motion.py", "rig.py", "state.py", "sensors.py",
-                                 "geometry.py", "urdf.py", "world.py", "replay.py"}}  # fmt: skip
+                  "dextar_sim": {"plant.py", "body_plant.py", "cartesian.py", "platform_motion.py", "rig.py", "state.py",
+                                 "sensors.py", "geometry.py", "tree.py", "urdf.py", "world.py", "replay.py"}}  # fmt: skip
 
 
 def _imports(path: Path) -> set[str]:

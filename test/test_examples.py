@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plain_loop import drive
+from plain_loop import ExactPlant, PyBulletPlant, drive
 
 from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.control.phases import Phase
@@ -126,10 +126,13 @@ def test_the_locus_lies_inside_the_workspace_and_can_be_named_by_a_place_near_it
         nearest_point(biglide.ROBOT, np.array([1.0, 0.0]))
 
 
-def test_it_crosses_there_and_back_in_a_plain_loop(biglide: Any, trip: Plan) -> None:
+@pytest.mark.parametrize("plant_of", [ExactPlant, PyBulletPlant])
+def test_it_crosses_there_and_back_in_a_plain_loop(
+    biglide: Any, trip: Plan, plant_of: type[ExactPlant] | type[PyBulletPlant]
+) -> None:
     certificate = trip.certificate
     assert (certificate.residuals <= PLAN_RESIDUAL).all() and len(certificate.residuals) == 2
-    run = drive(biglide.ROBOT, trip, resolution=biglide.RESOLUTION, **biglide.SETTINGS)
+    run = drive(biglide.ROBOT, trip, resolution=biglide.RESOLUTION, plant_of=plant_of, **biglide.SETTINGS)
     assert run.loop.phase is Phase.HOLD and run.loop.completed == 1, run.loop.reason
     assert run.sides == [-1.0, 1.0, -1.0]
     assert run.error.max() <= MAX_ERROR

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plain_loop import drive, heavier
+from plain_loop import ExactPlant, PyBulletPlant, drive, heavier
 
 from dextar_control.contract.errors import GeometryError, ParameterError, TrajectoryError
 from dextar_control.contract.resources import config_file
@@ -24,6 +24,10 @@ from dextar_control.planning.search import Criterion
 
 BOX = [-0.12, -0.12, -0.1], [0.12, 0.12, 0.1]  # m
 PLACES = [0.02, 0.07, -0.03], [-0.0417, -0.005, -0.037]  # m, near which it crosses
+PLACES_OF_BODIES = [0.091, -0.058, -0.019], [-0.089, -0.07, -0.023], [-0.073, 0.021, -0.041]  # m, near which bodies cross too
+PLANTS = ExactPlant, PyBulletPlant
+PlantOf = type[ExactPlant] | type[PyBulletPlant]
+SHARES = 1.0, 0.8, 1.2  # of the known masses and inertias
 MAX_ERROR, MAX_ERROR_MASSES = 0.1e-3, 0.5e-3  # m, true, throughout: nominal, and with all masses a fifth off
 LIMIT_AGREEMENT = 1e-6  # of the peak torque, between an independent engine and the plan away from the locus
 
@@ -80,21 +84,33 @@ def test_with_no_wrench_on_the_platform_it_is_planned_too(three_rrr: Robot) -> N
     assert np.abs(model.wrenches(model.place(point.x).q_a, *point).w_d).max() < 1e-9
 
 
-@pytest.mark.parametrize("row", range(len(PLACES)))
-@pytest.mark.parametrize("share", [1.0, 0.8, 1.2])
-def test_it_crosses_there_and_back(three_rrr: Robot, trips: list[Plan], row: int, share: float) -> None:
-    plan = trips[row]
-    run = drive(three_rrr, plan, heavier(three_rrr, share))
+def crosses(robot: Robot, plan: Plan, share: float, plant_of: PlantOf, side: float = 1.0) -> None:
+    run = drive(robot, plan, heavier(robot, share), plant_of=plant_of)
     assert run.loop.phase is Phase.HOLD and run.loop.completed == 1, run.loop.reason
-    assert run.sides == [-1.0, 1.0, -1.0]
+    assert run.sides == [-side, side, -side]
     assert run.error.max() <= (MAX_ERROR if share == 1.0 else MAX_ERROR_MASSES)
     assert run.near_torque <= plan.certificate.peak_torque
     assert [passed.verdict for passed in run.loop.passed] == 2 * [Verdict.CROSSED]
 
 
+@pytest.mark.parametrize("plant_of", PLANTS)
 @pytest.mark.parametrize("row", range(len(PLACES)))
-def test_a_bounced_crossing_is_called_one(three_rrr: Robot, trips: list[Plan], row: int) -> None:
-    run = drive(three_rrr, trips[row], turned=float(trips[row].certificate.crossing_times[0]))
+@pytest.mark.parametrize("share", SHARES)
+def test_it_crosses_there_and_back(three_rrr: Robot, trips: list[Plan], row: int, share: float, plant_of: PlantOf) -> None:
+    crosses(three_rrr, trips[row], share, plant_of)
+
+
+@pytest.mark.parametrize("near", PLACES_OF_BODIES)
+def test_it_crosses_the_other_way_round_on_bodies(three_rrr: Robot, near: list[float]) -> None:
+    plan = plan_return_trip_through(three_rrr, nearest_point(three_rrr, np.array(near)), -1, None, 0.1)
+    for share in SHARES:
+        crosses(three_rrr, plan, share, PyBulletPlant, -1.0)
+
+
+@pytest.mark.parametrize("plant_of", PLANTS)
+@pytest.mark.parametrize("row", range(len(PLACES)))
+def test_a_bounced_crossing_is_called_one(three_rrr: Robot, trips: list[Plan], row: int, plant_of: PlantOf) -> None:
+    run = drive(three_rrr, trips[row], turned=float(trips[row].certificate.crossing_times[0]), plant_of=plant_of)
     assert run.loop.phase is Phase.SAFE_STOP
     assert run.loop.passed[0].verdict is Verdict.BOUNCED
     assert run.s[-1] < 0.0

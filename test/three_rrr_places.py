@@ -3,17 +3,19 @@
 Each also with a blow on the locus that turns the motion along t_s round, after which some robots bounce and some cross all the
 same, by their motion along the strong directions: whether what is said of it is so.
 
-    python test/three_rrr_places.py
+    python test/three_rrr_places.py [--pybullet]
 
-Prints a row a plan, and what the largest error and the largest torque near the locus were.
+On the exact plant, or with --pybullet on PyBullet's bodies. Prints a row a plan, and what the largest error and the largest
+torque near the locus were.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections import Counter
 
 import numpy as np
-from plain_loop import PERIOD, Run, drive, heavier
+from plain_loop import PERIOD, ExactPlant, PyBulletPlant, Run, drive, heavier
 
 from dextar_control.contract.resources import config_file
 from dextar_control.control.verdicts import Verdict
@@ -36,6 +38,9 @@ def opinion(run: Run, direction: int) -> str:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description="Twenty places of the 3-RRR's locus, there and back.")
+    parser.add_argument("--pybullet", action="store_true", help="on PyBullet's bodies instead of the exact plant")
+    plant_of = PyBulletPlant if parser.parse_args().pybullet else ExactPlant
     robot = load_any_robot(config_file("three_rrr.yaml"))
     found: dict[float, list[tuple[bool, float, float, int]]] = {share: [] for share in SHARES}
     ends: dict[float, list[str]] = {share: [] for share in SHARES}
@@ -45,11 +50,12 @@ def main() -> None:
             peak = plan.certificate.peak_torque
             words = [f"{np.round(place.x, 4)} m, to s {direction:+d}, Type 1 {place.type1:.2f}, {plan.trajectory.duration:.2f} s"]
             for share in SHARES:
-                run = drive(robot, plan, heavier(robot, share))
+                run = drive(robot, plan, heavier(robot, share), plant_of=plant_of)
                 crossed = run.sides == [-direction, direction, -direction] and run.loop.completed == 1
                 told = sum(passed.verdict.name == "CROSSED" for passed in run.loop.passed)
                 found[share].append((crossed, 1e3 * run.error.max(), run.near_torque / peak, told))
-                turned = drive(robot, plan, heavier(robot, share), turned=float(plan.certificate.crossing_times[0]))
+                blow = float(plan.certificate.crossing_times[0])
+                turned = drive(robot, plan, heavier(robot, share), turned=blow, plant_of=plant_of)
                 ends[share].append(end := opinion(turned, direction))
                 error, torque = found[share][-1][1:3]
                 words.append(f"{share}: {'crossed' if crossed else 'NOT'} {error:.3f} mm {torque:.2f} {end}")

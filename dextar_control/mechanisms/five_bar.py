@@ -11,12 +11,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dextar_control.mechanisms.bodies import Bodies, Pin
 from dextar_control.mechanisms.five_bar_locus import LEAST_CHORD, SIDES, FiveBarLocus
 from dextar_control.mechanisms.mechanism import Coordinate, Parameter
 from dextar_control.mechanisms.planar import (
     circles,
     direction,
     friction,
+    leg_joints,
+    leg_links,
     leg_parameters,
     nearest_two_link_angle,
     rod,
@@ -132,6 +135,22 @@ class FiveBar(FiveBarLocus):
         """(5, 2) motor, elbow, end effector, elbow, motor, m, to draw; ``p`` has numbers."""
         (left, first), (right, second) = ((self.base(leg, p), self.elbow(leg, float(q_a[leg]), p)) for leg in range(2))
         return np.array(ca.horzcat(left, first, ca.DM(x), second, right)).T
+
+    def bodies(self, p: Any) -> Bodies:
+        """Both legs, half of the end effector's mass on each tip: pinned together they are one body."""
+        links = leg_links([self.base(leg, p) for leg in range(2)], [p.left, p.right], 0.5 * p.end_effector_mass)
+        left, right = (ca.vertcat(link.distal_length, 0.0) for link in (p.left, p.right))
+        return Bodies(tuple(links), (Pin((1, 3), (left, right)),), p.gravity, p.coulomb_speed)
+
+    def tree_joints(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """q11, q12, q21, q22."""
+        return ca.vertcat(*leg_joints(q_a, [x - self.elbow(leg, q_a[leg], p) for leg in range(2)]))
+
+    def tree_platform(self, joints: Symbol, p: Any) -> Symbol:
+        """In the middle of the tips."""
+        left, right = (self.elbow(leg, joints[2 * leg], p) + getattr(p, side).distal_length
+                       * direction(joints[2 * leg] + joints[2 * leg + 1]) for leg, side in enumerate(SIDES))
+        return 0.5 * (left + right)
 
     def singularity_scale(self, p: Any) -> Symbol:
         """s is then the sine of the angle between the distal links."""

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.mechanisms.bodies import Bodies
 from dextar_control.symbols.types import Array, Symbol
 
 
@@ -168,6 +169,18 @@ class Mechanism(ABC):
     def linkage(self, q_a: Array, x: Array, p: Any) -> Array:
         """(k, 2) places in the plane, m, whose polygon is drawn as the robot; none where there is no picture of it."""
         return np.zeros((0, 2))
+
+    def bodies(self, p: Any) -> Bodies | None:
+        """What it is built of, for who builds it; None where that is not said, and then the next two are not asked."""
+        return None
+
+    def tree_joints(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """Positions (m,) of all joints of its bodies, rad or m, where the loops are closed."""
+        raise NotImplementedError
+
+    def tree_platform(self, joints: Symbol, p: Any) -> Symbol:
+        """x (n,) of the bodies at positions (m,) of all joints."""
+        raise NotImplementedError
 
     @abstractmethod
     def singularity_scale(self, p: Any) -> Symbol:

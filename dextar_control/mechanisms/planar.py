@@ -7,6 +7,7 @@ from typing import Any
 
 import casadi as ca
 
+from dextar_control.mechanisms.bodies import GROUND, Link
 from dextar_control.mechanisms.mechanism import Parameter
 from dextar_control.symbols.types import Symbol
 
@@ -62,6 +63,32 @@ def rod(
     v_center = (1.0 - center) * v_first + center * v_second
     kinetic = 0.5 * mass * ca.sumsqr(v_center) + 0.5 * inertia * ca.sumsqr(v_second - v_first) / length**2
     return kinetic + mass * ca.dot(gravity, (1.0 - center) * first + center * second)
+
+
+def loaded_rod(
+    mass: Symbol, center: Symbol, inertia: Symbol, length: Symbol, load: Symbol | float
+) -> tuple[Symbol, Symbol, Symbol]:
+    """(mass, kg, centre (2,), m, inertia about it, kg m^2) of a rod, its centre in m, with a point mass, kg, at its end."""
+    total = mass + load
+    both = ca.if_else(total > 0.0, (mass * center + load * length) / ca.if_else(total > 0.0, total, 1.0), center)
+    return total, ca.vertcat(both, 0.0), inertia + mass * (center - both) ** 2 + load * (length - both) ** 2
+
+
+def leg_links(bases: Sequence[Symbol], legs: Sequence[Any], load: Symbol | float) -> list[Link]:
+    """Links on q11, q12, q21, q22, ... of legs whose motors stand at ``bases``, a point mass, kg, at the end of each."""
+    links = []
+    for i, (base, leg) in enumerate(zip(bases, legs, strict=True)):
+        l1, l2 = leg.proximal_length, leg.distal_length
+        links.append(Link(f"q{i + 1}1", GROUND, base, leg.proximal_mass, ca.vertcat(leg.proximal_center * l1, 0.0),
+                          leg.proximal_inertia + leg.rotor_inertia, viscous=leg.viscous_friction, coulomb=leg.coulomb_friction))
+        distal = loaded_rod(leg.distal_mass, leg.distal_center * l2, leg.distal_inertia, l2, load)
+        links.append(Link(f"q{i + 1}2", 2 * i, ca.vertcat(l1, 0.0), *distal))
+    return links
+
+
+def leg_joints(q_a: Symbol, rods: Sequence[Symbol]) -> list[Symbol]:
+    """Angles of those joints, rad, where the distal links lie along ``rods`` (2,)."""
+    return [angle for i, rod in enumerate(rods) for angle in (q_a[i], wrapped(ca.atan2(rod[1], rod[0]) - q_a[i]))]
 
 
 def two_link_angle(reach: Symbol, l1: Symbol, l2: Symbol, working_mode: Symbol) -> Symbol:

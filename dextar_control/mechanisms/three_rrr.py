@@ -11,8 +11,18 @@ from typing import Any
 
 import casadi as ca
 
+from dextar_control.mechanisms.bodies import Bodies, Link, Pin
 from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter
-from dextar_control.mechanisms.planar import direction, friction, leg_parameters, nearest_two_link_angle, rod, two_link_angle
+from dextar_control.mechanisms.planar import (
+    direction,
+    friction,
+    leg_joints,
+    leg_links,
+    leg_parameters,
+    nearest_two_link_angle,
+    rod,
+    two_link_angle,
+)
 from dextar_control.symbols.types import Symbol
 
 LEGS = ("leg1", "leg2", "leg3")
@@ -89,6 +99,28 @@ class ThreeRRR(Mechanism):
 
     def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> None:
         """None: up to six solutions, of a polynomial of the sixth degree."""
+
+    def bodies(self, p: Any) -> Bodies:
+        """The first leg carries the platform by its corner, at q13; the other legs are pinned to it."""
+        legs = [getattr(p, name) for name in LEGS]
+        links = leg_links([self.base(leg, p) for leg in range(3)], legs, 0.0)
+        tips = [ca.vertcat(leg.distal_length, 0.0) for leg in legs]
+        corners = [p.platform_radius * direction(angle) for angle in ANGLES]
+        platform = Link("q13", 1, tips[0], p.platform_mass, -corners[0], p.platform_inertia)
+        pins = tuple(Pin((6, 2 * leg + 1), (corners[leg] - corners[0], tips[leg])) for leg in (1, 2))
+        return Bodies((*links, platform), pins, p.gravity, p.coulomb_speed)
+
+    def tree_joints(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        """q11, q12, q21, q22, q31, q32, q13."""
+        legs = leg_joints(q_a, [self.corner(leg, x, p) - self.elbow(leg, q_a[leg], p) for leg in range(3)])
+        return ca.vertcat(*legs, x[2] / p.rotation_radius - legs[0] - legs[1])
+
+    def tree_platform(self, joints: Symbol, p: Any) -> Symbol:
+        """The corner on the first leg, and from there."""
+        distal = joints[0] + joints[1]
+        corner = self.elbow(0, joints[0], p) + p.leg1.distal_length * direction(distal)
+        turned = ca.vertcat(0.0, 0.0, p.rotation_radius * (distal + joints[6]))
+        return turned + ca.vertcat(corner - self.corner(0, turned, p), 0.0)
 
     def singularity_scale(self, p: Any) -> Symbol:
         """The distal lengths, and the lever of a corner over rho."""
