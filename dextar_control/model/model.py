@@ -35,7 +35,7 @@ class Model:
     Attributes:
         p: the parameters as one vector.
         n: degrees of freedom.
-        place: x -> q_a, A_r, s, type1, t_s, gradient (of s, 1/m); nan out of reach.
+        place: x -> q_a, A_r, s, s_blocks, type1, t_s, gradient (of s, 1/m); nan out of reach.
         state: (q_a, x, x_dot) -> A_r, B, J_inv, q_a_dot, b, drift, s, type1, t_s: kinematics of a closed configuration.
         wrenches: (q_a, x, x_dot, x_ddot) -> q_a_ddot, w_b, w_d, multipliers, tau, friction, criterion, t_s.
         platform_dynamics: (q_a, x, x_dot, tau) -> M, h, x_ddot; regular on the Type 2 locus.
@@ -140,7 +140,7 @@ def library_of(mechanism: Mechanism) -> Library:
         }),
         named("platform_dynamics", closed | {"tau": e.tau}, {"M": e.M, "h": e.h, "x_ddot": e.forward_dynamics}),
     ]
-    q_a, mode = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("assembly_mode")
+    q_a, mode = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("assembly_mode", e.s_blocks.numel())
     direct = mechanism.direct_geometric_model(q_a, mode, p)
     if direct is None:
         functions.append(_closed_near(mechanism, e))
@@ -152,7 +152,7 @@ def library_of(mechanism: Mechanism) -> Library:
 def _place(mechanism: Mechanism, e: Equations, vector: Symbol, x: Symbol) -> dict[str, Symbol]:
     """What there is to say of a place of the platform."""
     at = e.at(vector, mechanism.inverse_geometric_model(x, mechanism.named(vector)), x, ca.SX.zeros(mechanism.n))
-    return {"q_a": at.q_a, "A_r": at.A_r, "s": at.s, "type1": at.type1, "t_s": at.singular.v_weak,
+    return {"q_a": at.q_a, "A_r": at.A_r, "s": at.s, "s_blocks": at.s_blocks, "type1": at.type1, "t_s": at.singular.v_weak,
             "gradient": ca.gradient(at.s, x)}
 
 
