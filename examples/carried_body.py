@@ -115,7 +115,7 @@ DEXTAR = load_robot(config_file(ROBOT_FILE))
 NUMBERS = {f"{arm}.{given.name}": flatten(DEXTAR)[given.name] for arm in ARMS for given in FIVE_BAR.parameters} | {
     "second_origin": [0.25, 0.3], "second_angle": np.pi,  # the second five-bar stands on its head beside the first
     "body_mass": 0.2, "body_center": 0.12, "body_inertia": 1.5e-3,
-    "max_torque": 1.0, "max_joint_speed": 40.0, "max_platform_speed": 3.0, "min_type1_distance": 0.05,
+    "max_torque": 0.6, "max_joint_speed": 40.0, "max_platform_speed": 3.0, "min_type1_distance": 0.15,
 }
 ROBOT = Robot.of(CarriedBody(), NUMBERS)
 

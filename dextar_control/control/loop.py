@@ -446,11 +446,11 @@ class ControlLoop:
         given.limit[0], given.dt[0] = limit, dt
         law.run()
         self._integral[:] = law.results.integral_next
-        self._supervise(dt, s_ref, limit)
+        self._supervise(dt, limit)
         if self.phase in LIMP:
             self._limp(dt)
 
-    def _supervise(self, dt: float, s_ref: float, limit: float) -> None:
+    def _supervise(self, dt: float, limit: float) -> None:
         """Whether the law may go on, by the table of watches and by the estimator's opinion of the side."""
         near = self.phase is Phase.CROSSING
         problem = self.supervisor.check(self._q_a, dt, limit, near)
@@ -458,7 +458,7 @@ class ControlLoop:
         if self._stop_wanted and not problem and self._comes_to_rest():
             self._go_limp(Phase.SAFE_STOP, self.reason)
             return
-        bounced = self._judge.compare(self._time, s_ref, self.estimator, self.phase in MOVING)
+        bounced = self._judge.compare(self._time, self._planned.s_blocks.tolist(), self.estimator, self.phase in MOVING)
         if bounced or problem:
             self.tripped = "side" if bounced else self.supervisor.tripped
             self._go_limp(Phase.SAFE_STOP, bounced or problem, trusted=not self.supervisor.estimate_lost)

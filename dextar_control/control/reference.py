@@ -22,7 +22,7 @@ ROWS = 10  # most coefficients of a segment
 
 @lru_cache
 def references_of(mechanism: Mechanism) -> Library:
-    """``refer``: (p, coefficients, time, before, after, share) -> reference."""
+    """``refer``: (p, coefficients, time, before, after, share) -> reference, s_blocks."""
     n = mechanism.n
     vector, p = mechanism.symbols()
     coefficients = ca.SX.sym("coefficients", n * ROWS)  # by rising power
@@ -38,7 +38,8 @@ def references_of(mechanism: Mechanism) -> Library:
     found = {"x": x, "x_dot": x_dot, "x_ddot": x_ddot, "q_a": e.q_a, "q_a_dot": e.q_a_dot,
              "multipliers": before + share * (after - before), "s": e.s}
     arguments = {"p": vector, "coefficients": coefficients, "time": time, "before": before, "after": after, "share": share}
-    return Library([named("refer", arguments, {"reference": Layout("reference", n, REFERENCE).join(found)})], cache_folder())
+    results = {"reference": Layout("reference", n, REFERENCE).join(found), "s_blocks": e.s_blocks}
+    return Library([named("refer", arguments, results)], cache_folder())
 
 
 class PlannedReference:
@@ -49,12 +50,14 @@ class PlannedReference:
 
     Attributes:
         now: the reference of the last ``at``.
+        s_blocks: (k,) of each block of A_r, there.
     """
 
     def __init__(self, model: Model) -> None:
         self._n = model.n
         self.now = Layout("reference", model.n, REFERENCE).make()
         self._refer = references_of(model.mechanism).fast("refer", p=model.p, reference=self.now.numbers)
+        self.s_blocks: Array = self._refer.results.s_blocks
         self._segment = self._row = -1
 
     def set(self, trajectory: Trajectory, times: Array, multipliers: Array) -> None:

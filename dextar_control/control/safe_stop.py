@@ -88,7 +88,7 @@ def stops_of(mechanism: Mechanism) -> Library:
     equations = equations_of(mechanism)
     known = mode != 0.0
     x = mechanism.direct_geometric_model(q_a, ca.if_else(known, mode, 1.0), p)
-    x = x_hat if x is None else x
+    x = x_hat if x is None or equations.s_blocks.numel() > 1 else x  # several blocks may be on different sides
     J = ca.inv(equations.at(vector, q_a, x, ca.SX.zeros(n)).J_inv)
     e = equations.at(vector, q_a, x, J @ q_a_dot)
     s = mechanism.singularity_of_joints(q_a, p)

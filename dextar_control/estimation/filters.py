@@ -9,6 +9,7 @@ motion along t_s, amplified by 1/s. Where the weak direction of J_inv does not s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import casadi as ca
@@ -21,6 +22,7 @@ from dextar_control.model.model import equations_of
 from dextar_control.model.solved import mirror_image
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.record import Field, Layout
+from dextar_control.symbols.singular import blocks
 from dextar_control.symbols.smooth import is_finite
 from dextar_control.symbols.types import Symbol
 
@@ -60,6 +62,7 @@ class _Filters:
             for name, fields in (("filter", FILTER), ("noise", NOISE), ("look", LOOK), ("estimate", ESTIMATE))
         )
         self._equations = equations_of(mechanism)
+        self.blocks = blocks(self._equations.J_inv)  # of joints and coordinates
         self.vector, self.p = mechanism.symbols()
 
     def at(self, x: Symbol, x_dot: Symbol, tau: Symbol | float = 0.0) -> Equations:
@@ -111,16 +114,17 @@ class _Filters:
         return wrapped(q_meas - e.q_a - state["b"]), H
 
     def update(
-        self, state: dict[str, Symbol], innovation: Symbol, H: Symbol, variance: Symbol
+        self, state: dict[str, Symbol], innovation: Symbol, H: Symbol, variance: Symbol, parts: Sequence[Sequence[int]]
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """Kalman update: the state, the innovation's normalised square and ln det of its covariance."""
+        """Kalman update: the state, and of each part of the innovation its normalised square and ln det of its covariance."""
         n, P = self.n, state["covariance"]
         PH, S = _gain_parts(P, H, variance)
         K = PH @ ca.inv(S)
         step = K @ innovation
         changed = {"x": state["x"] + step[:n], "x_dot": state["x_dot"] + step[n : 2 * n], "b": state["b"] + step[2 * n :],
                    "covariance": _symmetric(P - K @ PH.T)}
-        return state | changed, ca.dot(innovation, ca.solve(S, innovation)), ca.log(ca.det(S))
+        squares = [ca.dot(innovation[rows], ca.solve(S[rows, rows], innovation[rows])) for rows in parts]
+        return state | changed, ca.vertcat(*squares), ca.vertcat(*(ca.log(ca.det(S[rows, rows])) for rows in parts))
 
     def correct(
         self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol, dt: Symbol
@@ -130,13 +134,13 @@ class _Filters:
         variance = noise["encoder"] ** 2
         _, S = _gain_parts(state["covariance"], H, variance)
         struck = ca.if_else(ca.dot(innovation, ca.solve(S, innovation)) > noise["shock_gate"], 1.0, 0.0)
-        return self.update(self.shocked(noise, state, dt, struck), innovation, H, variance)[0], struck
+        return self.update(self.shocked(noise, state, dt, struck), innovation, H, variance, ())[0], struck
 
     def innovate(
         self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """Take the active joints (n,), rad; see ``update`` for what is returned."""
-        return self.update(state, *self.innovation(state, q_meas), noise["encoder"] ** 2)
+        """Take the active joints (n,), rad; see ``update`` for what is returned, with a part for each block."""
+        return self.update(state, *self.innovation(state, q_meas), noise["encoder"] ** 2, [rows for rows, _ in self.blocks])
 
     def position(self, state: dict[str, Symbol], x_meas: Symbol) -> tuple[Symbol, Symbol]:
         """(innovation (n,), m, of an external position, and its Jacobian (n, 3n))."""
@@ -154,11 +158,12 @@ class _Filters:
         added[2 * n :, 2 * n :] = noise["bias"] ** 2 * ca.SX.eye(n)
         return state | {"covariance": state["covariance"] + added}
 
-    def mirror(self, state: dict[str, Symbol]) -> tuple[dict[str, Symbol], Symbol]:
-        """The same joints and velocities in the other assembly mode, with its covariance, and whether that is defined."""
+    def mirror(self, state: dict[str, Symbol], columns: Sequence[int]) -> tuple[dict[str, Symbol], Symbol]:
+        """The same joints and velocities in a block's other assembly mode, with its covariance, and whether that is defined."""
         n = self.n
         e = self.at(state["x"], state["x_dot"])
-        other = mirror_image(self.mechanism, e.q_a, state["x"], self.p)
+        other = ca.SX(state["x"])
+        other[columns] = mirror_image(self.mechanism, e.q_a, state["x"], self.p)[columns]
         J = ca.inv(self._equations.at(self.vector, e.q_a, other, ca.SX.zeros(n)).J_inv)
         T = ca.SX.eye(3 * n)
         T[:n, :n] = T[n : 2 * n, n : 2 * n] = J @ e.J_inv
@@ -168,19 +173,19 @@ class _Filters:
         return image, ca.if_else(off < 1e-6, 1.0, 0.0)  # still in this working mode
 
     def seen(self, state: dict[str, Symbol]) -> dict[str, Symbol]:
-        """Where the mean is with respect to the locus, and the estimate that it makes but for the side."""
+        """Where the mean is with respect to the locus of each block, and the estimate that it makes but for the side."""
         n, x = self.n, ca.SX.sym("x", self.n)
-        slope = ca.substitute(ca.jacobian(self.at(x, ca.SX.zeros(n)).s, x), x, state["x"])
+        slopes = ca.substitute(ca.jacobian(self.at(x, ca.SX.zeros(n)).s_blocks, x), x, state["x"])
         e = self.at(state["x"], state["x_dot"])
-        look = {
-            "s": e.s, "s_variance": slope @ state["covariance"][:n, :n] @ slope.T, "type1": e.type1,
-            "folded": self.mechanism.folded(e.q_a, state["x"], self.p),
-        }
+        folded = self.mechanism.folded(e.q_a, state["x"], self.p) * ca.SX.ones(len(self.blocks))
+        looks = [self.look.join({
+            "s": s, "s_variance": slope @ state["covariance"][:n, :n] @ slope.T, "type1": e.type1, "folded": far,
+        }) for s, slope, far in zip(ca.vertsplit(e.s_blocks), ca.vertsplit(slopes), ca.vertsplit(folded), strict=True)]
         estimate = self.estimate.join({
             "x": state["x"], "x_dot": state["x_dot"], "q_a": e.q_a + state["b"], "q_a_dot": e.q_a_dot, "assembly_mode": 0.0,
             "confidence": 0.0, "s": e.s,
         })
-        return {"look": self.look.join(look), "estimate": estimate}
+        return {"look": ca.vertcat(*looks), "estimate": estimate}
 
 
 def _gain_parts(P: Symbol, H: Symbol, variance: Symbol) -> tuple[Symbol, Symbol]:
@@ -204,10 +209,10 @@ def filters_of(mechanism: Mechanism) -> Library:
     dt, gap, speed, deviation = (ca.SX.sym(name) for name in ("dt", "gap", "speed", "deviation"))
     p, whole, told = {"p": f.vector}, {"filter": state_vector}, {"noise": noise_vector}
 
-    image, near = f.mirror(state)
+    images = [f.mirror(state, columns) for _, columns in f.blocks]
     corrected, struck = f.correct(noise, state, q_meas, dt)
     innovated, square, spread = f.innovate(noise, state, q_meas)
-    moved, square_x, spread_x = f.update(state, *f.position(state, x_meas), deviation**2)
+    moved, square_x, spread_x = f.update(state, *f.position(state, x_meas), deviation**2, [range(n)])
 
     # One sample of the filter that serves and of the one that tells how well the model fits.
     same_vector, same = f.filter.symbols("same")
@@ -227,7 +232,8 @@ def filters_of(mechanism: Mechanism) -> Library:
               {"filter_next": f.filter.join(moved), "square": square_x, "spread": spread_x,
                "distance": ca.norm_2(x_meas - state["x"])}),
         named("unseen_blow", p | told | whole, {"filter_next": f.filter.join(f.unseen_blow(noise, state))}),
-        named("mirror", p | whole, {"image": f.filter.join(image), "near": near}),
+        *(named(f"mirror_{block}", p | whole, {"image": f.filter.join(image), "near": near})
+          for block, (image, near) in enumerate(images)),
         named("look", p | whole, f.seen(state)),
         named("advance", p | told | {"test_noise": test_vector} | whole | {"same": same_vector, "tau": tau, "dt": dt, "gap": gap,
                                                                           "q_meas": q_meas},

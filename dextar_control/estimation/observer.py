@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +13,7 @@ from dextar_control.estimation.belief import CERTAIN, DOUBT_S, Belief, log_odds_
 from dextar_control.estimation.filters import FILTER, LOOK, NOISE, filters_of
 from dextar_control.estimation.records import ESTIMATE
 from dextar_control.model.model import Model
+from dextar_control.symbols.functions import Fast
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
@@ -28,6 +31,23 @@ class Passage(NamedTuple):
     log_odds: float  # that decide
 
 
+@dataclass(slots=True)
+class Side:
+    """What is known of one block of A_r: on which side of its locus the robot is.
+
+    Attributes:
+        belief: about the block's assembly mode.
+        look: where the main filter's mean is with respect to the block's locus.
+        image: filter from the main one's mirror image in this block, told of less noise.
+        mirror: what makes that.
+    """
+
+    belief: Belief
+    look: Record
+    image: Record
+    mirror: Fast
+
+
 class Observer:
     """The filters of one robot, changed in place.
 
@@ -38,33 +58,49 @@ class Observer:
     Attributes:
         main: the filter that serves.
         same: from the main one's state, told of less noise; while there is no test it tells how well the model fits.
-        image: from its mirror image, likewise.
-        noise: that the main filter is told of; test_noise: that the other two are.
-        belief: about the assembly mode.
-        look: where the main filter's mean is with respect to the locus.
-        estimate: what it makes, with the side as ``tell_side`` was last called.
+        noise: that the main filter is told of; test_noise: that the others are.
+        sides: of the blocks of A_r, mostly one, whose belief, look and image are the observer's.
+        modes: (assembly mode, confidence in it) of each block as ``tell_side`` was last called.
+        estimate: what the main filter makes, with the least sure of them.
     """
 
     def __init__(self, model: Model, min_type1: float) -> None:
         self.n, self._min_type1 = model.n, min_type1
         self.layout = Layout("filter", model.n, FILTER)
         noise = Layout("noise", model.n, NOISE)
-        self.main, self.same, self.image = (self.layout.make() for _ in range(3))
+        self.main, self.same = self.layout.make(), self.layout.make()
         self.noise, self.test_noise = noise.make(), noise.make()
-        self.look = Layout("look", model.n, LOOK).make()
         self.estimate = Layout("estimate", model.n, ESTIMATE).make(s=math.nan)
-        self.belief = Belief()
         self.passage = Passage(0.0, 0.0, 0.0)
         self._finite = True
         self._p, self._library = model.p, filters_of(model.mechanism)
         self._model = model
+        look = Layout("look", model.n, LOOK)
+        self._looks = np.zeros(len(model.blocks) * look.size)
+        self.sides = [
+            Side(Belief(), look.of(numbers), self.layout.make(), self._library.fast(f"mirror_{block}"))
+            for block, numbers in enumerate(self._looks.reshape(-1, look.size))
+        ]
+        self.modes: list[tuple[float, float]] = []
         self._advance = self._library.fast(
             "advance", p=model.p, noise=self.noise.numbers, test_noise=self.test_noise.numbers, filter=self.main.numbers,
-            same=self.same.numbers, look=self.look.numbers, estimate=self.estimate.numbers,
+            same=self.same.numbers, look=self._looks, estimate=self.estimate.numbers,
         )
         self._steps = {name: self._library.fast(name) for name in (
-            "begin", "predict", "innovate", "correct", "correct_position", "unseen_blow", "mirror", "look",
+            "begin", "predict", "innovate", "correct", "correct_position", "unseen_blow", "look",
         )}
+
+    look = property(lambda self: self.sides[0].look)
+    image = property(lambda self: self.sides[0].image)
+
+    @property
+    def belief(self) -> Belief:
+        """About the first block."""
+        return self.sides[0].belief
+
+    @belief.setter
+    def belief(self, belief: Belief) -> None:
+        self.sides[0].belief = belief
 
     def _step(self, name: str, state: Record, *arguments: Any, noise: Record | None = None) -> Any:
         """One of the filter's steps on a state, which is changed; its other results."""
@@ -90,10 +126,10 @@ class Observer:
         """Take the active joints (n,), rad; whether the robot was struck in the last dt, s."""
         return bool(self._step("correct", state, q_meas, dt, noise=noise).struck[0])
 
-    def innovate(self, state: Record, noise: Record, q_meas: Array) -> tuple[float, float]:
-        """Take the active joints (n,), rad: the innovation's normalised square and ln det of its covariance."""
+    def innovate(self, state: Record, noise: Record, q_meas: Array, block: int = 0) -> tuple[float, float]:
+        """Take the active joints (n,), rad: the normalised square of the block's innovation and ln det of its covariance."""
         found = self._step("innovate", state, q_meas, noise=noise)
-        return found.square.item(), found.spread.item()
+        return found.square.item(block), found.spread.item(block)
 
     def correct_position(self, state: Record, x_meas: Array, deviation: float) -> tuple[float, float, float]:
         """Take an external position (n,), m: squared normalised distance, ln det of its covariance, distance, m."""
@@ -104,9 +140,9 @@ class Observer:
         """A blow along t_s that b may have been taken for."""
         self._step("unseen_blow", state, noise=self.noise)
 
-    def mirror(self, state: Record, image: Record) -> bool:
-        """Make the image the mirror image of a state; false where that is not defined."""
-        found = self._steps["mirror"](self._p, state.numbers)
+    def mirror(self, state: Record, image: Record, block: int = 0) -> bool:
+        """Make the image the mirror image of a state in a block; false where that is not defined."""
+        found = self.sides[block].mirror(self._p, state.numbers)
         image.numbers[:] = found.image
         mean = 3 * self.n
         return bool(found.near[0] > 0.0 and np.isfinite(image.numbers[:mean]).all())
@@ -114,9 +150,9 @@ class Observer:
     def look_again(self) -> None:
         """After the main filter was changed."""
         found = self._steps["look"](self._p, self.main.numbers)
-        self.look.numbers[:], self.estimate.numbers[:] = found.look, found.estimate
+        self._looks[:], self.estimate.numbers[:] = found.look, found.estimate
 
-    def direct_model(self, q_a: Array, assembly_mode: float) -> Array:
+    def direct_model(self, q_a: Array, assembly_mode: float | Array) -> Array:
         """Platform (n,) of the joints (n,), rad, with sign(s) = assembly_mode; the nearest to the last one where it is solved."""
         return self._model.direct_geometric_model(q_a, assembly_mode, self.main.x)
 
@@ -129,9 +165,11 @@ class Observer:
 
     def begin_again(self, q_meas: Array) -> None:
         """The joints (n,) are all that is known: they are taken in the mode believed so far, unsure of it."""
-        self.begin(self.direct_model(q_meas, self.belief.mode or 1.0), self.noise.shock_speed)
-        self.belief.unsure()
-        self.belief.seen = 0.0
+        modes = np.array([side.belief.mode or 1.0 for side in self.sides])
+        self.begin(self.direct_model(q_meas, modes), self.noise.shock_speed)
+        for side in self.sides:
+            side.belief.unsure()
+            side.belief.seen = 0.0
 
     def predict_all(self, tau: Array, dt: float) -> None:
         """All filters that run, over dt, s, in steps of at most MAX_STEP."""
@@ -139,8 +177,9 @@ class Observer:
         for _ in range(steps):
             self.predict(self.main, self.noise, tau, dt / steps)
             self.predict(self.same, self.test_noise, tau, dt / steps)
-            if self.belief.testing:
-                self.predict(self.image, self.test_noise, tau, dt / steps)
+            for side in self.sides:
+                if side.belief.testing:
+                    self.predict(side.image, self.test_noise, tau, dt / steps)
 
     def observe(self, tau: Array, dt: float, q_meas: Array) -> None:
         """One sample: the filters and the belief.
@@ -150,7 +189,7 @@ class Observer:
             dt: since the last sample, s.
             q_meas: (n,) rad.
         """
-        belief, advance = self.belief, self._advance
+        advance = self._advance
         if dt > LONG or not self._finite:
             self.begin_again(q_meas)
             return
@@ -165,32 +204,44 @@ class Observer:
         advance.run()
         self._finite = results.finite.item() > 0.0
         self.main.numbers[:], self.same.numbers[:] = results.filter_next, results.same_next
-        struck, same, spread_same = results.struck.item() > 0.0, results.square.item(), results.spread.item()
-        testing = belief.testing
-        if struck and testing:  # the two filters of the test know nothing of the blow
-            belief.testing, belief.log_odds, belief.armed = False, 0.0, True
-            testing = False
-        if testing:
-            for _ in range(steps):
-                self.predict(self.image, self.test_noise, tau, step)
-            image, spread_image = self.innovate(self.image, self.test_noise, q_meas)
-            if math.isfinite(same + image):
-                belief.weigh(same, spread_same, image, spread_image)
-        elif not belief.armed and not struck and math.isfinite(same):
-            belief.fit(same, dt)
-        if struck or not math.isfinite(same):
+        struck, finite, quiet = results.struck.item() > 0.0, True, True
+        for side in self.sides:
+            belief = side.belief
+            if struck and belief.testing:  # the filters of the test know nothing of the blow
+                belief.testing, belief.log_odds, belief.armed = False, 0.0, True
+            quiet = quiet and not (struck or belief.testing or belief.armed)
+        for block, side in enumerate(self.sides):
+            belief, same = side.belief, results.square.item(block)
+            finite = finite and math.isfinite(same)
+            if belief.testing:
+                for _ in range(steps):
+                    self.predict(side.image, self.test_noise, tau, step)
+                image, spread_image = self.innovate(side.image, self.test_noise, q_meas, block)
+                if math.isfinite(same + image):
+                    belief.weigh(same, results.spread.item(block), image, spread_image)
+            elif quiet and math.isfinite(same):
+                belief.fit(same, dt)
+        if struck or not finite:
             self.same.take(self.main)
-        self._judge_passage()
+        for block, side in enumerate(self.sides):
+            self._judge_passage(block, side)
 
-    def _judge_passage(self) -> None:
-        """Begin, go on with or end the test of crossed against bounced.
+    def _test_from_main(self, side: Side) -> None:
+        """The test of this side begins or ends: those of others go on from the main filter's state, as this one does."""
+        self.same.take(self.main)
+        for block, other in enumerate(self.sides):
+            if other is not side and other.belief.testing:
+                other.belief.testing = self.mirror(self.main, other.image, block)
+
+    def _judge_passage(self, block: int, side: Side) -> None:
+        """Begin, go on with or end a block's test of crossed against bounced.
 
         Where the distal links are folded there is nothing to test: the image is a whole turn of them away, and the
         joints tell the side as well as they tell s. Where a leg stretches or folds the robot may be on its way into another
         working mode, of which nothing is known here: the belief is unsure until it is told. So it is, until the next passage,
         where the state is suddenly on the other side.
         """
-        belief, passage, look = self.belief, self.passage, self.look
+        belief, passage, look = side.belief, self.passage, side.look
         s = look.s
         if not (math.isfinite(s) and look.type1 >= LOST * self._min_type1):
             belief.strayed = True
@@ -212,17 +263,17 @@ class Observer:
             belief.armed = near < passage.begin
         elif belief.armed and near >= passage.begin:
             belief.armed = False
-            if self.mirror(self.main, self.image):
-                self.same.take(self.main)
+            if self.mirror(self.main, side.image, block):
+                self._test_from_main(side)
                 belief.testing = True
-        elif belief.doubtful and passage.begin <= near < DOUBT_S and self.mirror(self.main, self.image):
-            self.same.take(self.main)
+        elif belief.doubtful and passage.begin <= near < DOUBT_S and self.mirror(self.main, side.image, block):
+            self._test_from_main(side)
             belief.end_test()
             belief.testing, belief.log_odds = True, 0.0
         elif belief.testing and abs(belief.log_odds) >= passage.log_odds:
             if belief.log_odds < 0.0:
-                self.main.take(self.image)
-                self.same.take(self.image)
+                self.main.take(side.image)
+                self._test_from_main(side)
                 mode = -mode
                 belief.swaps += 1
                 self.look_again()
@@ -235,7 +286,8 @@ class Observer:
 
     def tell_side(self) -> None:
         """Into the estimate."""
-        self.estimate.assembly_mode, self.estimate.confidence = self.belief.as_seen()
+        self.modes = [side.belief.as_seen() for side in self.sides]
+        self.estimate.assembly_mode, self.estimate.confidence = min(self.modes, key=itemgetter(1))
 
     def is_folded(self) -> bool:
         """Whether the main filter's distal links are nearer to folded than to stretched."""

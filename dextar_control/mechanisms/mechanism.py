@@ -161,7 +161,10 @@ class Mechanism(ABC):
         return ""
 
     def folded(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
-        """Positive where that other place is far away even near the locus, so that joints that fit one do not fit the other."""
+        """Positive where that other place is far away even near the locus, so that joints that fit one do not fit the other.
+
+        Of all, or (k,) of blocks of A_r.
+        """
         return ca.SX(-1.0)
 
     def singularity_of_joints(self, q_a: Symbol, p: Any) -> Symbol | None:

@@ -15,7 +15,6 @@ from dextar_control.model.model import Model, equations_of
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.candidate import candidates, costs, layouts
 from dextar_control.symbols.functions import Library, cache_folder, named
-from dextar_control.symbols.singular import blocks
 from dextar_control.symbols.types import Array
 
 KEPT = 64  # robots whose models a thread keeps
@@ -31,14 +30,12 @@ class StatesModel(Model):
         side: the same of one x.
         instants: of (x, x_dot, x_ddot), (m, n) each -> q_a, q_a_dot, s, s_blocks, type1, residual, multipliers, joint_torque
             (w_b and friction), B.
-        blocks: of A_r; their rows are those of the multipliers.
         numbers: the parameters by their dotted names.
     """
 
     def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
         super().__init__(mechanism, values)
         library, self.numbers = states_library(mechanism), mechanism.named(self.p)
-        self.blocks = blocks(equations_of(mechanism).A_r)
         self.sides, self.instants = (self._with_numbers(library.batch(name)) for name in ("sides", "instants"))
         self.side = self._with_numbers(library.fast("sides"))
 
