@@ -80,8 +80,9 @@ class CrossingJudge:
             estimator: whose belief is compared.
             moving: a trajectory is tracked; otherwise a point is held.
         """
-        problem = ""
-        for block, ((mode, confidence), s) in enumerate(zip(estimator.modes, s_ref, strict=True)):
+        problem, modes = "", estimator.modes
+        for block, s in enumerate(s_ref):
+            mode, confidence = modes[block]
             if abs(s) < self._clear_s or not confidence >= self._sure:
                 continue
             current = self._current(time, block)

@@ -204,26 +204,26 @@ class Observer:
         advance.run()
         self._finite = results.finite.item() > 0.0
         self.main.numbers[:], self.same.numbers[:] = results.filter_next, results.same_next
-        struck, finite, quiet = results.struck.item() > 0.0, True, True
-        for side in self.sides:
-            belief = side.belief
+        struck, squares = results.struck.item() > 0.0, results.square.tolist()
+        quiet = not struck
+        for block, side in enumerate(self.sides):
+            belief, same = side.belief, squares[block]
             if struck and belief.testing:  # the filters of the test know nothing of the blow
                 belief.testing, belief.log_odds, belief.armed = False, 0.0, True
-            quiet = quiet and not (struck or belief.testing or belief.armed)
-        for block, side in enumerate(self.sides):
-            belief, same = side.belief, results.square.item(block)
-            finite = finite and math.isfinite(same)
             if belief.testing:
                 for _ in range(steps):
                     self.predict(side.image, self.test_noise, tau, step)
                 image, spread_image = self.innovate(side.image, self.test_noise, q_meas, block)
                 if math.isfinite(same + image):
                     belief.weigh(same, results.spread.item(block), image, spread_image)
-            elif quiet and math.isfinite(same):
-                belief.fit(same, dt)
+            if belief.testing or belief.armed:
+                quiet = False
+        finite = math.isfinite(sum(squares))
         if struck or not finite:
             self.same.take(self.main)
         for block, side in enumerate(self.sides):
+            if quiet and finite:
+                side.belief.fit(squares[block], dt)
             self._judge_passage(block, side)
 
     def _test_from_main(self, side: Side) -> None:
@@ -286,8 +286,8 @@ class Observer:
 
     def tell_side(self) -> None:
         """Into the estimate."""
-        self.modes = [side.belief.as_seen() for side in self.sides]
-        self.estimate.assembly_mode, self.estimate.confidence = min(self.modes, key=itemgetter(1))
+        modes = self.modes = [side.belief.as_seen() for side in self.sides]
+        self.estimate.assembly_mode, self.estimate.confidence = modes[0] if len(modes) == 1 else min(modes, key=itemgetter(1))
 
     def is_folded(self) -> bool:
         """Whether the main filter's distal links are nearer to folded than to stretched."""
