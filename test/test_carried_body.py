@@ -167,6 +167,13 @@ def test_it_crosses_both_loci_at_once_there_and_back(robot: Robot, trips: list[P
     assert verdicts.count(Verdict.CROSSED) >= (4 if share == 1.0 else 3) and Verdict.BOUNCED not in verdicts
 
 
+def test_the_plain_law_reaches_the_torque_limit_where_the_consistent_one_stays_below_the_plan(
+    robot: Robot, trips: list[Plan]
+) -> None:
+    run = drive(robot, trips[0], law="classic")
+    assert run.near_torque > 2.0 * trips[0].certificate.peak_torque and run.loop.saturated_ticks > 0
+
+
 @pytest.mark.parametrize("blocks", [(0,), (1,), (0, 1)])
 def test_a_block_that_bounces_is_told_from_one_that_crosses(robot: Robot, trips: list[Plan], blocks: tuple[int, ...]) -> None:
     run = drive(robot, trips[0], turned=float(trips[0].certificate.crossing_times[0]), turned_blocks=blocks)
