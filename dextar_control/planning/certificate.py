@@ -159,7 +159,7 @@ def _crossing(robot: AnyRobot, profile: Profile, row: int, block: int, sign: flo
         time=float(profile.time[row]), x=_tuple(x), x_dot=_tuple(x_dot),
         family=model.mechanism.family_name(found.A_r), sign=int(np.nan_to_num(sign)),
         rate=float(np.diff(s[near][[0, -1]])[0] / span) if span > 0.0 else float("nan"),
-        speed=float(abs(t_s @ x_dot)), residual=float(abs(profile.residual[row, block])),
+        speed=float(abs(t_s @ x_dot)), residual=float(abs(profile.criterion[row, block])),
         multipliers=_tuple(profile.multipliers[row]), torque=_tuple(profile.torque[row]), near_time=float(leave - enter),
     )
 

@@ -15,6 +15,7 @@ from dextar_control.model.model import Model, equations_of
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.candidate import candidates, costs, layouts
 from dextar_control.symbols.functions import Library, cache_folder, named
+from dextar_control.symbols.singular import nearest
 from dextar_control.symbols.types import Array
 
 KEPT = 64  # robots whose models a thread keeps
@@ -29,7 +30,7 @@ class StatesModel(Model):
         sides: of places x (m, n) -> q_a, s, s_blocks, type1 (m, 1 or k); nan out of reach.
         side: the same of one x.
         instants: of (x, x_dot, x_ddot), (m, n) each -> q_a, q_a_dot, s, s_blocks, type1, residual, multipliers, joint_torque
-            (w_b and friction), B.
+            (w_b and friction), B, criterion.
         numbers: the parameters by their dotted names.
     """
 
@@ -110,8 +111,8 @@ def _states_library(mechanism: Mechanism) -> Library:
     return Library([
         named("sides", place, side),
         named("instants", place | {"x_dot": e.x_dot, "x_ddot": e.x_ddot}, side | {
-            "q_a_dot": at.q_a_dot, "residual": at.criterion, "multipliers": at.multipliers,
-            "joint_torque": at.w_b + at.friction, "B": at.B,
+            "q_a_dot": at.q_a_dot, "residual": nearest(at.s_blocks, at.criterion), "criterion": at.criterion,
+            "multipliers": at.multipliers, "joint_torque": at.w_b + at.friction, "B": at.B,
         }),
     ], cache_folder())
 

@@ -28,7 +28,8 @@ class Profile(NamedTuple):
     q_a_dot: Array  # (m, n) rad/s
     s: Array  # (m,) singularity measure: of the block of A_r that is nearest to its locus
     s_blocks: Array  # (m, k) of each
-    residual: Array  # (m, k) t_s.w_d of each, N
+    residual: Array  # (m,) t_s.w_d of the nearest, N
+    criterion: Array  # (m, k) of each
     multipliers: Array  # (m, n) lambda, N/m; its finite limit near the locus
     torque: Array  # (m, n) N m; its finite limit near the locus
     type1: Array  # (m,) distance to Type 1
@@ -67,7 +68,7 @@ def sample_profile(robot: AnyRobot, trajectory: Trajectory, times: Array) -> Pro
     torque = found.joint_torque - (found.B.transpose(0, 2, 1) @ multipliers[:, :, None])[:, :, 0]  # Eq. 4: w_b - B^T lambda
     return Profile(
         time=times, x=x, x_dot=x_dot, q_a=found.q_a, q_a_dot=found.q_a_dot, s=found.s[:, 0], s_blocks=found.s_blocks,
-        residual=found.residual, multipliers=multipliers, torque=torque, type1=found.type1[:, 0],
+        residual=found.residual[:, 0], criterion=found.criterion, multipliers=multipliers, torque=torque, type1=found.type1[:, 0],
     )
 
 
