@@ -64,7 +64,7 @@ def nearest(s: Symbol, values: Symbol) -> Symbol:
 
 
 def singular_vectors(A: Symbol) -> SingularVectors:
-    """Of a square matrix (n, n) of blocks of two rows or more; v_weak is oriented as the cofactors of its block's last row."""
+    """Of a square matrix (n, n); v_weak is oriented as the cofactors of its block's last row."""
     parts = blocks(A)
     if len(parts) == 1:
         return _of_block(A)
@@ -87,6 +87,8 @@ def singular_vectors(A: Symbol) -> SingularVectors:
 def _of_block(A: Symbol) -> SingularVectors:
     """Of a matrix that is one block."""
     n = A.shape[0]
+    if n == 1:
+        return SingularVectors(ca.SX(1, 0), ca.SX(0, 1), ca.SX(1, 0), ca.SX(1.0), A, ca.SX(1.0))
     v_strong = _strong_right(A)
     columns = A @ v_strong
     sigma_strong = ca.vertcat(*(ca.norm_2(columns[:, i]) for i in range(n - 1)))
