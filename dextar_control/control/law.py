@@ -23,6 +23,9 @@ The Cartesian laws ask for the platform acceleration u = x_ddot_ref + K_d e_dot 
   be shown: with an exact model the error along the strong directions obeys e_ddot + K_d e_dot + K_p e = 0 everywhere but for a
   hundredth or so of the feedback (how the matrices change with the error), about a point at rest outside the zone all do to
   first order; inside, the platform's error along t_s only coasts, and the law never knows it.
+
+Where A_r has several blocks each has its weak direction and multiplier, its |s| and phi, or its band; ``multi_model`` takes the
+reduced model of all of them within the band of one.
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ class ControlLoop:
     Args:
         robot: the controller's model of it.
         settings: gains and limits.
-        assembly_mode: sign of s where the robot stands at the first sample.
+        assembly_mode: sign of s where the robot stands at the first sample, the same of all blocks of A_r.
         enabled: whether the first sample is held; otherwise the loop idles until ``enable``.
         near: (n,) m, about where the robot stands at the first sample, for a mechanism without a direct geometric model in
             closed form; the origin when None.
