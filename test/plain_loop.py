@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,6 +16,7 @@ from dextar_control.model.robot import Robot
 from dextar_control.planning.certificate import NEAR_LOCUS, Plan
 from dextar_sim.body_plant import BodyPlant
 
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PERIOD = 1e-3  # s
 SUBSTEPS = 4  # of Runge and Kutta's method, a period
 AFTER = 0.1  # s of holding after the trip
@@ -30,10 +34,9 @@ class ExactPlant:
         """(n,) as the encoders count them."""
         return np.round(self.model.place(self.x).q_a / self.resolution) * self.resolution
 
-    def turn(self) -> None:
-        """The velocity along t_s turns round."""
-        t_s = self.model.place(self.x).t_s
-        self.x_dot = self.x_dot - 2.0 * (t_s @ self.x_dot) * t_s
+    def turn(self, blocks: tuple[int, ...]) -> None:
+        """The velocity along t_s of these blocks of A_r turns round."""
+        self.x_dot = _turned(self.model, self.x, self.x_dot, blocks)
 
     def step(self, tau: np.ndarray) -> None:
         """One period under torques (n,)."""
@@ -72,14 +75,19 @@ class PyBulletPlant:
         """(n,) as the encoders count them."""
         return np.round(self._plant.state().q_a / self.resolution) * self.resolution
 
-    def turn(self) -> None:
-        """The velocity along t_s turns round."""
-        state, t_s = self._plant.state(), self.model.place(self.x).t_s
-        self._plant.reset(state.x, state.x_dot - 2.0 * (t_s @ state.x_dot) * t_s)
+    def turn(self, blocks: tuple[int, ...]) -> None:
+        """The velocity along t_s of these blocks of A_r turns round."""
+        state = self._plant.state()
+        self._plant.reset(state.x, _turned(self.model, state.x, state.x_dot, blocks))
 
     def step(self, tau: np.ndarray) -> None:
         """One period under torques (n,)."""
         self._plant.step(tau)
+
+
+def _turned(model: Model, x: np.ndarray, x_dot: np.ndarray, blocks: tuple[int, ...]) -> np.ndarray:
+    t_s = model.place(x).t_s.reshape(model.n, -1)[:, list(blocks)]
+    return x_dot - 2.0 * t_s @ (t_s.T @ x_dot)
 
 
 class Run(NamedTuple):
@@ -89,8 +97,13 @@ class Run(NamedTuple):
     x: np.ndarray  # true
     x_ref: np.ndarray
     x_hat: np.ndarray
-    s: np.ndarray  # true
+    s_blocks: np.ndarray  # true, of each block of A_r
     tau: np.ndarray
+
+    @property
+    def s(self) -> np.ndarray:
+        """True, of the nearest block."""
+        return self.s_blocks[np.arange(len(self.s_blocks)), np.abs(self.s_blocks).argmin(axis=1)]
 
     @property
     def error(self) -> np.ndarray:
@@ -104,19 +117,24 @@ class Run(NamedTuple):
 
     @property
     def sides(self) -> list[float]:
-        """Signs of the true s, in turn."""
-        signs = np.sign(self.s)
+        """Signs of the true s of the first block, in turn."""
+        return self.sides_of(0)
+
+    def sides_of(self, block: int) -> list[float]:
+        """The same of any block."""
+        signs = np.sign(self.s_blocks[:, block])
         return [signs[0], *signs[1:][np.diff(signs) != 0.0]]
 
 
 def drive(
     robot: Robot, plan: Plan, built: Robot | None = None, resolution: float = TURN, *, turned: float | None = None,
-    plant_of: type[ExactPlant] | type[PyBulletPlant] = ExactPlant, **changes: object,
+    turned_blocks: tuple[int, ...] = (0,), plant_of: type[ExactPlant] | type[PyBulletPlant] = ExactPlant, **changes: object,
 ) -> Run:  # fmt: skip
     """One trip of a robot as built, in the hands of a controller that knows it as ``robot``; over where a leg passes Type 1.
 
     Args:
         turned: moment, s, at which a blow turns the motion along t_s round, which the joints do not show on the locus.
+        turned_blocks: of A_r, whose motion that is.
         plant_of: what makes the plant.
     """
     start = plan.trajectory.at(0.0).x
@@ -132,14 +150,24 @@ def drive(
         tau = loop.step(k * PERIOD, q_a)
         tick = loop.tick
         assert tick is not None
-        rows.append([plant.x, tick.reference.x, tick.estimate.x, tau, np.full(len(tau), plant.model.place(plant.x).s[0])])
+        rows.append([plant.x, tick.reference.x, tick.estimate.x, plant.model.place(plant.x).s_blocks, tau])
         rows[-1] = [np.array(part) for part in rows[-1]]
         if turned is not None and abs(k * PERIOD - turned) < 0.5 * PERIOD:
-            plant.turn()
+            plant.turn(turned_blocks)
         plant.step(tau)
     plant.close()
-    x, x_ref, x_hat, torque, side = (np.array(part) for part in zip(*rows, strict=True))
-    return Run(loop, x, x_ref, x_hat, side[:, 0], torque)
+    return Run(loop, *(np.array(part) for part in zip(*rows, strict=True)))
+
+
+def example(name: str) -> Any:
+    """The module of ``examples/<name>.py``."""
+    file = EXAMPLES / f"{name}.py"
+    specification = importlib.util.spec_from_file_location(name, file)
+    assert specification is not None and specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[name] = module
+    specification.loader.exec_module(module)
+    return module
 
 
 def heavier(robot: Robot, share: float) -> Robot:

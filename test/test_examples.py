@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from plain_loop import ExactPlant, PyBulletPlant, drive
+from plain_loop import EXAMPLES, ExactPlant, PyBulletPlant, drive, example
 
 from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.control.phases import Phase
@@ -23,7 +21,6 @@ from dextar_control.planning.certificate import PLAN_RESIDUAL
 from dextar_control.planning.locus import nearest_point
 from dextar_control.planning.planner import Plan, plan_return_trip_through
 
-FILE = Path(__file__).resolve().parents[1] / "examples" / "biglide.py"
 LOW, HIGH = [-0.05, -0.1], [0.05, 0.1]  # m, places of the platform
 STATES = 100
 RELATIVE = 1e-9  # two exact formulations in float64
@@ -33,12 +30,7 @@ MAX_ERROR, MAX_ERROR_MASSES = 0.1e-3, 1.0e-3  # m, true, throughout: nominal, an
 
 @pytest.fixture(scope="module")
 def biglide() -> Any:
-    specification = importlib.util.spec_from_file_location("biglide", FILE)
-    assert specification is not None and specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    sys.modules["biglide"] = module
-    specification.loader.exec_module(module)
-    return module
+    return example("biglide")
 
 
 @pytest.fixture(scope="module")
@@ -158,8 +150,11 @@ def test_a_number_of_its_own_that_is_missing_or_out_of_bounds_is_named(biglide: 
         biglide.ROBOT.replace(joint_min=[-0.4, 0.4])
 
 
-def test_the_example_runs_by_itself() -> None:
-    answer = subprocess.run([sys.executable, str(FILE)], cwd=FILE.parents[1], capture_output=True, text=True, timeout=300)
+@pytest.mark.parametrize(("name", "crossings"), [("biglide", 2), ("carried_body", 4)])
+def test_the_example_runs_by_itself(name: str, crossings: int) -> None:
+    command = [sys.executable, str(EXAMPLES / f"{name}.py")]
+    answer = subprocess.run(command, cwd=EXAMPLES.parent, capture_output=True, text=True, timeout=300)
     assert answer.returncode == 0, answer.stderr
-    found = re.search(r"HOLD, largest true error ([0-9.]+) mm, \['CROSSED', 'CROSSED'\]", answer.stdout)
+    verdicts = ", ".join(crossings * ["'CROSSED'"])
+    found = re.search(rf"HOLD, largest true error ([0-9.]+) mm, \[{verdicts}\]", answer.stdout)
     assert found is not None and float(found[1]) < 0.1, answer.stdout

@@ -56,6 +56,13 @@ class _IdleMotor(FiveBar):
         return super().closures(ca.vertcat(q_a[0], 0.3), x, p)
 
 
+class _IdleCoordinate(FiveBar):
+    name = "idle_coordinate"
+
+    def closures(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+        return super().closures(q_a, ca.vertcat(x[0], 0.1), p)
+
+
 class _WrongModel(FiveBar):
     name = "wrong_model"
 
@@ -67,6 +74,7 @@ class _WrongModel(FiveBar):
     (_OneCoordinate(), "one_coordinate has 2 active joints, 1 coordinates and 2 closures"),
     (_OneClosure(), "one_closure has 2 active joints, 2 coordinates and 1 closures"),
     (_IdleMotor(), "B of mechanism idle_motor is singular everywhere"),
+    (_IdleCoordinate(), "A_r of mechanism idle_coordinate is singular everywhere: a closure has no coordinate of its own"),
 ])  # fmt: skip
 def test_closures_that_do_not_fit_are_refused(mechanism: FiveBar, said: str) -> None:
     with pytest.raises(ParameterError, match=said):

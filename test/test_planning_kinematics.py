@@ -15,7 +15,7 @@ from dextar_control.contract.resources import ROBOT_FILE, config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.mechanisms import mechanism_named
 from dextar_control.model.model import Model
-from dextar_control.symbols.singular import singular_vectors
+from dextar_control.symbols.singular import blocks, singular_vectors
 
 ROBOT = load_robot(config_file(ROBOT_FILE))
 MODES = [(left, right) for left in (-1, 1) for right in (-1, 1)]
@@ -104,6 +104,18 @@ def test_singular_vectors_rebuild_any_matrix(entries: list[float]) -> None:
     np.testing.assert_allclose(sigma1 * np.outer(u1, v1) + sigma2 * np.outer(u2, v2), A, atol=1e-12)
     np.testing.assert_allclose([sigma1[0], abs(sigma2[0])], np.linalg.svd(A, compute_uv=False), atol=1e-12)
     assert v2 @ np.array([-A[0, 1], A[0, 0]]) >= -1e-15  # t_s turned by +90 degrees from r_1
+
+
+def test_singular_vectors_of_blocks_of_any_size_rebuild_the_matrix() -> None:
+    pattern = np.array([[1, 1, 1, 0], [0, 0, 0, 1], [1, 1, 1, 0], [1, 0, 1, 0]])
+    A = pattern * np.random.default_rng(0).normal(size=(4, 4))
+    symbol = ca.SX.sym("A", ca.sparsify(ca.DM(pattern)).sparsity())
+    assert blocks(symbol) == [([0, 2, 3], [0, 1, 2]), ([1], [3])]
+    found = ca.Function("vectors", [symbol], [ca.densify(part) for part in singular_vectors(symbol)])(A)
+    u, sigma, v, u_weak, sigma_weak, v_weak = (np.array(part) for part in found)
+    np.testing.assert_allclose(u * sigma.T @ v.T + u_weak * sigma_weak.T @ v_weak.T, A, atol=1e-12)
+    np.testing.assert_allclose(sorted(np.abs([*sigma.ravel(), *sigma_weak.ravel()])),
+                               sorted(np.linalg.svd(A, compute_uv=False)), atol=1e-12)
 
 
 def test_what_cannot_be_is_refused_with_the_distance(robot: RobotParameters) -> None:

@@ -14,8 +14,10 @@ from dextar_control.model.equations import Equations
 from dextar_control.model.model import equations_of
 
 ROOT = Path(__file__).resolve().parents[1]
-SHAPES = {"(n, n)": ("n", "n"), "(n,)": ("n", "1"), "(1,)": ("1", "1")}
-NOT_OF_THE_PAPER = {"p", "q_a", "x", "x_dot", "x_ddot", "tau", "friction", "forward_dynamics", "s", "singular", "type1"}
+SHAPES = {"(n, n)": ("n", "n"), "(n,)": ("n", "1"), "(k,)": ("k", "1"), "(n, k)": ("n", "k")}
+NOT_OF_THE_PAPER = {
+    "p", "q_a", "x", "x_dot", "x_ddot", "tau", "friction", "forward_dynamics", "s", "s_blocks", "singular", "type1",
+}  # fmt: skip
 TAG = re.compile(r"# Eqs?\. (.*)$")
 
 
@@ -52,7 +54,7 @@ def test_a_symbol_is_defined_on_lines_that_carry_its_equations(row: Row) -> None
 @pytest.mark.parametrize("name", ["five_bar", "three_rrr"])
 def test_a_symbol_has_the_shape_that_is_told(name: str) -> None:
     e = equations_of(mechanism_named(name))
-    sizes = {"n": mechanism_named(name).n, "1": 1}
+    sizes = {"n": mechanism_named(name).n, "k": 1, "1": 1}
     for row in rows():
         if hasattr(e, row.name):
             assert getattr(e, row.name).shape == tuple(sizes[side] for side in SHAPES[row.shape]), row.name

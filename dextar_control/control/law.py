@@ -23,6 +23,9 @@ The Cartesian laws ask for the platform acceleration u = x_ddot_ref + K_d e_dot 
   be shown: with an exact model the error along the strong directions obeys e_ddot + K_d e_dot + K_p e = 0 everywhere but for a
   hundredth or so of the feedback (how the matrices change with the error), about a point at rest outside the zone all do to
   first order; inside, the platform's error along t_s only coasts, and the law never knows it.
+
+Where A_r has several blocks each has its weak direction and multiplier, its |s| and phi, or its band; ``multi_model`` takes the
+reduced model of all of them within the band of one.
 """
 
 from __future__ import annotations
@@ -39,7 +42,7 @@ from dextar_control.model.equations import Equations
 from dextar_control.model.model import equations_of
 from dextar_control.symbols.functions import named
 from dextar_control.symbols.record import Field, Layout
-from dextar_control.symbols.singular import singular_vectors
+from dextar_control.symbols.singular import nearest, singular_vectors
 from dextar_control.symbols.smooth import HUGE, is_finite, over, smooth_step
 from dextar_control.symbols.types import Symbol
 
@@ -75,26 +78,28 @@ class Enforcement(NamedTuple):
 def consistent(e: Equations, multipliers_ref: Symbol, zone: Symbol, width: Symbol) -> Enforcement:
     """Torque of w_b and w_d at ``e`` with the weak multiplier from feedback and plan."""
     v = e.singular
-    phi = smooth_step(ca.fabs(e.s), zone - 0.5 * width, zone + 0.5 * width)
+    phi = smooth_step(ca.fabs(e.s_blocks), zone - 0.5 * width, zone + 0.5 * width)
     strong = v.u_strong @ ((v.v_strong.T @ e.w_d) / v.sigma_strong)
-    weak = (1.0 - phi) * ca.dot(v.u_weak, multipliers_ref) + phi * over(e.criterion, v.sigma_weak)
-    return Enforcement(e.w_b - e.B.T @ (strong + v.u_weak * weak), phi)  # Eq. 1
+    weak = (1.0 - phi) * (v.u_weak.T @ multipliers_ref) + phi * over(e.criterion, v.sigma_weak)
+    return Enforcement(e.w_b - e.B.T @ (strong + v.u_weak @ weak), ca.mmin(phi))  # Eq. 1
 
 
 def projected(e: Equations, band: Symbol) -> Enforcement:
-    """The paper's torque: within the band that of least norm for the projected wrench, else Eq. (4)."""
-    J = singular_vectors(e.J_inv)
-    image = e.w_d - e.criterion * e.singular.v_weak  # Eq. 6
-    least = J.u_strong @ ((J.v_strong.T @ (e.J_inv.T @ e.w_b + image)) / J.sigma_strong)  # Eq. 9
-    inside = ca.fabs(e.s) <= band
-    return Enforcement(ca.if_else(inside, least, e.inverse_dynamics), ca.if_else(inside, 0.0, 1.0))
+    """The paper's torque: within the band of a block that of least norm for the wrench projected there, else Eq. (4)."""
+    J, inside = singular_vectors(e.J_inv), ca.fabs(e.s_blocks) <= band
+    image = e.w_d - e.singular.v_weak @ ca.if_else(inside, e.criterion, 0.0)  # Eq. 6
+    force = e.J_inv.T @ e.w_b + image
+    least = J.u_strong @ ((J.v_strong.T @ force) / J.sigma_strong)  # Eq. 9
+    regular = ca.if_else(inside, 0.0, over(J.v_weak.T @ force, J.sigma_weak))  # of other blocks
+    any_inside = ca.fabs(e.s) <= band
+    return Enforcement(ca.if_else(any_inside, least + J.u_weak @ regular, e.inverse_dynamics), ca.if_else(any_inside, 0.0, 1.0))
 
 
 def joint_feedback(planned: Equations, a: Symbol, weight: Symbol) -> Symbol:
     """Platform acceleration (n,) that realises the joint acceleration a (n,): along the weak direction only by ``weight``."""
     J = singular_vectors(planned.J_inv)
     strong = J.v_strong @ ((J.u_strong.T @ a) / J.sigma_strong)
-    return strong + J.v_weak * (weight * over(ca.dot(J.u_weak, a), J.sigma_weak))
+    return strong + J.v_weak @ (weight * over(J.u_weak.T @ a, J.sigma_weak))
 
 
 def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
@@ -117,7 +122,7 @@ def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
     a = gains["K_p"] * wrapped(ref["q_a"] - hat["q_a"]) + gains["K_d"] * (ref["q_a_dot"] - hat["q_a_dot"])
     if law is Law.JOINT_SPACE:
         planned = at(ref["x"], ref["x_dot"], ref["x_ddot"])
-        weight = smooth_step(ca.fabs(ref["s"]), zone - 0.5 * width, zone + 0.5 * width)
+        weight = smooth_step(ca.fabs(planned.s_blocks), zone - 0.5 * width, zone + 0.5 * width)
         u = ref["x_ddot"] + joint_feedback(planned, a, weight)
         e = at(ref["x"], ref["x_dot"], u)
     else:
@@ -137,8 +142,9 @@ def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
     size = ca.fabs(tau)
     tau = ca.if_else(size < HUGE, ca.if_else(size <= limit, tau, limit * ca.sign(tau)), ca.SX.nan(n))
     found = {
-        "tau": tau, "error": error, "error_dot": error_dot, "u": u, "force": e.J_inv.T @ tau, "residual": e.criterion, "s": e.s,
-        "sigma_min": ca.fabs(e.singular.sigma_weak) / mechanism.singularity_length(p), "weight": weight,
+        "tau": tau, "error": error, "error_dot": error_dot, "u": u, "force": e.J_inv.T @ tau,
+        "residual": nearest(e.s_blocks, e.criterion), "s": e.s,
+        "sigma_min": ca.mmin(ca.fabs(e.singular.sigma_weak)) / mechanism.singularity_length(p), "weight": weight,
     }
     found["finite"] = is_finite(ca.vertcat(*found.values()))
     arguments = {"p": vector, "gains": gains_vector, "reference": ref_vector, "estimate": hat_vector, "integral": integral,

@@ -44,7 +44,7 @@ class ControlLoop:
     Args:
         robot: the controller's model of it.
         settings: gains and limits.
-        assembly_mode: sign of s where the robot stands at the first sample.
+        assembly_mode: sign of s where the robot stands at the first sample, the same of all blocks of A_r.
         enabled: whether the first sample is held; otherwise the loop idles until ``enable``.
         near: (n,) m, about where the robot stands at the first sample, for a mechanism without a direct geometric model in
             closed form; the origin when None.
@@ -441,18 +441,18 @@ class ControlLoop:
             limit = self._crossing_limit
         given.dt[0], given.limit[0], given.crossing[0] = dt, limit, self.phase is Phase.CROSSING
         self._act.run()
-        self._supervise(dt, s_ref)
+        self._supervise(dt)
         if self.phase in LIMP:
             self._limp(dt)
 
-    def _supervise(self, dt: float, s_ref: float) -> None:
+    def _supervise(self, dt: float) -> None:
         """Whether the law may go on, by the table of watches and by the estimator's opinion of the side."""
         problem = self.supervisor.check(self._q_a, dt)
         self.saturated_ticks += self.supervisor.saturated
         if self._stop_wanted and not problem and self._comes_to_rest():
             self._go_limp(Phase.SAFE_STOP, self.reason)
             return
-        bounced = self._judge.compare(self._time, s_ref, self.estimator, self.phase in MOVING)
+        bounced = self._judge.compare(self._time, self._planned.s_blocks.tolist(), self.estimator, self.phase in MOVING)
         if bounced or problem:
             self.tripped = "side" if bounced else self.supervisor.tripped
             self._go_limp(Phase.SAFE_STOP, bounced or problem, trusted=not self.supervisor.estimate_lost)

@@ -35,7 +35,7 @@ PAIR = (
 
 @lru_cache
 def references_of(mechanism: Mechanism) -> Library:
-    """``refer``: (p, segment, pair, time) -> reference."""
+    """``refer``: (p, segment, pair, time) -> reference, s_blocks."""
     n = mechanism.n
     vector, p = mechanism.symbols()
     (segment_vector, segment), (pair_vector, pair) = (
@@ -54,7 +54,8 @@ def references_of(mechanism: Mechanism) -> Library:
     found = {"x": x, "x_dot": x_dot, "x_ddot": x_ddot, "q_a": e.q_a, "q_a_dot": e.q_a_dot,
              "multipliers": pair["before"] + share * (pair["after"] - pair["before"]), "s": e.s}
     arguments = {"p": vector, "segment": segment_vector, "pair": pair_vector, "time": time}
-    return Library([named("refer", arguments, {"reference": Layout("reference", n, REFERENCE).join(found)})], cache_folder())
+    results = {"reference": Layout("reference", n, REFERENCE).join(found), "s_blocks": e.s_blocks}
+    return Library([named("refer", arguments, results)], cache_folder())
 
 
 class PlannedReference:
@@ -65,6 +66,7 @@ class PlannedReference:
 
     Attributes:
         now: the reference of the last ``at``.
+        s_blocks: (k,) of each block of A_r, there.
     """
 
     def __init__(self, model: Model, now: Record | None = None) -> None:
@@ -72,6 +74,7 @@ class PlannedReference:
         self.now = now or Layout("reference", n, REFERENCE).make()
         self._layouts = Layout("segment", n, SEGMENT), Layout("pair", n, PAIR)
         self._refer = references_of(model.mechanism).fast("refer", p=model.p, reference=self.now.numbers)
+        self.s_blocks: Array = self._refer.results.s_blocks
 
     def set(self, trajectory: Trajectory, times: Array, multipliers: Array) -> None:
         """Follow a trajectory.

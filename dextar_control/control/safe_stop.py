@@ -88,7 +88,7 @@ def stops_of(mechanism: Mechanism) -> Library:
     equations = equations_of(mechanism)
     known = mode != 0.0
     x = mechanism.direct_geometric_model(q_a, ca.if_else(known, mode, 1.0), p)
-    x = x_hat if x is None else x
+    x = x_hat if x is None or equations.s_blocks.numel() > 1 else x  # several blocks may be on different sides
     J = ca.inv(equations.at(vector, q_a, x, ca.SX.zeros(n)).J_inv)
     e = equations.at(vector, q_a, x, J @ q_a_dot)
     s = mechanism.singularity_of_joints(q_a, p)
@@ -107,7 +107,7 @@ def stops_of(mechanism: Mechanism) -> Library:
     lasting = ca.if_else(share > 0.0, 0.5 * constant * (share + 1.0 / ca.if_else(share > 0.0, share, 1.0)), HUGE)
     found = {
         "s": s, "rate": rate, "tau": share * tau, "lasting": lasting, "force": e.J_inv.T @ (share * tau),
-        "sigma_min": ca.fabs(e.singular.sigma_weak) / mechanism.singularity_length(p), "speed": speed,
+        "sigma_min": ca.mmin(ca.fabs(e.singular.sigma_weak)) / mechanism.singularity_length(p), "speed": speed,
     }
     arguments = {"p": vector, "brake": brake_vector, "q_a": q_a, "q_a_dot": q_a_dot, "x_hat": x_hat, "mode": mode, "limit": limit}
     return Library([named("stop", arguments, {"stop": Layout("stop", n, STOP).join(found)})], cache_folder())

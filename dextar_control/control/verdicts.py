@@ -47,8 +47,10 @@ class CrossingJudge:
         self._model = model
         self._times: list[float] = []
         self._signs: list[float] = []
-        self._start, self._settled = 0.0, -math.inf  # s; until the latter what was said of the side stands while it is kept
-        self._open = -1
+        self._blocks: list[int] = []
+        self._start = 0.0
+        self._settled = [-math.inf] * len(model.blocks)  # s; until then what was said of a block stands while its side is kept
+        self._open: list[int] = []
 
     def configure(self, settings: Settings) -> None:
         """Take the settings that concern it, also while running."""
@@ -58,47 +60,47 @@ class CrossingJudge:
         """A checked trajectory is tracked from ``start`` on, s."""
         self.passed = [Passed(float(time), Verdict.UNDECIDED, 0.5, math.nan) for time in certificate.crossing_times]
         self._times, self._signs = certificate.crossing_times.tolist(), certificate.crossing_signs.tolist()
-        self._start, self._settled = start, -math.inf
+        self._blocks = certificate.crossing_blocks.tolist()
+        self._start, self._settled = start, [-math.inf] * len(self._model.blocks)
 
     def let_go(self, time: float) -> None:
-        """The robot is let go while it moves: the crossing that has begun is still to be judged."""
-        self._open = self._current(time)
+        """The robot is let go while it moves: the crossing of each block that has begun is still to be judged."""
+        every = (self._current(time, block) for block in range(len(self._model.blocks)))
+        self._open = [current for current in every if current >= 0]
 
     def close(self) -> None:
         """What the robot does from now on is no part of a crossing."""
-        self._open = -1
+        self._open = []
 
-    def compare(self, time: float, s_ref: float, estimator: Estimator, moving: bool) -> str:
+    def compare(self, time: float, s_ref: list[float], estimator: Estimator, moving: bool) -> str:
         """Away from the locus: a verdict where the estimator is sure. What is wrong, or nothing.
 
         Args:
             time: of the sample, s.
-            s_ref: of the reference.
+            s_ref: of the reference, of each block of A_r.
             estimator: whose belief is compared.
             moving: a trajectory is tracked; otherwise a point is held.
         """
-        if abs(s_ref) < self._clear_s:
-            return ""
-        estimate = estimator.estimate
-        confidence = estimate.confidence
-        if not confidence >= self._sure:
-            return ""
-        same = estimate.assembly_mode * s_ref >= 0.0
-        if same and time < self._settled:
-            return ""
-        current = self._current(time)
-        if not same:
-            self._judge(time, current, Verdict.BOUNCED, confidence)
-            return (
-                f"bounced: the robot is at s = {estimate.s:+.2f}, the reference at {s_ref:+.2f}"
-                f" (confidence {confidence:.3f})"
-            )
-        if moving and current >= 0:
-            if not s_ref * self._signs[current] > 0.0:
-                return ""
-            self._judge(time, current, Verdict.CROSSED, confidence)
-        self._settled = self._start + ([*self._times, math.inf][current + 1] - OPEN_BEFORE)
-        return ""
+        problem, modes = "", estimator.modes
+        for block, s in enumerate(s_ref):
+            mode, confidence = modes[block]
+            if abs(s) < self._clear_s or not confidence >= self._sure or (mode * s >= 0.0 and time < self._settled[block]):
+                continue
+            current = self._current(time, block)
+            if mode * s < 0.0:
+                self._judge(time, current, Verdict.BOUNCED, confidence)
+                problem = (
+                    f"bounced: the robot is at s = {estimator.estimate.s:+.2f}, the reference at {s:+.2f}"
+                    f" (confidence {confidence:.3f})"
+                )
+                continue
+            if moving and current >= 0:
+                if not s * self._signs[current] > 0.0:
+                    continue
+                self._judge(time, current, Verdict.CROSSED, confidence)
+            coming = (at for at, of in zip(self._times[current + 1 :], self._blocks[current + 1 :], strict=True) if of == block)
+            self._settled[block] = self._start + next(coming, math.inf) - OPEN_BEFORE
+        return problem
 
     def compare_afterwards(self, time: float, estimator: Estimator) -> str:
         """The side on which a robot ends that was let go during a crossing: it may change as it coasts.
@@ -108,21 +110,26 @@ class CrossingJudge:
         Returns:
             That it bounced, where that is news; else nothing.
         """
-        estimate = estimator.estimate
-        if self._open < 0 or not estimate.confidence >= self._sure:
-            return ""
-        if not self._model.type1_distance(np.array(estimate.x)) >= TYPE1_END:
-            self._open = -1
-            return ""
-        same = estimate.assembly_mode * self._signs[self._open] > 0.0
-        verdict = Verdict.CROSSED if same else Verdict.BOUNCED
-        if not self._judge(time, self._open, verdict, estimate.confidence) or same:
-            return ""
-        return f"bounced (s = {estimate.s:+.2f}, confidence {estimate.confidence:.3f})"
+        news, estimate = "", estimator.estimate
+        for current in self._open:
+            mode, confidence = estimator.modes[self._blocks[current]]
+            if not confidence >= self._sure:
+                continue
+            if not self._model.type1_distance(np.array(estimate.x)) >= TYPE1_END:
+                self._open = []
+                break
+            same = mode * self._signs[current] > 0.0
+            verdict = Verdict.CROSSED if same else Verdict.BOUNCED
+            if self._judge(time, current, verdict, confidence) and not same:
+                news = f"bounced (s = {estimate.s:+.2f}, confidence {confidence:.3f})"
+        return news
 
-    def _current(self, time: float) -> int:
-        """Index of the last planned crossing that has begun; -1 before the first and without a trajectory."""
-        return bisect.bisect_right(self._times, time - self._start + OPEN_BEFORE) - 1
+    def _current(self, time: float, block: int) -> int:
+        """Index of a block's last planned crossing that has begun; -1 before the first and without a trajectory."""
+        current = bisect.bisect_right(self._times, time - self._start + OPEN_BEFORE) - 1
+        while current >= 0 and self._blocks[current] != block:
+            current -= 1
+        return current
 
     def _judge(self, time: float, index: int, verdict: Verdict, confidence: float) -> bool:
         """Whether the verdict is another one than before."""

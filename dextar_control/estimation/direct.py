@@ -104,7 +104,7 @@ class DirectEstimator:
     """``dgm`` and, with ``held`` false, ``plain``."""
 
     def __init__(self, model: Model, settings: Settings, estimate: Record | None, *, held: bool) -> None:
-        self._held = held
+        self._held, self._blocks = held, len(model.blocks)
         self._memory = Layout("joints", model.n, JOINTS).make()
         self.estimate = estimate or Layout("estimate", model.n, ESTIMATE).make()
         self.estimate.s = np.nan
@@ -133,6 +133,11 @@ class DirectEstimator:
         self._mode = float(assembly_mode)
         self.estimate.assembly_mode, self.estimate.confidence = self._mode, 1.0
         self.mode_known = True
+
+    @property
+    def modes(self) -> list[tuple[float, float]]:
+        """See ``Estimator``: the same of all blocks."""
+        return [(self.estimate.assembly_mode, self.estimate.confidence)] * self._blocks
 
     def rebase(self, q_a: Array) -> None:
         """See ``Estimator``."""

@@ -28,6 +28,10 @@ class Estimator(Protocol):
     note: str
 
     @property
+    def modes(self) -> list[tuple[float, float]]:
+        """(assembly mode, confidence in it, 0.5 to 1) of each block of A_r; the estimate has the least sure one's."""
+
+    @property
     def mode_known(self) -> bool:
         """Whether the assembly mode is known well enough to begin a motion from."""
 

@@ -28,6 +28,8 @@ class ExternalEstimator(ObserverEstimator):
     """
 
     def __init__(self, model: Model, settings: Settings, min_type1: float, estimate: Record | None = None) -> None:
+        if (count := len(model.blocks)) > 1:
+            raise ParameterError(f"estimator external needs an A_r of one block; that of {model.mechanism.name} has {count}")
         self.fates: Counter[Fate] = Counter()
         self.outages = 0
         self._forget()

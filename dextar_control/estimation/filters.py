@@ -9,7 +9,7 @@ motion along t_s, amplified by 1/s. Where the weak direction of J_inv does not s
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import casadi as ca
@@ -22,6 +22,7 @@ from dextar_control.model.model import equations_of
 from dextar_control.model.solved import mirror_image
 from dextar_control.symbols.functions import Library, cache_folder, in_place, named
 from dextar_control.symbols.record import Field, Layout
+from dextar_control.symbols.singular import blocks
 from dextar_control.symbols.smooth import is_finite
 from dextar_control.symbols.types import Symbol
 
@@ -43,14 +44,12 @@ NOISE = (
     Field("shock_gate", "1", "squared normalised innovation that only a blow explains"),
     Field("shock_speed", "m/s", "of x_dot after a blow"),
 )
-TOLD = (  # by a look at the main filter, and by the last sample; nan where there was none
-    Field("s", "1", "singularity measure"),
+TOLD = (  # of one block of A_r
+    Field("s", "1", "its singularity measure"),
     Field("s_variance", "1", "of s, by the covariance"),
     Field("type1", "1", "least distance of a leg to Type 1"),
     Field("folded", "1", "positive where the mirror image is far away even near the locus"),
-    Field("finite", "1", "1 where the mean is"),
-    Field("struck", "1", "1 where the robot was struck"),
-    Field("square", "1", "normalised, of the innovation of the filter that tells how well the model fits"),
+    Field("square", "1", "normalised, of the innovation of the filter that tells how well the model fits; nan without a sample"),
     Field("spread", "1", "ln det of its covariance"),
 )
 
@@ -65,6 +64,7 @@ class _Filters:
             for name, fields in (("filter", FILTER), ("noise", NOISE), ("estimate", ESTIMATE), ("told", TOLD))
         )
         self._equations = equations_of(mechanism)
+        self.blocks = blocks(self._equations.J_inv)  # of joints and coordinates
         self.vector, self.p = mechanism.symbols()
 
     def at(self, x: Symbol, x_dot: Symbol, tau: Symbol | float = 0.0) -> Equations:
@@ -116,16 +116,17 @@ class _Filters:
         return wrapped(q_meas - e.q_a - state["b"]), H
 
     def update(
-        self, state: dict[str, Symbol], innovation: Symbol, H: Symbol, variance: Symbol
+        self, state: dict[str, Symbol], innovation: Symbol, H: Symbol, variance: Symbol, parts: Sequence[Sequence[int]]
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """Kalman update: the state, the innovation's normalised square and ln det of its covariance."""
+        """Kalman update: the state, and of each part of the innovation its normalised square and ln det of its covariance."""
         n, P = self.n, state["covariance"]
         PH, S = _gain_parts(P, H, variance)
         K = PH @ ca.inv(S)
         step = K @ innovation
         changed = {"x": state["x"] + step[:n], "x_dot": state["x_dot"] + step[n : 2 * n], "b": state["b"] + step[2 * n :],
                    "covariance": _symmetric(P - K @ PH.T)}
-        return state | changed, ca.dot(innovation, ca.solve(S, innovation)), ca.log(ca.det(S))
+        squares = [ca.dot(innovation[rows], ca.solve(S[rows, rows], innovation[rows])) for rows in parts]
+        return state | changed, ca.vertcat(*squares), ca.vertcat(*(ca.log(ca.det(S[rows, rows])) for rows in parts))
 
     def correct(
         self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol, dt: Symbol
@@ -135,13 +136,13 @@ class _Filters:
         variance = noise["encoder"] ** 2
         _, S = _gain_parts(state["covariance"], H, variance)
         struck = ca.if_else(ca.dot(innovation, ca.solve(S, innovation)) > noise["shock_gate"], 1.0, 0.0)
-        return self.update(self.shocked(noise, state, dt, struck), innovation, H, variance)[0], struck
+        return self.update(self.shocked(noise, state, dt, struck), innovation, H, variance, ())[0], struck
 
     def innovate(
         self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """Take the active joints (n,), rad; see ``update`` for what is returned."""
-        return self.update(state, *self.innovation(state, q_meas), noise["encoder"] ** 2)
+        """Take the active joints (n,), rad; see ``update`` for what is returned, with a part for each block."""
+        return self.update(state, *self.innovation(state, q_meas), noise["encoder"] ** 2, [rows for rows, _ in self.blocks])
 
     def position(self, state: dict[str, Symbol], x_meas: Symbol) -> tuple[Symbol, Symbol]:
         """(innovation (n,), m, of an external position, and its Jacobian (n, 3n))."""
@@ -159,11 +160,12 @@ class _Filters:
         added[2 * n :, 2 * n :] = noise["bias"] ** 2 * ca.SX.eye(n)
         return state | {"covariance": state["covariance"] + added}
 
-    def mirror(self, state: dict[str, Symbol]) -> tuple[dict[str, Symbol], Symbol]:
-        """The same joints and velocities in the other assembly mode, with its covariance, and whether that is defined."""
+    def mirror(self, state: dict[str, Symbol], columns: Sequence[int]) -> tuple[dict[str, Symbol], Symbol]:
+        """The same joints and velocities in a block's other assembly mode, with its covariance, and whether that is defined."""
         n = self.n
         e = self.at(state["x"], state["x_dot"])
-        other = mirror_image(self.mechanism, e.q_a, state["x"], self.p)
+        other = ca.SX(state["x"])
+        other[columns] = mirror_image(self.mechanism, e.q_a, state["x"], self.p)[columns]
         J = ca.inv(self._equations.at(self.vector, e.q_a, other, ca.SX.zeros(n)).J_inv)
         T = ca.SX.eye(3 * n)
         T[:n, :n] = T[n : 2 * n, n : 2 * n] = J @ e.J_inv
@@ -172,16 +174,23 @@ class _Filters:
                  "covariance": _symmetric(T @ state["covariance"] @ T.T)}
         return image, ca.if_else(off < 1e-6, 1.0, 0.0)  # still in this working mode
 
-    def look(self, state: dict[str, Symbol], estimate: dict[str, Symbol], **sample: Symbol) -> dict[str, Symbol]:
-        """Where the mean is, beside what the sample told, and the estimate that the filter makes; the side stays."""
+    def look(self, state: dict[str, Symbol], estimate: dict[str, Symbol], *sample: Symbol) -> dict[str, Symbol]:
+        """Where the mean is with respect to the locus of each block, beside what the sample told of it; and the estimate.
+
+        The side in the estimate stays.
+        """
         n, x = self.n, ca.SX.sym("x", self.n)
-        slope = ca.substitute(ca.jacobian(self.at(x, ca.SX.zeros(n)).s, x), x, state["x"])
+        slopes = ca.substitute(ca.jacobian(self.at(x, ca.SX.zeros(n)).s_blocks, x), x, state["x"])
         e = self.at(state["x"], state["x_dot"])
-        variance = slope @ state["covariance"][:n, :n] @ slope.T
-        seen = {"s": e.s, "s_variance": variance, "type1": e.type1, "folded": self.mechanism.folded(e.q_a, state["x"], self.p)}
-        unknown = {field.name: math.nan for field in TOLD}
+        folded = self.mechanism.folded(e.q_a, state["x"], self.p) * ca.SX.ones(len(self.blocks))
+        square, spread = sample or (ca.SX.nan(len(self.blocks)), ca.SX.nan(len(self.blocks)))
+        told = [
+            self.told.join({"s": e.s_blocks[block], "s_variance": slope @ state["covariance"][:n, :n] @ slope.T, "type1": e.type1,
+                            "folded": folded[block], "square": square[block], "spread": spread[block]})
+            for block, slope in enumerate(ca.vertsplit(slopes))
+        ]
         now = {"x": state["x"], "x_dot": state["x_dot"], "q_a": e.q_a + state["b"], "q_a_dot": e.q_a_dot, "s": e.s}
-        return {"told": self.told.join(unknown | sample | seen), "estimate_next": self.estimate.join(estimate | now)}
+        return {"told": ca.vertcat(*told), "estimate_next": self.estimate.join(estimate | now)}
 
 
 def _gain_parts(P: Symbol, H: Symbol, variance: Symbol) -> tuple[Symbol, Symbol]:
@@ -206,11 +215,11 @@ def filters_of(mechanism: Mechanism) -> Library:
     estimate_vector, estimate = f.estimate.symbols()
     p, whole, told, shown = {"p": f.vector}, {"filter": state_vector}, {"noise": noise_vector}, {"estimate": estimate_vector}
 
-    image, near = f.mirror(state)
+    images = [f.mirror(state, columns) for _, columns in f.blocks]
     corrected, struck = f.correct(noise, state, q_meas, dt)
     innovated, square, spread = f.innovate(noise, state, q_meas)
     followed, square_f, spread_f = f.innovate(noise, f.predict(noise, state, tau, dt), q_meas)
-    moved, square_x, spread_x = f.update(state, *f.position(state, x_meas), deviation**2)
+    moved, square_x, spread_x = f.update(state, *f.position(state, x_meas), deviation**2, [range(n)])
 
     # One sample of the filter that serves and of the one that tells how well the model fits.
     same_vector, same = f.filter.symbols("same")
@@ -230,15 +239,15 @@ def filters_of(mechanism: Mechanism) -> Library:
               {"filter_next": f.filter.join(moved), "square": square_x, "spread": spread_x,
                "distance": ca.norm_2(x_meas - state["x"])}),
         named("unseen_blow", p | told | whole, {"filter_next": f.filter.join(f.unseen_blow(noise, state))}),
-        named("mirror", p | whole, {"image": f.filter.join(image), "near": near}),
+        *(named(f"mirror_{block}", p | whole, {"image": f.filter.join(image), "near": near})
+          for block, (image, near) in enumerate(images)),
         in_place(named("follow", p | told | whole | {"tau": tau, "dt": dt, "q_meas": q_meas},
                        {"filter_next": f.filter.join(followed), "fit": ca.vertcat(square_f, spread_f)})),
         in_place(named("look", p | whole | shown, f.look(state, estimate))),
         in_place(named("advance", p | told | {"test_noise": test_vector} | whole | shown | {
             "same": same_vector, "tau": tau, "dt": dt, "gap": gap, "q_meas": q_meas,
         }, {
-            "filter_next": f.filter.join(main), "same_next": f.filter.join(same),
-            **f.look(main, estimate, finite=is_finite(ca.vertcat(main["x"], main["x_dot"], main["b"])), struck=hit, square=fit,
-                     spread=fit_spread),
+            "filter_next": f.filter.join(main), "same_next": f.filter.join(same), **f.look(main, estimate, fit, fit_spread),
+            "sample": ca.vertcat(is_finite(ca.vertcat(main["x"], main["x_dot"], main["b"])), hit, is_finite(fit)),
         })),
     ], cache_folder())

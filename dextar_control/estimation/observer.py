@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,12 +13,14 @@ from dextar_control.estimation.belief import CERTAIN, DOUBT_S, Belief, log_odds_
 from dextar_control.estimation.filters import FILTER, NOISE, TOLD, filters_of
 from dextar_control.estimation.records import ESTIMATE
 from dextar_control.model.model import Model
+from dextar_control.symbols.functions import Fast
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
 REST_SPEED = 1e-3  # m/s, standard deviation of a robot at rest
 MAX_STEP = 1e-3 * (1.0 + 1e-6)  # s of one prediction; a longer gap is predicted in several
 LONG = 0.1  # s of a gap over which nothing is predicted any more
+UNKNOWN = math.nan, math.nan
 LOST = 0.5  # of the least distance to Type 1, below which the working mode is no longer sure
 
 
@@ -26,6 +30,27 @@ class Passage(NamedTuple):
     armed: float  # |s| within which the assembly mode counts as unknown
     begin: float  # |s| outside which the mirror image can be told from the state
     log_odds: float  # that decide
+
+
+@dataclass(slots=True)
+class Side:
+    """What is known of one block of A_r: on which side of its locus the robot is.
+
+    Attributes:
+        belief: about the block's assembly mode.
+        told: where the main filter's mean is with respect to the block's locus, and what the last sample told of it.
+        image: filter from the main one's mirror image in this block, told of less noise.
+        mirror: what makes that.
+        follow: what takes a sample into it.
+        shown: mode and log-odds of the belief that the estimate shows.
+    """
+
+    belief: Belief
+    told: Record
+    image: Record
+    mirror: Fast
+    follow: Fast
+    shown: tuple[float, float] = UNKNOWN
 
 
 class Observer:
@@ -39,41 +64,56 @@ class Observer:
     Attributes:
         main: the filter that serves.
         same: from the main one's state, told of less noise; while there is no test it tells how well the model fits.
-        image: from its mirror image, likewise.
-        noise: that the main filter is told of; test_noise: that the other two are.
-        belief: about the assembly mode.
-        told: where the main filter's mean is with respect to the locus, and by the last sample.
-        estimate: what it makes, with the side as ``tell_side`` was last called.
+        noise: that the main filter is told of; test_noise: that the others are.
+        sides: of the blocks of A_r, mostly one, whose belief, told and image are the observer's.
+        modes: (assembly mode, confidence in it) of each block as ``tell_side`` was last called.
+        estimate: what the main filter makes, with the least sure of them.
     """
 
     def __init__(self, model: Model, min_type1: float, estimate: Record | None = None) -> None:
         self.n, self._min_type1 = model.n, min_type1
         self.layout = Layout("filter", model.n, FILTER)
         noise = Layout("noise", model.n, NOISE)
-        self.main, self.same, self.image = (self.layout.make() for _ in range(3))
+        self.main, self.same = self.layout.make(), self.layout.make()
         self.noise, self.test_noise = noise.make(), noise.make()
-        self.told = Layout("told", model.n, TOLD).make()
         self.estimate = estimate or Layout("estimate", model.n, ESTIMATE).make()
         self.estimate.s = math.nan
-        self.belief, self._side = Belief(), (math.nan, math.nan)
         self.passage = Passage(0.0, 0.0, 0.0)
         self._finite = True
         self._p, self._library = model.p, filters_of(model.mechanism)
         self._model = model
-        places = {"p": model.p, "filter": self.main.numbers, "estimate": self.estimate.numbers,
-                  "estimate_next": self.estimate.numbers, "told": self.told.numbers}
+        told = Layout("told", model.n, TOLD)
+        every = np.zeros(len(model.blocks) * told.size)
+        main, shown = self.main.numbers, self.estimate.numbers
+        places = {"p": model.p, "filter": main, "estimate": shown, "estimate_next": shown, "told": every}
         self._advance = self._library.fast(
-            "advance", **places, filter_next=self.main.numbers, same=self.same.numbers, same_next=self.same.numbers,
+            "advance", **places, filter_next=main, same=self.same.numbers, same_next=self.same.numbers,
             noise=self.noise.numbers, test_noise=self.test_noise.numbers,
         )
-        self._given = self._advance.views()
-        given = self._advance.arguments
-        self._follow_image = self._library.fast(
-            "follow", p=model.p, noise=self.test_noise.numbers, filter=self.image.numbers, filter_next=self.image.numbers,
-            tau=given.tau, dt=given.dt, q_meas=given.q_meas,
-        )
+        self._given, given = self._advance.views(), self._advance.arguments
         self._look = self._library.fast("look", **places)
+        self.sides = []
+        for block, numbers in enumerate(every.reshape(-1, told.size)):
+            image = self.layout.make()
+            follow = self._library.fast(
+                "follow", p=model.p, noise=self.test_noise.numbers, filter=image.numbers, filter_next=image.numbers,
+                tau=given.tau, dt=given.dt, q_meas=given.q_meas,
+            )
+            self.sides.append(Side(Belief(), told.of(numbers), image, self._library.fast(f"mirror_{block}"), follow))
+        self.modes: list[tuple[float, float]] = []
         self._steps = {name: self._library.fast(name) for name in _OWN}
+
+    told = property(lambda self: self.sides[0].told)
+    image = property(lambda self: self.sides[0].image)
+
+    @property
+    def belief(self) -> Belief:
+        """About the first block."""
+        return self.sides[0].belief
+
+    @belief.setter
+    def belief(self, belief: Belief) -> None:
+        self.sides[0].belief = belief
 
     def _step(self, name: str, state: Record, *arguments: Any, noise: Record | None = None) -> Any:
         """One of the filter's steps on a state, which is changed; its other results."""
@@ -99,10 +139,10 @@ class Observer:
         """Take the active joints (n,), rad; whether the robot was struck in the last dt, s."""
         return bool(self._step("correct", state, q_meas, dt, noise=noise).struck[0])
 
-    def innovate(self, state: Record, noise: Record, q_meas: Array) -> tuple[float, float]:
-        """Take the active joints (n,), rad: the innovation's normalised square and ln det of its covariance."""
+    def innovate(self, state: Record, noise: Record, q_meas: Array, block: int = 0) -> tuple[float, float]:
+        """Take the active joints (n,), rad: the normalised square of the block's innovation and ln det of its covariance."""
         found = self._step("innovate", state, q_meas, noise=noise)
-        return found.square.item(), found.spread.item()
+        return found.square.item(block), found.spread.item(block)
 
     def correct_position(self, state: Record, x_meas: Array, deviation: float) -> tuple[float, float, float]:
         """Take an external position (n,), m: squared normalised distance, ln det of its covariance, distance, m."""
@@ -113,9 +153,9 @@ class Observer:
         """A blow along t_s that b may have been taken for."""
         self._step("unseen_blow", state, noise=self.noise)
 
-    def mirror(self, state: Record, image: Record) -> bool:
-        """Make the image the mirror image of a state; false where that is not defined."""
-        found = self._steps["mirror"](self._p, state.numbers)
+    def mirror(self, state: Record, image: Record, block: int = 0) -> bool:
+        """Make the image the mirror image of a state in a block; false where that is not defined."""
+        found = self.sides[block].mirror(self._p, state.numbers)
         image.numbers[:] = found.image
         mean = 3 * self.n
         return bool(found.near[0] > 0.0 and np.isfinite(image.numbers[:mean]).all())
@@ -124,7 +164,7 @@ class Observer:
         """After the main filter was changed."""
         self._look.run()
 
-    def direct_model(self, q_a: Array, assembly_mode: float) -> Array:
+    def direct_model(self, q_a: Array, assembly_mode: float | Array) -> Array:
         """Platform (n,) of the joints (n,), rad, with sign(s) = assembly_mode; the nearest to the last one where it is solved."""
         return self._model.direct_geometric_model(q_a, assembly_mode, self.main.x)
 
@@ -132,14 +172,18 @@ class Observer:
         """A robot at x (n,), m, known from its joints; speed: standard deviation of its velocity about zero, m/s."""
         self.main.numbers[:] = self._steps["begin"](self._p, self.noise.numbers, x, speed).filter
         self.same.take(self.main)
-        self._finite, self._side = True, (math.nan, math.nan)
+        self._finite = True
+        for side in self.sides:
+            side.shown = UNKNOWN
         self.look_again()
 
     def begin_again(self, q_meas: Array) -> None:
         """The joints (n,) are all that is known: they are taken in the mode believed so far, unsure of it."""
-        self.begin(self.direct_model(q_meas, self.belief.mode or 1.0), self.noise.shock_speed)
-        self.belief.unsure()
-        self.belief.seen = 0.0
+        modes = np.array([side.belief.mode or 1.0 for side in self.sides])
+        self.begin(self.direct_model(q_meas, modes), self.noise.shock_speed)
+        for side in self.sides:
+            side.belief.unsure()
+            side.belief.seen = 0.0
 
     def predict_all(self, tau: Array, dt: float) -> None:
         """All filters that run, over dt, s, in steps of at most MAX_STEP."""
@@ -150,8 +194,9 @@ class Observer:
         for _ in range(steps):
             self.predict(self.main, self.noise, tau, step)
             self.predict(self.same, self.test_noise, tau, step)
-            if self.belief.testing:
-                self.predict(self.image, self.test_noise, tau, step)
+            for side in self.sides:
+                if side.belief.testing:
+                    self.predict(side.image, self.test_noise, tau, step)
 
     def observe(self, tau: Array, dt: float, q_meas: Array) -> None:
         """One sample: the filters and the belief.
@@ -161,7 +206,6 @@ class Observer:
             dt: since the last sample, s.
             q_meas: (n,) rad.
         """
-        belief, advance = self.belief, self._advance
         if dt > LONG or not self._finite:
             self.begin_again(q_meas)
             return
@@ -170,33 +214,53 @@ class Observer:
             steps = math.ceil(dt / MAX_STEP)
             step = dt / steps
             self._predict_all(tau, step, steps - 1)
-        given = self._given
+        given, advance = self._given, self._advance
         given.tau[:], given.q_meas[:], given.dt[0], given.gap[0] = tau, q_meas, step, dt
         advance.run()
-        s, s_variance, type1, folded, finite, hit, square, spread = self.told.numbers.tolist()  # in the order of TOLD
-        self._finite, struck, fits = finite > 0.0, hit > 0.0, math.isfinite(square)
-        if struck and belief.testing:  # the two filters of the test know nothing of the blow
-            belief.testing, belief.log_odds, belief.armed = False, 0.0, True
-        if belief.testing:
-            self._follow_image.run()
-            image, spread_image = self._follow_image.results.fit.tolist()
-            if math.isfinite(square + image):
-                belief.weigh(square, spread, image, spread_image)
-        elif not belief.armed and not struck and fits:
-            belief.fit(square, dt)
+        finite, hit, fitting = advance.results.sample.tolist()
+        self._finite, struck, fits = finite > 0.0, hit > 0.0, fitting > 0.0
+        quiet = fits and not struck
+        for block, side in enumerate(self.sides):
+            belief = side.belief
+            if belief.testing:
+                self._weigh(block, side, struck)
+            if belief.testing or belief.armed:
+                quiet = False
         if struck or not fits:
             self.same.take(self.main)
-        self._judge_passage(s, s_variance, type1, folded >= 0.0)
+        for block, side in enumerate(self.sides):
+            s, s_variance, type1, folded, square, _ = side.told.numbers.tolist()  # in the order of TOLD
+            if quiet:
+                side.belief.fit(square, dt)
+            self._judge_passage(block, side, s, s_variance, type1, folded >= 0.0)
 
-    def _judge_passage(self, s: float, s_variance: float, type1: float, folded: bool) -> None:
-        """Begin, go on with or end the test of crossed against bounced.
+    def _weigh(self, block: int, side: Side, struck: bool) -> None:
+        """Take the sample into a block's test; the filters of the test know nothing of a blow, which ends it."""
+        belief, told = side.belief, side.told
+        if struck:
+            belief.testing, belief.log_odds, belief.armed = False, 0.0, True
+            return
+        side.follow.run()
+        image, spread_image = side.follow.results.fit.reshape(2, -1)[:, block].tolist()
+        if math.isfinite(told.square + image):
+            belief.weigh(told.square, told.spread, image, spread_image)
+
+    def _test_from_main(self, side: Side) -> None:
+        """The test of this side begins or ends: those of others go on from the main filter's state, as this one does."""
+        self.same.take(self.main)
+        for block, other in enumerate(self.sides):
+            if other is not side and other.belief.testing:
+                other.belief.testing = self.mirror(self.main, other.image, block)
+
+    def _judge_passage(self, block: int, side: Side, s: float, s_variance: float, type1: float, folded: bool) -> None:
+        """Begin, go on with or end a block's test of crossed against bounced.
 
         Where the distal links are folded there is nothing to test: the image is a whole turn of them away, and the
         joints tell the side as well as they tell s. Where a leg stretches or folds the robot may be on its way into another
         working mode, of which nothing is known here: the belief is unsure until it is told. So it is, until the next passage,
         where the state is suddenly on the other side.
         """
-        belief, passage = self.belief, self.passage
+        belief, passage = side.belief, self.passage
         if not (math.isfinite(s) and type1 >= LOST * self._min_type1):
             belief.strayed = True
         if belief.strayed:
@@ -217,17 +281,17 @@ class Observer:
             belief.armed = near < passage.begin
         elif belief.armed and near >= passage.begin:
             belief.armed = False
-            if self.mirror(self.main, self.image):
-                self.same.take(self.main)
+            if self.mirror(self.main, side.image, block):
+                self._test_from_main(side)
                 belief.testing = True
-        elif belief.doubtful and passage.begin <= near < DOUBT_S and self.mirror(self.main, self.image):
-            self.same.take(self.main)
+        elif belief.doubtful and passage.begin <= near < DOUBT_S and self.mirror(self.main, side.image, block):
+            self._test_from_main(side)
             belief.end_test()
             belief.testing, belief.log_odds = True, 0.0
         elif belief.testing and abs(belief.log_odds) >= passage.log_odds:
             if belief.log_odds < 0.0:
-                self.main.take(self.image)
-                self.same.take(self.image)
+                self.main.take(side.image)
+                self._test_from_main(side)
                 mode = -mode
                 belief.swaps += 1
                 self.look_again()
@@ -240,15 +304,20 @@ class Observer:
 
     def tell_side(self) -> None:
         """Into the estimate."""
-        side = self.belief.mode, self.belief.log_odds
-        if side != self._side:
-            self._side = side
-            self.estimate.assembly_mode, self.estimate.confidence = self.belief.as_seen()
+        for side in self.sides:
+            if side.belief.mode != side.shown[0] or side.belief.log_odds != side.shown[1]:
+                break
+        else:
+            return
+        for side in self.sides:
+            side.shown = side.belief.mode, side.belief.log_odds
+        modes = self.modes = [side.belief.as_seen() for side in self.sides]
+        self.estimate.assembly_mode, self.estimate.confidence = modes[0] if len(modes) == 1 else min(modes, key=itemgetter(1))
 
     def is_folded(self) -> bool:
         """Whether the main filter's distal links are nearer to folded than to stretched."""
-        return self.told.folded >= 0.0
+        return bool(self.told.folded >= 0.0)
 
 
 _OWN = {"predict": ("tau", "dt"), "correct": ("q_meas", "dt"), "innovate": ("q_meas",),
-        "correct_position": ("x_meas", "deviation"), "unseen_blow": (), "begin": ("x", "speed"), "mirror": ()}
+        "correct_position": ("x_meas", "deviation"), "unseen_blow": (), "begin": ("x", "speed")}

@@ -52,7 +52,12 @@ class ObserverEstimator:
     @property
     def swaps(self) -> int:
         """How often the test has found the robot on the other side than believed."""
-        return self.observer.belief.swaps
+        return sum(side.belief.swaps for side in self.observer.sides)
+
+    @property
+    def modes(self) -> list[tuple[float, float]]:
+        """See ``Estimator``."""
+        return self.observer.modes
 
     @property
     def bias(self) -> Array:
@@ -66,7 +71,8 @@ class ObserverEstimator:
     def _begin(self, x: Array, q_a: Array, assembly_mode: int, speed: float) -> None:
         self.observer.begin(x, speed)
         self._joints.set(q_a, 0.0)
-        self.observer.belief = Belief(mode=float(assembly_mode), log_odds=CERTAIN)
+        for side in self.observer.sides:
+            side.belief = Belief(mode=float(assembly_mode), log_odds=CERTAIN)
         self.observer.tell_side()
 
     def tell_mode(self, assembly_mode: int, q_a: Array) -> None:

@@ -128,7 +128,10 @@ class Mechanism(ABC):
 
     @abstractmethod
     def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> Symbol | None:
-        """x (n,) of joint positions with sign(s) = assembly_mode, its root kept above zero; None where it has no closed form."""
+        """x (n,) of joint positions with sign(s) = assembly_mode, its root kept above zero; None where it has no closed form.
+
+        Where A_r has k blocks the assembly mode has a sign for each (k,), or one for all.
+        """
 
     def type2_locus(
         self, family: Symbol, branch: Symbol, angle: Symbol, p: Any
@@ -159,7 +162,10 @@ class Mechanism(ABC):
         return ""
 
     def folded(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
-        """Positive where that other place is far away even near the locus, so that joints that fit one do not fit the other."""
+        """Positive where that other place is far away even near the locus, so that joints that fit one do not fit the other.
+
+        Of all, or (k,) of blocks of A_r.
+        """
         return ca.SX(-1.0)
 
     def singularity_of_joints(self, q_a: Symbol, p: Any) -> Symbol | None:
@@ -184,7 +190,7 @@ class Mechanism(ABC):
 
     @abstractmethod
     def singularity_scale(self, p: Any) -> Symbol:
-        """What det(A_r) is divided by to give s, dimensionless and about 1 far from the Type 2 locus."""
+        """What det(A_r) is divided by to give s, dimensionless and about 1 far from the Type 2 locus; (k,) of blocks of A_r."""
 
     @abstractmethod
     def singularity_length(self, p: Any) -> Symbol:

@@ -20,7 +20,7 @@ import casadi as ca
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.mechanisms.mechanism import Mechanism
-from dextar_control.symbols.singular import SingularVectors, singular_vectors
+from dextar_control.symbols.singular import SingularVectors, blocks, nearest, singular_vectors
 from dextar_control.symbols.types import Symbol
 
 
@@ -46,9 +46,10 @@ class Equations:
         inverse_dynamics: (n,), tau of x_ddot off the locus.
         friction: (n,), of the active joints.
         forward_dynamics: (n,), x_ddot of tau; regular on the locus.
-        s: det(A_r), dimensionless.
-        singular: singular vectors of A_r; t_s is the weak right one.
-        criterion: t_s . w_d.
+        s_blocks: (k,), determinants of A_r's blocks, dimensionless: how far each of k motions is from being uncontrollable.
+        s: the one of them that is least in size.
+        singular: singular vectors of A_r; t_s (n, k) are the weak right ones.
+        criterion: (k,), t_s . w_d.
         type1: least distance of a leg to Type 1.
     """
 
@@ -79,6 +80,7 @@ class Equations:
     inverse_dynamics: Symbol
     friction: Symbol
     forward_dynamics: Symbol
+    s_blocks: Symbol
     s: Symbol
     singular: SingularVectors
     criterion: Symbol
@@ -114,6 +116,8 @@ def equations(mechanism: Mechanism) -> Equations:
     A_r, B = ca.jacobian(closures, x), ca.jacobian(closures, q_a)  # Eq. 2
     if ca.sprank(B) < n:
         raise ParameterError(f"B of mechanism {mechanism.name} is singular everywhere: some closure depends on no active joint")
+    if ca.sprank(A_r) < n:
+        raise ParameterError(f"A_r of mechanism {mechanism.name} is singular everywhere: a closure has no coordinate of its own")
     J_inv = -ca.solve(B, A_r)  # Eq. 8
     q_a_dot = J_inv @ x_dot  # Eq. 2
 
@@ -147,12 +151,13 @@ def equations(mechanism: Mechanism) -> Equations:
     inverse_dynamics = w_b - B.T @ multipliers  # Eq. 4
     singular = singular_vectors(A_r)
     t_s = singular.v_weak  # Eq. 5: spans the kernel of A_r, on the locus
-    criterion = ca.dot(t_s, w_d)  # Eq. 5
+    criterion = t_s.T @ w_d  # Eq. 5
+    s_blocks = ca.vertcat(*(ca.det(A_r[rows, columns]) for rows, columns in blocks(A_r))) / mechanism.singularity_scale(p)
 
     friction = mechanism.friction(q_a_dot, p)
     forward_dynamics = ca.solve(M, J_inv.T @ (tau - friction) - h)
     return Equations(
         vector, q_a, x, x_dot, x_ddot, tau, A_r, B, J_inv, q_a_dot, q_a_ddot, b, drift, w_b, w_d, force, M_a, M_ax, M_x, c_a, c_x,
-        M, h, multipliers, inverse_dynamics, friction, forward_dynamics, ca.det(A_r) / mechanism.singularity_scale(p), singular,
+        M, h, multipliers, inverse_dynamics, friction, forward_dynamics, s_blocks, nearest(s_blocks, s_blocks), singular,
         criterion, ca.mmin(ca.fabs(mechanism.type1_sines(q_a, x, p))),
     )

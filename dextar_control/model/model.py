@@ -17,6 +17,7 @@ from dextar_control.model.equations import Equations, equations
 from dextar_control.model.robot import AnyRobot
 from dextar_control.model.solved import closed_near, mirror_image
 from dextar_control.symbols.functions import Fast, Library, cache_folder, named
+from dextar_control.symbols.singular import blocks
 from dextar_control.symbols.types import Array, Symbol
 
 AnyModel = TypeVar("AnyModel", bound="Model")
@@ -35,7 +36,8 @@ class Model:
     Attributes:
         p: the parameters as one vector.
         n: degrees of freedom.
-        place: x -> q_a, A_r, s, type1, t_s, gradient (of s, 1/m); nan out of reach.
+        blocks: of A_r; their rows are those of the multipliers.
+        place: x -> q_a, A_r, s, s_blocks, type1, t_s, gradient (of s, 1/m); nan out of reach.
         state: (q_a, x, x_dot) -> A_r, B, J_inv, q_a_dot, b, drift, s, type1, t_s: kinematics of a closed configuration.
         wrenches: (q_a, x, x_dot, x_ddot) -> q_a_ddot, w_b, w_d, multipliers, tau, friction, criterion, t_s.
         platform_dynamics: (q_a, x, x_dot, tau) -> M, h, x_ddot; regular on the Type 2 locus.
@@ -47,7 +49,7 @@ class Model:
     def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
         self.mechanism, self.n = mechanism, mechanism.n
         self.p = mechanism.values(values)
-        self.library = library_of(mechanism)
+        self.library, self.blocks = library_of(mechanism), blocks(equations_of(mechanism).A_r)
         self._inverse = self.library.fast("inverse_geometric_model")
         self.place, self.state, self.wrenches, self.platform_dynamics = (
             self._bound(name) for name in ("place", "state", "wrenches", "platform_dynamics")
@@ -79,10 +81,11 @@ class Model:
         """Least sine of a leg's angle at a platform position x (n,): zero at a Type 1 singularity; nan out of reach."""
         return float(self.place(x).type1[0])
 
-    def direct_geometric_model(self, q_a: Array, assembly_mode: float, near: Array) -> Array:
+    def direct_geometric_model(self, q_a: Array, assembly_mode: float | Array, near: Array) -> Array:
         """x (n,) of joints q_a (n,) with sign(s) = assembly_mode, clamped on the locus; nan where the loops do not close.
 
         Args:
+            assembly_mode: of all blocks, or (k,).
             near: (n,) where the search begins that a mechanism without a closed form needs.
         """
         if "direct_geometric_model" in self.library.symbolic:
@@ -140,7 +143,7 @@ def library_of(mechanism: Mechanism) -> Library:
         }),
         named("platform_dynamics", closed | {"tau": e.tau}, {"M": e.M, "h": e.h, "x_ddot": e.forward_dynamics}),
     ]
-    q_a, mode = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("assembly_mode")
+    q_a, mode = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("assembly_mode", e.s_blocks.numel())
     direct = mechanism.direct_geometric_model(q_a, mode, p)
     if direct is None:
         functions.append(_closed_near(mechanism, e))
@@ -152,7 +155,7 @@ def library_of(mechanism: Mechanism) -> Library:
 def _place(mechanism: Mechanism, e: Equations, vector: Symbol, x: Symbol) -> dict[str, Symbol]:
     """What there is to say of a place of the platform."""
     at = e.at(vector, mechanism.inverse_geometric_model(x, mechanism.named(vector)), x, ca.SX.zeros(mechanism.n))
-    return {"q_a": at.q_a, "A_r": at.A_r, "s": at.s, "type1": at.type1, "t_s": at.singular.v_weak,
+    return {"q_a": at.q_a, "A_r": at.A_r, "s": at.s, "s_blocks": at.s_blocks, "type1": at.type1, "t_s": at.singular.v_weak,
             "gradient": ca.gradient(at.s, x)}
 
 

@@ -26,9 +26,10 @@ def mirror_image(mechanism: Mechanism, q_a: Symbol, x: Symbol, p: Any) -> Symbol
     closures = mechanism.closures(q_a, place, p)
     A_r = ca.jacobian(closures, place)
     weak = singular_vectors(ca.substitute(A_r, place, x))
-    turned = ca.jtimes(A_r @ weak.v_weak, place, weak.v_weak)
-    curvature = ca.dot(weak.u_weak, ca.substitute(turned, place, x))
-    guess = x - 2.0 * weak.sigma_weak / curvature * weak.v_weak
+    along = ca.sum2(weak.v_weak)  # blocks do not see each other's
+    turned = ca.jtimes(A_r @ along, place, along)
+    curvature = weak.u_weak.T @ ca.substitute(turned, place, x)
+    guess = x - weak.v_weak @ (2.0 * weak.sigma_weak / curvature)
     return closed_near(mechanism, q_a, guess, p)
 
 

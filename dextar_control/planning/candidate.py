@@ -134,9 +134,9 @@ def _crossing(mechanism: Mechanism, e: Equations, layout: Layouts) -> ca.Functio
     x_dot = task["directions"] @ z["velocity"] * unit
     at = e.at(e.p, q_a, x, x_dot, e.x_ddot)  # linear in x_ddot
     t_s, mass = at.singular.v_weak, ca.jacobian(at.w_d, e.x_ddot)
-    strong = at.singular.v_strong @ z["strong"] * unit / task["duration"]
+    strong = at.singular.v_strong @ z["strong"][: at.singular.v_strong.shape[1]] * unit / task["duration"]
     residual, w_d = ca.substitute(at.criterion, e.x_ddot, strong), ca.substitute(at.w_d, e.x_ddot, ca.SX.zeros(mechanism.n))
-    reciprocal = strong - residual / (t_s.T @ mass @ t_s) * t_s  # Eq. 5: t_s . w_d = 0
+    reciprocal = strong - t_s @ ca.solve(t_s.T @ mass @ t_s, residual)  # Eq. 5: t_s . w_d = 0
     x_ddot = ca.if_else(task["zero_wrench"] > 0.5, -ca.solve(mass, w_d), reciprocal)
     begin = ca.horzcat(x, x_dot, x_ddot, z["jerk"] * unit / task["duration"] ** 2)
     before = ca.fmin(ca.fmax(z["split"], SPLIT_LEAST), 1.0 - SPLIT_LEAST) * task["duration"]
@@ -196,7 +196,7 @@ def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Functi
     worst = ca.mmax(ca.fabs(extension))
     missed = 100.0 * _over(worst, ca.sqrt(_over(1.0, limit["type1"] ** 2)))
     at = e.at(e.p, q_a, e.x, e.x_dot, e.x_ddot)
-    tau, s, reached = at.inverse_dynamics + at.friction, sign * at.s, worst < 1.0
+    tau, s, reached = at.inverse_dynamics + at.friction, ca.mmin(sign * at.s_blocks), worst < 1.0
     near = ca.exp(-((s / NEAR) ** 2))
     square = ((1.0 + NEAR_EMPHASIS * near) / limit["torque"] * tau) ** 2
     fourth = square * square

@@ -20,7 +20,7 @@ NEAR_LOCUS = 0.1  # |s| below which a torque counts as near the locus
 
 
 class Crossing(NamedTuple):
-    """One crossing of a checked trajectory."""
+    """One crossing of a checked trajectory: of one block of A_r, where it has several, and s is that one's."""
 
     time: float  # s
     x: tuple[float, ...]  # m
@@ -36,9 +36,13 @@ class Crossing(NamedTuple):
 
 
 class Certificate(NamedTuple):
-    """A checked trajectory: its crossings and its extremes."""
+    """A checked trajectory: its crossings and its extremes.
+
+    Where A_r has several blocks each crossing is of one: two at once are two crossings.
+    """
 
     crossing_times: Array  # (k,) s
+    crossing_blocks: NDArray[np.int64]  # (k,) of A_r, that loses a rank there
     crossing_points: Array  # (k, n) m
     crossing_signs: Array  # (k,) sign of s after the crossing
     crossing_speeds: Array  # (k,) along t_s, m/s
@@ -111,20 +115,22 @@ def measure(robot: AnyRobot, trajectory: Trajectory, period: float = 1e-3) -> Ce
     """A trajectory's crossings and extremes, limits unchecked."""
     times = sample_times(trajectory, period)
     rough = sample_profile(robot, trajectory, times)
-    crossings = find_crossings(robot, trajectory, times, rough.s)
-    profile = sample_profile(robot, trajectory, np.union1d(times, crossings)) if len(crossings) else rough
+    every = sorted((time, block) for block, s in enumerate(rough.s_blocks.T)
+                   for time in find_crossings(robot, trajectory, times, s, block))
+    crossings, blocks = np.array([time for time, _ in every]), np.array([block for _, block in every], dtype=np.int64)
+    profile = sample_profile(robot, trajectory, np.union1d(times, crossings)) if every else rough
     rows = np.searchsorted(profile.time, crossings)
     near = np.abs(profile.s) < NEAR_LOCUS
     after = np.minimum(np.searchsorted(times, crossings + ON_CROSSING, side="right"), len(times) - 1)
-    far = np.flatnonzero(np.abs(profile.s) >= NEAR_LOCUS)
-    signs = np.sign(rough.s[after])
-    found = tuple(_crossing(robot, profile, far, int(row), float(sign)) for row, sign in zip(rows, signs, strict=True))
+    signs = np.sign(rough.s_blocks[after, blocks])
+    found = tuple(_crossing(robot, profile, *one) for one in zip(rows.tolist(), blocks.tolist(), signs.tolist(), strict=True))
     return Certificate(
         crossing_times=crossings,
+        crossing_blocks=blocks,
         crossing_points=profile.x[rows],
         crossing_signs=signs,
         crossing_speeds=np.array([crossing.speed for crossing in found]),
-        residuals=np.abs(profile.residual[rows]),
+        residuals=np.array([crossing.residual for crossing in found]),
         multipliers=profile.multipliers[rows],
         peak_torque=float(np.abs(profile.torque).max()),
         peak_torque_near=float(np.abs(profile.torque[near]).max()) if near.any() else float("nan"),
@@ -139,10 +145,11 @@ def measure(robot: AnyRobot, trajectory: Trajectory, period: float = 1e-3) -> Ce
     )
 
 
-def _crossing(robot: AnyRobot, profile: Profile, far: NDArray[np.int64], row: int, sign: float) -> Crossing:
-    """The crossing at one row of a profile, whose rows ``far`` lie away from the locus."""
-    model, x, x_dot = states_model(robot), profile.x[row], profile.x_dot[row]
-    found = model.place(x)
+def _crossing(robot: AnyRobot, profile: Profile, row: int, block: int, sign: float) -> Crossing:
+    """The crossing of a block at one row of a profile."""
+    model, x, x_dot, s = states_model(robot), profile.x[row], profile.x_dot[row], profile.s_blocks[:, block]
+    found, far = model.place(x), np.flatnonzero(np.abs(s) >= NEAR_LOCUS)
+    t_s = found.t_s.reshape(model.n, -1)[:, block]
     place = int(np.searchsorted(far, row))
     enter = profile.time[far[place - 1] + 1] if place > 0 else profile.time[0]
     leave = profile.time[far[place] - 1] if place < len(far) else profile.time[-1]
@@ -151,8 +158,8 @@ def _crossing(robot: AnyRobot, profile: Profile, far: NDArray[np.int64], row: in
     return Crossing(
         time=float(profile.time[row]), x=_tuple(x), x_dot=_tuple(x_dot),
         family=model.mechanism.family_name(found.A_r), sign=int(np.nan_to_num(sign)),
-        rate=float(np.diff(profile.s[near][[0, -1]])[0] / span) if span > 0.0 else float("nan"),
-        speed=float(abs(found.t_s @ x_dot)), residual=float(abs(profile.residual[row])),
+        rate=float(np.diff(s[near][[0, -1]])[0] / span) if span > 0.0 else float("nan"),
+        speed=float(abs(t_s @ x_dot)), residual=float(abs(profile.criterion[row, block])),
         multipliers=_tuple(profile.multipliers[row]), torque=_tuple(profile.torque[row]), near_time=float(leave - enter),
     )
 

@@ -76,9 +76,10 @@ def rests_around(model: PlanningModel, points: Array, clear: float, least_s: flo
     places = points[:, None, None] + away[:, None] * _directions(model.n)[:, None]
     found = model.sides(places.reshape(-1, model.n))
     s, type1 = (values.reshape(places.shape[:3]) for values in (found.s, found.type1))
+    blocks = found.s_blocks.reshape(*places.shape[:3], -1)
     with np.errstate(invalid="ignore"):
-        side = s[:, :, :1]  # of each line, from its first step on
-        seen = np.logical_and.accumulate((s * side > 0.0) & (type1 >= clear), axis=2) & (np.abs(s) >= least_s)
+        side = s[:, :, :1, None]  # of each line, from its first step on, the same of all blocks
+        seen = np.logical_and.accumulate((blocks * side > 0.0).all(axis=3) & (type1 >= clear), axis=2) & (np.abs(s) >= least_s)
     ends = np.zeros_like(seen)
     rows, directions = np.nonzero(seen.any(axis=2))
     lines = seen[rows, directions]

@@ -15,6 +15,7 @@ from dextar_control.model.model import Model, equations_of
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.candidate import candidates, costs, layouts
 from dextar_control.symbols.functions import Library, cache_folder, named
+from dextar_control.symbols.singular import nearest
 from dextar_control.symbols.types import Array
 
 KEPT = 64  # robots whose models a thread keeps
@@ -26,10 +27,10 @@ class StatesModel(Model):
     """A robot's model with what certificates and pictures ask of many states; not for two threads at once.
 
     Attributes:
-        sides: of places x (m, n) -> q_a, s, type1 (m, 1); nan out of reach.
+        sides: of places x (m, n) -> q_a, s, s_blocks, type1 (m, 1 or k); nan out of reach.
         side: the same of one x.
-        instants: of (x, x_dot, x_ddot), (m, n) each -> q_a, q_a_dot, s, type1, residual, multipliers, joint_torque
-            (w_b and friction), B.
+        instants: of (x, x_dot, x_ddot), (m, n) each -> q_a, q_a_dot, s, s_blocks, type1, residual, multipliers, joint_torque
+            (w_b and friction), B, criterion.
         numbers: the parameters by their dotted names.
     """
 
@@ -106,12 +107,12 @@ def planning_library(mechanism: Mechanism) -> Library:
 def _states_library(mechanism: Mechanism) -> Library:
     e = equations_of(mechanism)
     at = e.at(e.p, mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)), e.x, e.x_dot, e.x_ddot)
-    place, side = {"p": e.p, "x": e.x}, {"q_a": at.q_a, "s": at.s, "type1": at.type1}
+    place, side = {"p": e.p, "x": e.x}, {"q_a": at.q_a, "s": at.s, "s_blocks": at.s_blocks, "type1": at.type1}
     return Library([
         named("sides", place, side),
         named("instants", place | {"x_dot": e.x_dot, "x_ddot": e.x_ddot}, side | {
-            "q_a_dot": at.q_a_dot, "residual": at.criterion, "multipliers": at.multipliers,
-            "joint_torque": at.w_b + at.friction, "B": at.B,
+            "q_a_dot": at.q_a_dot, "residual": nearest(at.s_blocks, at.criterion), "criterion": at.criterion,
+            "multipliers": at.multipliers, "joint_torque": at.w_b + at.friction, "B": at.B,
         }),
     ], cache_folder())
 

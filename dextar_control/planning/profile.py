@@ -26,8 +26,10 @@ class Profile(NamedTuple):
     x_dot: Array  # (m, n) m/s
     q_a: Array  # (m, n) rad
     q_a_dot: Array  # (m, n) rad/s
-    s: Array  # (m,) singularity measure
-    residual: Array  # (m,) t_s.w_d, N
+    s: Array  # (m,) singularity measure: of the block of A_r that is nearest to its locus
+    s_blocks: Array  # (m, k) of each
+    residual: Array  # (m,) t_s.w_d of the nearest, N
+    criterion: Array  # (m, k) of each
     multipliers: Array  # (m, n) lambda, N/m; its finite limit near the locus
     torque: Array  # (m, n) N m; its finite limit near the locus
     type1: Array  # (m,) distance to Type 1
@@ -54,17 +56,19 @@ def sample_profile(robot: AnyRobot, trajectory: Trajectory, times: Array) -> Pro
     times, model = np.asarray(times, dtype=np.float64), states_model(robot)
     x, x_dot, x_ddot = trajectory.table(times)
     found = model.instants(x, x_dot, x_ddot)
-    s, multipliers = found.s[:, 0], found.multipliers
-    inside = ~(np.abs(s) >= LIMIT_ZONE)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        first, last = max(start - 1, 0), min(stop, len(times) - 1)
-        if s[first] * s[last] < 0.0:
-            multipliers[start:stop] = _continued(model, trajectory, times, s, (first, last), times[start:stop])
+    multipliers = found.multipliers
+    for s, (rows, _) in zip(found.s_blocks.T, model.blocks, strict=True):
+        inside = ~(np.abs(s) >= LIMIT_ZONE)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            first, last = max(start - 1, 0), min(stop, len(times) - 1)
+            if s[first] * s[last] < 0.0:
+                near = _continued(model, trajectory, times, s, (first, last), times[start:stop])
+                multipliers[start:stop, rows] = near[:, rows]
     torque = found.joint_torque - (found.B.transpose(0, 2, 1) @ multipliers[:, :, None])[:, :, 0]  # Eq. 4: w_b - B^T lambda
     return Profile(
-        time=times, x=x, x_dot=x_dot, q_a=found.q_a, q_a_dot=found.q_a_dot, s=s, residual=found.residual[:, 0],
-        multipliers=multipliers, torque=torque, type1=found.type1[:, 0],
+        time=times, x=x, x_dot=x_dot, q_a=found.q_a, q_a_dot=found.q_a_dot, s=found.s[:, 0], s_blocks=found.s_blocks,
+        residual=found.residual[:, 0], criterion=found.criterion, multipliers=multipliers, torque=torque, type1=found.type1[:, 0],
     )
 
 
@@ -86,12 +90,12 @@ def _continued(
     return np.asarray((1.0 - weight) * sides[0] + weight * sides[1])
 
 
-def find_crossings(robot: AnyRobot, trajectory: Trajectory, times: Array, s: Array) -> Array:
-    """Instants (k,), s, where s changes sign, by bisection between samples to machine precision."""
+def find_crossings(robot: AnyRobot, trajectory: Trajectory, times: Array, s: Array, block: int) -> list[float]:
+    """Instants, s, where s (m,) of a block changes sign, by bisection between samples to machine precision."""
     model = states_model(robot)
 
     def value(time: float) -> float:
-        return model.s(trajectory.at(time).x)
+        return float(model.side(trajectory.at(time).x).s_blocks[block])
 
     clear: NDArray[np.int64] = np.flatnonzero((s != 0.0) & np.isfinite(s))
     found = []
@@ -102,5 +106,5 @@ def find_crossings(robot: AnyRobot, trajectory: Trajectory, times: Array, s: Arr
                 low, high = (middle, high) if value(middle) * s[before] > 0.0 else (low, middle)
             crossing = low if abs(value(low)) < abs(value(high)) else high
             knot = trajectory.knots[np.argmin(np.abs(trajectory.knots - crossing))]
-            found.append(knot if abs(knot - crossing) < AT_KNOT else crossing)
-    return np.array(found)
+            found.append(float(knot if abs(knot - crossing) < AT_KNOT else crossing))
+    return found

@@ -1,7 +1,10 @@
-"""Singular vectors of a matrix that may lose one rank, on symbols: continuous through the singularity.
+"""Singular vectors of a matrix that may lose one rank in each of its blocks, on symbols: continuous through the singularity.
 
 A = sum of sigma_i u_i v_i^T. The strong pairs come from A itself; the weak one is what is orthogonal to them, so that it exists
 on the locus too, and its singular value is signed: det(A) over the others. Nothing jumps or changes sign there.
+
+Rows and columns that no entry couples are blocks, k in number, mostly one: each has strong pairs and a weak one of its own, and A
+may lose k ranks at once.
 """
 
 from __future__ import annotations
@@ -15,14 +18,21 @@ from dextar_control.symbols.types import Symbol
 SWEEPS = 5  # of Jacobi's rotations: they converge quadratically
 
 
+class Block(NamedTuple):
+    """Entries of a matrix that share no row and no column with an entry elsewhere that may differ from zero."""
+
+    rows: list[int]
+    columns: list[int]
+
+
 class SingularVectors(NamedTuple):
-    """A = U_strong diag(sigma_strong) V_strong^T + sigma_weak u_weak v_weak^T.
+    """A = U_strong diag(sigma_strong) V_strong^T + U_weak diag(sigma_weak) V_weak^T.
 
     Attributes:
-        u_strong, v_strong: (n, n - 1), in columns.
-        sigma_strong: (n - 1,), > 0.
-        u_weak, v_weak: (n,).
-        sigma_weak: with the sign of det(A).
+        u_strong, v_strong: (n, n - k), in columns.
+        sigma_strong: (n - k,), > 0.
+        u_weak, v_weak: (n, k), a column a block.
+        sigma_weak: (k,), each with the sign of its block's determinant.
     """
 
     u_strong: Symbol
@@ -33,9 +43,52 @@ class SingularVectors(NamedTuple):
     v_weak: Symbol
 
 
+def blocks(A: Symbol) -> list[Block]:
+    """The blocks of a square matrix by its sparsity, in the order of their columns."""
+    n, pattern = A.shape[0], A.sparsity()
+    empty = ca.Sparsity(n, n)
+    graph = ca.vertcat(ca.horzcat(empty, pattern), ca.horzcat(pattern.T, empty))  # of rows and columns, joined by an entry
+    count, order, begins = graph.scc()
+    parts = [sorted(order[begins[i] : begins[i + 1]]) for i in range(count)]
+    found = [Block([i for i in part if i < n], [i - n for i in part if i >= n]) for part in parts]
+    return sorted(found, key=lambda block: block.columns)
+
+
+def nearest(s: Symbol, values: Symbol) -> Symbol:
+    """Of one value a block that of the block whose s is least in size; both (k,)."""
+    least, value = s[0], values[0]
+    for i in range(1, s.shape[0]):
+        nearer = ca.fabs(s[i]) < ca.fabs(least)
+        least, value = ca.if_else(nearer, s[i], least), ca.if_else(nearer, values[i], value)
+    return value
+
+
 def singular_vectors(A: Symbol) -> SingularVectors:
-    """Of a square matrix (n, n), n >= 2; v_weak is oriented as the cofactors of A's last row."""
+    """Of a square matrix (n, n); v_weak is oriented as the cofactors of its block's last row."""
+    parts = blocks(A)
+    if len(parts) == 1:
+        return _of_block(A)
+    found = [_of_block(A[rows, columns]) for rows, columns in parts]
+
+    def placed(name: str, side: str) -> Symbol:
+        """The vectors of all blocks, among the rows (u) or columns (v) of A."""
+        every = []
+        for part, one in zip(parts, found, strict=True):
+            vectors = ca.SX(A.shape[0], getattr(one, name).shape[1])
+            vectors[getattr(part, side), :] = getattr(one, name)
+            every.append(vectors)
+        return ca.horzcat(*every)
+
+    strong, weak = (ca.vertcat(*(getattr(one, name) for one in found)) for name in ("sigma_strong", "sigma_weak"))
+    return SingularVectors(placed("u_strong", "rows"), strong, placed("v_strong", "columns"),
+                           placed("u_weak", "rows"), weak, placed("v_weak", "columns"))
+
+
+def _of_block(A: Symbol) -> SingularVectors:
+    """Of a matrix that is one block."""
     n = A.shape[0]
+    if n == 1:
+        return SingularVectors(ca.SX(1, 0), ca.SX(0, 1), ca.SX(1, 0), ca.SX(1.0), A, ca.SX(1.0))
     v_strong = _strong_right(A)
     columns = A @ v_strong
     sigma_strong = ca.vertcat(*(ca.norm_2(columns[:, i]) for i in range(n - 1)))
