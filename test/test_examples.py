@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from dextar_control.model.model import Model, check_geometry
 from dextar_control.model.robot import Robot
 from dextar_control.planning.certificate import PLAN_RESIDUAL
 from dextar_control.planning.locus import nearest_point
-from dextar_control.planning.planner import Plan, plan_return_trip_through
+from dextar_control.planning.planner import Plan, plan_approach, plan_return_trip_through
 
 LOW, HIGH = [-0.05, -0.1], [0.05, 0.1]  # m, places of the platform
 STATES = 100
@@ -148,6 +149,18 @@ def test_a_number_of_its_own_that_is_missing_or_out_of_bounds_is_named(biglide: 
         biglide.ROBOT.replace(**{"left.bar_length": -0.1})
     with pytest.raises(ParameterError, match=r"joint_min = 0\.4 with joint_max = 0\.4 of q2; it must be smaller"):
         biglide.ROBOT.replace(joint_min=[-0.4, 0.4])
+
+
+def test_a_plan_of_geometric_models_that_contradict_the_closures_is_refused(biglide: Any) -> None:
+    class Wrong(biglide.Biglide):
+        name = "wrong"
+
+        def inverse_geometric_model(self, x: Any, p: Any) -> Any:
+            return super().inverse_geometric_model(x, p) + 1e-4
+
+    wrong = dataclasses.replace(biglide.ROBOT, mechanism=Wrong())
+    with pytest.raises(ParameterError, match="the inverse geometric model of wrong leaves its closures open by"):
+        plan_approach(wrong, np.array([-0.045, -0.03]), np.array([-0.045, 0.0]), 0.3)
 
 
 @pytest.mark.parametrize(("name", "crossings"), [("biglide", 2), ("carried_body", 4)])

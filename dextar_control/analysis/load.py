@@ -51,7 +51,8 @@ _POINT_FIELDS = (
 )
 _CONTROL_NAMES = [
     "points.0.time_from_start.sec", "points.0.time_from_start.nanosec",
-    *(f"points.{point}.{kind}.{axis}" for point, kinds in enumerate(_POINT_FIELDS) for kind in kinds for axis in range(2)),
+    *(f"points.{point}.{kind}.{axis}" for point, kinds in enumerate(_POINT_FIELDS) for kind in kinds
+      for axis in range(len(topics.PLATFORM_NAMES))),
 ]  # fmt: skip
 _MOTION_NAMES = ["pose.pose.position.x", "pose.pose.position.y", "twist.twist.linear.x", "twist.twist.linear.y"]
 
@@ -231,7 +232,7 @@ def _control_paths(message: Any) -> dict[str, str]:
     found = {name: name for name in _CONTROL_NAMES[:2]}
     for name in _CONTROL_NAMES[2:]:
         _, point, kind, _ = name.split(".")
-        if int(point) < len(message.points) and len(getattr(message.points[int(point)], kind)) == 2:
+        if int(point) < len(message.points) and len(getattr(message.points[int(point)], kind)) == len(topics.PLATFORM_NAMES):
             found[name] = name
     return found
 

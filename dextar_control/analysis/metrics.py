@@ -16,6 +16,7 @@ from dextar_control.analysis.timing import PhaseSpan, Timing, measure_timing, pe
 from dextar_control.analysis.tracking import plan_of, tracked
 from dextar_control.analysis.verdict import Verdict, judge, late_share
 from dextar_control.contract.errors import DextarError
+from dextar_control.contract.robot import JOINT_NAMES
 from dextar_control.planning.certificate import NEAR_LOCUS
 
 SATURATED = 1.0 - 1e-9  # of the torque limit
@@ -127,7 +128,7 @@ def compute_metrics(run: Run) -> Metrics:
     track = tracked(run)
     crossings = judge_crossings(run, plan, track) if plan and track else []
     near = np.abs(track.torque_s) < NEAR_LOCUS if track else np.zeros(0, dtype=bool)
-    torque = track.torque if track else np.zeros((0, 2))
+    torque = track.torque if track else np.zeros((0, len(JOINT_NAMES)))
     error = track.true_error[np.isfinite(track.true_error)] if track else np.zeros(0)
     planned_peak = plan.peak_torque if plan else math.nan
     planned_near = plan.peak_torque_near if plan else math.nan

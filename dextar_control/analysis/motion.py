@@ -14,7 +14,7 @@ from dextar_control.analysis.run import Floats, Run, Stamps
 from dextar_control.analysis.timing import phase_name
 from dextar_control.analysis.tracking import tracked
 from dextar_control.contract.errors import BagError, ParameterError
-from dextar_control.contract.robot import RobotParameters, flatten
+from dextar_control.contract.robot import JOINT_NAMES, RobotParameters, flatten
 
 MARGIN = 0.1  # s shown before and after the trajectory
 
@@ -99,7 +99,7 @@ def motion_of(run: Run, period: float, begin: float | None = None, end: float | 
     rows = _last(clock, times)
     commands = np.asarray(run.commands.stamps - zero, dtype=np.float64) * 1e-9
     told = _last(commands, times)
-    torque = np.full((len(times), 2), np.nan)
+    torque = np.full((len(times), len(JOINT_NAMES)), np.nan)
     torque[told >= 0] = run.commands.effort[told[told >= 0]]
     seen = _last(np.asarray(run.criterion.stamps - zero, dtype=np.float64) * 1e-9, times)
     names = [phase_name(int(run.criterion.phase[row])) if row >= 0 else "" for row in seen]

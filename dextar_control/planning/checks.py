@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from dextar_control.contract.errors import TrajectoryError
-from dextar_control.model.robot import AnyRobot
+from dextar_control.model.model import check_geometry
+from dextar_control.model.robot import AnyRobot, Robot
 from dextar_control.planning.certificate import Certificate, measure
+from dextar_control.planning.model import states_model
 from dextar_control.planning.profile import Profile
 from dextar_control.planning.trajectory import Trajectory, in_words
 from dextar_control.symbols.types import Array
 
 SIDE = 0.3  # |s| of a plan before and after a crossing that is clear of the locus
+GEOMETRY_PLACES = 10  # of a trajectory, at which the geometric models are held against the closures
 REST_SPEED = 1e-6  # m/s
 REST_ACCELERATION = 1e-3  # m/s^2
 
@@ -33,6 +36,7 @@ def certify(
 
     Raises:
         TrajectoryError: names the value, the limit and where.
+        ParameterError: the mechanism's geometric model leaves its closures open on the way.
     """
     certificate = measure(robot, trajectory, period)
     profile, joint = certificate.profile, certificate.joint
@@ -45,6 +49,8 @@ def certify(
     if unreachable.any():
         row = int(np.argmax(unreachable))
         raise TrajectoryError(f"point {in_words(profile.x[row])} at {profile.time[row]:.4f} s lies outside the workspace")
+    if isinstance(robot, Robot):  # of a mechanism that may be its user's own
+        check_geometry(states_model(robot), profile.x[:: max(len(profile.x) // GEOMETRY_PLACES, 1)])
     if certificate.least_type1 < robot.min_type1_distance:
         row = int(np.argmin(profile.type1))
         raise fail("the distance to Type 1", certificate.least_type1, robot.min_type1_distance, "(least |sin|)", row)

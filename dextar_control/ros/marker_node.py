@@ -18,7 +18,7 @@ from visualization_msgs.msg import MarkerArray
 from dextar_control.contract.cdr import read_message
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.node import DextarNode, Parameter, qos, run_node
-from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_STATES, MARKERS, TRAJECTORY
+from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_STATES, MARKERS, PLATFORM_NAMES, TRAJECTORY
 from dextar_control.ros import messages
 from dextar_control.ros.scene import Scene, View, to_array, wipe
 from dextar_control.symbols.types import Array
@@ -166,7 +166,7 @@ def _newest(reader: Any, kind: Any, *, raw: bool) -> Any:
 
 
 def _position(points: Any, row: int) -> Array:
-    if len(points) <= row or len(points[row].positions) != 2:
+    if len(points) <= row or len(points[row].positions) != len(PLATFORM_NAMES):
         return UNKNOWN
     return np.array(points[row].positions)
 

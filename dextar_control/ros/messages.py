@@ -45,7 +45,7 @@ def joint_commands_template() -> CdrTemplate:
     def make(stamp: Time, values: Sequence[float]) -> JointState:
         return JointState(header=Header(stamp=stamp), name=list(JOINT_NAMES), effort=values)
 
-    return CdrTemplate(make, 2)
+    return CdrTemplate(make, len(JOINT_NAMES))
 
 
 def criterion_template() -> CdrTemplate:
