@@ -60,12 +60,6 @@ class Arc(NamedTuple):
     length: Array  # (m,) from the arc's begin, m
 
 
-def locus_position(model: PlanningModel, family: Family, branch: int, angle: float) -> Array:
-    """Position (n,), m, of the locus at a tracing angle, rad."""
-    x: Array = model.locus([family.value], [branch], np.array([[angle]])).x[0]
-    return x
-
-
 def rests_around(model: PlanningModel, points: Array, clear: float, least_s: float) -> list[Array]:
     """Places around locus points (m, n), straight ahead of each: per point, (k, n + 2) x, s and distance to Type 1.
 
@@ -158,17 +152,22 @@ def _passable(
     return seen[every // THIN * THIN] & seen[np.minimum(-(-every // THIN) * THIN, thinned[-1])]
 
 
-def point_on_arc(robot: RobotParameters, arc: Arc, length: float) -> LocusPoint:
+def _point_on_arc(robot: RobotParameters, arc: Arc, length: float) -> LocusPoint:
     """The point of an arc at a length from its begin, m."""
-    return make_point(robot, arc.working_mode, arc.family, arc.branch, float(np.interp(length, arc.length, arc.angles)))
+    return _point_at(robot, arc, float(np.interp(length, arc.length, arc.angles)))
 
 
-def make_point(robot: RobotParameters, working_mode: Mode, family: Family, branch: int, angle: float) -> LocusPoint:
-    """The point of the locus at a tracing angle, rad, of one branch."""
-    model = planning_model(robot.replace(working_mode=working_mode))
-    x = locus_position(model, family, branch, angle)
+def _point_at(robot: RobotParameters, arc: Arc, angle: float) -> LocusPoint:
+    """The point of an arc at a tracing angle, rad."""
+    model = planning_model(robot.replace(working_mode=arc.working_mode))
+    x = _position(model, arc, angle)
     found = model.place(x)
-    return LocusPoint(x, working_mode, family, found.t_s, found.gradient, float(found.type1[0]), branch, angle)
+    return LocusPoint(x, arc.working_mode, arc.family, found.t_s, found.gradient, float(found.type1[0]), arc.branch, angle)
+
+
+def _position(model: PlanningModel, arc: Arc, angle: float) -> Array:
+    x: Array = model.locus([arc.family.value], [arc.branch], np.array([[angle]])).x[0]
+    return x
 
 
 def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> LocusPoint:
@@ -191,10 +190,10 @@ def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> Locu
     model, bounds = planning_model(robot), (arc.angles[max(row - 1, 0)], arc.angles[min(row + 1, len(arc.angles) - 1)])
 
     def gap(angle: float) -> float:
-        return float(np.linalg.norm(locus_position(model, arc.family, arc.branch, angle) - x))
+        return float(np.linalg.norm(_position(model, arc, angle) - x))
 
     found = minimize_scalar(gap, bounds=bounds, method="bounded", options={"xatol": 1e-12})
-    return make_point(robot, arc.working_mode, arc.family, arc.branch, float(found.x))
+    return _point_at(robot, arc, float(found.x))
 
 
 def _nearest_by_gradient(robot: Robot, x: Array, type1: float) -> LocusPoint:
@@ -290,15 +289,16 @@ def place_of(robot: AnyRobot, point: LocusPoint | Array) -> LocusPoint:
     return point
 
 
-def beside(robot: RobotParameters, point: LocusPoint, shift: float) -> LocusPoint | None:
-    """The locus point at a signed distance along its arc, m; None where the arc ends."""
+def beside(robot: AnyRobot, point: LocusPoint, shift: float) -> LocusPoint | None:
+    """The locus point at a signed distance along its arc, m; None where the arc ends, or the locus is not traced."""
+    if not isinstance(robot, RobotParameters):
+        return None
     for arc in trace_locus(robot, (robot.working_mode,), robot.min_type1_distance):
         inside = arc.angles[0] <= point.angle <= arc.angles[-1]
         if arc.family is point.family and arc.branch == point.branch and inside:
             place = float(np.interp(point.angle, arc.angles, arc.length)) + shift
             if 0.0 <= place <= arc.length[-1]:
-                angle = float(np.interp(place, arc.length, arc.angles))
-                return make_point(robot, arc.working_mode, arc.family, arc.branch, angle)
+                return _point_on_arc(robot, arc, place)
     return None
 
 
@@ -362,5 +362,5 @@ def sample_locus(
         for k in range(share):
             place = (k + phase) / share * ends[-1]
             row = min(int(np.searchsorted(ends, place)), len(arcs) - 1)
-            points.append(point_on_arc(robot, arcs[row], place - (ends[row] - arcs[row].length[-1])))
+            points.append(_point_on_arc(robot, arcs[row], place - (ends[row] - arcs[row].length[-1])))
     return points
