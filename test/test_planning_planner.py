@@ -26,7 +26,6 @@ from dextar_control.planning.model import planning_model
 from dextar_control.planning.planner import (
     Criterion,
     Plan,
-    crossing_polynomial,
     plan_approach,
     plan_crossing,
     plan_return_trip,
@@ -35,7 +34,7 @@ from dextar_control.planning.planner import (
     robot_at,
 )
 from dextar_control.planning.profile import sample_profile
-from dextar_control.planning.search import IMPOSSIBLE, crossing_problem, leg_problem, trajectory_of
+from dextar_control.planning.search import IMPOSSIBLE, coefficients_over, crossing_problem, leg_problem, trajectory_of
 from dextar_control.planning.trajectory import Trajectory, quintic
 from dextar_sim.geometry import bases, elbow, joints_at
 
@@ -46,6 +45,22 @@ LONG_AND_SHORT = {f"{side}.{link}_length": length for side in ("left", "right")
 FAST_PEAK = 0.2  # N m, of a fast trip through any crossable point; the limit is 0.3
 MASS_FORCE = 2e-5  # N, of the second difference over 1e-4 s of 0.1 kg m of moments known to 1e-17 m: rounding and truncation
 LIMIT_AGREEMENT = 1e-4  # just before and after the locus: the torque's slope makes 1e-5 of it over 2e-6 of s, rounding less
+
+
+def _crossing_polynomial(
+    robot: RobotParameters, ends: tuple[np.ndarray, np.ndarray], x: np.ndarray, x_dot: np.ndarray, x_ddot: np.ndarray,
+) -> Trajectory:
+    """From rest in 0.16 s to a given state at the crossing, whatever its criterion, and in 0.17 s to rest."""
+    spans = (-0.16, 0.17)
+    jerk = np.mean(
+        [6.0 * (end - x - x_dot * span - 0.5 * x_ddot * span**2) / span**3 for end, span in zip(ends, spans, strict=True)], axis=0
+    )
+    state, pieces = np.column_stack([x, x_dot, x_ddot, jerk]), []
+    for end, span in zip(ends, spans, strict=True):
+        rest = np.column_stack([end, np.zeros((2, 3))])
+        (half,) = planning_model(robot).half(state.ravel("F"), rest.ravel("F"), span, 0.0)
+        pieces.append(coefficients_over(half, span))
+    return Trajectory(np.array([0.0, 0.16, 0.33]), np.array([0.16, 0.16]), np.stack(pieces))
 
 
 def _torque_at(robot: RobotParameters, trajectory: Trajectory, crossing: float, s: float) -> np.ndarray:
@@ -82,7 +97,7 @@ def test_a_violated_criterion_makes_the_torque_grow_as_one_over_s(robot: RobotPa
     point = trip.trajectory.at(crossing)
     along = planning_model(robot).place(point.x).t_s
     task = trip.trajectory.at(0.0).x, trip.trajectory.at(0.6).x
-    wrong = crossing_polynomial(robot, task[0], task[1], point.x, point.x_dot, point.x_ddot + 1.0 * along, 0.16, 0.17)
+    wrong = _crossing_polynomial(robot, task, point.x, point.x_dot, point.x_ddot + 1.0 * along)
     peaks = [np.abs(_torque_at(robot, wrong, 0.16, s)).max() for s in (1e-3, 1e-4, 1e-5)]
     assert 5.0 < peaks[1] / peaks[0] < 20.0
     assert 9.0 < peaks[2] / peaks[1] < 11.0
@@ -444,7 +459,7 @@ def test_a_point_near_type_1_is_refused(robot: RobotParameters) -> None:
 def test_certify_refuses_what_breaks_the_criterion(robot: RobotParameters, trip: Plan) -> None:
     point = trip.trajectory.at(float(trip.certificate.crossing_times[0]))
     ends = trip.trajectory.at(0.0).x, trip.trajectory.at(0.6).x
-    wrong = crossing_polynomial(robot, *ends, point.x, point.x_dot, point.x_ddot + np.array([0.0, 3.0]), 0.16, 0.17)
+    wrong = _crossing_polynomial(robot, ends, point.x, point.x_dot, point.x_ddot + np.array([0.0, 3.0]))
     with pytest.raises(TrajectoryError, match=r"residual \|t_s.w_d\| at crossing 1 is .* N; the limit is 0.01 N"):
         certify(robot, wrong, max_residual=0.01)
 
