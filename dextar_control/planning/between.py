@@ -33,9 +33,8 @@ def _ends(robot: AnyRobot, start: Array, goal: Array) -> tuple[float, float]:
     for name, x in (("start", start), ("goal", goal)):
         s = side_of(robot, name, x)
         if abs(s) < MIN_END_S:
-            raise GeometryError(
-                f"{name} {in_words(x)} is too near to the Type 2 locus: |s| = {abs(s):.3f}; the limit is {MIN_END_S}"
-            )
+            near = f"{name} {in_words(x)} is too near to the Type 2 locus"
+            raise GeometryError(f"{near}: |s| = {abs(s):.3f}; the limit is {MIN_END_S}")
         sides.append(s)
     if sides[0] * sides[1] > 0.0:
         raise TrajectoryError(
@@ -46,14 +45,8 @@ def _ends(robot: AnyRobot, start: Array, goal: Array) -> tuple[float, float]:
 
 
 def plan_crossing(
-    robot: AnyRobot,
-    start: Array,
-    goal: Array,
-    duration: float | None = None,
-    *,
-    point: LocusPoint | Array | None = None,
-    criterion: Criterion = Criterion.RECIPROCAL,
-    progress: Progress = silent,
+    robot: AnyRobot, start: Array, goal: Array, duration: float | None = None, *, point: LocusPoint | Array | None = None,
+    criterion: Criterion = Criterion.RECIPROCAL, progress: Progress = silent,
 ) -> Plan:
     """One way from start to goal, rest to rest, through the locus once.
 
@@ -116,10 +109,10 @@ def _parts(
         second = find_way(regions, place.x, sides[1], goal, sides[1])
         if first is not None and second is not None:
             return first[0], second[0]
-    through = "crosses the Type 2 locus once" if place is None else f"leads through ({place.x[0]:.4f}, {place.x[1]:.4f}) m"
+    through = "crosses the Type 2 locus once" if place is None else f"leads through {in_words(place.x)}"
     raise TrajectoryError(
-        f"Type 1 parts start ({start[0]:.4f}, {start[1]:.4f}) and goal ({goal[0]:.4f}, {goal[1]:.4f}) m: no way between them"
-        f" {through} and keeps {robot.min_type1_distance} from Type 1 in working mode {list(robot.working_mode)}"
+        f"Type 1 parts start {in_words(start)} and goal {in_words(goal)}: no way between them {through} and keeps"
+        f" {robot.min_type1_distance} from Type 1 in working mode {list(robot.working_mode)}"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -100,9 +101,7 @@ def are_crossable(model: PlanningModel, points: Array, clear: float) -> NDArray[
 
 @lru_cache(maxsize=64)
 def trace_locus(
-    robot: RobotParameters,
-    working_modes: tuple[Mode, ...] = WORKING_MODES,
-    type1: float = MIN_CROSSING_TYPE1,
+    robot: RobotParameters, working_modes: tuple[Mode, ...] = WORKING_MODES, type1: float = MIN_CROSSING_TYPE1,
     crossable: bool = False,
 ) -> list[Arc]:
     """The locus in connected arcs, each in one working mode and at least ``type1`` from Type 1.
@@ -127,15 +126,12 @@ def trace_locus(
             fit &= np.array([mode in working_modes for mode in modes])
             if crossable:
                 fit &= _passable(robot, traced.x, modes, fit, type1)
-            begin = 0
-            for k in range(1, len(angles) + 1):
-                if k < len(angles) and fit[k] == fit[begin] and modes[k] == modes[begin]:
-                    continue
-                if fit[begin] and k - begin > 1:
-                    x = traced.x[begin:k]
+            for (fits, mode), rows in itertools.groupby(enumerate(zip(fit, modes, strict=True)), lambda row: row[1]):
+                own = [row for row, _ in rows]
+                if fits and len(own) > 1:
+                    x = traced.x[own]
                     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
-                    arcs.append(Arc(modes[begin], family, branch, angles[begin:k], x, length))
-                begin = k
+                    arcs.append(Arc(mode, family, branch, angles[own], x, length))
     return arcs
 
 
@@ -147,7 +143,8 @@ def _passable(
     thinned = np.arange(0, len(x), THIN)
     for mode in set(modes):
         rows = [k for k in thinned if fit[k] and modes[k] == mode]
-        seen[rows] = are_crossable(planning_model(robot.replace(working_mode=mode)), x[rows], type1) if rows else False
+        if rows:
+            seen[rows] = are_crossable(planning_model(robot.replace(working_mode=mode)), x[rows], type1)
     every = np.arange(len(x))
     return seen[every // THIN * THIN] & seen[np.minimum(-(-every // THIN) * THIN, thinned[-1])]
 
@@ -312,12 +309,7 @@ def _shares(lengths: Array, count: int, least: Array) -> Array:
 
 
 def sample_locus(
-    robot: RobotParameters,
-    count: int,
-    seed: int = 0,
-    *,
-    folded: int = 0,
-    working_modes: Sequence[Mode] = WORKING_MODES,
+    robot: RobotParameters, count: int, seed: int = 0, *, folded: int = 0, working_modes: Sequence[Mode] = WORKING_MODES,
 ) -> list[LocusPoint]:
     """Points spread evenly over the locus where it can be crossed, in several working modes.
 

@@ -101,14 +101,8 @@ def soft_limits(robot: AnyRobot, end_s: float) -> Record:
 
 
 def crossing_problem(
-    robot: AnyRobot,
-    point: LocusPoint,
-    sign: float,
-    duration: float,
-    criterion: Criterion,
-    free: Sequence[str],
-    end_s: float = SOFT_END_S,
-    towards: Array | None = None,
+    robot: AnyRobot, point: LocusPoint, sign: float, duration: float, criterion: Criterion, free: Sequence[str],
+    end_s: float = SOFT_END_S, towards: Array | None = None,
 ) -> Problem:
     """A crossing near a locus point.
 
@@ -176,19 +170,17 @@ def guesses_through(problem: Problem, point: LocusPoint, towards: Array | None =
     """Guesses with rests straight ahead of the point on both sides, as much in line as can be."""
     model, x, length, sign = problem.model, point.x, problem.task.length, problem.task.sign
     rests = rests_around(model, x[None], problem.limits.type1, REST_S)[0]
-    n, s, type1 = model.n, rests[:, -2], rests[:, -1]
-    starts, goals, clear = rests[s * sign < 0.0, :n], rests[s * sign > 0.0, :n], (type1[s * sign < 0.0], type1[s * sign > 0.0])
-    if len(starts) == 0 or len(goals) == 0:
+    n, side = model.n, rests[:, -2] * sign
+    first, last = rests[side < 0.0], rests[side > 0.0]
+    if len(first) == 0 or len(last) == 0:
         return []
-    before, after = x - starts, goals - x
-    far_before, far_after = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
-    aligned = (before / far_before[:, None]) @ (after / far_after[:, None]).T
-    total = far_before[:, None] + far_after[None]
-    clearance = np.minimum(clear[0][:, None], clear[1][None])
-    score = 1.0 - aligned + np.abs(total / (0.7 * length) - 1.0) + 0.5 * np.maximum(0.0, 1.0 - clearance / 0.3)
+    starts, goals = first[:, :n], last[:, :n]
+    far_before, far_after = np.linalg.norm(x - starts, axis=1), np.linalg.norm(goals - x, axis=1)
+    before, after = (x - starts) / far_before[:, None], (goals - x) / far_after[:, None]
+    total, clearance = far_before[:, None] + far_after, np.minimum(first[:, None, -1], last[:, -1])
+    score = 1.0 - before @ after.T + np.abs(total / (0.7 * length) - 1.0) + 0.5 * np.maximum(0.0, 1.0 - clearance / 0.3)
     if towards is not None:
-        score = score - 2.0 * (after / far_after[:, None] @ towards)[None]
-        score = score - 2.0 * (before / far_before[:, None] @ towards)[:, None]
+        score = score - 2.0 * (after @ towards) - 2.0 * (before @ towards)[:, None]
     chosen: list[Array] = []
     found: list[Record] = []
     for index in np.argsort(score, axis=None):

@@ -42,13 +42,8 @@ def _way(point: LocusPoint, direction: int | float | Array) -> tuple[float, Arra
 
 
 def plan_through(
-    robot: AnyRobot,
-    point: LocusPoint | Array,
-    direction: int | Array,
-    duration: float | None = None,
-    *,
-    criterion: Criterion = Criterion.RECIPROCAL,
-    progress: Progress = silent,
+    robot: AnyRobot, point: LocusPoint | Array, direction: int | Array, duration: float | None = None, *,
+    criterion: Criterion = Criterion.RECIPROCAL, progress: Progress = silent,
 ) -> Plan:
     """One way through a given point of the locus, rest to rest; the planner chooses both ends.
 
