@@ -21,7 +21,7 @@ from dextar_control.planning.bench import answer, random_requests
 from dextar_control.planning.candidate import layouts
 from dextar_control.planning.certificate import Certificate, measure
 from dextar_control.planning.checks import certify
-from dextar_control.planning.locus import MIN_END_S, WORKING_MODES, Family, LocusPoint, sample_locus
+from dextar_control.planning.locus import MIN_END_S, WORKING_MODES, Family, LocusPoint, locus_point, sample_locus
 from dextar_control.planning.model import planning_model
 from dextar_control.planning.planner import (
     Criterion,
@@ -43,6 +43,7 @@ RELATIVE = 1e-9  # two exact formulations in float64; 0.1 N m is the size of the
 LONG_AND_SHORT = {f"{side}.{link}_length": length for side in ("left", "right")
                   for link, length in (("proximal", 0.12), ("distal", 0.06))}  # m: Type 1 parts y > 0 and y < 0  # fmt: skip
 FAST_PEAK = 0.2  # N m, of a fast trip through any crossable point; the limit is 0.3
+CRAMPED_PEAK = 0.145  # N m, of a fast trip where Type 1 leaves little room: half of the limit
 MASS_FORCE = 2e-5  # N, of the second difference over 1e-4 s of 0.1 kg m of moments known to 1e-17 m: rounding and truncation
 LIMIT_AGREEMENT = 1e-4  # just before and after the locus: the torque's slope makes 1e-5 of it over 2e-6 of s, rounding less
 
@@ -207,6 +208,12 @@ def test_any_point_of_the_locus_is_crossed_both_ways(
             assert (plan.certificate.residuals <= PLAN_RESIDUAL).all()
             assert plan.certificate.least_s >= MIN_END_S
             assert plan.certificate.peak_torque <= FAST_PEAK
+
+
+def test_a_fast_way_through_a_cramped_place_takes_little_torque(robot: RobotParameters) -> None:
+    """Late torque leaves an error in proportion: far from the easy places the search must not end in a bad way."""
+    cramped = locus_point(robot.replace(working_mode=(1, 1)), np.array([-0.08467, -0.09848]))
+    assert plan_through(robot_at(robot, cramped), cramped, 1, 0.33).certificate.peak_torque <= CRAMPED_PEAK
 
 
 def test_torque_is_continuous_through_every_kind_of_crossing(robot: RobotParameters, points: list[LocusPoint]) -> None:

@@ -13,7 +13,7 @@ from dextar_control.planning.locus import MIN_END_S, LocusPoint, beside, nearest
 from dextar_control.planning.regions import find_way, make_regions
 from dextar_control.planning.regular import side_of
 from dextar_control.planning.search import BENDS, Criterion, Problem, Progress, crossing_problem, silent
-from dextar_control.planning.trajectory import in_words
+from dextar_control.planning.trajectory import in_words, lengths_along
 from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
 
@@ -66,7 +66,7 @@ def plan_crossing(
     sides = _ends(robot, start, goal)
     place = None if point is None else place_of(robot, point)
     before, after = _parts(robot, start, goal, sides, place)
-    length = _length(np.vstack([before, after]))
+    length = float(lengths_along(np.vstack([before, after]))[-1])
     scale = scale_of(duration, length)
     middle = place or nearest_point(robot, 0.5 * (before[-1] + after[0]))
     moved = place is None and isinstance(robot, RobotParameters)
@@ -116,15 +116,11 @@ def _parts(
     )
 
 
-def _length(way: Array) -> float:
-    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
-
-
 def _guess(problem: Problem, point: LocusPoint, before: Array, after: Array, bent: bool) -> Record:
     """The variables of a way given by its places before and after the crossing, bent along them or straight."""
     unit = problem.task.length
     before, after = np.vstack([before, point.x]), np.vstack([point.x, after])
-    lengths = _length(before), _length(after)
+    lengths = lengths_along(before)[-1], lengths_along(after)[-1]
     ahead = after[-1] - before[0] if len(before) < 4 or len(after) < 4 else after[3] - before[-4]
     normal = problem.task.sign * point.gradient / np.linalg.norm(point.gradient)
     ahead = ahead / np.linalg.norm(ahead)
@@ -140,6 +136,6 @@ def _guess(problem: Problem, point: LocusPoint, before: Array, after: Array, ben
 
 def _bends(way: Array) -> Array:
     """(n, 2): the first bump takes the middle of the straight way to the middle of this one (m, n), m; the second is none."""
-    reached = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+    reached = lengths_along(way)
     middle = np.array([np.interp(0.5 * reached[-1], reached, along) for along in way.T])
     return np.column_stack([middle - 0.5 * (way[0] + way[-1]), np.zeros(len(middle))])

@@ -17,7 +17,7 @@ from dextar_control.mechanisms.five_bar import FiveBar
 from dextar_control.mechanisms.five_bar_locus import Family, FiveBarLocus
 from dextar_control.model.robot import AnyRobot, Robot
 from dextar_control.planning.model import PlanningModel, planning_model
-from dextar_control.planning.trajectory import in_words
+from dextar_control.planning.trajectory import in_words, lengths_along
 from dextar_control.symbols.types import Array
 
 WORKING_MODES = FiveBar.working_modes
@@ -130,8 +130,7 @@ def trace_locus(
                 own = [row for row, _ in rows]
                 if fits and len(own) > 1:
                     x = traced.x[own]
-                    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
-                    arcs.append(Arc(mode, family, branch, angles[own], x, length))
+                    arcs.append(Arc(mode, family, branch, angles[own], x, lengths_along(x)))
     return arcs
 
 

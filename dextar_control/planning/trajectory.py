@@ -23,6 +23,11 @@ def in_words(x: Array) -> str:
     return f"({', '.join(f'{value:.4f}' for value in x)}) m"
 
 
+def lengths_along(places: Array) -> Array:
+    """The length (m,) of a way up to each of its places (m, n), m."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
+
+
 class Point(NamedTuple):
     """One instant of a trajectory."""
 
