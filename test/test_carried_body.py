@@ -11,6 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from crossing_polynomial import crossing_polynomial
 from plain_loop import Run, drive, example, heavier
 from scipy.optimize import newton
 
@@ -23,7 +24,7 @@ from dextar_control.model.model import Model, equations_of
 from dextar_control.model.robot import Robot
 from dextar_control.planning.certificate import PLAN_RESIDUAL, Plan
 from dextar_control.planning.checks import certify
-from dextar_control.planning.planner import crossing_polynomial, plan_return_trip_through
+from dextar_control.planning.planner import plan_return_trip_through
 from dextar_control.planning.profile import find_crossings
 from dextar_control.planning.trajectory import Trajectory, hold, join
 
@@ -167,11 +168,10 @@ def test_it_crosses_both_loci_at_once_there_and_back(robot: Robot, trips: list[P
     assert verdicts.count(Verdict.CROSSED) >= (4 if share == 1.0 else 3) and Verdict.BOUNCED not in verdicts
 
 
-def test_the_plain_law_reaches_the_torque_limit_where_the_consistent_one_stays_below_the_plan(
+def test_the_plain_law_takes_more_than_twice_the_planned_torque_where_the_consistent_one_stays_below_it(
     robot: Robot, trips: list[Plan]
 ) -> None:
-    run = drive(robot, trips[0], law="classic")
-    assert run.near_torque > 2.0 * trips[0].certificate.peak_torque and run.loop.saturated_ticks > 0
+    assert drive(robot, trips[0], law="classic").near_torque > 2.0 * trips[0].certificate.peak_torque
 
 
 @pytest.mark.parametrize("row", range(len(PLACES)))
@@ -201,7 +201,7 @@ def apart(robot: Robot, plan: Plan, gap: float) -> Trajectory:
         asked = x_ddot + bend * t_s[:, 1]
         lacks = [model.wrenches(q_a, x, x_dot, tried).criterion[0] for tried in (asked, asked + t_s[:, 0])]
         asked = asked - lacks[0] / (lacks[1] - lacks[0]) * t_s[:, 0]
-        return crossing_polynomial(robot, trip.at(begin).x, trip.at(end).x, x, x_dot, asked, time - begin, end - time)
+        return crossing_polynomial(robot, (trip.at(begin).x, trip.at(end).x), x, x_dot, asked, time - begin, end - time)
 
     def lack(bend: float) -> float:
         tried = way(bend)

@@ -49,9 +49,8 @@ def random_requests(robot: RobotParameters, count: int, seed: int = 0) -> list[R
         at = robot.replace(working_mode=WORKING_MODES[generator.integers(len(WORKING_MODES))])
         places = generator.uniform(-reach, reach, (2, 2))
         found = planning_model(at).sides(places)
-        if not (np.abs(found.s).min() >= MIN_END_S and found.s[0] * found.s[1] < 0.0):
-            continue
-        if found.type1.min() < robot.min_type1_distance:
+        parted = np.abs(found.s).min() >= MIN_END_S and found.s[0] * found.s[1] < 0.0
+        if not (parted and found.type1.min() >= robot.min_type1_distance):
             continue
         duration = None if generator.uniform() < OPEN_SHARE else float(generator.uniform(*DURATIONS))
         requests.append(Request(at, places[0], places[1], duration))
@@ -60,12 +59,12 @@ def random_requests(robot: RobotParameters, count: int, seed: int = 0) -> list[R
 
 def answer(request: Request) -> Answer:
     """Plan a request."""
-    begin = time.perf_counter()
+    begin, peak, refusal = time.perf_counter(), float("nan"), ""
     try:
-        plan = plan_crossing(request.robot, request.start, request.goal, request.duration)
+        peak = plan_crossing(request.robot, request.start, request.goal, request.duration).certificate.peak_torque
     except DextarError as error:
-        return Answer(request, time.perf_counter() - begin, float("nan"), str(error))
-    return Answer(request, time.perf_counter() - begin, plan.certificate.peak_torque, "")
+        refusal = str(error)
+    return Answer(request, time.perf_counter() - begin, peak, refusal)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -81,14 +80,13 @@ def _run(count: int, seed: int) -> int:
     robot = load_robot(config_file(ROBOT_FILE))
     answer(random_requests(robot, 1, seed + 1)[0])
     answers = [answer(request) for request in random_requests(robot, count, seed)]
-    times = np.array([item.time for item in answers])
-    planned = [item for item in answers if not item.refusal]
-    peaks = np.array([item.peak_torque for item in planned])
-    print(f"planned {len(planned)} of {len(answers)}; median {np.median(times):.3f} s, longest {times.max():.3f} s a request")
-    print(f"peak torque: median {np.median(peaks):.3f} N m, largest {peaks.max():.3f} N m")
-    for item in answers:
-        if item.refusal:
-            print(f"refused, working mode {list(item.request.robot.working_mode)}: {item.refusal}")
+    refused = [item for item in answers if item.refusal]
+    times, peaks = np.array([item.time for item in answers]), np.array([item.peak_torque for item in answers])
+    median, longest = np.median(times), times.max()
+    print(f"planned {len(answers) - len(refused)} of {len(answers)}; median {median:.3f} s, longest {longest:.3f} s a request")
+    print(f"peak torque: median {np.nanmedian(peaks):.4f} N m, largest {np.nanmax(peaks):.3f} N m")
+    for item in refused:
+        print(f"refused, working mode {list(item.request.robot.working_mode)}: {item.refusal}")
     return 0
 
 

@@ -2,37 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from dextar_control.contract.errors import GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.model.robot import AnyRobot
-from dextar_control.planning.attempts import (
-    BASE_DURATION,
-    PACE,
-    RESTART_SPREAD,
-    RESTARTS,
-    Best,
-    check_duration,
-    refuse,
-    shaken,
-    stretched,
-)
+from dextar_control.planning.attempts import Best, scale_of
 from dextar_control.planning.certificate import Plan
-from dextar_control.planning.locus import MIN_END_S, LocusPoint, beside, make_point, nearest_point, place_of, trace_locus
+from dextar_control.planning.locus import MIN_END_S, LocusPoint, beside, nearest_point, place_of
 from dextar_control.planning.regions import find_way, make_regions
 from dextar_control.planning.regular import side_of
-from dextar_control.planning.search import Criterion, Problem, Progress, crossing_problem, silent
-from dextar_control.planning.trajectory import in_words
+from dextar_control.planning.search import BENDS, Criterion, Problem, Progress, crossing_problem, silent
+from dextar_control.planning.trajectory import in_words, lengths_along
 from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
 
 SHIFTS = (0.0, 0.025, -0.025)  # m along the locus, of the places where a crossing is tried
 DETOUR = 1.05  # length of a way over the straight one above which the guess is bent
 OPEN = ("split", "velocity", "strong", "jerk")  # what the search chooses, beside where to cross if that is open
-BENDS = ("first_bends", "second_bends")
 
 
 def _ends(robot: AnyRobot, start: Array, goal: Array) -> tuple[float, float]:
@@ -46,9 +33,8 @@ def _ends(robot: AnyRobot, start: Array, goal: Array) -> tuple[float, float]:
     for name, x in (("start", start), ("goal", goal)):
         s = side_of(robot, name, x)
         if abs(s) < MIN_END_S:
-            raise GeometryError(
-                f"{name} {in_words(x)} is too near to the Type 2 locus: |s| = {abs(s):.3f}; the limit is {MIN_END_S}"
-            )
+            near = f"{name} {in_words(x)} is too near to the Type 2 locus"
+            raise GeometryError(f"{near}: |s| = {abs(s):.3f}; the limit is {MIN_END_S}")
         sides.append(s)
     if sides[0] * sides[1] > 0.0:
         raise TrajectoryError(
@@ -59,14 +45,8 @@ def _ends(robot: AnyRobot, start: Array, goal: Array) -> tuple[float, float]:
 
 
 def plan_crossing(
-    robot: AnyRobot,
-    start: Array,
-    goal: Array,
-    duration: float | None = None,
-    *,
-    point: LocusPoint | Array | None = None,
-    criterion: Criterion = Criterion.RECIPROCAL,
-    progress: Progress = silent,
+    robot: AnyRobot, start: Array, goal: Array, duration: float | None = None, *, point: LocusPoint | Array | None = None,
+    criterion: Criterion = Criterion.RECIPROCAL, progress: Progress = silent,
 ) -> Plan:
     """One way from start to goal, rest to rest, through the locus once.
 
@@ -82,41 +62,30 @@ def plan_crossing(
         TrajectoryError: both lie on one side, Type 1 parts them, or no way within the limits was found; the
             message names the limit that the best one breaks and the nearest duration that works.
     """
-    check_duration(duration)
     start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
     sides = _ends(robot, start, goal)
     place = None if point is None else place_of(robot, point)
     before, after = _parts(robot, start, goal, sides, place)
-    length = _length(np.vstack([before, after]))
-    scale = BASE_DURATION + length / PACE if duration is None else duration
-    middle = place or _nearest_on_locus(robot, 0.5 * (before[-1] + after[0]))
-    free = OPEN + (("place",) if place is None and isinstance(robot, RobotParameters) else ())
+    length = float(lengths_along(np.vstack([before, after]))[-1])
+    scale = scale_of(duration, length)
+    middle = place or nearest_point(robot, 0.5 * (before[-1] + after[0]))
+    moved = place is None and isinstance(robot, RobotParameters)
+    free = (*OPEN, "place") if moved else OPEN
     direct = length < DETOUR * float(np.linalg.norm(goal - start))
-    attempts: list[tuple[LocusPoint, bool]] = [(middle, False)] if direct else []
-    shifted: Sequence[LocusPoint | None] = [middle]
-    if place is None and isinstance(robot, RobotParameters):
-        shifted = [beside(robot, middle, shift) for shift in SHIFTS]
-    attempts += [(at, True) for at in shifted if at is not None]
+    attempts: list[tuple[LocusPoint | None, bool]] = [(middle, False)] if direct else []
+    attempts += [(beside(robot, middle, shift) if moved else middle, True) for shift in (SHIFTS if moved else (0.0,))]
     best = Best(robot)
     for row, (at, bent) in enumerate(attempts):
+        if at is None:
+            continue
         progress(row / len(attempts), f"crossing near {in_words(at.x)}")
-        opened = free + (BENDS if bent else ())
+        opened = (*free, *BENDS) if bent else free
         problem = crossing_problem(robot, at, float(np.sign(sides[1])), scale, criterion, opened, 0.0)
         if best.offer(problem, _guess(problem, at, before, after, bent)):
             break
-    generator = np.random.default_rng(0)
-    for row in range(RESTARTS):
-        if best.plan is not None or best.problem is None or best.z is None:
-            break
-        progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS}")
-        best.offer(best.problem, shaken(best.z, best.problem.free, generator, RESTART_SPREAD))
-    progress(1.0, "certified" if best.plan is not None else "not found")
-    if duration is None and best.problem is not None and best.z is not None:
-        return stretched(robot, best.problem, best.z)
-    if best.plan is not None:
-        return best.plan
-    what = f"way from {in_words(start)} to {in_words(goal)}"
-    raise refuse(robot, what, best, lambda: None)
+    best.restart(lambda found: found.plan is not None, progress)
+    progress(1.0, "not found" if best.found is None or best.found.plan is None else "certified")
+    return best.outcome(f"way from {in_words(start)} to {in_words(goal)}", duration is None)
 
 
 def _parts(
@@ -140,30 +109,18 @@ def _parts(
         second = find_way(regions, place.x, sides[1], goal, sides[1])
         if first is not None and second is not None:
             return first[0], second[0]
-    through = "crosses the Type 2 locus once" if place is None else f"leads through ({place.x[0]:.4f}, {place.x[1]:.4f}) m"
+    through = "crosses the Type 2 locus once" if place is None else f"leads through {in_words(place.x)}"
     raise TrajectoryError(
-        f"Type 1 parts start ({start[0]:.4f}, {start[1]:.4f}) and goal ({goal[0]:.4f}, {goal[1]:.4f}) m: no way between them"
-        f" {through} and keeps {robot.min_type1_distance} from Type 1 in working mode {list(robot.working_mode)}"
+        f"Type 1 parts start {in_words(start)} and goal {in_words(goal)}: no way between them {through} and keeps"
+        f" {robot.min_type1_distance} from Type 1 in working mode {list(robot.working_mode)}"
     )
-
-
-def _nearest_on_locus(robot: AnyRobot, x: Array) -> LocusPoint:
-    if not isinstance(robot, RobotParameters):
-        return nearest_point(robot, x)
-    arcs = trace_locus(robot, (robot.working_mode,), robot.min_type1_distance)
-    arc = min(arcs, key=lambda arc: float(np.hypot(*(arc.x - x).T).min()))
-    return make_point(robot, arc.working_mode, arc.family, arc.branch, float(arc.angles[np.argmin(np.hypot(*(arc.x - x).T))]))
-
-
-def _length(way: Array) -> float:
-    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
 def _guess(problem: Problem, point: LocusPoint, before: Array, after: Array, bent: bool) -> Record:
     """The variables of a way given by its places before and after the crossing, bent along them or straight."""
     unit = problem.task.length
     before, after = np.vstack([before, point.x]), np.vstack([point.x, after])
-    lengths = _length(before), _length(after)
+    lengths = lengths_along(before)[-1], lengths_along(after)[-1]
     ahead = after[-1] - before[0] if len(before) < 4 or len(after) < 4 else after[3] - before[-4]
     normal = problem.task.sign * point.gradient / np.linalg.norm(point.gradient)
     ahead = ahead / np.linalg.norm(ahead)
@@ -179,6 +136,6 @@ def _guess(problem: Problem, point: LocusPoint, before: Array, after: Array, ben
 
 def _bends(way: Array) -> Array:
     """(n, 2): the first bump takes the middle of the straight way to the middle of this one (m, n), m; the second is none."""
-    reached = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+    reached = lengths_along(way)
     middle = np.array([np.interp(0.5 * reached[-1], reached, along) for along in way.T])
     return np.column_stack([middle - 0.5 * (way[0] + way[-1]), np.zeros(len(middle))])

@@ -31,7 +31,8 @@ ARGUMENTS = "p", "limits", "task", "variables"  # of a candidate's functions
 HALF_SAMPLES = 24  # of each half while optimising, none of them on the locus
 DENSITY = 0.35  # spacing of those samples at the crossing over their mean spacing
 NEAR = 0.15  # |s| that counts as near the locus
-NEAR_EMPHASIS = 0.5  # how much more a torque on the locus counts than one away from it
+NEAR_EMPHASIS = 1.0  # how much more a torque on the locus counts than one away from it
+EXCESS = 1.0  # how much more a peak torque counts beyond the one that costs one
 SOFT_MAXIMUM = 12  # exponent of the mean that stands for the peak torque
 UNREACHABLE = 20.0  # cost of a half that a leg does not reach, before how far it misses
 UNCLOSED = 1e3  # cost of a place where the locus does not close, over how far it misses
@@ -74,7 +75,7 @@ def layouts(n: int) -> Layouts:
     return Layouts(
         Layout("limits", n, (
             Field("torque", "N m", "peak torque that costs one"),
-            Field("near_time", "s", "near the locus, that costs near_weight"), Field("near_weight", "1", "of it"),
+            Field("near_time", "s", "near the locus, that costs one"),
             Field("time", "s", "of a leg, that costs one"),
             Field("joint_speed", "rad/s", "limit"), Field("platform_speed", "m/s", "limit"),
             Field("type1", "1", "distance to Type 1 that is kept"), Field("end_s", "1", "|s| at the ends"),
@@ -221,7 +222,8 @@ def _basis(order: int) -> Any:
 def costs(mechanism: Mechanism, e: Equations, made: list[ca.Function]) -> list[ca.Function]:
     """``crossing_cost`` and ``leg_cost``: what a candidate costs, and its gradient over the variables.
 
-    The cost is its peak torque, its time near the locus, and what it breaks.
+    The cost is its peak torque, its time near the locus, and what it breaks. A torque counts more near the locus and beyond
+    what costs one: each comes a little late, and the error that this leaves grows with it.
     """
     sample, end = _instant(mechanism, e)
     return [_cost(candidate, sample.map(HALF_SAMPLES), end) for candidate in made if candidate.name() in ("crossing", "leg")]
@@ -241,8 +243,8 @@ def _cost(candidate: ca.Function, samples: ca.Function, end: ca.Function) -> ca.
         peak, near, total = peak + load @ weights, near + close @ weights, total + counted @ weights
         own += ca.sum2(broken) + end(p, limits, signs[row], x[:, -1])
     place = layouts(candidate.size1_out(0)).limits.places
-    near_cost = limits[place["near_weight"][0]] * near / limits[place["near_time"][0]]
-    cost = ca.fmax(peak / ca.fmax(total, 1e-9), 1e-12) ** (1.0 / SOFT_MAXIMUM) + near_cost + own
+    torque = ca.fmax(peak / ca.fmax(total, 1e-9), 1e-12) ** (1.0 / SOFT_MAXIMUM)
+    cost = torque + EXCESS * _over(torque, 1.0) + near / limits[place["near_time"][0]] + own
     return ca.Function(
         f"{candidate.name()}_cost", arguments, [cost, ca.densify(ca.gradient(cost, variables))], [*ARGUMENTS],
         ["cost", "gradient"],

@@ -45,7 +45,6 @@ class Certificate(NamedTuple):
     crossing_blocks: NDArray[np.int64]  # (k,) of A_r, that loses a rank there
     crossing_points: Array  # (k, n) m
     crossing_signs: Array  # (k,) sign of s after the crossing
-    crossing_speeds: Array  # (k,) along t_s, m/s
     residuals: Array  # (k,) |t_s.w_d| at the crossing, N
     multipliers: Array  # (k, n) limit of lambda on the locus, N/m
     peak_torque: float  # N m
@@ -61,12 +60,8 @@ class Certificate(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the profile, in plain numbers and lists: what travels with the trajectory."""
-        return {
-            "duration": self.duration, "peak_torque": self.peak_torque, "peak_torque_near": self.peak_torque_near,
-            "peak_joint_speed": self.peak_joint_speed, "peak_platform_speed": self.peak_platform_speed,
-            "least_type1": self.least_type1, "least_s": self.least_s,
-            "crossings": [crossing._asdict() for crossing in self.crossings],
-        }
+        numbers = {name: value for name, value in self._asdict().items() if isinstance(value, float)}
+        return numbers | {"crossings": [crossing._asdict() for crossing in self.crossings]}
 
     def to_json(self) -> str:
         """``to_dict`` as JSON; a number that does not exist is null."""
@@ -125,21 +120,13 @@ def measure(robot: AnyRobot, trajectory: Trajectory, period: float = 1e-3) -> Ce
     signs = np.sign(rough.s_blocks[after, blocks])
     found = tuple(_crossing(robot, profile, *one) for one in zip(rows.tolist(), blocks.tolist(), signs.tolist(), strict=True))
     return Certificate(
-        crossing_times=crossings,
-        crossing_blocks=blocks,
-        crossing_points=profile.x[rows],
-        crossing_signs=signs,
-        crossing_speeds=np.array([crossing.speed for crossing in found]),
-        residuals=np.array([crossing.residual for crossing in found]),
-        multipliers=profile.multipliers[rows],
+        crossing_times=crossings, crossing_blocks=blocks, crossing_points=profile.x[rows], crossing_signs=signs,
+        residuals=np.array([crossing.residual for crossing in found]), multipliers=profile.multipliers[rows],
         peak_torque=float(np.abs(profile.torque).max()),
         peak_torque_near=float(np.abs(profile.torque[near]).max()) if near.any() else float("nan"),
         peak_joint_speed=float(np.abs(profile.q_a_dot).max()),
         peak_platform_speed=float(np.linalg.norm(profile.x_dot, axis=1).max()),
-        least_type1=float(profile.type1.min()),
-        duration=trajectory.duration,
-        profile=profile,
-        crossings=found,
+        least_type1=float(profile.type1.min()), duration=trajectory.duration, profile=profile, crossings=found,
         least_s=float(np.abs(profile.s[[0, -1]]).min()),
         joint=states_model(robot).mechanism.joints[0],
     )
@@ -156,13 +143,10 @@ def _crossing(robot: AnyRobot, profile: Profile, row: int, block: int, sign: flo
     near = slice(max(row - 1, 0), row + 2)
     span = np.ptp(profile.time[near])
     return Crossing(
-        time=float(profile.time[row]), x=_tuple(x), x_dot=_tuple(x_dot),
+        time=float(profile.time[row]), x=tuple(x.tolist()), x_dot=tuple(x_dot.tolist()),
         family=model.mechanism.family_name(found.A_r), sign=int(np.nan_to_num(sign)),
         rate=float(np.diff(s[near][[0, -1]])[0] / span) if span > 0.0 else float("nan"),
         speed=float(abs(t_s @ x_dot)), residual=float(abs(profile.criterion[row, block])),
-        multipliers=_tuple(profile.multipliers[row]), torque=_tuple(profile.torque[row]), near_time=float(leave - enter),
+        multipliers=tuple(profile.multipliers[row].tolist()), torque=tuple(profile.torque[row].tolist()),
+        near_time=float(leave - enter),
     )
-
-
-def _tuple(values: Array) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)

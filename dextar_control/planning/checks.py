@@ -20,12 +20,7 @@ REST_ACCELERATION = 1e-3  # m/s^2
 
 
 def certify(
-    robot: AnyRobot,
-    trajectory: Trajectory,
-    *,
-    max_residual: float,
-    crossings: int | None = None,
-    period: float = 1e-3,
+    robot: AnyRobot, trajectory: Trajectory, *, max_residual: float, crossings: int | None = None, period: float = 1e-3,
 ) -> Certificate:
     """A trajectory checked against the criterion, the workspace and the robot's limits.
 

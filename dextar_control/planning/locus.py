@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -16,7 +17,7 @@ from dextar_control.mechanisms.five_bar import FiveBar
 from dextar_control.mechanisms.five_bar_locus import Family, FiveBarLocus
 from dextar_control.model.robot import AnyRobot, Robot
 from dextar_control.planning.model import PlanningModel, planning_model
-from dextar_control.planning.trajectory import in_words
+from dextar_control.planning.trajectory import in_words, lengths_along
 from dextar_control.symbols.types import Array
 
 WORKING_MODES = FiveBar.working_modes
@@ -60,12 +61,6 @@ class Arc(NamedTuple):
     length: Array  # (m,) from the arc's begin, m
 
 
-def locus_position(model: PlanningModel, family: Family, branch: int, angle: float) -> Array:
-    """Position (n,), m, of the locus at a tracing angle, rad."""
-    x: Array = model.locus([family.value], [branch], np.array([[angle]])).x[0]
-    return x
-
-
 def rests_around(model: PlanningModel, points: Array, clear: float, least_s: float) -> list[Array]:
     """Places around locus points (m, n), straight ahead of each: per point, (k, n + 2) x, s and distance to Type 1.
 
@@ -107,9 +102,7 @@ def are_crossable(model: PlanningModel, points: Array, clear: float) -> NDArray[
 
 @lru_cache(maxsize=64)
 def trace_locus(
-    robot: RobotParameters,
-    working_modes: tuple[Mode, ...] = WORKING_MODES,
-    type1: float = MIN_CROSSING_TYPE1,
+    robot: RobotParameters, working_modes: tuple[Mode, ...] = WORKING_MODES, type1: float = MIN_CROSSING_TYPE1,
     crossable: bool = False,
 ) -> list[Arc]:
     """The locus in connected arcs, each in one working mode and at least ``type1`` from Type 1.
@@ -134,15 +127,11 @@ def trace_locus(
             fit &= np.array([mode in working_modes for mode in modes])
             if crossable:
                 fit &= _passable(robot, traced.x, modes, fit, type1)
-            begin = 0
-            for k in range(1, len(angles) + 1):
-                if k < len(angles) and fit[k] == fit[begin] and modes[k] == modes[begin]:
-                    continue
-                if fit[begin] and k - begin > 1:
-                    x = traced.x[begin:k]
-                    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(x, axis=0), axis=1))])
-                    arcs.append(Arc(modes[begin], family, branch, angles[begin:k], x, length))
-                begin = k
+            for (fits, mode), rows in itertools.groupby(enumerate(zip(fit, modes, strict=True)), lambda row: row[1]):
+                own = [row for row, _ in rows]
+                if fits and len(own) > 1:
+                    x = traced.x[own]
+                    arcs.append(Arc(mode, family, branch, angles[own], x, lengths_along(x)))
     return arcs
 
 
@@ -154,22 +143,28 @@ def _passable(
     thinned = np.arange(0, len(x), THIN)
     for mode in set(modes):
         rows = [k for k in thinned if fit[k] and modes[k] == mode]
-        seen[rows] = are_crossable(planning_model(robot.replace(working_mode=mode)), x[rows], type1) if rows else False
+        if rows:
+            seen[rows] = are_crossable(planning_model(robot.replace(working_mode=mode)), x[rows], type1)
     every = np.arange(len(x))
     return seen[every // THIN * THIN] & seen[np.minimum(-(-every // THIN) * THIN, thinned[-1])]
 
 
-def point_on_arc(robot: RobotParameters, arc: Arc, length: float) -> LocusPoint:
+def _point_on_arc(robot: RobotParameters, arc: Arc, length: float) -> LocusPoint:
     """The point of an arc at a length from its begin, m."""
-    return make_point(robot, arc.working_mode, arc.family, arc.branch, float(np.interp(length, arc.length, arc.angles)))
+    return _point_at(robot, arc, float(np.interp(length, arc.length, arc.angles)))
 
 
-def make_point(robot: RobotParameters, working_mode: Mode, family: Family, branch: int, angle: float) -> LocusPoint:
-    """The point of the locus at a tracing angle, rad, of one branch."""
-    model = planning_model(robot.replace(working_mode=working_mode))
-    x = locus_position(model, family, branch, angle)
+def _point_at(robot: RobotParameters, arc: Arc, angle: float) -> LocusPoint:
+    """The point of an arc at a tracing angle, rad."""
+    model = planning_model(robot.replace(working_mode=arc.working_mode))
+    x = _position(model, arc, angle)
     found = model.place(x)
-    return LocusPoint(x, working_mode, family, found.t_s, found.gradient, float(found.type1[0]), branch, angle)
+    return LocusPoint(x, arc.working_mode, arc.family, found.t_s, found.gradient, float(found.type1[0]), arc.branch, angle)
+
+
+def _position(model: PlanningModel, arc: Arc, angle: float) -> Array:
+    x: Array = model.locus([arc.family.value], [arc.branch], np.array([[angle]])).x[0]
+    return x
 
 
 def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> LocusPoint:
@@ -192,10 +187,10 @@ def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> Locu
     model, bounds = planning_model(robot), (arc.angles[max(row - 1, 0)], arc.angles[min(row + 1, len(arc.angles) - 1)])
 
     def gap(angle: float) -> float:
-        return float(np.linalg.norm(locus_position(model, arc.family, arc.branch, angle) - x))
+        return float(np.linalg.norm(_position(model, arc, angle) - x))
 
     found = minimize_scalar(gap, bounds=bounds, method="bounded", options={"xatol": 1e-12})
-    return make_point(robot, arc.working_mode, arc.family, arc.branch, float(found.x))
+    return _point_at(robot, arc, float(found.x))
 
 
 def _nearest_by_gradient(robot: Robot, x: Array, type1: float) -> LocusPoint:
@@ -291,15 +286,16 @@ def place_of(robot: AnyRobot, point: LocusPoint | Array) -> LocusPoint:
     return point
 
 
-def beside(robot: RobotParameters, point: LocusPoint, shift: float) -> LocusPoint | None:
-    """The locus point at a signed distance along its arc, m; None where the arc ends."""
+def beside(robot: AnyRobot, point: LocusPoint, shift: float) -> LocusPoint | None:
+    """The locus point at a signed distance along its arc, m; None where the arc ends, or the locus is not traced."""
+    if not isinstance(robot, RobotParameters):
+        return None
     for arc in trace_locus(robot, (robot.working_mode,), robot.min_type1_distance):
         inside = arc.angles[0] <= point.angle <= arc.angles[-1]
         if arc.family is point.family and arc.branch == point.branch and inside:
             place = float(np.interp(point.angle, arc.angles, arc.length)) + shift
             if 0.0 <= place <= arc.length[-1]:
-                angle = float(np.interp(place, arc.length, arc.angles))
-                return make_point(robot, arc.working_mode, arc.family, arc.branch, angle)
+                return _point_on_arc(robot, arc, place)
     return None
 
 
@@ -313,12 +309,7 @@ def _shares(lengths: Array, count: int, least: Array) -> Array:
 
 
 def sample_locus(
-    robot: RobotParameters,
-    count: int,
-    seed: int = 0,
-    *,
-    folded: int = 0,
-    working_modes: Sequence[Mode] = WORKING_MODES,
+    robot: RobotParameters, count: int, seed: int = 0, *, folded: int = 0, working_modes: Sequence[Mode] = WORKING_MODES,
 ) -> list[LocusPoint]:
     """Points spread evenly over the locus where it can be crossed, in several working modes.
 
@@ -363,5 +354,5 @@ def sample_locus(
         for k in range(share):
             place = (k + phase) / share * ends[-1]
             row = min(int(np.searchsorted(ends, place)), len(arcs) - 1)
-            points.append(point_on_arc(robot, arcs[row], place - (ends[row] - arcs[row].length[-1])))
+            points.append(_point_on_arc(robot, arcs[row], place - (ends[row] - arcs[row].length[-1])))
     return points

@@ -38,10 +38,6 @@ class Regions(NamedTuple):
     region: NDArray[np.int64]  # (nx, ny) its number from 1; 0 is too near to Type 1, out of a joint's range or unreachable
     edges: tuple[NDArray[np.int64], NDArray[np.int64], Array]  # from, to, cost
 
-    def place(self, cell: int) -> Array:
-        """The centre of a cell, m."""
-        return self.origin + SPACING * np.array(np.unravel_index(cell, self.shape))
-
 
 @lru_cache(maxsize=32)
 def make_regions(robot: RobotParameters) -> Regions:
@@ -50,36 +46,29 @@ def make_regions(robot: RobotParameters) -> Regions:
     nx, ny = (np.ceil(np.maximum(high - low, SPACING) / SPACING).astype(int) + 1).tolist()
     grid = np.indices((nx, ny)).reshape(2, -1).T
     found = planning_model(robot).sides(low + SPACING * grid)
-    s, type1, beyond = (
-        values.reshape(nx, ny) for values in (found.s, found.type1, beyond_range(robot, found.q_a).max(axis=1))
-    )
-    with np.errstate(invalid="ignore"):
-        clear = (type1 >= MARGIN * robot.min_type1_distance) & (beyond <= 0.0)
-        positive = clear & (s > 0.0)
-        negative = clear & (s <= 0.0)
-    first, count = label(positive, EVERYWHERE)
-    second, _ = label(negative, EVERYWHERE)
-    region = first.astype(np.int64) + np.where(second > 0, second + count, 0)
+    beyond = beyond_range(robot, found.q_a).max(axis=1)
+    s, type1, beyond = (values.reshape(nx, ny) for values in (found.s, found.type1, beyond))
     with np.errstate(invalid="ignore", divide="ignore"):
+        clear = (type1 >= MARGIN * robot.min_type1_distance) & (beyond <= 0.0)
+        first, count = label(clear & (s > 0.0), EVERYWHERE)
+        second, _ = label(clear & (s <= 0.0), EVERYWHERE)
         shy = 1.0 + (SHY_TYPE1 / type1) ** 2 + SHY_COST * np.exp(-((s / SHY_S) ** 2))
+    region = first.astype(np.int64) + np.where(second > 0, second + count, 0)
     numbers = np.arange(nx * ny).reshape(nx, ny)
-    begins, ends, costs = [], [], []
+    edges = []
     for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)):
         a = (slice(0, nx - di), slice(max(0, -dj), ny - max(0, dj)))
         b = (slice(di, nx), slice(max(0, dj), ny + min(0, dj)))
         both = clear[a] & clear[b]
-        begins.append(numbers[a][both])
-        ends.append(numbers[b][both])
-        costs.append(SPACING * np.hypot(di, dj) * 0.5 * (shy[a] + shy[b])[both])
-    begin, end, cost = np.concatenate(begins), np.concatenate(ends), np.concatenate(costs)
+        edges.append((numbers[a][both], numbers[b][both], SPACING * np.hypot(di, dj) * 0.5 * (shy[a] + shy[b])[both]))
+    begin, end, cost = (np.concatenate(part) for part in zip(*edges, strict=True))
     return Regions(low, (nx, ny), s, region, (np.append(begin, end), np.append(end, begin), np.append(cost, cost)))
 
 
 def cell_of(regions: Regions, x: Array, sign: float) -> int | None:
     """The nearest cell on the side ``sign`` within ENTRY cells of x; None when there is none."""
     middle = np.round((x - regions.origin) / SPACING).astype(int)
-    low = np.maximum(middle - ENTRY, 0)
-    high = np.minimum(middle + ENTRY + 1, regions.shape)
+    low, high = np.maximum(middle - ENTRY, 0), np.minimum(middle + ENTRY + 1, regions.shape)
     if (low >= high).any():
         return None
     i, j = np.mgrid[low[0] : high[0], low[1] : high[1]]
@@ -129,8 +118,6 @@ def find_way(
     while cells[-1] != begin:
         cells.append(int(before[cells[-1]]))
     cells.reverse()
-    places = np.array([regions.place(cell) for cell in cells])
-    places = np.vstack([start, places[1:-1], goal])
+    inner = regions.origin + SPACING * np.stack(np.unravel_index(np.array(cells[1:-1], dtype=int), regions.shape), axis=1)
     sides = s[cells] > 0.0
-    turn = int(np.argmax(sides != sides[0])) if start_sign * goal_sign < 0.0 else 0
-    return places, turn
+    return np.vstack([start, inner, goal]), int(np.argmax(sides != sides[0])) if start_sign * goal_sign < 0.0 else 0

@@ -12,7 +12,7 @@ from dextar_control.planning.certificate import PLAN_RESIDUAL, measure
 from dextar_control.planning.checks import beyond_range, certify
 from dextar_control.planning.model import states_model
 from dextar_control.planning.regions import SPACING, find_way, make_regions
-from dextar_control.planning.trajectory import Trajectory, in_words
+from dextar_control.planning.trajectory import Trajectory, in_words, lengths_along
 from dextar_control.symbols.types import Array
 
 MIN_APPROACH_S = 0.2  # |s| that an approach keeps on its way
@@ -41,9 +41,7 @@ def side_of(robot: AnyRobot, name: str, x: Array) -> float:
     found = model.side(x)
     distance = float(found.type1[0])
     if distance < robot.min_type1_distance:
-        raise GeometryError(
-            f"{name} {in_words(x)} is {distance:.4f} from Type 1; the limit is {robot.min_type1_distance}"
-        )
+        raise GeometryError(f"{name} {in_words(x)} is {distance:.4f} from Type 1; the limit is {robot.min_type1_distance}")
     beyond = beyond_range(robot, found.q_a)
     if beyond.max() > 0.0:
         leg, unit = int(np.argmax(beyond)), model.mechanism.joints[0].unit
@@ -65,15 +63,14 @@ def straight(start: Array, goal: Array, speed: float) -> Trajectory:
 
 def spline(places: Array, speed: float) -> Trajectory:
     """Rest to rest, zero jerk at both ends, through places (n, 2), slower where it starts and ends; four at least."""
-    steps = np.hypot(*np.diff(places, axis=0).T)
-    share = np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
+    reached = lengths_along(places)
+    share = reached / reached[-1]
     # the time law 10 t^3 - 15 t^4 + 6 t^5, inverted on a table, spreads the places as a motion from rest to rest does
     table = np.linspace(0.0, 1.0, 1001)
     times = np.interp(share, table**3 * (10.0 - 15.0 * table + 6.0 * table**2), table)
     rest = [(1, 0.0), (2, 0.0), (3, 0.0)]
-    curves = [
-        PPoly.from_spline(make_interp_spline(times, places[:, axis], k=SPLINE_DEGREE, bc_type=(rest, rest))) for axis in range(2)
-    ]
+    splines = [make_interp_spline(times, along, k=SPLINE_DEGREE, bc_type=(rest, rest)) for along in places.T]
+    curves = [PPoly.from_spline(along) for along in splines]
     pieces = np.diff(curves[0].x) > 0.0
     knots = np.append(curves[0].x[:-1][pieces], curves[0].x[-1])
     coefficients = np.stack([curve.c[::-1, pieces].T for curve in curves], axis=2)

@@ -18,18 +18,19 @@ from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
 TORQUE_SHARE = 0.3  # of max_torque: the peak torque that costs one, and that a way of open duration has
-NEAR_TIME = 0.05  # s near the locus that costs NEAR_WEIGHT
-NEAR_WEIGHT = 1.0
+NEAR_TIME = 0.05  # s near the locus that costs one
 SOFT_TYPE1 = 0.12  # distance to Type 1 that a plan keeps where it can
 SOFT_END_S = 0.45  # |s| of ends that the planner chooses
 LEG_TIME = 2.0  # s of a leg between two crossings that costs one
 GOOD = 1.5  # cost below which no further guess is tried
 ITERATIONS = 200  # of one descent
 TOLERANCE = 1e-3  # on the gradient
+DESCENTS, GAIN = 3, 0.01  # from where the one before ended, at a kink of the cost as a rule, while each gains this share
 GUESSES = 3  # in the plane
 HURRIED, HURRY = 2, 2.5  # of them that are tried with a velocity so many times larger
 SPACE = 4  # times as many for each dimension more: there are more ways
 IMPOSSIBLE = 1e12  # cost of a candidate without a finite one
+BENDS = "first_bends", "second_bends"  # the variables of a crossing that are closed where straight ways are tried
 VISIT = 0.9  # cosine of the angle between the ways of two guesses that are taken as one
 
 Progress = Callable[[float, str], None]
@@ -93,21 +94,15 @@ class Problem(NamedTuple):
 def soft_limits(robot: AnyRobot, end_s: float) -> Record:
     """What the search aims at, inside the robot's limits."""
     return planning_model(robot).layouts.limits.make(
-        torque=TORQUE_SHARE * robot.max_torque, near_time=NEAR_TIME, near_weight=NEAR_WEIGHT, time=LEG_TIME,
+        torque=TORQUE_SHARE * robot.max_torque, near_time=NEAR_TIME, time=LEG_TIME,
         joint_speed=robot.max_joint_speed, platform_speed=robot.max_platform_speed,
         type1=max(SOFT_TYPE1, 1.2 * robot.min_type1_distance), end_s=end_s,
     )
 
 
 def crossing_problem(
-    robot: AnyRobot,
-    point: LocusPoint,
-    sign: float,
-    duration: float,
-    criterion: Criterion,
-    free: Sequence[str],
-    end_s: float = SOFT_END_S,
-    towards: Array | None = None,
+    robot: AnyRobot, point: LocusPoint, sign: float, duration: float, criterion: Criterion, free: Sequence[str],
+    end_s: float = SOFT_END_S, towards: Array | None = None,
 ) -> Problem:
     """A crossing near a locus point.
 
@@ -151,38 +146,41 @@ def coefficients_over(half: Array, span: float) -> Array:
     return np.asarray(half.T / float(span) ** np.arange(half.shape[1])[:, None])
 
 
-def descend(problem: Problem, guess: Record, iterations: int = ITERATIONS) -> tuple[float, Record]:
-    """The cost and the variables at the end of one descent."""
+def descend(problem: Problem, guess: Record) -> tuple[float, Record]:
+    """The cost and the variables to which descents from a guess lead."""
     z = guess.copy()
+    cost = np.inf
 
     def value(free: Array) -> tuple[float, Array]:
         z.numbers[problem.free] = free
         cost, gradient = problem.costs(z)
         return cost, gradient[problem.free]
 
-    options = {"maxiter": iterations, "gtol": TOLERANCE}
-    found = minimize(value, guess.numbers[problem.free], jac=True, method="BFGS", options=options)
-    z.numbers[problem.free] = found.x
-    return float(found.fun), z
+    options = {"maxiter": ITERATIONS, "gtol": TOLERANCE}
+    for _ in range(DESCENTS):
+        found = minimize(value, z.numbers[problem.free], jac=True, method="BFGS", options=options)
+        z.numbers[problem.free] = found.x
+        gained, cost = found.fun < (1.0 - GAIN) * cost, float(found.fun)
+        if not gained:
+            break
+    return cost, z
 
 
 def guesses_through(problem: Problem, point: LocusPoint, towards: Array | None = None) -> list[Record]:
     """Guesses with rests straight ahead of the point on both sides, as much in line as can be."""
     model, x, length, sign = problem.model, point.x, problem.task.length, problem.task.sign
     rests = rests_around(model, x[None], problem.limits.type1, REST_S)[0]
-    n, s, type1 = model.n, rests[:, -2], rests[:, -1]
-    starts, goals, clear = rests[s * sign < 0.0, :n], rests[s * sign > 0.0, :n], (type1[s * sign < 0.0], type1[s * sign > 0.0])
-    if len(starts) == 0 or len(goals) == 0:
+    n, side = model.n, rests[:, -2] * sign
+    first, last = rests[side < 0.0], rests[side > 0.0]
+    if len(first) == 0 or len(last) == 0:
         return []
-    before, after = x - starts, goals - x
-    far_before, far_after = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
-    aligned = (before / far_before[:, None]) @ (after / far_after[:, None]).T
-    total = far_before[:, None] + far_after[None]
-    clearance = np.minimum(clear[0][:, None], clear[1][None])
-    score = 1.0 - aligned + np.abs(total / (0.7 * length) - 1.0) + 0.5 * np.maximum(0.0, 1.0 - clearance / 0.3)
+    starts, goals = first[:, :n], last[:, :n]
+    far_before, far_after = np.linalg.norm(x - starts, axis=1), np.linalg.norm(goals - x, axis=1)
+    before, after = (x - starts) / far_before[:, None], (goals - x) / far_after[:, None]
+    total, clearance = far_before[:, None] + far_after, np.minimum(first[:, None, -1], last[:, -1])
+    score = 1.0 - before @ after.T + np.abs(total / (0.7 * length) - 1.0) + 0.5 * np.maximum(0.0, 1.0 - clearance / 0.3)
     if towards is not None:
-        score = score - 2.0 * (after / far_after[:, None] @ towards)[None]
-        score = score - 2.0 * (before / far_before[:, None] @ towards)[:, None]
+        score = score - 2.0 * (after @ towards) - 2.0 * (before @ towards)[:, None]
     chosen: list[Array] = []
     found: list[Record] = []
     for index in np.argsort(score, axis=None):

@@ -7,17 +7,7 @@ import numpy as np
 from dextar_control.contract.errors import GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.model.robot import AnyRobot
-from dextar_control.planning.attempts import (
-    BASE_DURATION,
-    PACE,
-    RESTART_SPREAD,
-    RESTARTS,
-    Best,
-    check_duration,
-    refuse,
-    shaken,
-    stretched,
-)
+from dextar_control.planning.attempts import Best, scale_of
 from dextar_control.planning.certificate import Plan
 from dextar_control.planning.locus import MIN_CROSSING_TYPE1, MIN_END_S, LocusPoint, beside, place_of, trace_locus
 from dextar_control.planning.model import planning_model
@@ -52,13 +42,8 @@ def _way(point: LocusPoint, direction: int | float | Array) -> tuple[float, Arra
 
 
 def plan_through(
-    robot: AnyRobot,
-    point: LocusPoint | Array,
-    direction: int | Array,
-    duration: float | None = None,
-    *,
-    criterion: Criterion = Criterion.RECIPROCAL,
-    progress: Progress = silent,
+    robot: AnyRobot, point: LocusPoint | Array, direction: int | Array, duration: float | None = None, *,
+    criterion: Criterion = Criterion.RECIPROCAL, progress: Progress = silent,
 ) -> Plan:
     """One way through a given point of the locus, rest to rest; the planner chooses both ends.
 
@@ -75,51 +60,38 @@ def plan_through(
         TrajectoryError: the direction does not cross, or no way within the limits was found; says what binds and
             which duration or point would do.
     """
-    check_duration(duration)
     place = place_of(robot, point)
     sign, towards = _way(place, direction)
-    scale = BASE_DURATION + planning_model(robot).length / PACE if duration is None else duration
+    scale = scale_of(duration, planning_model(robot).length)
     best = Best(robot)
 
-    def attempt(at: LocusPoint, most: int | None, into: Best) -> bool:
+    def attempt(at: LocusPoint, most: int | None, into: Best) -> None:
         problem = crossing_problem(robot, at, sign, scale, criterion, OPEN, towards=towards)
         guesses = guesses_through(problem, at, towards)[:most]
         for row, guess in enumerate(guesses):
             progress(row / len(guesses), f"guess {row + 1} of {len(guesses)} at {in_words(at.x)}")
             if into.offer(problem, guess):
-                return True
-        bent = problem.opened("first_bends", "second_bends")
-        generator = np.random.default_rng(0)
-        for row in range(RESTARTS if most is None else 0):
-            if into.z is None:
                 break
-            progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS} at {in_words(at.x)}")
-            if into.offer(bent, shaken(into.z, bent.free, generator, RESTART_SPREAD * (row > 0))):
-                break
-        return len(guesses) > 0
 
-    if not attempt(place, None, best):
+    attempt(place, None, best)
+    if best.found is None:
         raise GeometryError(
             f"the locus point {in_words(place.x)} has no room for a rest with |s| >= {MIN_END_S} straight"
             f" ahead on both sides (distance to Type 1: {place.type1:.3f}){_nearest_with_room(robot, place)}"
         )
-    progress(1.0, "certified" if best.plan is not None else "not found")
-    if duration is None and best.problem is not None and best.z is not None:
-        return stretched(robot, best.problem, best.z)
-    if best.plan is not None:
-        return best.plan
+    best.restart(lambda found: found.good, progress)
+    progress(1.0, "not found" if best.found.plan is None else "certified")
 
     def other_point() -> LocusPoint | None:
-        if not isinstance(robot, RobotParameters):
-            return None
         for shift in NEIGHBOURS:
-            near = beside(robot, place, shift)
-            other = Best(robot)
-            if near is not None and attempt(near, 1, other) and other.plan is not None:
-                return near
+            near, other = beside(robot, place, shift), Best(robot)
+            if near is not None:
+                attempt(near, 1, other)
+                if other.found is not None and other.found.plan is not None:
+                    return near
         return None
 
-    raise refuse(robot, f"way through {in_words(place.x)}", best, other_point)
+    return best.outcome(f"way through {in_words(place.x)}", duration is None, other_point)
 
 
 def _nearest_with_room(robot: AnyRobot, place: LocusPoint) -> str:

@@ -8,6 +8,7 @@ and goes round by regular motion. Sides alternate: a crossing towards s > 0 is f
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,13 +17,13 @@ from dextar_control.contract.errors import GeometryError, ParameterError, Trajec
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.certificate import PLAN_RESIDUAL, Plan
 from dextar_control.planning.checks import certify
-from dextar_control.planning.locus import LocusPoint, locus_point, sample_locus
+from dextar_control.planning.locus import LocusPoint, place_of, sample_locus
 from dextar_control.planning.model import planning_model
 from dextar_control.planning.regions import find_way, make_regions, region_of
 from dextar_control.planning.regular import plan_approach, side_of
 from dextar_control.planning.search import Criterion, Problem, Progress, descend, leg_problem, silent, trajectory_of
 from dextar_control.planning.through import plan_through
-from dextar_control.planning.trajectory import Trajectory, hold, join
+from dextar_control.planning.trajectory import Trajectory, hold, in_words, join
 from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
 
@@ -46,12 +47,6 @@ class Stop(NamedTuple):
 Wish = LocusPoint | Array | tuple[LocusPoint | Array, int]
 
 
-def _sides(robot: RobotParameters, point: LocusPoint) -> tuple[int, int]:
-    """Numbers of the regions on the sides s < 0 and s > 0 of a locus point."""
-    regions = make_regions(robot)
-    return region_of(regions, point.x, -1.0), region_of(regions, point.x, 1.0)
-
-
 def spread_points(robot: RobotParameters, count: int, seed: int = 0) -> list[LocusPoint]:
     """``count`` crossable points spread over the locus of the robot's working mode, between the same two regions.
 
@@ -63,9 +58,10 @@ def spread_points(robot: RobotParameters, count: int, seed: int = 0) -> list[Loc
     """
     if count < 1:
         raise ParameterError(f"tour = {count} points; it must be >= 1")
+    regions = make_regions(robot)
     for sampled in range(count, MOST_SAMPLED * count + 1, max(1, count // 2)):
         points = sample_locus(robot, sampled, seed, working_modes=(robot.working_mode,))
-        pairs = [_sides(robot, point) for point in points]
+        pairs = [(region_of(regions, point.x, -1.0), region_of(regions, point.x, 1.0)) for point in points]
         main = max(set(pairs), key=pairs.count)
         points = [point for point, pair in zip(points, pairs, strict=True) if pair == main and 0 not in pair]
         if len(points) >= count:
@@ -79,6 +75,10 @@ def spread_points(robot: RobotParameters, count: int, seed: int = 0) -> list[Loc
     return ordered
 
 
+def _side(sign: float) -> str:
+    return f"s {'>' if sign > 0 else '<'} 0"
+
+
 def _stops(robot: RobotParameters, points: Sequence[Wish], repeat: int, start: Array | None) -> list[Stop]:
     """The crossings of a tour in order, with their directions.
 
@@ -88,56 +88,44 @@ def _stops(robot: RobotParameters, points: Sequence[Wish], repeat: int, start: A
     """
     if len(points) == 0:
         raise ParameterError("the tour has no points; it needs at least one")
-    wishes: list[tuple[LocusPoint, int | None]] = []
-    for wish in points:
+    places: list[LocusPoint] = []
+    ways: list[int | None] = []
+    for row, wish in enumerate(points, 1):
         where, way = wish if isinstance(wish, tuple) and not isinstance(wish, LocusPoint) else (wish, None)
         if way not in (None, -1, 1):
-            raise TrajectoryError(f"direction = {way} at point {len(wishes) + 1} of the tour; it must be +1 or -1")
-        place = where if isinstance(where, LocusPoint) else locus_point(robot, where)
-        if place.working_mode != robot.working_mode:
-            raise GeometryError(
-                f"point {len(wishes) + 1} of the tour belongs to working mode {list(place.working_mode)}, the robot is in"
-                f" {list(robot.working_mode)}"
-            )
-        wishes.append((place, way))
-    first = next((way * (-1) ** row for row, (_, way) in enumerate(wishes) if way is not None), None)
+            raise TrajectoryError(f"direction = {way} at point {row} of the tour; it must be +1 or -1")
+        places.append(place_of(robot, where))
+        ways.append(way)
+    first = next((way * (-1) ** row for row, way in enumerate(ways) if way is not None), None)
     if start is not None:
         side = float(np.sign(side_of(robot, "start", start)))
         if first is not None and first == side:
             raise TrajectoryError(
-                f"the start ({start[0]:.4f}, {start[1]:.4f}) m lies at s {'>' if side > 0 else '<'} 0, and the first crossing"
-                f" goes there too (direction {first:+d}); it must start on the other side"
+                f"the start {in_words(start)} lies at {_side(side)}, and the first crossing goes there too (direction"
+                f" {first:+d}); it must start on the other side"
             )
         first = int(-side)
-    stops = []
-    for row in range(len(wishes) * repeat):
-        place, way = wishes[row % len(wishes)]
-        sign = float(first or 1) * (-1.0) ** row
-        if way is not None and row < len(wishes) and way != sign:
+    stops = [Stop(places[row % len(places)], float(first or 1) * (-1.0) ** row) for row in range(len(places) * repeat)]
+    for row, (way, stop) in enumerate(zip(ways, stops, strict=False)):
+        if way is not None and way != stop.sign:
             raise TrajectoryError(
                 f"point {row + 1} of the tour asks for direction {way:+d}, but the crossings before it leave the robot at"
-                f" s {'>' if sign < 0 else '<'} 0: directions must alternate"
+                f" {_side(-stop.sign)}: directions must alternate"
             )
-        stops.append(Stop(place, sign))
-    pairs = [_sides(robot, stop.point) for stop in stops[: len(wishes)]]
-    for row, pair in enumerate(pairs):
-        side = 1 if stops[row].sign > 0 else 0
-        after = pairs[(row + 1) % len(pairs)]
-        if len(stops) > row + 1 and pair[side] != after[side]:
+    regions = make_regions(robot)
+    for row, (stop, after) in enumerate(zip(stops[: len(places)], stops[1:], strict=False), 1):
+        if region_of(regions, stop.point.x, stop.sign) != region_of(regions, after.point.x, stop.sign):
             raise GeometryError(
-                f"points {row + 1} and {(row + 1) % len(pairs) + 1} of the tour border different regions at"
-                f" s {'>' if side else '<'} 0: Type 1 lies between them in working mode {list(robot.working_mode)}"
+                f"points {row} and {row % len(places) + 1} of the tour border different regions at {_side(stop.sign)}:"
+                f" Type 1 lies between them in working mode {list(robot.working_mode)}"
             )
     return stops
 
 
 def _piece(trajectory: Trajectory, row: int) -> Trajectory:
     """One half of a crossing as a trajectory from time 0."""
-    begin = trajectory.knots[row]
-    return Trajectory(
-        trajectory.knots[row : row + 2] - begin, trajectory.origins[row : row + 1] - begin,
-        trajectory.coefficients[row : row + 1],
-    )
+    begin, own = trajectory.knots[row], slice(row, row + 1)
+    return Trajectory(trajectory.knots[row : row + 2] - begin, trajectory.origins[own] - begin, trajectory.coefficients[own])
 
 
 def _state(trajectory: Trajectory) -> Array:
@@ -183,24 +171,14 @@ def _flow(robot: RobotParameters, before: Trajectory, after: Trajectory, sign: f
     return None if best is None else best[1]
 
 
-def _rest_between(robot: RobotParameters, before: Trajectory, after: Trajectory) -> list[Trajectory]:
-    """From a crossing to rest, round to where the next way starts, and on to its crossing."""
-    begin, end = before.at(before.duration).x, after.at(0.0).x
-    moved = float(np.hypot(*(end - begin))) > SAME_PLACE
-    return [_piece(before, 1), *([plan_approach(robot, begin, end, REGULAR_SPEED)] if moved else []), _piece(after, 0)]
+def _around(robot: RobotParameters, begin: Array, end: Array) -> list[Trajectory]:
+    """Regular motion from rest to rest, none where both are in the same place."""
+    return [plan_approach(robot, begin, end, REGULAR_SPEED)] if np.linalg.norm(end - begin) > SAME_PLACE else []
 
 
 def plan_tour(
-    robot: RobotParameters,
-    points: int | Sequence[Wish],
-    repeat: int = 1,
-    seed: int = 0,
-    *,
-    start: Array | None = None,
-    duration: float | None = None,
-    dwell: float = DWELL,
-    flow: bool = True,
-    criterion: Criterion = Criterion.RECIPROCAL,
+    robot: RobotParameters, points: int | Sequence[Wish], repeat: int = 1, seed: int = 0, *, start: Array | None = None,
+    duration: float | None = None, dwell: float = DWELL, flow: bool = True, criterion: Criterion = Criterion.RECIPROCAL,
     progress: Progress = silent,
 ) -> Plan:
     """Crossings at several points of the locus one after the other, certified as a whole.
@@ -231,68 +209,43 @@ def plan_tour(
     if not (np.isfinite(dwell) and dwell > 0.0):
         raise ParameterError(f"dwell = {dwell} s; it must be > 0")
     begin = None if start is None else np.asarray(start, dtype=np.float64)
-    wishes: Sequence[Wish] = spread_points(robot, points, seed) if isinstance(points, int) else points
-    stops = _stops(robot, wishes, repeat, begin)
-    return _certified(robot, _tour(robot, stops, begin, duration, dwell, flow, criterion, progress), stops)
+    stops = _stops(robot, spread_points(robot, points, seed) if isinstance(points, int) else points, repeat, begin)
 
+    count = len(stops) // repeat
 
-def _tour(
-    robot: RobotParameters,
-    stops: Sequence[Stop],
-    begin: Array | None,
-    duration: float | None,
-    dwell: float,
-    flow: bool,
-    criterion: Criterion,
-    progress: Progress,
-) -> Trajectory:
-    ways: dict[tuple[bytes, float], Trajectory] = {}
-    legs: dict[tuple[bytes, bytes, float], list[Trajectory]] = {}
-    parts: list[Trajectory] = []
+    @cache
+    def way(index: int, sign: float) -> Trajectory:
+        return plan_through(robot, stops[index].point, int(sign), duration, criterion=criterion).trajectory
+
+    @cache
+    def between(index: int, sign: float) -> list[Trajectory]:
+        before, after = way(index, sign), way((index + 1) % count, -sign)
+        leg = _flow(robot, before, after, sign) if flow else None
+        if leg is not None:
+            return [leg]
+        rests = before.at(before.duration).x, after.at(0.0).x
+        return [_piece(before, 1), *_around(robot, *rests), _piece(after, 0)]
+
+    legs: list[Trajectory] = []
     for row, stop in enumerate(stops):
-        progress(row / len(stops), f"crossing {row + 1} of {len(stops)} at ({stop.point.x[0]:.4f}, {stop.point.x[1]:.4f}) m")
-        name = stop.point.x.tobytes()
-        if (name, stop.sign) not in ways:
-            plan = plan_through(robot, stop.point, int(stop.sign), duration, criterion=criterion)
-            ways[name, stop.sign] = plan.trajectory
-        way = ways[name, stop.sign]
-        if row == 0:
-            first = way.at(0.0).x
-            origin = first if begin is None else begin
-            parts.append(hold(origin, dwell))
-            if float(np.hypot(*(first - origin))) > SAME_PLACE:
-                parts.append(plan_approach(robot, origin, first, REGULAR_SPEED))
-            parts.append(_piece(way, 0))
-        else:
-            last = stops[row - 1]
-            key = (last.point.x.tobytes(), name, last.sign)
-            if key not in legs:
-                before = ways[last.point.x.tobytes(), last.sign]
-                leg = _flow(robot, before, way, last.sign) if flow else None
-                legs[key] = _rest_between(robot, before, way) if leg is None else [leg]
-            parts += legs[key]
-    parts.append(_piece(way, 1))
-    end = way.at(way.duration).x
-    if len(stops) % 2 == 0 and float(np.hypot(*(origin - end))) > SAME_PLACE:
-        parts.append(plan_approach(robot, end, origin, REGULAR_SPEED))
-        end = origin
-    parts.append(hold(end, dwell))
+        progress(row / len(stops), f"crossing {row + 1} of {len(stops)} at {in_words(stop.point.x)}")
+        if row > 0:
+            legs += between((row - 1) % count, -stop.sign)
+    first, last = way(0, stops[0].sign), way((len(stops) - 1) % count, stops[-1].sign)
+    begins, ends = first.at(0.0).x, last.at(last.duration).x
+    origin = begins if begin is None else begin
+    back = _around(robot, ends, origin) if len(stops) % 2 == 0 else []
     progress(1.0, "certifying")
-    return join(parts)
-
-
-def _certified(robot: RobotParameters, trajectory: Trajectory, stops: Sequence[Stop]) -> Plan:
-    """The tour with its certificate.
-
-    Raises:
-        TrajectoryError: a limit is broken, or the crossings are not exactly those asked for, in order.
-    """
-    certificate = certify(robot, trajectory, max_residual=PLAN_RESIDUAL, crossings=len(stops))
-    for row, (crossing, stop) in enumerate(zip(certificate.crossings, stops, strict=True)):
-        gap = float(np.hypot(*(np.array(crossing.x) - stop.point.x)))
+    tour = join([
+        hold(origin, dwell), *_around(robot, origin, begins), _piece(first, 0), *legs, _piece(last, 1), *back,
+        hold(origin if back else ends, dwell),
+    ])
+    certificate = certify(robot, tour, max_residual=PLAN_RESIDUAL, crossings=len(stops))
+    for row, (crossing, stop) in enumerate(zip(certificate.crossings, stops, strict=True), 1):
+        gap = float(np.linalg.norm(np.array(crossing.x) - stop.point.x))
         if gap > SAME_PLACE or crossing.sign != stop.sign:
             raise TrajectoryError(
-                f"crossing {row + 1} of the tour is {1e3 * gap:.3f} mm from its point, direction {crossing.sign:+d};"
-                f" it must be there with {int(stop.sign):+d}"
+                f"crossing {row} of the tour is {1e3 * gap:.3f} mm from its point, direction {crossing.sign:+d}; it must be"
+                f" there with {int(stop.sign):+d}"
             )
-    return Plan(trajectory, certificate)
+    return Plan(tour, certificate)

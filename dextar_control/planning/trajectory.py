@@ -23,6 +23,11 @@ def in_words(x: Array) -> str:
     return f"({', '.join(f'{value:.4f}' for value in x)}) m"
 
 
+def lengths_along(places: Array) -> Array:
+    """The length (m,) of a way up to each of its places (m, n), m."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
+
+
 class Point(NamedTuple):
     """One instant of a trajectory."""
 
@@ -85,12 +90,8 @@ class Trajectory:
     def reversed(self) -> Trajectory:
         """The time reversal; keeps the criterion, since w_d is quadratic in velocity."""
         signs = (-1.0) ** np.arange(self.coefficients.shape[1])
-        duration = self.duration
-        return Trajectory(
-            duration - self.knots[::-1],
-            duration - self.origins[::-1],
-            (self.coefficients * signs[None, :, None])[::-1],
-        )
+        turned = (self.coefficients * signs[None, :, None])[::-1]
+        return Trajectory(self.duration - self.knots[::-1], self.duration - self.origins[::-1], turned)
 
 
 def hold(x: Array, duration: float) -> Trajectory:
@@ -106,8 +107,7 @@ def join(parts: list[Trajectory]) -> Trajectory:
     for part in parts:
         knots.append(part.knots[1:] + start)
         origins.append(part.origins + start)
-        padding = ((0, 0), (0, width - part.coefficients.shape[1]), (0, 0))
-        coefficients.append(np.pad(part.coefficients, padding))
+        coefficients.append(np.pad(part.coefficients, ((0, 0), (0, width - part.coefficients.shape[1]), (0, 0))))
         start += part.duration
     return Trajectory(np.concatenate(knots), np.concatenate(origins), np.concatenate(coefficients))
 
@@ -137,15 +137,6 @@ def quintic(times: Array, x: Array, x_dot: Array, x_ddot: Array) -> Trajectory:
     dx = x[1:] - x[:-1] - h * x_dot[:-1] - 0.5 * h**2 * x_ddot[:-1]
     dv = (x_dot[1:] - x_dot[:-1] - h * x_ddot[:-1]) * h
     da = (x_ddot[1:] - x_ddot[:-1]) * h**2
-    coefficients = np.stack(
-        [
-            x[:-1],
-            x_dot[:-1],
-            0.5 * x_ddot[:-1],
-            (10.0 * dx - 4.0 * dv + 0.5 * da) / h**3,
-            (-15.0 * dx + 7.0 * dv - da) / h**4,
-            (6.0 * dx - 3.0 * dv + 0.5 * da) / h**5,
-        ],
-        axis=1,
-    )
-    return Trajectory(times, times[:-1], coefficients)
+    cubic, quartic = (10.0 * dx - 4.0 * dv + 0.5 * da) / h**3, (-15.0 * dx + 7.0 * dv - da) / h**4
+    highest = cubic, quartic, (6.0 * dx - 3.0 * dv + 0.5 * da) / h**5
+    return Trajectory(times, times[:-1], np.stack([x[:-1], x_dot[:-1], 0.5 * x_ddot[:-1], *highest], axis=1))
