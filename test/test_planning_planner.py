@@ -462,3 +462,13 @@ def test_samples_that_cannot_be_a_trajectory_are_refused() -> None:
         quintic(np.array([0.0, 0.1, 0.1]), x, x, x)
     with pytest.raises(TrajectoryError, match="positions at point 1 are not finite"):
         quintic(np.array([0.0, 0.1, 0.2]), np.array([[0, 0], [np.nan, 0], [0, 0]]), x, x)
+
+
+def test_a_slow_trip_that_may_stay_longer_near_the_locus_takes_less_torque(robot: RobotParameters) -> None:
+    place = sample_locus(robot, 4, 3)[0]
+    at = robot_at(robot, place)
+    rushed, calm = (plan_through(at, place, 1, 2.0, locus_time=locus_time).certificate for locus_time in (0.02, 0.8))
+    assert calm.peak_torque < 0.7 * rushed.peak_torque
+    assert calm.crossings[0].near_time > rushed.crossings[0].near_time
+    with pytest.raises(TrajectoryError, match=r"locus_time = 0.0 s; it must lie in 0.005 to 5.0 s"):
+        plan_through(at, place, 1, 2.0, locus_time=0.0)

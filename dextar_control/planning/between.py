@@ -12,7 +12,7 @@ from dextar_control.planning.certificate import Plan
 from dextar_control.planning.locus import MIN_END_S, LocusPoint, beside, nearest_point, place_of
 from dextar_control.planning.regions import find_way, make_regions
 from dextar_control.planning.regular import side_of
-from dextar_control.planning.search import BENDS, Criterion, Problem, Progress, crossing_problem, silent
+from dextar_control.planning.search import BENDS, LOCUS_TIME, Criterion, Problem, Progress, crossing_problem, silent
 from dextar_control.planning.trajectory import in_words, lengths_along
 from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
@@ -46,7 +46,7 @@ def _ends(robot: AnyRobot, start: Array, goal: Array) -> tuple[float, float]:
 
 def plan_crossing(
     robot: AnyRobot, start: Array, goal: Array, duration: float | None = None, *, point: LocusPoint | Array | None = None,
-    criterion: Criterion = Criterion.RECIPROCAL, progress: Progress = silent,
+    criterion: Criterion = Criterion.RECIPROCAL, locus_time: float = LOCUS_TIME, progress: Progress = silent,
 ) -> Plan:
     """One way from start to goal, rest to rest, through the locus once.
 
@@ -55,6 +55,8 @@ def plan_crossing(
         duration: s; chosen when None, so that the peak torque is TORQUE_SHARE of the limit.
         point: of the locus where to cross; chosen when None (of a locus that is not traced: the nearest to the middle).
         criterion: what holds at the crossing.
+        locus_time: s near the locus that costs as much as a peak torque of TORQUE_SHARE: more of it rushes less through, with
+            less torque; less of it leaves what is not modelled less time where it cannot be controlled.
         progress: called with the fraction done and what is being tried.
 
     Raises:
@@ -80,7 +82,7 @@ def plan_crossing(
             continue
         progress(row / len(attempts), f"crossing near {in_words(at.x)}")
         opened = (*free, *BENDS) if bent else free
-        problem = crossing_problem(robot, at, float(np.sign(sides[1])), scale, criterion, opened, 0.0)
+        problem = crossing_problem(robot, at, float(np.sign(sides[1])), scale, criterion, opened, 0.0, locus_time=locus_time)
         if best.offer(problem, _guess(problem, at, before, after, bent)):
             break
     best.restart(lambda found: found.plan is not None, progress)

@@ -8,6 +8,9 @@ jerk, when, and for ``plan_through`` both ends) is chosen by minimising the peak
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from dextar_control.contract.errors import TrajectoryError
@@ -20,7 +23,7 @@ from dextar_control.planning.checks import certify
 from dextar_control.planning.locus import MIN_END_S, LocusPoint, place_of
 from dextar_control.planning.model import planning_model
 from dextar_control.planning.regular import MIN_APPROACH_S, plan_approach
-from dextar_control.planning.search import Criterion, Progress, silent
+from dextar_control.planning.search import LOCUS_TIME, Criterion, Progress, silent
 from dextar_control.planning.through import plan_through
 from dextar_control.planning.trajectory import Trajectory, hold, join
 from dextar_control.symbols.types import Array
@@ -38,7 +41,8 @@ def robot_at(robot: RobotParameters, point: LocusPoint) -> RobotParameters:
 
 def plan_return_trip(
     robot: AnyRobot, start: Array, goal: Array, duration: float | None, dwell: float, repeat: int = 1, *,
-    point: LocusPoint | Array | None = None, criterion: Criterion = Criterion.RECIPROCAL, progress: Progress = silent,
+    point: LocusPoint | Array | None = None, criterion: Criterion = Criterion.RECIPROCAL, locus_time: float = LOCUS_TIME,
+    progress: Progress = silent,
 ) -> Plan:
     """start -> goal -> start, ``repeat`` times, with rests before, between and after.
 
@@ -46,19 +50,20 @@ def plan_return_trip(
         duration: of one way, s.
         dwell: of each rest, s.
         repeat: return trips.
-        point, criterion, progress: as ``plan_crossing``.
+        point, criterion, locus_time, progress: as ``plan_crossing``.
 
     Raises:
         GeometryError, TrajectoryError: as ``plan_crossing``.
     """
     _check_trip(repeat, dwell)
-    out = plan_crossing(robot, start, goal, duration, point=point, criterion=criterion, progress=progress).trajectory
-    return _there_and_back(robot, out, duration, dwell, repeat, point, criterion, progress)
+    way = partial(plan_crossing, robot, duration=duration, point=point, criterion=criterion, locus_time=locus_time,
+                  progress=progress)
+    return _there_and_back(robot, way(start, goal).trajectory, dwell, repeat, way)
 
 
 def plan_return_trip_through(
     robot: AnyRobot, point: LocusPoint | Array, direction: int | Array, duration: float | None, dwell: float, repeat: int = 1, *,
-    criterion: Criterion = Criterion.RECIPROCAL, progress: Progress = silent,
+    criterion: Criterion = Criterion.RECIPROCAL, locus_time: float = LOCUS_TIME, progress: Progress = silent,
 ) -> Plan:
     """Out through a given point of the locus and back, ``repeat`` times, with rests before, between and after.
 
@@ -66,15 +71,17 @@ def plan_return_trip_through(
         duration: of one way, s; chosen when None.
         dwell: of each rest, s.
         repeat: return trips.
-        point, direction, criterion, progress: as ``plan_through``.
+        point, direction, criterion, locus_time, progress: as ``plan_through``.
 
     Raises:
         GeometryError, TrajectoryError: as ``plan_through``.
     """
     _check_trip(repeat, dwell)
     place = place_of(robot, point)
-    out = plan_through(robot, place, direction, duration, criterion=criterion, progress=progress).trajectory
-    return _there_and_back(robot, out, duration, dwell, repeat, place, criterion, progress)
+    out = plan_through(robot, place, direction, duration, criterion=criterion, locus_time=locus_time, progress=progress)
+    back = partial(plan_crossing, robot, duration=duration, point=place, criterion=criterion, locus_time=locus_time,
+                   progress=progress)
+    return _there_and_back(robot, out.trajectory, dwell, repeat, back)
 
 
 def _check_trip(repeat: int, dwell: float) -> None:
@@ -85,13 +92,12 @@ def _check_trip(repeat: int, dwell: float) -> None:
 
 
 def _there_and_back(
-    robot: AnyRobot, out: Trajectory, duration: float | None, dwell: float, repeat: int, point: LocusPoint | Array | None,
-    criterion: Criterion, progress: Progress,
+    robot: AnyRobot, out: Trajectory, dwell: float, repeat: int, way: Callable[[Array, Array], Plan]
 ) -> Plan:
     """A way out and back: by its time reversal when there is no gravity, by a way of its own with gravity."""
     start, goal = out.at(0.0).x, out.at(out.duration).x
     back = out.reversed()
     if not weightless(planning_model(robot), out):
-        back = plan_crossing(robot, goal, start, duration, point=point, criterion=criterion, progress=progress).trajectory
+        back = way(goal, start).trajectory
     trip = join([hold(start, dwell)] + [out, hold(goal, dwell), back, hold(start, dwell)] * repeat)
     return Plan(trip, certify(robot, trip, max_residual=PLAN_RESIDUAL, crossings=2 * repeat))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from dextar_control.contract.errors import TrajectoryError
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.locus import REST_S, LocusPoint, rests_around
 from dextar_control.planning.model import PlanningModel, planning_model
@@ -18,7 +19,8 @@ from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
 TORQUE_SHARE = 0.3  # of max_torque: the peak torque that costs one, and that a way of open duration has
-NEAR_TIME = 0.05  # s near the locus that costs one
+LOCUS_TIME = 0.05  # s near the locus that costs one, where nothing else is asked for
+LOCUS_TIMES = 0.005, 5.0  # s, between which that lies
 SOFT_TYPE1 = 0.12  # distance to Type 1 that a plan keeps where it can
 SOFT_END_S = 0.45  # |s| of ends that the planner chooses
 LEG_TIME = 2.0  # s of a leg between two crossings that costs one
@@ -91,10 +93,10 @@ class Problem(NamedTuple):
         return function(self.limits.numbers, self.task.numbers, z.numbers)
 
 
-def soft_limits(robot: AnyRobot, end_s: float) -> Record:
+def soft_limits(robot: AnyRobot, end_s: float, locus_time: float = LOCUS_TIME) -> Record:
     """What the search aims at, inside the robot's limits."""
     return planning_model(robot).layouts.limits.make(
-        torque=TORQUE_SHARE * robot.max_torque, near_time=NEAR_TIME, time=LEG_TIME,
+        torque=TORQUE_SHARE * robot.max_torque, near_time=locus_time, time=LEG_TIME,
         joint_speed=robot.max_joint_speed, platform_speed=robot.max_platform_speed,
         type1=max(SOFT_TYPE1, 1.2 * robot.min_type1_distance), end_s=end_s,
     )
@@ -102,7 +104,7 @@ def soft_limits(robot: AnyRobot, end_s: float) -> Record:
 
 def crossing_problem(
     robot: AnyRobot, point: LocusPoint, sign: float, duration: float, criterion: Criterion, free: Sequence[str],
-    end_s: float = SOFT_END_S, towards: Array | None = None,
+    end_s: float = SOFT_END_S, towards: Array | None = None, locus_time: float = LOCUS_TIME,
 ) -> Problem:
     """A crossing near a locus point.
 
@@ -112,7 +114,14 @@ def crossing_problem(
         free: names of the variables that are open.
         end_s: |s| that the ends keep.
         towards: (n,) unit direction of the velocity at the crossing; open when None.
+        locus_time: s near the locus that costs as much as a peak torque of TORQUE_SHARE.
+
+    Raises:
+        TrajectoryError: locus_time is out of its range.
     """
+    least, most = LOCUS_TIMES
+    if not least <= locus_time <= most:
+        raise TrajectoryError(f"locus_time = {locus_time} s; it must lie in {least} to {most} s")
     model = planning_model(robot)
     directions = np.eye(model.n)
     if towards is not None:
@@ -122,7 +131,7 @@ def crossing_problem(
         duration=duration, length=model.length, sign=sign, family=family, branch=point.branch,
         zero_wrench=criterion is Criterion.ZERO_WRENCH, directions=directions, point=point.x,
     )
-    return Problem(model, False, soft_limits(robot, end_s), task, model.layouts.crossing.indices(*free))
+    return Problem(model, False, soft_limits(robot, end_s, locus_time), task, model.layouts.crossing.indices(*free))
 
 
 def leg_problem(robot: AnyRobot, left: Array, reached: Array, sign: float, duration: float) -> Problem:

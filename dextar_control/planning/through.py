@@ -11,7 +11,7 @@ from dextar_control.planning.attempts import Best, scale_of
 from dextar_control.planning.certificate import Plan
 from dextar_control.planning.locus import MIN_CROSSING_TYPE1, MIN_END_S, LocusPoint, beside, place_of, trace_locus
 from dextar_control.planning.model import planning_model
-from dextar_control.planning.search import Criterion, Progress, crossing_problem, guesses_through, silent
+from dextar_control.planning.search import LOCUS_TIME, Criterion, Progress, crossing_problem, guesses_through, silent
 from dextar_control.planning.trajectory import in_words
 from dextar_control.symbols.types import Array
 
@@ -43,7 +43,7 @@ def _way(point: LocusPoint, direction: int | float | Array) -> tuple[float, Arra
 
 def plan_through(
     robot: AnyRobot, point: LocusPoint | Array, direction: int | Array, duration: float | None = None, *,
-    criterion: Criterion = Criterion.RECIPROCAL, progress: Progress = silent,
+    criterion: Criterion = Criterion.RECIPROCAL, locus_time: float = LOCUS_TIME, progress: Progress = silent,
 ) -> Plan:
     """One way through a given point of the locus, rest to rest; the planner chooses both ends.
 
@@ -53,6 +53,7 @@ def plan_through(
         direction: the sign of s after the crossing, or the direction (n,) of the velocity there.
         duration: s; chosen when None, so that the peak torque is TORQUE_SHARE of the limit.
         criterion: what holds at the crossing.
+        locus_time: s near the locus that costs as much as a peak torque of TORQUE_SHARE; see ``plan_crossing``.
         progress: called with the fraction done and what is being tried.
 
     Raises:
@@ -66,7 +67,7 @@ def plan_through(
     best = Best(robot)
 
     def attempt(at: LocusPoint, most: int | None, into: Best) -> None:
-        problem = crossing_problem(robot, at, sign, scale, criterion, OPEN, towards=towards)
+        problem = crossing_problem(robot, at, sign, scale, criterion, OPEN, towards=towards, locus_time=locus_time)
         guesses = guesses_through(problem, at, towards)[:most]
         for row, guess in enumerate(guesses):
             progress(row / len(guesses), f"guess {row + 1} of {len(guesses)} at {in_words(at.x)}")

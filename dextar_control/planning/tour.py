@@ -21,7 +21,7 @@ from dextar_control.planning.locus import LocusPoint, place_of, sample_locus
 from dextar_control.planning.model import planning_model
 from dextar_control.planning.regions import find_way, make_regions, region_of
 from dextar_control.planning.regular import plan_approach, side_of
-from dextar_control.planning.search import Criterion, Problem, Progress, descend, leg_problem, silent, trajectory_of
+from dextar_control.planning.search import LOCUS_TIME, Criterion, Problem, Progress, descend, leg_problem, silent, trajectory_of
 from dextar_control.planning.through import plan_through
 from dextar_control.planning.trajectory import Trajectory, hold, in_words, join
 from dextar_control.symbols.record import Record
@@ -179,7 +179,7 @@ def _around(robot: RobotParameters, begin: Array, end: Array) -> list[Trajectory
 def plan_tour(
     robot: RobotParameters, points: int | Sequence[Wish], repeat: int = 1, seed: int = 0, *, start: Array | None = None,
     duration: float | None = None, dwell: float = DWELL, flow: bool = True, criterion: Criterion = Criterion.RECIPROCAL,
-    progress: Progress = silent,
+    locus_time: float = LOCUS_TIME, progress: Progress = silent,
 ) -> Plan:
     """Crossings at several points of the locus one after the other, certified as a whole.
 
@@ -197,6 +197,7 @@ def plan_tour(
         dwell: of the rests at both ends, s.
         flow: pass from one crossing to the next without stopping where possible.
         criterion: what holds at the crossings.
+        locus_time: s near the locus that costs as much as a peak torque of TORQUE_SHARE; see ``plan_crossing``.
         progress: called with the fraction done and what is being planned.
 
     Raises:
@@ -215,7 +216,7 @@ def plan_tour(
 
     @cache
     def way(index: int, sign: float) -> Trajectory:
-        return plan_through(robot, stops[index].point, int(sign), duration, criterion=criterion).trajectory
+        return plan_through(robot, stops[index].point, int(sign), duration, criterion=criterion, locus_time=locus_time).trajectory
 
     @cache
     def between(index: int, sign: float) -> list[Trajectory]:

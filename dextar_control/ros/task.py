@@ -15,7 +15,7 @@ from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.locus import locus_point
 from dextar_control.planning.planner import Criterion, Plan, plan_crossing, plan_return_trip, plan_return_trip_through
 from dextar_control.planning.regular import side_of
-from dextar_control.planning.search import Progress, silent
+from dextar_control.planning.search import LOCUS_TIMES, Progress, silent
 from dextar_control.planning.tour import plan_tour
 from dextar_control.symbols.types import Array
 
@@ -34,6 +34,8 @@ PARAMETERS = (
     Parameter("duration", "of one way; 0 leaves it to the planner", 0.0, 60.0, unit="s", live=True),
     Parameter("dwell", "at rest before, between and after", 0.01, 60.0, unit="s", live=True),
     Parameter("repeat", "return trips, or laps of the tour", 1, 1000, live=True),
+    Parameter("locus_time", "near the locus that the planner counts as much as a peak torque of 0.3 of the limit: with more it"
+              " asks for less torque and rushes less through", *LOCUS_TIMES, unit="s", live=True),
     Parameter("criterion", "at a crossing; zero_wrench is what the law multi_model needs", choices=CRITERIA, live=True),
 )
 
@@ -49,6 +51,7 @@ class Task:
         tour: how many crossings are spread over the locus.
         tour_points: of a tour, m.
         duration: of one way, s; None leaves it to the planner.
+        locus_time: s; see ``plan_crossing``.
     """
 
     start: tuple[float, float]
@@ -61,6 +64,7 @@ class Task:
     duration: float | None
     dwell: float
     repeat: int
+    locus_time: float
     criterion: Criterion
 
     @classmethod
@@ -85,7 +89,7 @@ class Task:
             point=_pair(values["point"]) if values["point"] else None, direction=values["direction"],
             tour=values["tour"], tour_points=tuple(zip(numbers[::2], numbers[1::2], strict=True)),
             tour_seed=values["tour_seed"], duration=values["duration"] or None, dwell=values["dwell"],
-            repeat=values["repeat"], criterion=Criterion[values["criterion"].upper()],
+            repeat=values["repeat"], locus_time=values["locus_time"], criterion=Criterion[values["criterion"].upper()],
         )  # fmt: skip
 
     def plan(self, robot: RobotParameters, progress: Progress = silent) -> Plan:
@@ -99,16 +103,18 @@ class Task:
             points = self.tour or [np.array(point) for point in self.tour_points]
             return plan_tour(
                 robot, points, self.repeat, self.tour_seed, start=start, duration=self.duration, dwell=self.dwell,
-                criterion=self.criterion, progress=progress,
+                criterion=self.criterion, locus_time=self.locus_time, progress=progress,
             )  # fmt: skip
         if self.point is not None:
             place = locus_point(robot, np.array(self.point))
             direction = self.direction or -round(np.sign(side_of(robot, "task.start", start)))
             return plan_return_trip_through(
-                robot, place, direction, self.duration, self.dwell, self.repeat, criterion=self.criterion, progress=progress
+                robot, place, direction, self.duration, self.dwell, self.repeat, criterion=self.criterion,
+                locus_time=self.locus_time, progress=progress,
             )
         return plan_return_trip(
-            robot, start, np.array(self.goal), self.duration, self.dwell, self.repeat, criterion=self.criterion, progress=progress
+            robot, start, np.array(self.goal), self.duration, self.dwell, self.repeat, criterion=self.criterion,
+            locus_time=self.locus_time, progress=progress,
         )
 
     def plan_between(self, robot: RobotParameters, start: Array, goal: Array, progress: Progress = silent) -> Plan:
@@ -117,7 +123,9 @@ class Task:
         Raises:
             DextarError: as ``plan``.
         """
-        return plan_crossing(robot, start, goal, self.duration, criterion=self.criterion, progress=progress)
+        return plan_crossing(
+            robot, start, goal, self.duration, criterion=self.criterion, locus_time=self.locus_time, progress=progress
+        )
 
 
 def _pair(numbers: Any) -> tuple[float, float]:
