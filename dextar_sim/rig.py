@@ -82,7 +82,6 @@ class Rig:
         eccentricity: amplitude of each encoder's error over a turn, rad.
         stamp_error: up to which a sample's time is told wrong, at random, s.
         payload: mass that the end effector takes up, kg, at ``payload_time``, s.
-        push: force on the end effector, (2,) N, from ``push_time`` on, s, for ``push_duration``, s.
         effects: of drives and friction, by the names of ``effects.Effects``.
 
     Attributes:
@@ -117,9 +116,6 @@ class Rig:
         stamp_error: float = 0.0,
         payload: float = 0.0,
         payload_time: float = 0.0,
-        push: Sequence[float] = (0.0, 0.0),
-        push_time: float = 0.0,
-        push_duration: float = 0.0,
         **effects: Any,
     ) -> None:
         if plant not in PLANTS:
@@ -145,8 +141,7 @@ class Rig:
         self._new_camera = partial(PoseSensor, period, rate=pose_rate, delay=pose_delay, noise=pose_noise,
                                    dropout=pose_dropout, outages=pose_outages, seed=seeds[1])  # fmt: skip
         self._new_stamps = partial(StampError, stamp_error, period, seeds[4])
-        self._happenings = Happenings(payload=payload, payload_time=payload_time, push=push, push_time=push_time,
-                                      push_duration=push_duration)  # fmt: skip
+        self._happenings = Happenings(payload=payload, payload_time=payload_time)
         self._delay: CommandDelay[Command] = CommandDelay(round(command_delay / period))
         self._delay_ns = self._delay.periods * self._period_ns
         self._timeout = round(_NANOSECONDS * command_timeout)

@@ -13,6 +13,7 @@ from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_sim.cartesian import CartesianPlant
 from dextar_sim.effects import Effects
+from dextar_sim.happenings import Happenings
 from dextar_sim.plant import Plant
 from dextar_sim.rig import PLANTS, Rig
 from dextar_sim.sensors import Encoder
@@ -239,22 +240,20 @@ def test_a_load_taken_up_moves_on_as_a_heavier_robot(kind: Kind, rough: bool) ->
     heavy.close()
 
 
-@pytest.mark.parametrize("plant", list(PLANTS))
-def test_a_push_does_the_work_of_its_force(plant: str) -> None:
+@both_plants
+def test_a_push_does_the_work_of_its_force(kind: Kind) -> None:
     """From rest; kinetic energy afterwards = force times way, which a blow at the begin of each ms leads by a quarter of one."""
     force = np.array([0.3, -0.4])
-    rig = Rig(DEXTAR, plant=plant, push=force.tolist(), push_time=0.01, push_duration=0.02)
-    start = rig.reset(AT).x
-    for step in range(31):
-        if step == 10:
-            assert rig.truth().x.tolist() == pytest.approx(start.tolist(), abs=1e-12)
-        rig.write(None)
-        if step == 29:
-            end = rig.truth()
-    work = float(force @ (end.x - start))
-    assert energy(DEXTAR, end) == pytest.approx(work, rel=0.05)
-    assert energy(DEXTAR, rig.truth()) == pytest.approx(energy(DEXTAR, end), rel=1e-3)
-    rig.close()
+    plant, pushed = kind(DEXTAR), Happenings(push=force.tolist(), push_time=0.01, push_duration=0.02)
+    states = [plant.reset(AT)]
+    for step in range(32):
+        pushed.before(1e-3 * step, plant)
+        plant.step((0.0, 0.0))
+        states.append(plant.state())
+    plant.close()
+    assert states[10].x.tolist() == pytest.approx(states[0].x.tolist(), abs=1e-12)
+    assert energy(DEXTAR, states[30]) == pytest.approx(float(force @ (states[30].x - states[0].x)), rel=0.05)
+    assert energy(DEXTAR, states[-1]) == pytest.approx(energy(DEXTAR, states[30]), rel=1e-3)
 
 
 @pytest.mark.parametrize("plant", list(PLANTS))
