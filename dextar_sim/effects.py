@@ -88,6 +88,8 @@ def compliance(leg: LegParameters, effects: Effects) -> Compliance:
         return Compliance(0.0, 0.0)
     if not leg.rotor_inertia:
         raise ParameterError("rotor_inertia = 0 with a compliant transmission or backlash; it must be > 0: what turns behind it")
+    if not proximal_inertia(leg) > leg.rotor_inertia:
+        raise ParameterError("a massless proximal link behind a compliant transmission or backlash; proximal_inertia must be > 0")
     if leg.transmission_stiffness:
         return Compliance(leg.transmission_stiffness, leg.transmission_damping)
     return Compliance(GEAR_STIFFNESS, 2.0 * GEAR_DAMPING_RATIO * math.sqrt(GEAR_STIFFNESS * leg.rotor_inertia))
@@ -268,13 +270,12 @@ def _check_transmissions(robot: RobotParameters, effects: Effects, period: float
         if not stiffness:
             continue
         moved = proximal_inertia(link)
-        mobility = 1.0 / leg.rotor_inertia + (1.0 / moved if moved > 0.0 else math.inf)
+        mobility = 1.0 / leg.rotor_inertia + 1.0 / moved
         quickest = max(math.sqrt(stiffness * mobility), damping * mobility)
         if not quickest * period / substeps <= FASTEST:
-            needed = math.ceil(quickest * period / FASTEST) if math.isfinite(quickest) else "more than there can be"
             raise ParameterError(
                 f"{side} transmission of {stiffness:g} N m/rad and {damping:g} N m s/rad is too quick for substeps of "
-                f"{period / substeps:g} s; substeps must be >= {needed}"
+                f"{period / substeps:g} s; substeps must be >= {math.ceil(quickest * period / FASTEST)}"
             )
 
 
