@@ -69,7 +69,7 @@ BARS = {
     "max_wrong_crossed": Range(0.0, math.inf, "crossings called so that did not happen, in all trials together"),
     "max_held_wrong": Range(0.0, math.inf, "trials at whose end the robot is held on the wrong side"),
     "max_wrong_side_time": Range(0.0, math.inf, "longest time of any trial under a law on the wrong side, clear of the locus, s"),
-    "max_stopped_after_crossing": Range(0.0, math.inf, "trials that are stopped although the true robot made each crossing"),
+    "max_stopped_after_crossing": Range(0.0, math.inf, "trials that are stopped after the true robot made the first crossing"),
     "max_false_alarms": Range(0.0, math.inf, "crossings called bounces, in all trials together"),
     "max_bounce_torque": Range(0.0, math.inf, "largest torque from a bounce on over the planned peak"),
     "min_safe_after": Range(0.0, 1.0, "share of the recognised bounces whose torque brakes or is gone within 30 ms"),

@@ -342,7 +342,7 @@ def _judge(loop: ControlLoop, log: Log, bounced: bool) -> dict[str, float | int 
         "missed_bounces": sum(v is Verdict.CROSSED and not was for v, was in zip(verdicts, truths, strict=True)),
         "held_wrong": loop.phase is Phase.HOLD and bool(log.s[-1] * log.s_ref[-1] < 0.0),
         "wrong_side_time": float(wrong.sum() * (log.time[1] - log.time[0])),
-        "stopped_after_crossing": all(crossed) and loop.phase in LIMP,
+        "stopped_after_crossing": crossed[0] and loop.phase in LIMP,
         "recognised": None,
     }
     return row | _bounce(loop, log, crossed[0], truths[0], planned) if bounced else row
