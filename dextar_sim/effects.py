@@ -57,9 +57,9 @@ class Effects:
         for name, known in (("friction", FRICTIONS), ("encoder_at", ENCODERS)):
             if getattr(self, name) not in known:
                 raise ParameterError(f"{name} = {getattr(self, name)!r}; it must be one of {', '.join(known)}")
-        for field in fields(self)[2:]:
+        for field in fields(self):
             value = getattr(self, field.name)
-            if not (value >= 0.0 and math.isfinite(value)):
+            if not isinstance(value, str) and not (value >= 0.0 and math.isfinite(value)):
                 raise ParameterError(f"{field.name} = {value}; it must be >= 0")
 
     @property
@@ -201,7 +201,7 @@ class JointEffects:
     def __init__(self, robot: RobotParameters, effects: Effects, period: float, substeps: int, *, ahead: bool) -> None:
         check_steps(period, substeps, [])
         self._h = h = period / substeps
-        found = rubbings(robot, effects)
+        found, transmissions = rubbings(robot, effects), [compliance(leg, effects) for leg in robot.legs]
         _check_transmissions(robot, effects, period, substeps)
         check_steps(period, substeps, [_motor(each, robot, effects) for each in found])
         library, count = acting(len(found)), len(found)
@@ -212,8 +212,7 @@ class JointEffects:
             [robot.coulomb_speed] * count,
         ])  # fmt: skip
         drive = DRIVE.make()
-        found_compliance = [compliance(leg, effects) for leg in robot.legs]
-        drive.stiffness, drive.damping = np.array(found_compliance).T
+        drive.stiffness, drive.damping = np.array(transmissions).T
         drive.inertia = [leg.rotor_inertia or 1.0 for leg in robot.legs]
         for name in ("backlash", "cogging", "cogging_periods", "drive_lag", "torque_step"):
             setattr(drive, name, float(getattr(effects, name)))
@@ -226,7 +225,7 @@ class JointEffects:
             lead=np.array([0.0 if ahead else 0.5 * h]),
         )
         self.forces: np.ndarray = self._act.results.forces
-        self._compliant = np.array([bool(each.stiffness) for each in found_compliance])
+        self._compliant = np.array([bool(each.stiffness) for each in transmissions])
         self._at_motor = effects.encoder_at == "motor" and bool(self._compliant.any())
 
     def reset(self, q_a: Sequence[float], q_a_dot: Sequence[float]) -> None:
@@ -256,9 +255,8 @@ class JointEffects:
 def _motor(place: Rubbing, robot: RobotParameters, effects: Effects) -> Motor:
     """As its friction's steepness is checked: sticking friction brings a steepness that is sound by itself."""
     smooth = effects.friction == "smooth"
-    if place.coulomb and not place.inertia > 0.0:
-        raise ParameterError(f"friction of {place.coulomb:g} N m at the {place.name} acts on links without inertia; "
-                             "distal_inertia must be > 0")  # fmt: skip
+    if not place.inertia > 0.0:
+        raise ParameterError(f"friction at the {place.name} acts on links without inertia; distal_inertia must be > 0")
     return Motor(place.name.removesuffix(" joint"), place.viscous + (place.coulomb / robot.coulomb_speed if smooth else 0.0),
                  place.inertia)  # fmt: skip
 

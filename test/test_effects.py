@@ -275,6 +275,7 @@ def test_a_reset_takes_the_load_off_again(plant: str) -> None:
     ({"transmission_stiffness": 100.0, "rotor_inertia": 0.0}, {}, "rotor_inertia = 0 with a compliant transmission"),
     ({"transmission_stiffness": 100.0, "proximal_mass": 0.0, "proximal_inertia": 0.0}, {}, "a massless proximal link behind"),
     ({"passive_coulomb_friction": 1e-3, "distal_inertia": 0.0}, {}, "at the left elbow acts on links without inertia"),
+    ({"passive_viscous_friction": 1e-3, "distal_inertia": 0.0}, {}, "at the left elbow acts on links without inertia"),
     ({}, {"friction": "sticky"}, "friction = 'sticky'; it must be one of stick, smooth"),
     ({}, {"backlash": -1e-3}, "backlash = -0.001; it must be >= 0"),
     ({}, {"stamp_error": 6e-4}, "stamp_error = 0.0006 s; it must lie in"),
