@@ -19,8 +19,7 @@ _LEAST_SINE = 1.0e-9
 
 def bases(robot: RobotParameters) -> tuple[Point, Point]:
     """The motor axes (left, right), m."""
-    half = 0.5 * robot.base_distance
-    return (-half, 0.0), (half, 0.0)
+    return robot.left.axis, robot.right.axis
 
 
 def elbow(leg: LegParameters, q: float, base: Point) -> Point:

@@ -29,7 +29,6 @@ import numpy as np
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.record import Field, Layout
-from dextar_sim.geometry import bases
 from dextar_sim.state import state_layout
 
 _OWN_SINE = 0.2
@@ -37,7 +36,7 @@ _OWN_SINE = 0.2
 PLATFORM = -1
 """No leg's angles: the end effector's position is the coordinates."""
 CHARTS = {PLATFORM: "platform", 0: "left", 1: "right"}
-LEG_NUMBERS = 11
+LEG_NUMBERS = 12
 STATE = state_layout(2, 4)
 DRIVE = Layout("drive", 2, (
     Field("first", "N m", "motor torques of the first substeps", 2),
@@ -56,14 +55,14 @@ def _lesser(value: Term, least: Term) -> Term:
     return ca.if_else(value >= least, least, value)
 
 
-def _elbow(x: Term, y: Term, base: Term, proximal: Term, distal: Term, side: Term) -> tuple[Term, Term, Term, Term]:
+def _elbow(x: Term, y: Term, base: Terms, proximal: Term, distal: Term, side: Term) -> tuple[Term, Term, Term, Term]:
     """cos and sin of theta_1 and theta_2 with the elbow on a side of the line base -> (x, y); nan out of reach."""
-    dx = x - base
-    square = dx * dx + y * y
+    dx, dy = x - base[0], y - base[1]
+    square = dx * dx + dy * dy
     along = 0.5 * (proximal * proximal - distal * distal + square) / square
     across = side * ca.sqrt(proximal * proximal / square - along * along)
-    ex, ey = along * dx - across * y, along * y + across * dx
-    return ex / proximal, ey / proximal, (dx - ex) / distal, (y - ey) / distal
+    ex, ey = along * dx - across * dy, along * dy + across * dx
+    return ex / proximal, ey / proximal, (dx - ex) / distal, (dy - ey) / distal
 
 
 def _acceleration(
@@ -85,10 +84,10 @@ def _acceleration(
     vx, vy = z_dot
     g_xx, g_xy, g_yx, g_yy, c_x, c_y = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0
     if chart != PLATFORM:
-        l1, l2 = legs[chart][1], legs[chart][5]
+        l1, l2 = legs[chart][2], legs[chart][6]
         w1, w2 = z_dot
         cos_1, sin_1, cos_2, sin_2 = ca.cos(z[0]), ca.sin(z[0]), ca.cos(z[1]), ca.sin(z[1])
-        x, y = legs[chart][0] + l1 * cos_1 + l2 * cos_2, l1 * sin_1 + l2 * sin_2
+        x, y = legs[chart][0] + l1 * cos_1 + l2 * cos_2, legs[chart][1] + l1 * sin_1 + l2 * sin_2
         g_xx, g_xy, g_yx, g_yy = -l1 * sin_1, -l2 * sin_2, l1 * cos_1, l2 * cos_2
         vx, vy = g_xx * w1 + g_xy * w2, g_yx * w1 + g_yy * w2
         c_x, c_y = -l1 * cos_1 * w1 * w1 - l2 * cos_2 * w2 * w2, -l1 * sin_1 * w1 * w1 - l2 * sin_2 * w2 * w2
@@ -99,7 +98,7 @@ def _acceleration(
     p_x, p_y = push[0] + mass * (gx - c_x), push[1] + mass * (gy - c_y)
     f_1, f_2 = g_xx * p_x + g_yx * p_y, g_xy * p_x + g_yy * p_y
     for i in range(2):
-        base, l1, m1, c1, i1, l2, m2, c2, i2, viscous, coulomb = legs[i]
+        *base, l1, m1, c1, i1, l2, m2, c2, i2, viscous, coulomb = legs[i]
         if i == chart:
             cos_1, sin_1, cos_2, sin_2 = ca.cos(z[0]), ca.sin(z[0]), ca.cos(z[1]), ca.sin(z[1])
             j11, j12, j21, j22 = 1.0, 0.0, 0.0, 1.0
@@ -177,8 +176,8 @@ def _placed(
     (a, b), (a_dot, b_dot) = z, z_dot
     x, y, vx, vy = a, b, a_dot, b_dot
     if chart != PLATFORM:
-        base, l1, l2 = legs[chart][0], legs[chart][1], legs[chart][5]
-        x, y = base + l1 * ca.cos(a) + l2 * ca.cos(b), l1 * ca.sin(a) + l2 * ca.sin(b)
+        base_x, base_y, l1, *_, l2 = legs[chart][:7]
+        x, y = base_x + l1 * ca.cos(a) + l2 * ca.cos(b), base_y + l1 * ca.sin(a) + l2 * ca.sin(b)
         vx, vy = -l1 * ca.sin(a) * a_dot - l2 * ca.sin(b) * b_dot, l1 * ca.cos(a) * a_dot + l2 * ca.cos(b) * b_dot
     found, rates, least = [], [], ca.SX(1.0)
     for i in range(2):
@@ -186,7 +185,8 @@ def _placed(
             found += [a, b - a]
             rates += [a_dot, b_dot - a_dot]
             continue
-        base, l1, l2 = legs[i][0], legs[i][1], legs[i][5]
+        *base, l1 = legs[i][:3]
+        l2 = legs[i][6]
         cos_1, sin_1, cos_2, sin_2 = _elbow(x, y, base, l1, l2, sides[i])
         cos_d, sin_d = cos_1 * cos_2 + sin_1 * sin_2, cos_1 * sin_2 - sin_1 * cos_2
         least = _lesser(ca.fabs(sin_d), least)
@@ -328,12 +328,12 @@ def leg_row(robot: RobotParameters, index: int) -> Row:
     """What the motion takes of a leg.
 
     Returns:
-        Base x (m), then of the proximal and the distal link length (m), mass (kg), centre (m), inertia about it
+        Base x and y (m), then of the proximal and the distal link length (m), mass (kg), centre (m), inertia about it
         (kg m^2; the proximal one with the rotor), then viscous (N m s/rad) and Coulomb (N m) friction.
     """
-    leg, base = robot.legs[index], bases(robot)[index][0]
+    leg = robot.legs[index]
     return (
-        base,
+        *leg.axis,
         leg.proximal_length, leg.proximal_mass, leg.proximal_center * leg.proximal_length,
         leg.proximal_inertia + leg.rotor_inertia,
         leg.distal_length, leg.distal_mass, leg.distal_center * leg.distal_length, leg.distal_inertia,

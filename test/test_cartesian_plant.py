@@ -258,3 +258,19 @@ def test_torque_saturates_and_what_is_not_finite_is_refused() -> None:
 @pytest.mark.parametrize("name", ["reset", "reset_joints", "step", "apply_impulse", "state", "close"])
 def test_both_plants_have_the_same_surface(name: str) -> None:
     assert inspect.signature(getattr(Plant, name)) == inspect.signature(getattr(CartesianPlant, name))
+
+
+@pytest.mark.parametrize("plant", [CartesianPlant, Plant])
+def test_a_robot_on_another_place_of_the_plane_moves_alike(plant: type[Plant] | type[CartesianPlant]) -> None:
+    """Axes, start and weight turned and shifted; near the ends of both legs, where their own angles are the coordinates, too."""
+    angle, shift = 0.4, np.array([0.03, -0.02])
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    robot = DEXTAR.replace(gravity=(0.0, -9.81))
+    axes = {f"{side}.axis": tuple(turn @ leg.axis + shift) for side, leg in zip(robot.sides, robot.legs, strict=True)}
+    moved = robot.replace(gravity=tuple(turn @ robot.gravity), **axes)
+    here, there = plant(robot), plant(moved)
+    here.reset((0.03, 0.155), (0.0, 0.1))
+    there.reset(turn @ (0.03, 0.155) + shift, turn @ (0.0, 0.1))
+    for first, second in zip(run(here, 150, False), run(there, 150, False), strict=True):
+        np.testing.assert_allclose(second.x, turn @ first.x + shift, atol=1e-7)
+        np.testing.assert_allclose(np.cos(second.q_a - first.q_a - angle), 1.0, atol=1e-9)

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -264,3 +265,36 @@ def test_a_node_that_is_being_made_ends_although_the_compiler_swallows_the_inter
     process.send_signal(number)
     output, _ = process.communicate(timeout=60.0)
     assert (process.returncode, output) == (0, "")
+
+
+def test_motor_axes_are_told_by_their_distance_or_each_by_its_place(robot: RobotParameters) -> None:
+    old = {key: value for key, value in flatten(robot).items() if not key.endswith(".axis")}
+    assert from_flat(old) == robot
+    assert [leg.axis for leg in robot.legs] == [(-0.059, 0.0), (0.059, 0.0)]
+    places = {"left.axis": (-0.06, 0.001), "right.axis": [0.058, -0.002]}
+    placed = robot.replace(**places)
+    assert [leg.axis for leg in placed.legs] == [(-0.06, 0.001), (0.058, -0.002)]
+    assert placed.base_distance == pytest.approx(math.hypot(0.118, 0.003), abs=1e-15)
+    assert from_flat({key: value for key, value in flatten(placed).items() if key != "base_distance"}) == placed
+    assert placed.replace(base_distance=0.118) == robot
+    with pytest.raises(ParameterError, match=r"base_distance = 0.118 with motor axes 0.1180\d+ m apart; leave out"):
+        from_flat(old | places)
+    with pytest.raises(ParameterError, match="is that of the right motor too"):
+        robot.replace(**{"left.axis": (0.1, 0.0), "right.axis": (0.1, 0.0)})
+
+
+@pytest.mark.parametrize("key, value, said", [
+    ("left.encoder_offset", 4.0, r"left.encoder_offset = 4.0; it must lie in \[-pi, pi\]"),
+    ("right.transmission_stiffness", -1.0, "right.transmission_stiffness = -1.0; it must be >= 0"),
+    ("left.passive_coulomb_friction", -1.0, "left.passive_coulomb_friction = -1.0; it must be >= 0"),
+    ("pin_coulomb_friction", float("inf"), "pin_coulomb_friction = inf; it must be finite"),
+    ("left.axis", (0.0,), r"left.axis = \(0.0,\); it must be two numbers"),
+])  # fmt: skip
+def test_what_a_description_may_leave_out_is_checked_where_it_is_said(
+    robot: RobotParameters, key: str, value: Any, said: str
+) -> None:
+    flat = {name: number for name, number in flatten(robot).items() if name != key}
+    if not key.endswith("axis"):
+        assert from_flat(flat) == robot
+    with pytest.raises(ParameterError, match=said):
+        from_flat(flat | {key: value})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -503,3 +504,21 @@ def test_a_moving_robot_is_not_enabled(robot: RobotParameters, trip: Plan) -> No
     with pytest.raises(StateError, match=r"a joint moves at .* rad/s; the limit is 0.5 rad/s: bring it to rest, then enable"):
         loop.enable()
     plant.close()
+
+
+def test_a_robot_with_encoder_offsets_and_turned_axes_moves_as_one_without(robot: RobotParameters) -> None:
+    """The base turned by an angle: the joints are the same but for it, in a platform frame turned alike."""
+    angle, offset = 0.3, np.array([0.02, -0.03])
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    axes = {f"{side}.axis": tuple(turn @ leg.axis) for side, leg in zip(robot.sides, robot.legs, strict=True)}
+    offsets = {f"{side}.encoder_offset": value for side, value in zip(robot.sides, offset, strict=True)}
+    turned = robot.replace(**axes, **offsets)
+    loops = [ControlLoop(each, default_settings(), 1) for each in (robot, turned)]
+    x = np.array([-0.025, 0.115])
+    q_a = loops[0].model.place(x).q_a
+    for step in range(20):
+        moved = q_a + 1e-4 * step
+        first = loops[0].step(1e-3 * step, moved)
+        second = loops[1].step(1e-3 * step, moved + angle + offset)
+        np.testing.assert_allclose(second, first, atol=1e-9)
+        np.testing.assert_allclose(loops[1].tick.x_hat, turn @ loops[0].tick.x_hat, atol=1e-10)

@@ -24,7 +24,7 @@ def test_an_unknown_mechanism_is_named_with_those_there_are() -> None:
 
 
 @pytest.mark.parametrize("change, said", [
-    ({"base_distance": None}, "'base_distance' of the mechanism five_bar is missing"),
+    ({"left.axis": None}, "'left.axis' of the mechanism five_bar is missing"),
     ({"left.distal_mass": -0.1}, r"robot\.left\.distal_mass = -0\.1; it must lie in \[0, inf\] kg"),
     ({"right.proximal_length": 0.0}, r"robot\.right\.proximal_length = 0\.0; it must be > 0 m"),
     ({"gravity": [0.0]}, r"robot\.gravity = \[0\.0\]; it must be 2 finite numbers"),

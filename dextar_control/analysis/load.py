@@ -380,7 +380,7 @@ def _robot(parameters: dict[str, dict[str, Any]]) -> RobotParameters | None:
         flat = {key.removeprefix("robot."): value for key, value in parameters.get(node, {}).items()
                 if key.startswith("robot.")}  # fmt: skip
         try:
-            return from_flat({key: flat[key] for key in ROBOT_KEYS})
-        except (KeyError, ParameterError):
+            return from_flat({key: flat[key] for key in ROBOT_KEYS if key in flat})
+        except ParameterError:
             continue
     return None

@@ -120,7 +120,8 @@ def _positions(run: Run) -> tuple[Stamps, Floats, Floats]:
     stamps, rows, joints = np.intersect1d(
         run.control.stamps[known], run.states.stamps, assume_unique=True, return_indices=True
     )
-    return np.asarray(stamps, dtype=np.int64), run.control.estimate[known][rows], run.states.position[joints]
+    offset = run.robot.encoder_offset if run.robot else 0.0
+    return np.asarray(stamps, dtype=np.int64), run.control.estimate[known][rows], run.states.position[joints] - offset
 
 
 def _last(clock: Floats, times: Floats) -> Stamps:

@@ -67,9 +67,9 @@ def _path(axes: Any, robot: RobotParameters, certificate: Certificate) -> None:
             bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
         )  # fmt: skip
     axes.plot([], [], color=LIGHT, linewidth=4.0, label="$t_s$ at a crossing")
-    half = 0.5 * robot.base_distance
-    axes.plot([-half, half], [0.0, 0.0], "k^", markersize=9, zorder=4, label="motor axes")
-    everything = np.vstack([x, [[-half, 0.0], [half, 0.0]]])
+    motors = np.array([leg.axis for leg in robot.legs])
+    axes.plot(*motors.T, "k^", markersize=9, zorder=4, label="motor axes")
+    everything = np.vstack([x, motors])
     axes.set_xlim(everything[:, 0].min() - MARGIN, everything[:, 0].max() + MARGIN)
     axes.set_ylim(everything[:, 1].min() - MARGIN, everything[:, 1].max() + MARGIN)
     axes.set_aspect("equal")

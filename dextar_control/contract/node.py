@@ -24,7 +24,7 @@ from dextar_control.contract.caches import prepare_environment
 from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.help import node_help
-from dextar_control.contract.robot import ROBOT_KEYS, RobotParameters, from_flat
+from dextar_control.contract.robot import PREFIX, ROBOT_KEYS, RobotParameters, changed, from_flat
 from dextar_control.contract.services import ServiceDesk
 from dextar_control.contract.signals import StopSignal, caused_by_interrupt, tell
 from dextar_control.contract.topics import DIAGNOSTICS, Topic
@@ -121,7 +121,8 @@ def settled(node: str, specs: Sequence[Parameter], overrides: Mapping[str, Any],
     """
     defaults = resources.node_defaults(node)
     names = [spec.name for spec in specs]
-    known = {*names, *defaults, *(_robot_defaults(node) if robot else ()), "use_sim_time", "start_type_description_service"}
+    described = [f"{PREFIX}{key}" for key in ROBOT_KEYS] if robot else []
+    known = {*names, *defaults, *described, "use_sim_time", "start_type_description_service"}
     for key in overrides:
         others = key.startswith("qos_overrides.") or (key.startswith("robot.") and not robot)
         if key not in known and not others:
@@ -133,7 +134,9 @@ def settled(node: str, specs: Sequence[Parameter], overrides: Mapping[str, Any],
 
 
 def _robot_defaults(node: str) -> dict[str, Any]:
-    return resources.node_defaults(node, resources.config_file(resources.ROBOT_FILE))
+    """The shipped description, by its keys."""
+    shipped = resources.node_defaults(node, resources.config_file(resources.ROBOT_FILE))
+    return {key.removeprefix(PREFIX): value for key, value in shipped.items() if key.startswith(PREFIX)}
 
 
 def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoSProfile:
@@ -192,22 +195,19 @@ class DextarNode(Node):
         self.finished = False
         self._specs = {spec.name: spec for spec in self.PARAMETERS}
         self._defaults = resources.node_defaults(name)
-        robot_defaults = _robot_defaults(name) if robot else {}
         overrides = {key: parameter.value for key, parameter in self._parameter_overrides.items()}
         self.values = settled(name, self.PARAMETERS, overrides, robot=robot)
         for spec in self._specs.values():
             value = self.values[spec.name]
             self._declare(spec.name, value, _descriptor(spec, value))
         if robot:
-            prefix = "robot."
-            whole = f"{prefix}name" in overrides  # a description, not a change of the shipped one
-            flat = {key: overrides[key] if key in overrides else default for key, default in robot_defaults.items()
-                    if key in overrides or not whole}  # fmt: skip
-            unique = {key.removeprefix(prefix): value for key, value in flat.items()}
-            self.robot: RobotParameters = from_flat({key: unique[key] for key in unique if key in ROBOT_KEYS})
+            told = {key.removeprefix(PREFIX): value for key, value in overrides.items() if key.startswith(PREFIX)}
+            whole = "name" in told  # a description, not a change of the shipped one
+            flat = told if whole else changed(_robot_defaults(name), told)
+            self.robot: RobotParameters = from_flat(flat)
             for key, value in flat.items():
                 plain = list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
-                self._declare(key, plain, ParameterDescriptor(read_only=True))
+                self._declare(f"{PREFIX}{key}", plain, ParameterDescriptor(read_only=True))
         self.add_on_set_parameters_callback(self._on_set)
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS.name, qos(DIAGNOSTICS))
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)

@@ -41,6 +41,7 @@ class LegParameters:
     """One leg: motor, proximal link, passive elbow, distal link.
 
     Attributes:
+        axis: of the motor, (x, y) in the robot's frame, m.
         proximal_length, distal_length: link lengths in m, > 0.
         proximal_mass, distal_mass: kg, >= 0.
         proximal_center, distal_center: centre of mass as a fraction of the length
@@ -50,8 +51,14 @@ class LegParameters:
         viscous_friction: at the active joint, N m s/rad, >= 0.
         coulomb_friction: at the active joint, N m, >= 0.
         min_angle, max_angle: range of the active joint, rad, on any turn; a whole turn or more is no bound.
+        encoder_offset: what the encoder reads where the active joint is at zero, rad, in [-pi, pi].
+        transmission_stiffness: between rotor and proximal link, N m/rad, >= 0; 0 is rigid.
+        transmission_damping: beside it, N m s/rad, >= 0.
+        passive_viscous_friction: at the elbow, N m s/rad, >= 0.
+        passive_coulomb_friction: at the elbow, N m, >= 0.
     """
 
+    axis: tuple[float, float]
     proximal_length: float
     proximal_mass: float
     proximal_center: float
@@ -65,6 +72,11 @@ class LegParameters:
     coulomb_friction: float
     min_angle: float
     max_angle: float
+    encoder_offset: float
+    transmission_stiffness: float
+    transmission_damping: float
+    passive_viscous_friction: float
+    passive_coulomb_friction: float
 
 
 @dataclass(frozen=True)
@@ -73,10 +85,10 @@ class RobotParameters:
 
     Attributes:
         name: of the description.
-        base_distance: between the motor axes, which lie at (-+base_distance/2, 0), m.
         left, right: the legs.
         end_effector_mass: point mass at the end effector, kg.
-        gravity: in the robot's plane, m/s^2, shape (2,).
+        pin_viscous_friction, pin_coulomb_friction: between the distal links, N m s/rad and N m, >= 0.
+        gravity: in the robot's plane, m/s^2, shape (2,): of a robot tilted by an angle, 9.81 times its sine.
         coulomb_speed: the friction torque is coulomb * tanh(q_dot / coulomb_speed), rad/s.
         working_mode: elbow side of (left, right): +1 left of the line base -> end effector, -1 right.
         max_torque: of each motor, N m.
@@ -86,10 +98,11 @@ class RobotParameters:
     """
 
     name: str
-    base_distance: float
     left: LegParameters
     right: LegParameters
     end_effector_mass: float
+    pin_viscous_friction: float
+    pin_coulomb_friction: float
     gravity: tuple[float, float]
     coulomb_speed: float
     working_mode: tuple[int, int]
@@ -108,6 +121,8 @@ class RobotParameters:
                 )
             if leg.proximal_inertia + leg.rotor_inertia + leg.proximal_mass * leg.proximal_center**2 <= 0.0:
                 raise ParameterError(f"robot.{side}.rotor_inertia = 0 with a massless proximal link; it must be > 0")
+        if self.base_distance <= 0.0:
+            raise ParameterError(f"robot.left.axis = {self.left.axis} is that of the right motor too; they must differ")
         if self.end_effector_mass + self.left.distal_mass + self.right.distal_mass <= 0.0:
             raise ParameterError("robot.end_effector_mass = 0 with massless distal links; it must be > 0")
 
@@ -115,6 +130,16 @@ class RobotParameters:
     def legs(self) -> tuple[LegParameters, LegParameters]:
         """(left, right)."""
         return self.left, self.right
+
+    @property
+    def base_distance(self) -> float:
+        """Between the motor axes, m."""
+        return math.dist(self.left.axis, self.right.axis)
+
+    @property
+    def encoder_offset(self) -> tuple[float, float]:
+        """Of the active joints, rad: what an encoder reads less this is the joint's angle."""
+        return self.left.encoder_offset, self.right.encoder_offset
 
     @property
     def sides(self) -> tuple[str, ...]:
@@ -127,20 +152,17 @@ class RobotParameters:
         return tuple(leg.min_angle for leg in self.legs), tuple(leg.max_angle for leg in self.legs)
 
     def replace(self, **changes: Any) -> RobotParameters:
-        """A copy with dotted or plain keys changed, e.g. ``replace(**{"left.distal_mass": 0.1})``."""
-        flat = flatten(self)
-        for key, value in changes.items():
-            if key not in flat:
-                raise ParameterError(f"unknown robot parameter '{key}'")
-            flat[key] = value
-        return from_flat(flat)
+        """A copy with dotted or plain keys changed, e.g. ``replace(**{"left.distal_mass": 0.1})``; see ``changed``."""
+        return from_flat(changed(flatten(self), changes))
 
 
-_POSITIVE = {"base_distance", "proximal_length", "distal_length", "coulomb_speed", "max_torque",
+_POSITIVE = {"proximal_length", "distal_length", "coulomb_speed", "max_torque",
              "max_joint_speed", "max_platform_speed"}  # fmt: skip
 _FRACTION = {"proximal_center", "distal_center", "min_type1_distance"}
-_FREE = {"gravity", "min_angle", "max_angle"}
-_UNBOUND = {f"{side}.{bound}_angle": sign * math.pi for side in ("left", "right") for bound, sign in (("min", -1), ("max", 1))}
+_FREE = {"axis", "gravity", "min_angle", "max_angle", "encoder_offset"}
+_PAIRS = ("working_mode", "gravity", "left.axis", "right.axis")
+_AXES = ("left.axis", "right.axis")
+_SAME_LENGTH = 1e-9  # m
 
 
 def _check(key: str, value: Any) -> None:
@@ -157,6 +179,8 @@ def _check(key: str, value: Any) -> None:
         raise ParameterError(f"{full} = {value}; it must be finite")
     if name in _POSITIVE and value <= 0.0:
         raise ParameterError(f"{full} = {value}; it must be > 0")
+    if name == "encoder_offset" and not abs(value) <= math.pi:
+        raise ParameterError(f"{full} = {value}; it must lie in [-pi, pi]")
     if name in _FRACTION and not 0.0 <= value <= 1.0:
         raise ParameterError(f"{full} = {value}; it must lie in [0, 1]")
     if name not in _FREE and name not in _POSITIVE and name not in _FRACTION and value < 0.0:
@@ -165,7 +189,7 @@ def _check(key: str, value: Any) -> None:
 
 def flatten(robot: RobotParameters) -> dict[str, Any]:
     """Dotted keys (``left.distal_mass``) to values, in the order of the description."""
-    flat: dict[str, Any] = {}
+    flat: dict[str, Any] = {"name": robot.name, "base_distance": robot.base_distance}
     for field in dataclasses.fields(robot):
         value = getattr(robot, field.name)
         if isinstance(value, LegParameters):
@@ -176,11 +200,17 @@ def flatten(robot: RobotParameters) -> dict[str, Any]:
 
 
 _LEG_KEYS = [field.name for field in dataclasses.fields(LegParameters)]
-ROBOT_KEYS = [
+ROBOT_KEYS = ["name", "base_distance"] + [
     key
     for field in dataclasses.fields(RobotParameters)
     for key in ([f"{field.name}.{leg}" for leg in _LEG_KEYS] if field.name in ("left", "right") else [field.name])
+    if key != "name"
 ]
+_UNSAID: dict[str, float] = {
+    **{f"{side}.{bound}_angle": sign * math.pi for side in ("left", "right") for bound, sign in (("min", -1.0), ("max", 1.0))},
+    **{f"{side}.{key}": 0.0 for side in ("left", "right") for key in _LEG_KEYS[-5:]},
+    "pin_viscous_friction": 0.0, "pin_coulomb_friction": 0.0,
+}  # what a description need not say: no range, offset, compliance or passive friction
 
 
 def _convert(key: str, value: Any) -> Any:
@@ -192,31 +222,61 @@ def _convert(key: str, value: Any) -> Any:
             if int(first) != first or int(second) != second:
                 raise ValueError
             return (int(first), int(second))
-        if key == "gravity":
+        if key in _PAIRS:
             first, second = value
             return (float(first), float(second))
         if isinstance(value, bool):
             raise TypeError
         return float(value)
     except (TypeError, ValueError, OverflowError) as error:
-        wanted = "two numbers" if key in ("working_mode", "gravity") else "a number"
+        wanted = "two numbers" if key in _PAIRS else "a number"
         raise ParameterError(f"robot.{key} = {value!r}; it must be {wanted}") from error
+
+
+def changed(flat: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Dotted keys with some changed: a new base_distance puts the axes at its ends, two known axes have their own."""
+    merged = {**flat, **changes}
+    if "base_distance" in changes:
+        merged = {key: value for key, value in merged.items() if key not in _AXES or key in changes}
+    elif all(key in merged for key in _AXES):
+        merged.pop("base_distance", None)
+    return merged
+
+
+def _with_axes(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """Both motor axes; where one is not said it lies at (-+base_distance/2, 0)."""
+    found = dict(flat)
+    if "base_distance" not in found:
+        return found
+    distance = _convert("base_distance", found.pop("base_distance"))
+    if not (distance > 0.0 and math.isfinite(distance)):
+        raise ParameterError(f"robot.base_distance = {distance}; it must be > 0")
+    if all(key in found for key in _AXES):
+        between = math.dist(*(_convert(key, found[key]) for key in _AXES))
+        if not abs(between - distance) <= _SAME_LENGTH:
+            raise ParameterError(
+                f"robot.base_distance = {distance} with motor axes {between:.9g} m apart; leave out base_distance or the axes"
+            )
+    ends = {key: (sign * distance, 0.0) for key, sign in zip(_AXES, (-0.5, 0.5), strict=True)}
+    return ends | found
 
 
 def from_flat(flat: Mapping[str, Any]) -> RobotParameters:
     """A robot from dotted keys.
 
     Raises:
-        ParameterError: a key is unknown or missing (a joint's range may be: then it has none), a value out of its range.
+        ParameterError: a key is unknown or missing (base_distance serves for the motors' axes; see ``_UNSAID`` for what need
+            not be there), a value out of its range.
     """
     unknown = sorted(set(flat) - set(ROBOT_KEYS))
     if unknown:
         raise ParameterError(f"unknown robot parameter '{unknown[0]}'; known are: {', '.join(ROBOT_KEYS)}")
-    flat = {**_UNBOUND, **flat}
-    missing = [key for key in ROBOT_KEYS if key not in flat]
+    flat = {**_UNSAID, **_with_axes(flat)}
+    wanted = [key for key in ROBOT_KEYS if key != "base_distance"]
+    missing = ["base_distance" if key in _AXES else key for key in wanted if key not in flat]
     if missing:
         raise ParameterError(f"robot parameter '{missing[0]}' is missing")
-    values: dict[str, Any] = {key: _convert(key, flat[key]) for key in ROBOT_KEYS}
+    values: dict[str, Any] = {key: _convert(key, flat[key]) for key in wanted}
     for side in ("left", "right"):
         values[side] = LegParameters(**{key: values.pop(f"{side}.{key}") for key in _LEG_KEYS})
     return RobotParameters(**values)

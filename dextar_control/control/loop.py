@@ -78,6 +78,7 @@ class ControlLoop:
         self._stop = SafeStop(self.model)
         self._planned = PlannedReference(self.model, self._reference)
         self._gains: Record = Layout("gains", n, GAINS).make()
+        self._offset = np.array(robot.encoder_offset) if any(robot.encoder_offset) else None
         self._answer, self._integral, self._q_a = self._output.tau, np.zeros(n), np.zeros(n)
         self._given = {"dt": np.zeros(1), "limit": np.zeros(1), "crossing": np.zeros(1), "q_meas": self._q_a}
         self._acts: dict[Law, Fast] = {}
@@ -357,6 +358,7 @@ class ControlLoop:
         """Torque (n,), N m, that answers the active joints q_a (n,), rad, sampled at ``time``, s.
 
         Args:
+            q_a: as the encoders read them: the robot's offsets are taken off here.
             pose: an external measurement that has arrived since the last sample; for the estimator ``external``.
 
         Raises:
@@ -368,6 +370,8 @@ class ControlLoop:
         if q_a.shape != self._q_a.shape or not math.isfinite(time + sum(q_a.tolist())):
             count = COUNTS.get(self.model.n, self.model.n)
             raise StateError(f"state at {time} s: active joints {q_a} are not {count} finite numbers")
+        if self._offset is not None:
+            q_a = q_a - self._offset
         if math.isnan(self._time):
             self._first(q_a)
             dt = FIRST_PERIOD

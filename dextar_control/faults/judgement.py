@@ -92,8 +92,8 @@ def true_position(robot: RobotParameters, joints: np.ndarray) -> np.ndarray:
     """End effector (n, 2), m, of joints (n, 4), along the left leg."""
     first, second = joints[:, 0], joints[:, 0] + joints[:, 1]
     near, far = robot.left.proximal_length, robot.left.distal_length
-    x = near * np.cos(first) + far * np.cos(second) - 0.5 * robot.base_distance
-    return np.column_stack([x, near * np.sin(first) + far * np.sin(second)])
+    reached = near * np.column_stack([np.cos(first), np.sin(first)]) + far * np.column_stack([np.cos(second), np.sin(second)])
+    return reached + robot.left.axis
 
 
 def largest_torque(evidence: Evidence) -> float:

@@ -1,7 +1,7 @@
 """The planar five-bar: two legs of a motor, a proximal link, a passive elbow and a distal link that meet in the end effector.
 
-Frame: origin midway between the motor axes, x towards the right one. Leg i runs from the motor axis e_i over the elbow
-P_i = e_i + l1 u_i, u_i = (cos q_i, sin q_i), to the end effector x, |x - P_i| = l2.
+Frame: that of the motor axes e_i; where only their distance is given, its origin is midway, x towards the right one. Leg i runs
+from the motor axis e_i over the elbow P_i = e_i + l1 u_i, u_i = (cos q_i, sin q_i), to the end effector x, |x - P_i| = l2.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class FiveBar(FiveBarLocus):
     joints = (Coordinate("q11", "rad"), Coordinate("q21", "rad"))
     coordinates = (Coordinate("x", "m"), Coordinate("y", "m"))
     parameters = (
-        Parameter("base_distance", "m", "between the motor axes", above=0.0),
+        *(Parameter(f"{side}.axis", "m", "of the motor", size=2) for side in SIDES),
         *(number for side in SIDES for number in leg_parameters(side)),
         Parameter("end_effector_mass", "kg", "point mass at the end effector", 0.0),
         Parameter("gravity", "m/s^2", "in the robot's plane", size=2),

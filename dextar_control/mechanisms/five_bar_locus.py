@@ -45,7 +45,7 @@ class FiveBarLocus(Mechanism):
 
     def base(self, leg: int, p: Any) -> Symbol:
         """e_i (2,), m, a motor's axis."""
-        return ca.vertcat((leg - 0.5) * p.base_distance, 0.0)
+        return getattr(p, SIDES[leg]).axis
 
     def type2_locus(self, family: Symbol, branch: Symbol, angle: Symbol, p: Any) -> tuple[Symbol, Symbol, Symbol]:
         """(q_a (2,), x (2,), closing) of the locus at a tracing angle, rad: of the left motor (stretched) or of d (folded).
@@ -82,8 +82,8 @@ class FiveBarLocus(Mechanism):
     def workspace(self, p: Any) -> tuple[Array, Array]:
         """Corners (2,), m, of a box that holds every place it reaches; ``p`` has numbers."""
         reach = np.array([float((getattr(p, side).proximal_length + getattr(p, side).distal_length)[0]) for side in SIDES])
-        axes = np.array([-0.5, 0.5]) * float(p.base_distance[0])
-        return np.array([(axes - reach).max(), -reach.min()]), np.array([(axes + reach).min(), reach.min()])
+        axes = np.array([np.array(self.base(leg, p)).ravel() for leg in range(2)])
+        return (axes - reach[:, None]).max(axis=0), (axes + reach[:, None]).min(axis=0)
 
     def length(self, p: Any) -> float:
         """The mean distal length, m, by which distances are measured; ``p`` has numbers."""

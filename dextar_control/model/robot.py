@@ -78,6 +78,11 @@ class Robot:
         return tuple(joint.name for joint in self.mechanism.joints)
 
     @property
+    def encoder_offset(self) -> tuple[float, ...]:
+        """Of the active joints, rad (m): none."""
+        return (0.0,) * self.mechanism.n
+
+    @property
     def working_mode(self) -> tuple[int, ...]:
         """Of the legs, where the mechanism has such a parameter."""
         return tuple(int(side) for side in self.numbers.get("working_mode", ()))

@@ -215,10 +215,9 @@ def _ms(seconds: float) -> str:
 
 
 def elbow_distance(robot: RobotParameters, q_a: Array) -> Array:
-    """Between the two elbows, (n,), m, at joint angles (n, 2), rad."""
-    reach = np.array([leg.proximal_length for leg in robot.legs])
-    elbows = np.stack([reach * np.cos(q_a), reach * np.sin(q_a)], axis=-1)  # (n, 2 legs, 2)
-    elbows[:, 1, 0] += robot.base_distance
+    """Between the two elbows, (n,), m, at joint angles (n, 2), rad, as the encoders read them."""
+    reach, q_a = np.array([leg.proximal_length for leg in robot.legs]), q_a - robot.encoder_offset
+    elbows = np.stack([reach * np.cos(q_a), reach * np.sin(q_a)], axis=-1) + [leg.axis for leg in robot.legs]  # (n, 2 legs, 2)
     return np.asarray(np.hypot(*(elbows[:, 1] - elbows[:, 0]).T))
 
 

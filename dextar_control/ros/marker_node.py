@@ -125,7 +125,7 @@ class MarkerNode(DextarNode):
         joints = self._seen.get(JOINT_STATES.name)
         if joints is None:
             return None
-        q_a = messages.active_joints(joints)
+        q_a = messages.active_joints(joints) - self.robot.encoder_offset
         criterion = self._seen.get(CRITERION.name)
         scalars = {} if criterion is None else dict(zip(criterion.name, criterion.position, strict=False))
         points = getattr(self._seen.get(CONTROLLER_STATE.name), "points", ())
