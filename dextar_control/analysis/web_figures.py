@@ -27,6 +27,7 @@ from bokeh.models import (
 )
 from bokeh.models.annotations import Span
 from bokeh.plotting import figure
+from numpy.typing import NDArray
 
 from dextar_control.analysis.curves import Curve, Panel
 from dextar_control.analysis.metrics import Metrics
@@ -178,6 +179,22 @@ def histogram(values: Floats, label: str, unit: float = 1e6) -> Any:
     for percent, dash in ((50.0, "solid"), (99.0, "dashed")):
         place = float(np.percentile(good, percent))
         axes.add_layout(Span(location=place, dimension="height", line_color=BLACK, line_dash=dash, line_width=1.5))
+    return axes
+
+
+def residuals(before: Floats, after: Floats, deviations: Floats, used: NDArray[np.bool_], label: str, name: str) -> Any:
+    """What is left of some observations (n,), by number: before and after a fit, with two standard deviations either way."""
+    numbers = np.arange(1, len(after) + 1)
+    axes = _axes(label, HEIGHT + LAST, DataRange1d())
+    axes.xaxis.axis_label = name
+    axes.add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_width=1))
+    axes.scatter(numbers, before, marker="circle", size=8, fill_color="white", line_color=GREY, legend_label="before")
+    axes.segment(numbers, after - 2.0 * deviations, numbers, after + 2.0 * deviations, line_color=BLACK)
+    for counts, marker, words in ((True, "square", "after"), (False, "x", "does not count")):
+        rows = used == counts
+        if rows.any():
+            axes.scatter(numbers[rows], after[rows], marker=marker, size=7, color=BLACK if counts else ACCENT, legend_label=words)
+    _legend(axes)
     return axes
 
 

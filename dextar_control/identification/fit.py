@@ -1,7 +1,7 @@
-"""Nonlinear least squares for a five-bar's geometry: folds of the joints' motion, and places of the end effector where they are known.
+"""Nonlinear least squares for a five-bar's geometry by folds of the joints' motion, and by places of the end effector, if seen.
 
-What folds alone do not tell is kept: where the motors' midpoint lies and how everything is turned together (the mean of the
-encoders' offsets), the scale (the sum of the distal lengths), and without a folded crossing the difference of the distal lengths.
+Folds alone tell nothing of where the robot stands (the motors' midpoint is kept) and how it is turned (the mean of the encoder
+offsets), of its scale (the distal lengths' sum), and without folded links nothing of the distal lengths' difference.
 """
 
 from __future__ import annotations
@@ -13,19 +13,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dextar_control.identification.folds import Fold, touch
+from dextar_control.identification.folds import Fold, Touch, touch
 from dextar_control.identification.linkage import NAMES, Linkage
-from dextar_control.mechanisms.five_bar_locus import Family
+from dextar_control.mechanisms.five_bar_locus import SIDES, Family
 from dextar_control.symbols.types import Array
 
-LARGEST = 4.0  # deviations, beyond which a fold or a pose is an outlier
-CLOSEST = 5e-6  # m, of a fold's gap that is no outlier whatever the deviation
-ROUNDS = 30  # of weights that forget outliers, and then of those without them
-STEPS = 12  # of Gauss and Newton's method
-CONVERGED = 1e-10  # m or rad, of a step
-POSE_NOISE = 2e-4  # m, of a measured coordinate, until the poses' own scatter tells
-POSE_FLOOR = 5e-6  # m, of a pose beside its noise: clock, interpolation
-NORMAL_MEDIAN = 1.4826  # standard deviations of a normal distribution in a median of absolute values
+LARGEST = 4.0  # standard deviations; a fold or a place beyond is an outlier
+LEAST_OUTLIER = 5e-6  # m, a fold's gap below which it is none
+ROUNDS = 25  # with weights that forget outliers, then without the outliers
+CONVERGED = 1e-11  # m or rad, of a step
+PLACE_NOISE = 2e-4  # m, of a coordinate, until the places' own scatter tells it
+PLACE_FLOOR = 5e-6  # m, of a place beside its noise: clocks, interpolation
+MEDIAN = 1.4826  # standard deviations of a normal distribution in the median of its absolute values
+FEWEST_FOLDED = 2  # folds with folded links that tell the difference of the distal lengths
+ENCODER_ERRORS = (0.0, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3)  # rad, of the errors once a turn among which the likeliest is taken
+UNMODELLED = (0.0, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4)  # m, beside the samples' scatter, likewise
+BOUND = 1e-9  # of the largest singular value, below which a direction is not seen at all
+ONE = {"m": 1e-4, "rad": 1e-3}  # that counts as one of each unit
 
 
 class Direction(NamedTuple):
@@ -34,7 +38,7 @@ class Direction(NamedTuple):
     Attributes:
         name: of the quantity.
         unit: m or rad.
-        change: (10,) of the numbers, by one unit.
+        change: (14,) of the numbers where the quantity changes by one.
     """
 
     name: str
@@ -42,29 +46,34 @@ class Direction(NamedTuple):
     change: Array
 
 
-def _direction(name: str, **changes: float) -> Direction:
-    vector = np.zeros(len(NAMES))
-    for key, value in changes.items():
-        vector[NAMES.index(key.replace("__", "."))] = value
-    return Direction(name, "rad" if "offset" in name else "m", vector)
+def _direction(name: str, unit: str, changes: dict[str, float]) -> Direction:
+    return Direction(name, unit, np.array([changes.get(number, 0.0) for number in NAMES]))
 
 
-LENGTHS = tuple(_direction(f"{side}.proximal_length", **{f"{side}__proximal_length": 1.0}) for side in ("left", "right"))
-BASE = tuple(
-    _direction(f"base {axis}", **{f"left__axis__{axis}": -0.5, f"right__axis__{axis}": 0.5}) for axis in ("x", "y")
+def _single(name: str) -> Direction:
+    return _direction(name, "rad" if "encoder" in name else "m", {name: 1.0})
+
+
+def _difference(name: str, unit: str, quantity: str) -> Direction:
+    return _direction(name, unit, {f"left.{quantity}": -0.5, f"right.{quantity}": 0.5})
+
+
+ECCENTRICITY = tuple(_single(name) for name in NAMES if name.endswith(("cosine", "sine")))
+EVERY = tuple(_single(name) for name in NAMES if not name.endswith(("cosine", "sine")))
+BY_STRETCHED = (
+    *(_single(f"{side}.proximal_length") for side in SIDES),
+    *(_difference(f"right.axis - left.axis, {axis}", "m", f"axis.{axis}") for axis in "xy"),
+    _difference("right.encoder_offset - left.encoder_offset", "rad", "encoder_offset"),
 )
-OFFSETS = _direction("difference of the encoder offsets", left__encoder_offset=-0.5, right__encoder_offset=0.5)
-SPLIT = _direction("difference of the distal lengths", left__distal_length=0.5, right__distal_length=-0.5)
-SINGLE = tuple(_direction(name, **{name.replace(".", "__"): 1.0}) for name in NAMES)
-FEWEST_FOLDED = 2  # folds with folded links that tell the difference of the distal lengths
+BY_FOLDED = _difference("right.distal_length - left.distal_length", "m", "distal_length")
 
 
-class Poses(NamedTuple):
-    """Where the end effector was.
+class Places(NamedTuple):
+    """Where the end effector was seen.
 
     Attributes:
         readings: (m, 2) of the encoders then, rad.
-        x: (m, 2) measured, m.
+        x: (m, 2) in the robot's frame, m.
     """
 
     readings: Array
@@ -76,152 +85,164 @@ class Fit:
     """What was found.
 
     Attributes:
-        numbers: (10,) in the order of ``NAMES``.
-        covariance: (10, 10) of them; zero where they are kept.
-        directions: what was looked for.
-        deviations: per direction, standard.
-        gaps: (k,) of the folds, m; nan where one turned out to be none.
-        scatter: (k,) standard deviation of each, m.
-        used: (k,) whether it counts.
-        unmodelled: standard deviation of the folds beside that of their samples, m.
-        pose_noise: standard deviation of a measured coordinate, m; nan without poses.
-        poses_used: how many count.
+        numbers: (14,) in the order of ``NAMES``.
+        covariance: (14, 14) of them; zero where they are kept.
+        directions: that were looked for.
+        deviations: per direction, standard; inf where the recordings do not tell it.
+        touches: of the folds.
+        spreads: per fold, standard deviation of its gap with all that is not modelled, m.
+        used: per fold, whether it counts.
+        encoder_error: standard deviation of the encoders' error once a turn that was allowed for, rad.
+        unmodelled: standard deviation of the folds' gaps beside it and their samples' scatter, m.
+        place_noise: standard deviation of a seen coordinate, m; nan without places.
+        places: how many count.
     """
 
     numbers: Array
     covariance: Array
     directions: tuple[Direction, ...]
     deviations: Array
-    gaps: Array
-    scatter: Array
+    touches: list[Touch]
+    spreads: Array
     used: NDArray[np.bool_]
+    encoder_error: float
     unmodelled: float
-    pose_noise: float
-    poses_used: int
+    place_noise: float
+    places: int
+
+    @property
+    def gaps(self) -> Array:
+        """(k,) of the folds, m."""
+        return np.array([one.gap for one in self.touches])
 
 
-def directions_of(folds: Sequence[Fold], poses: Poses | None) -> tuple[Direction, ...]:
-    """What can be looked for: with poses every number, else what the folds tell."""
-    if poses is not None:
-        return SINGLE
+def directions_of(folds: Sequence[Fold], places: Places | None) -> tuple[Direction, ...]:
+    """What can be looked for."""
+    if places is not None:
+        return EVERY
     folded = sum(fold.family is Family.FOLDED for fold in folds)
-    return (*LENGTHS, *BASE, OFFSETS, *((SPLIT,) if folded >= FEWEST_FOLDED else ()))
+    return (*BY_STRETCHED, *((BY_FOLDED,) if folded >= FEWEST_FOLDED else ()))
 
 
-class _Equations:
-    """Residuals and their derivatives along the directions."""
+class _Problem:
+    """Folds and places, linear about some numbers."""
 
-    def __init__(self, linkage: Linkage, folds: Sequence[Fold], poses: Poses | None, directions: Sequence[Direction]) -> None:
-        self.linkage, self.folds, self.poses = linkage, folds, poses
-        self.along = np.column_stack([direction.change for direction in directions])
-        self.pose_noise = POSE_NOISE
+    def __init__(self, linkage: Linkage, folds: Sequence[Fold], places: Places | None, wanted: tuple[Direction, ...]) -> None:
+        self.linkage, self.folds, self.places = linkage, folds, places
+        self.scales = np.array([ONE[direction.unit] for direction in (*wanted, *ECCENTRICITY)])
+        self.along = np.column_stack([direction.change for direction in (*wanted, *ECCENTRICITY)]) * self.scales
+        self.place_noise, self.count = PLACE_NOISE, len(wanted)
 
-    def touches(self, numbers: Array) -> tuple[Array, Array, Array]:
-        """(gaps, derivatives, deviations) of the folds."""
-        found = [touch(self.linkage, numbers, fold) for fold in self.folds]
-        gradients = np.array([one.gradient for one in found]).reshape(-1, len(NAMES))
-        return np.array([one.gap for one in found]), gradients @ self.along, np.array([one.deviation for one in found])
-
-    def placed(self, numbers: Array) -> tuple[Array, Array]:
-        """(residuals (2 m,) in standard deviations, derivatives) of the poses."""
-        assert self.poses is not None
-        found = self.linkage.closure(numbers, self.poses.readings, self.poses.x)
-        rods = found.rods
-        covariance = self.pose_noise**2 * rods @ rods.transpose(0, 2, 1) + POSE_FLOOR**2 * np.eye(2)
-        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+    def at(self, numbers: Array) -> None:
+        """Compute anew there."""
+        self.touches = [touch(self.linkage, numbers, fold) for fold in self.folds]
+        self.valid = np.array([np.isfinite(one.gap) for one in self.touches], dtype=bool)
+        self.gaps = np.array([one.gap if np.isfinite(one.gap) else 0.0 for one in self.touches])
+        self.deviations = np.array([one.deviation if np.isfinite(one.gap) else 1.0 for one in self.touches])
+        self.slopes = np.array([one.gradient for one in self.touches]).reshape(-1, len(NAMES)) @ self.along
+        self.seen, self.seen_slopes = np.zeros(0), np.zeros((0, self.along.shape[1]))
+        self.kept = np.zeros(0, dtype=bool)
+        if self.places is None:
+            return
+        found = self.linkage.closures(numbers, self.places.readings, self.places.x)
+        noise = self.place_noise**2 * found.rods @ found.rods.transpose(0, 2, 1) + PLACE_FLOOR**2 * np.eye(2)
+        whiten = np.linalg.inv(np.linalg.cholesky(noise))
         residuals = np.einsum("mij,mj->mi", whiten, found.gaps)
-        return residuals, whiten @ (found.slopes @ self.along)
+        scale = MEDIAN * float(np.median(np.abs(residuals)))
+        self.kept = np.abs(residuals).max(axis=1) <= LARGEST * max(scale, 1.0)
+        self.place_noise = max(self.place_noise * scale, PLACE_FLOOR)
+        self.seen = residuals[self.kept].ravel()
+        self.seen_slopes = (whiten @ found.slopes @ self.along)[self.kept].reshape(-1, self.along.shape[1])
+
+    def step(self, weights: Array, errors: Array, encoder_error: float) -> tuple[Array, Array]:
+        """(step along the directions, their covariance), in their scales, with weights (k,) 1/m.
+
+        Args:
+            weights: of the folds.
+            errors: (4,) of the encoders once a turn, now, rad.
+            encoder_error: their standard deviation; 0 holds them.
+        """
+        free = self.count + (len(ECCENTRICITY) if encoder_error else 0)
+        A = np.vstack([self.slopes * weights[:, None], self.seen_slopes])[:, :free]
+        b = np.concatenate([self.gaps * weights, self.seen])
+        if encoder_error:
+            A = np.vstack([A, np.eye(free)[self.count :] * self.scales[self.count :, None] / encoder_error])
+            b = np.concatenate([b, errors / encoder_error])
+        _, values, V = np.linalg.svd(A, full_matrices=False)
+        V, values = V[: len(values)], np.maximum(values, BOUND * max(float(values.max(initial=0.0)), 1e-300))
+        covariance = np.zeros((self.along.shape[1],) * 2)
+        covariance[:free, :free] = (V.T / values**2) @ V
+        step = np.zeros(self.along.shape[1])
+        step[:free] = -np.linalg.lstsq(A, b, rcond=BOUND)[0]
+        return step, covariance
+
+    def variances(self, used: NDArray[np.bool_], errors: Array) -> tuple[float, float]:
+        """The likeliest (error of the encoders, rad, unmodelled, m) by the folds that count, whatever the numbers are."""
+        J, G = self.slopes[used, : self.count], self.slopes[used, self.count :] / self.scales[self.count :]
+        free = np.linalg.svd(J, full_matrices=True)[0][:, np.linalg.matrix_rank(J) :].T  # of all that the numbers can explain
+        gaps, G = free @ (self.gaps[used] - G @ errors), free @ G
+        best = -np.inf, 0.0, 0.0
+        for encoder_error in ENCODER_ERRORS:
+            for unmodelled in UNMODELLED:
+                noise = free * (self.deviations[used] ** 2 + unmodelled**2) @ free.T + encoder_error**2 * G @ G.T
+                likelihood = -0.5 * (np.linalg.slogdet(noise)[1] + gaps @ np.linalg.solve(noise, gaps)) if len(gaps) else 0.0
+                best = max(best, (float(likelihood), -encoder_error, -unmodelled))
+        return -best[1], -best[2]
 
 
 def fit(
-    linkage: Linkage, numbers: Array, folds: Sequence[Fold], poses: Poses | None = None,
+    linkage: Linkage, numbers: Array, folds: Sequence[Fold], places: Places | None = None,
     directions: Sequence[Direction] | None = None,
 ) -> Fit:  # fmt: skip
-    """The numbers that explain the folds, and the poses, best.
+    """The numbers that explain the folds, and the places, best.
 
-    Bounced and turned robots' folds, and poses that jump, are outliers: found by their own residuals, and left out.
+    Where a robot bounced off, or turned before it touched the locus, its fold is known by its own gap and left out, as are places
+    that jump.
 
     Args:
         linkage: its functions.
-        numbers: (10,) of the description, where the search begins and what is kept.
+        numbers: (14,) of the description, where the search begins; what is not looked for stays.
         folds: of the recordings.
-        poses: of the end effector, in the robot's frame.
-        directions: what to look for; ``directions_of`` when None.
+        places: of the end effector.
+        directions: to look for; ``directions_of`` when None.
     """
-    wanted = tuple(directions_of(folds, poses) if directions is None else directions)
-    equations = _Equations(linkage, folds, poses, wanted)
-    now, used = numbers.copy(), np.ones(len(folds), dtype=bool)
-    kept = np.ones(0 if poses is None else len(poses.x), dtype=bool)
-    unmodelled = np.nan
-    for turn in range(2 * ROUNDS):
-        before = now.copy(), used.copy()
-        gaps, slopes, deviations = equations.touches(now)
-        valid = np.isfinite(gaps)
-        if turn < ROUNDS:  # weights that fall with the residual's square: outliers hardly pull
-            typical = NORMAL_MEDIAN * float(np.median(np.abs(gaps[valid]))) if valid.any() else 0.0
-            wide = np.where(valid, np.maximum(typical, CLOSEST), np.inf)
-            weights = np.where(valid, 1.0 / (wide * np.sqrt(1.0 + np.square(np.nan_to_num(gaps) / wide))), 0.0)
-            unmodelled = typical
-        else:
-            unmodelled = _unmodelled(gaps[used], deviations[used], len(wanted) if poses is None else 0)
-            weights = np.where(used, 1.0 / np.hypot(np.nan_to_num(deviations, nan=1.0), unmodelled), 0.0)
-        rows, right = [slopes * weights[:, None]], [np.nan_to_num(gaps) * weights]
-        if poses is not None:
-            residuals, bends = equations.placed(now)
-            size = np.abs(residuals).max(axis=1)
-            scale = NORMAL_MEDIAN * float(np.median(np.abs(residuals)))
-            kept = size <= LARGEST * max(scale, 1.0)
-            rows.append(bends[kept].reshape(-1, len(wanted)))
-            right.append(residuals[kept].reshape(-1))
-            equations.pose_noise = max(equations.pose_noise * scale, POSE_FLOOR)
-        A, b = np.vstack(rows), np.concatenate(right)
-        step, *_ = np.linalg.lstsq(A, -b, rcond=1e-12)
-        now = now + equations.along @ step
-        if turn >= ROUNDS:
-            leverage = np.square(A[: len(folds)] @ np.linalg.pinv(A.T @ A) * A[: len(folds)]).sum(axis=1) if False else np.einsum(
-                "ij,jk,ik->i", A[: len(folds)], np.linalg.pinv(A.T @ A), A[: len(folds)])
-            free = np.sqrt(np.clip(1.0 - leverage, 0.05, 1.0))
-            spread = np.hypot(np.nan_to_num(deviations, nan=1.0), unmodelled)
-            used = valid & (np.abs(np.nan_to_num(gaps)) <= np.maximum(LARGEST * spread * np.where(used, free, 1.0), CLOSEST))
-        elif turn == ROUNDS - 1:
-            spread = np.maximum(LARGEST * np.hypot(np.nan_to_num(deviations, nan=1.0), _inner(gaps[valid], len(wanted))), CLOSEST)
-            used = valid & (np.abs(np.nan_to_num(gaps)) <= spread)
-        if turn > ROUNDS and np.abs(now - before[0]).max() < CONVERGED and (used == before[1]).all():
+    wanted = tuple(directions_of(folds, places) if directions is None else directions)
+    problem = _Problem(linkage, folds, places, wanted)
+    errors_at = [NAMES.index(direction.name) for direction in ECCENTRICITY]
+    now, encoder_error, unmodelled = numbers.copy(), 0.0, 0.0
+    problem.at(now)
+    for _ in range(ROUNDS):
+        size = max(MEDIAN * float(np.median(np.abs(problem.gaps[problem.valid]))) if problem.valid.any() else 0.0, LEAST_OUTLIER)
+        weights = problem.valid / (size * np.sqrt(1.0 + np.square(problem.gaps / size)))
+        step, covariance = problem.step(weights, now[errors_at], 0.0)
+        now = now + problem.along @ step
+        problem.at(now)
+    count = int(problem.valid.sum())
+    inner = MEDIAN * float(np.median(np.abs(problem.gaps[problem.valid]))) if count else 0.0
+    unmodelled = inner * np.sqrt(count / max(count - len(wanted), 1))
+    for turn in range(ROUNDS):
+        by_encoders = encoder_error / ONE["rad"] * np.linalg.norm(problem.slopes[:, problem.count :], axis=1)
+        spreads = np.sqrt(problem.deviations**2 + unmodelled**2 + by_encoders**2)
+        used = problem.valid & (np.abs(problem.gaps) <= np.maximum(LARGEST * spreads, LEAST_OUTLIER))
+        if turn:
+            encoder_error, unmodelled = problem.variances(used, now[errors_at])
+        weights = used / np.hypot(problem.deviations, unmodelled)
+        step, covariance = problem.step(weights, now[errors_at], encoder_error)
+        move = problem.along @ step
+        now = now + move
+        problem.at(now)
+        if turn > 2 and np.abs(move).max() < CONVERGED:
             break
-    gaps, slopes, deviations = equations.touches(now)
-    spread = np.hypot(deviations, unmodelled)
-    inverse = np.linalg.pinv(A.T @ A, rcond=1e-14, hermitian=True)
     return Fit(
         numbers=now,
-        covariance=equations.along @ inverse @ equations.along.T,
+        covariance=problem.along @ covariance @ problem.along.T,
         directions=wanted,
-        deviations=np.sqrt(np.diag(inverse)),
-        gaps=gaps,
-        scatter=spread,
+        deviations=np.sqrt(np.diag(covariance)[: len(wanted)]) * problem.scales[: len(wanted)],
+        touches=problem.touches,
+        spreads=spreads,
         used=used,
-        unmodelled=float(unmodelled),
-        pose_noise=equations.pose_noise if poses is not None else np.nan,
-        poses_used=int(kept.sum()),
+        encoder_error=encoder_error,
+        unmodelled=unmodelled,
+        place_noise=problem.place_noise if places is not None else np.nan,
+        places=int(problem.kept.sum()),
     )
-
-
-def _inner(gaps: Array, unknowns: int) -> float:
-    """Standard deviation of most of some residuals, whose outliers do not count."""
-    count = len(gaps)
-    return NORMAL_MEDIAN * float(np.median(np.abs(gaps))) * np.sqrt(count / max(count - unknowns, 1)) if count else 0.0
-
-
-def _unmodelled(gaps: Array, deviations: Array, unknowns: int) -> float:
-    """Standard deviation, beside their own, with which the residuals are as large as they should be; 0 where they are smaller."""
-    free = max(len(gaps) - unknowns, 1)
-    low, high = 0.0, float(np.abs(gaps).max(initial=0.0)) * np.sqrt(max(len(gaps), 1))
-
-    def excess(more: float) -> float:
-        return float(np.square(gaps / np.hypot(deviations, more)).sum()) - free
-
-    if not len(gaps) or excess(0.0) <= 0.0:
-        return 0.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if excess(middle) > 0.0 else (low, middle)
-    return 0.5 * (low + high)

@@ -3,48 +3,73 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from dextar_control.contract.robot import RobotParameters
 from dextar_control.mechanisms.five_bar import FiveBar
-from dextar_control.mechanisms.planar import direction
+from dextar_control.mechanisms.five_bar_locus import SIDES
 from dextar_control.symbols.functions import Batch, named
 from dextar_control.symbols.types import Array
 
-NAMES = (
-    "left.proximal_length", "right.proximal_length", "left.distal_length", "right.distal_length",
-    "left.axis.x", "left.axis.y", "right.axis.x", "right.axis.y", "left.encoder_offset", "right.encoder_offset",
-)
-DISTAL = (2, 3)
+PER_LEG = ("proximal_length", "distal_length", "axis.x", "axis.y", "encoder_offset", "encoder_cosine", "encoder_sine")
+NAMES = tuple(f"{side}.{name}" for side in SIDES for name in PER_LEG)
+"""Of the numbers. An encoder that reads r stands at r - encoder_offset - encoder_cosine cos r - encoder_sine sin r, rad: the last
+two are an error that returns once a turn, as of a disc off its centre, which no description has."""
+DISTAL = NAMES.index("left.distal_length"), NAMES.index("right.distal_length")
 
 
 class Linkage:
-    """Elbows and their derivatives by the numbers of ``NAMES``; not for two threads at once."""
+    """Functions of the numbers of ``NAMES`` (14,); not for two threads at once.
+
+    Attributes:
+        elbows: (numbers, readings (n, 2)) -> left (n, 2) elbow, between (n, 2) from it to the right one, m, slopes (n, 2, 14) of
+            that by the numbers, u (n, 2) along the left proximal link.
+        closures: (numbers, readings (n, 2), x (n, 2)) -> gaps (n, 2) between the elbows' distances from x and the distal lengths,
+            m, slopes (n, 2, 14) by the numbers, rods (n, 2, 2) by x.
+    """
 
     def __init__(self) -> None:
-        g, q = ca.SX.sym("numbers", len(NAMES)), ca.SX.sym("reading", 2)
-        five_bar = FiveBar()
-        p = SimpleNamespace(base_distance=0.0, left=SimpleNamespace(proximal_length=g[0]),
-                            right=SimpleNamespace(proximal_length=g[1]))
-        elbows = [five_bar.elbow(leg, q[leg] - g[8 + leg], p) + g[4 + 2 * leg : 6 + 2 * leg] for leg in range(2)]
-        between = elbows[1] - elbows[0]
-        self._between = Batch(named("between", {"numbers": g, "reading": q},
-                                    {"between": between, "slopes": ca.jacobian(between, g)}))
-        x = ca.SX.sym("x", 2)
-        gaps = ca.vertcat(*(ca.norm_2(x - elbow) - g[2 + leg] for leg, elbow in enumerate(elbows)))
-        self._closure = Batch(named("closure", {"numbers": g, "reading": q, "x": x},
-                                    {"gaps": gaps, "slopes": ca.jacobian(gaps, g), "rods": ca.jacobian(gaps, x), "turns": ca.jacobian(gaps, q)}))
+        mechanism, g, reading, x = FiveBar(), ca.SX.sym("numbers", len(NAMES)), ca.SX.sym("reading", 2), ca.SX.sym("x", 2)
+        legs = [SimpleNamespace(**dict(zip((name.replace(".", "_") for name in PER_LEG), ca.vertsplit(part), strict=True)))
+                for part in ca.vertsplit(g, len(PER_LEG))]  # fmt: skip
+        for leg in legs:
+            leg.axis = ca.vertcat(leg.axis_x, leg.axis_y)
+        p = SimpleNamespace(**dict(zip(SIDES, legs, strict=True)))
+        q_a = [r - leg.encoder_offset - leg.encoder_cosine * ca.cos(r) - leg.encoder_sine * ca.sin(r)
+               for r, leg in zip(ca.vertsplit(reading), legs, strict=True)]  # fmt: skip
+        left, right = (mechanism.elbow(leg, angle, p) for leg, angle in enumerate(q_a))
+        between = right - left
+        u = (left - mechanism.base(0, p)) / legs[0].proximal_length
+        gaps = ca.vertcat(*(ca.norm_2(x - elbow) - leg.distal_length for elbow, leg in zip((left, right), legs, strict=True)))
+        arguments = {"numbers": g, "reading": reading}
+        self.elbows = Batch(named("elbows", arguments, {
+            "left": left, "between": between, "slopes": ca.jacobian(between, g), "u": u,
+        }))
+        self.closures = Batch(named("closures", arguments | {"x": x}, {
+            "gaps": gaps, "slopes": ca.jacobian(gaps, g), "rods": ca.jacobian(gaps, x),
+        }))
 
-    def between(self, numbers: Array, readings: Array) -> tuple[Array, Array]:
-        """((n, 2) from the left elbow to the right one, m, (n, 2, 10) its derivatives)."""
-        found = self._between(numbers, np.ascontiguousarray(readings))
-        return found.between, found.slopes
 
-    def closure(self, numbers: Array, readings: Array, x: Array):
-        """Gaps."""
-        return self._closure(numbers, np.ascontiguousarray(readings), np.ascontiguousarray(x))
+def numbers_of(robot: RobotParameters) -> Array:
+    """(14,) of a description, whose encoders err by their offsets alone."""
+    return np.array([
+        number for leg in robot.legs
+        for number in (leg.proximal_length, leg.distal_length, *leg.axis, leg.encoder_offset, 0.0, 0.0)
+    ])  # fmt: skip
 
-    def proximal(self, numbers: Array, reading: Array) -> Array:
-        """(2,) direction of the left proximal link."""
-        return np.array(direction(float(reading[0] - numbers[8]))).ravel()
+
+def described(robot: RobotParameters, numbers: Array) -> RobotParameters:
+    """The robot with these numbers.
+
+    Raises:
+        ParameterError: a number is none that a description may have.
+    """
+    found = dict(zip(NAMES, map(float, numbers), strict=True))
+    changes: dict[str, Any] = {}
+    for side in SIDES:
+        changes |= {f"{side}.{name}": found[f"{side}.{name}"] for name in ("proximal_length", "distal_length", "encoder_offset")}
+        changes[f"{side}.axis"] = found[f"{side}.axis.x"], found[f"{side}.axis.y"]
+    return robot.replace(**changes)
