@@ -14,7 +14,7 @@ from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters, flatten, robot_text
 from dextar_control.identification.fit import EVERY, Direction, Fit, Places, directions_of, fit
 from dextar_control.identification.folds import Fold, find_folds, touch
-from dextar_control.identification.linkage import NAMES, Linkage, described, numbers_of
+from dextar_control.identification.linkage import NAMES, PER_TURN, Linkage, described, numbers_of
 from dextar_control.mechanisms.five_bar_locus import SIDES
 from dextar_control.symbols.types import Array
 
@@ -22,7 +22,7 @@ SPARE = 2  # folds beyond the number of quantities that they are to tell
 LEAST_SPAN = 0.05  # rad, that each joint has to move
 WIDEST = {"m": 3e-4, "rad": 3e-3}  # standard deviation of a quantity beyond which a recording does not tell it
 MOST_MOVED = {"m": 5e-3, "rad": 0.1}  # from the description, beyond which the two contradict each other
-MOST_GAP = 1.5e-4  # m, RMS of the folds' gaps beyond which the numbers do not explain them
+MOST_GAP = 1.5e-4  # m, RMS of the folds' gaps, without errors of the encoders, beyond which the numbers do not explain them
 MOST_PLACE_NOISE = 5e-3  # m, of a seen coordinate, likewise
 LEAST_USED = 2.0 / 3.0  # of the folds
 POSE_GAP = 5e-3  # s between two joint states, beyond which no reading is known between them
@@ -95,7 +95,7 @@ class Calibration:
         before, after: the descriptions.
         recordings: that served.
         folds: of all of them.
-        gaps_before: of the folds by the description, m.
+        gaps_before, gaps_after: of the folds by both descriptions, m.
         fit: what was found.
         kept: in words, what the recordings do not tell, with its number.
     """
@@ -105,6 +105,7 @@ class Calibration:
     recordings: list[Recording]
     folds: list[Fold]
     gaps_before: Array
+    gaps_after: Array
     fit: Fit
     kept: list[str]
 
@@ -161,14 +162,15 @@ def calibrate(runs: Sequence[Run], *, poses: bool = True, progress: Progress = l
     places = Places(*(np.concatenate(parts) for parts in zip(*seen, strict=True))) if seen else None
     wanted = directions_of(folds, places)
     _check_enough(recordings, folds, wanted, places)
-    gaps_before = np.array([touch(linkage, numbers, fold).gap for fold in folds])
     progress(f"fitting {len(wanted)} quantities to {len(folds)} folds")
     found = fit(linkage, numbers, folds, places, wanted)
+    centred = np.where([name.endswith(PER_TURN) for name in NAMES], 0.0, found.numbers)
+    before, after = (np.array([touch(linkage, row, fold).gap for fold in folds]) for row in (numbers, centred))
+    _check_places(found)
+    _check_explained(found, after)
     _check_told(found)
-    _check_explained(found, len(folds))
     _check_bounds(robot, found)
-    after = described(robot, found.numbers)
-    return Calibration(robot, after, recordings, folds, gaps_before, found, _kept(numbers, wanted))
+    return Calibration(robot, described(robot, found.numbers), recordings, folds, before, after, found, _kept(numbers, wanted))
 
 
 def predict(calibration: Calibration, run: Run) -> Prediction:
@@ -181,7 +183,7 @@ def predict(calibration: Calibration, run: Run) -> Prediction:
     recording = recording_of(linkage, calibration.before, run)
     if not recording.folds:
         raise CalibrationError(f"{run.path} cannot check: {_no_fold(calibration.before, recording)}")
-    numbers = numbers_of(calibration.before), calibration.fit.numbers
+    numbers = numbers_of(calibration.before), numbers_of(calibration.after)
     gaps = np.array([[touch(linkage, row, fold).gap for fold in recording.folds] for row in numbers])
     counts = np.abs(gaps[1]) <= np.maximum(MOST_GAP * 3.0, 3.0 * np.nanmedian(np.abs(gaps[1])))
     places = [_rms(linkage.closures(row, *recording.places).gaps) if recording.places else np.nan for row in numbers]
@@ -270,6 +272,20 @@ def _no_fold_of_all(recordings: Sequence[Recording]) -> str:
     )
 
 
+def _check_places(found: Fit) -> None:
+    """The end effector was seen where some geometry has it.
+
+    Raises:
+        CalibrationError: it was not.
+    """
+    if found.place_noise > MOST_PLACE_NOISE:
+        raise CalibrationError(
+            f"the external poses scatter by {1e3 * found.place_noise:.1f} mm (standard deviation) about any geometry's end"
+            f" effector; {1e3 * MOST_PLACE_NOISE:g} mm is the most: check their frame, unit and stamps, or leave them out"
+            " (--no-pose). Nothing was written"
+        )
+
+
 def _check_told(found: Fit) -> None:
     """Each quantity is told well enough to be of use.
 
@@ -292,25 +308,19 @@ def _check_told(found: Fit) -> None:
         )
 
 
-def _check_explained(found: Fit, count: int) -> None:
+def _check_explained(found: Fit, gaps: Array) -> None:
     """One geometry explains the recordings.
 
     Raises:
         CalibrationError: none does.
     """
-    used = int(found.used.sum())
-    rms = _rms(found.gaps[found.used])
+    used, count = int(found.used.sum()), len(gaps)
+    rms = _rms(gaps[found.used])
     if count and (used < LEAST_USED * count or rms > MOST_GAP):
         raise CalibrationError(
             f"no geometry explains the recordings: {used} of {count} crossings agree, with gaps of {1e6 * rms:.0f} um RMS;"
             f" {LEAST_USED:.0%} have to, with {1e6 * MOST_GAP:.0f} um at most. Encoders that slip, play, links that bend, or a"
             " bag of another robot would look like this. Nothing was written"
-        )
-    if found.place_noise > MOST_PLACE_NOISE:
-        raise CalibrationError(
-            f"the external poses scatter by {1e3 * found.place_noise:.1f} mm (standard deviation) about any geometry's end"
-            f" effector; {1e3 * MOST_PLACE_NOISE:g} mm is the most: check their frame, unit and stamps, or leave them out"
-            " (--no-pose). Nothing was written"
         )
 
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.identification.folds import Fold, Touch, touch
-from dextar_control.identification.linkage import NAMES, Linkage
+from dextar_control.identification.linkage import NAMES, PER_TURN, Linkage
 from dextar_control.mechanisms.five_bar_locus import SIDES, Family
 from dextar_control.symbols.types import Array
 
@@ -58,8 +58,8 @@ def _difference(name: str, unit: str, quantity: str) -> Direction:
     return _direction(name, unit, {f"left.{quantity}": -0.5, f"right.{quantity}": 0.5})
 
 
-ECCENTRICITY = tuple(_single(name) for name in NAMES if name.endswith(("cosine", "sine")))
-EVERY = tuple(_single(name) for name in NAMES if not name.endswith(("cosine", "sine")))
+ECCENTRICITY = tuple(_single(name) for name in NAMES if name.endswith(PER_TURN))
+EVERY = tuple(_single(name) for name in NAMES if not name.endswith(PER_TURN))
 BY_STRETCHED = (
     *(_single(f"{side}.proximal_length") for side in SIDES),
     *(_difference(f"right.axis - left.axis, {axis}", "m", f"axis.{axis}") for axis in "xy"),
@@ -168,8 +168,10 @@ class _Problem:
         if encoder_error:
             A = np.vstack([A, np.eye(free)[self.count :] * self.scales[self.count :, None] / encoder_error])
             b = np.concatenate([b, errors / encoder_error])
-        _, values, V = np.linalg.svd(A, full_matrices=False)
-        V, values = V[: len(values)], np.maximum(values, BOUND * max(float(values.max(initial=0.0)), 1e-300))
+        small: Any = np.linalg.qr(np.column_stack([A, b]), mode="r")  # says of both what the many rows do
+        A, b = small[:, :free], small[:, free]
+        _, values, V = np.linalg.svd(A)
+        values = np.maximum(np.pad(values, (0, free - len(values))), BOUND * max(float(values.max(initial=0.0)), 1e-100))
         covariance = np.zeros((self.along.shape[1],) * 2)
         covariance[:free, :free] = (V.T / values**2) @ V
         step = np.zeros(self.along.shape[1])
@@ -222,7 +224,8 @@ def fit(
     unmodelled = inner * np.sqrt(count / max(count - len(wanted), 1))
     for turn in range(ROUNDS):
         by_encoders = encoder_error / ONE["rad"] * np.linalg.norm(problem.slopes[:, problem.count :], axis=1)
-        spreads = np.sqrt(problem.deviations**2 + unmodelled**2 + by_encoders**2)
+        inner = MEDIAN * float(np.median(np.abs(problem.gaps[problem.valid]))) if count else 0.0  # so that most always count
+        spreads = np.sqrt(problem.deviations**2 + max(unmodelled, inner) ** 2 + by_encoders**2)
         used = problem.valid & (np.abs(problem.gaps) <= np.maximum(LARGEST * spreads, LEAST_OUTLIER))
         if turn:
             encoder_error, unmodelled = problem.variances(used, now[errors_at])

@@ -15,6 +15,7 @@ from dextar_control.symbols.functions import Batch, named
 from dextar_control.symbols.types import Array
 
 PER_LEG = ("proximal_length", "distal_length", "axis.x", "axis.y", "encoder_offset", "encoder_cosine", "encoder_sine")
+PER_TURN = ("encoder_cosine", "encoder_sine")
 NAMES = tuple(f"{side}.{name}" for side in SIDES for name in PER_LEG)
 """Of the numbers. An encoder that reads r stands at r - encoder_offset - encoder_cosine cos r - encoder_sine sin r, rad: the last
 two are an error that returns once a turn, as of a disc off its centre, which no description has."""

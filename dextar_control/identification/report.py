@@ -52,7 +52,7 @@ def sentence(calibration: Calibration) -> str:
     """How well the folds, and the places, are explained."""
     fit, used = calibration.fit, calibration.fit.used
     before, after = (float(np.sqrt(np.nanmean(np.square(gaps[used])))) if used.any() else np.nan
-                     for gaps in (calibration.gaps_before, fit.gaps))  # fmt: skip
+                     for gaps in (calibration.gaps_before, calibration.gaps_after))  # fmt: skip
     text = (
         f"{int(used.sum())} of {counted(len(calibration.folds), 'crossing')} explained: gaps of"
         f" {number(UM * before, '.0f')} um RMS before, {number(UM * after, '.2f')} um after"
@@ -73,14 +73,15 @@ def _row(quantity: Quantity) -> list[str]:
 def render_calibration(calibration: Calibration, predictions: Sequence[Prediction]) -> str:
     """The page."""
     fit, folds = calibration.fit, calibration.folds
-    figure = residuals(UM * calibration.gaps_before, UM * fit.gaps, UM * fit.spreads, fit.used, "gap (µm)", "crossing")
+    figure = residuals(UM * calibration.gaps_before, UM * calibration.gaps_after, UM * fit.spreads, fit.used,
+                       "gap (µm)", "crossing")  # fmt: skip
     script, places = components({"gaps": figure}, wrap_script=False)
     rows: list[list[Cell]] = []
     for index, (fold, one, used) in enumerate(zip(folds, fit.touches, fit.used, strict=True)):
         rows.append([
             Cell(str(index + 1)), Cell(calibration.recordings[fold.bag].path.name), Cell(f"{fold.time:.3f}"),
             Cell(fold.family.name.lower()), *(Cell(number(MM * value, ".2f")) for value in one.x),
-            Cell(number(UM * calibration.gaps_before[index], ".1f")), Cell(number(UM * one.gap, ".2f")),
+            Cell(number(UM * calibration.gaps_before[index], ".1f")), Cell(number(UM * calibration.gaps_after[index], ".2f")),
             Cell(number(UM * fit.spreads[index], ".2f")), Cell("yes" if used else "no", not used),
         ])  # fmt: skip
     checked = [
