@@ -292,7 +292,7 @@ def test_the_command_writes_a_robot_file_and_a_page(tmp_path: Path, capsys: pyte
     page = (tmp_path / "out" / "calibration.html").read_text(encoding="utf-8")
     assert "180.0000 mm" in page
     assert str(other) in page
-    assert "12 of 12 crossings explained" in capsys.readouterr().out.replace("\n", " ")
+    assert "12 crossings with gaps of" in capsys.readouterr().out.replace("\n", " ")
 
 
 def test_the_command_writes_nothing_where_it_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

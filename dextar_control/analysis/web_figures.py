@@ -182,19 +182,20 @@ def histogram(values: Floats, label: str, unit: float = 1e6) -> Any:
     return axes
 
 
-def residuals(before: Floats, after: Floats, deviations: Floats, used: NDArray[np.bool_], label: str, name: str) -> Any:
-    """What is left of some observations (n,), by number: before and after a fit, with two standard deviations either way."""
-    numbers = np.arange(1, len(after) + 1)
+def residuals(values: Floats, deviations: Floats, used: NDArray[np.bool_], label: str, name: str) -> Any:
+    """What is left of some observations (n,), by number, two standard deviations (n,) either way; those used set the scale."""
+    numbers = np.arange(1, len(values) + 1)
     axes = _axes(label, HEIGHT + LAST, DataRange1d())
     axes.xaxis.axis_label = name
     axes.add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_width=1))
-    axes.scatter(numbers, before, marker="circle", size=8, fill_color="white", line_color=GREY, legend_label="before")
-    axes.segment(numbers, after - 2.0 * deviations, numbers, after + 2.0 * deviations, line_color=BLACK)
-    for counts, marker, words in ((True, "square", "after"), (False, "x", "does not count")):
+    low, high = values - 2.0 * deviations, values + 2.0 * deviations
+    axes.segment(numbers, low, numbers, high, line_color=BLACK)
+    for counts, marker in ((True, "square"), (False, "x")):
         rows = used == counts
-        if rows.any():
-            axes.scatter(numbers[rows], after[rows], marker=marker, size=7, color=BLACK if counts else ACCENT, legend_label=words)
-    _legend(axes)
+        axes.scatter(numbers[rows], values[rows], marker=marker, size=7, color=BLACK if counts else ACCENT)
+    if used.any():
+        rest = 0.1 * float(np.ptp(np.concatenate([low[used], high[used], [0.0]])))
+        axes.y_range = Range1d(start=min(0.0, float(low[used].min())) - rest, end=max(0.0, float(high[used].max())) + rest)
     return axes
 
 

@@ -198,7 +198,7 @@ def write_robot(calibration: Calibration, file: Path) -> None:
     """
     flat = {key: value for key, value in flatten(calibration.after).items() if key != "base_distance"}
     lines = [
-        f"The robot '{calibration.after.name}', its geometry calibrated by {len(calibration.folds)} crossings of"
+        f"The robot '{calibration.after.name}', its geometry calibrated by {int(calibration.fit.used.sum())} crossings of"
         f" {', '.join(str(recording.path) for recording in calibration.recordings)}.",
         *(f"{in_words(quantity)}" for quantity in calibration.quantities),
         *calibration.kept,
@@ -316,7 +316,8 @@ def _check_explained(found: Fit, gaps: Array) -> None:
     """
     used, count = int(found.used.sum()), len(gaps)
     rms = _rms(gaps[found.used])
-    if count and (used < LEAST_USED * count or rms > MOST_GAP):
+    none_spare = not found.places and used <= len(found.directions)
+    if count and (used < LEAST_USED * count or rms > MOST_GAP or none_spare):
         raise CalibrationError(
             f"no geometry explains the recordings: {used} of {count} crossings agree, with gaps of {1e6 * rms:.0f} um RMS;"
             f" {LEAST_USED:.0%} have to, with {1e6 * MOST_GAP:.0f} um at most. Encoders that slip, play, links that bend, or a"

@@ -19,9 +19,10 @@ from dextar_control.mechanisms.five_bar_locus import SIDES, Family
 from dextar_control.symbols.types import Array
 
 LARGEST = 4.0  # standard deviations; a fold or a place beyond is an outlier
-LEAST_OUTLIER = 5e-6  # m, a fold's gap below which it is none
+LEAST_SIZE = 1.5e-6  # m, of the folds' gaps, that is no sign of anything
 ROUNDS = 25  # with weights that forget outliers, then without the outliers
-CONVERGED = 1e-11  # m or rad, of a step
+CONVERGED = 1e-7  # of one, of a step
+NEARBY = 10.0  # of one, how far from the description the numbers are looked for first
 PLACE_NOISE = 2e-4  # m, of a coordinate, until the places' own scatter tells it
 PLACE_FLOOR = 5e-6  # m, of a place beside its noise: clocks, interpolation
 MEDIAN = 1.4826  # standard deviations of a normal distribution in the median of its absolute values
@@ -154,20 +155,22 @@ class _Problem:
         self.seen = residuals[self.kept].ravel()
         self.seen_slopes = (whiten @ found.slopes @ self.along)[self.kept].reshape(-1, self.along.shape[1])
 
-    def step(self, weights: Array, errors: Array, encoder_error: float) -> tuple[Array, Array]:
-        """(step along the directions, their covariance), in their scales, with weights (k,) 1/m.
+    def size(self) -> float:
+        """Standard deviation of most gaps, m."""
+        return max(MEDIAN * float(np.median(np.abs(self.gaps[self.valid]))) if self.valid.any() else 0.0, LEAST_SIZE)
+
+    def step(self, weights: Array, moved: Array, hold: Array) -> tuple[Array, Array]:
+        """(step along the directions, their covariance), in their scales.
 
         Args:
-            weights: of the folds.
-            errors: (4,) of the encoders once a turn, now, rad.
-            encoder_error: their standard deviation; 0 holds them.
+            weights: (k,) of the folds, 1/m.
+            moved: along the directions until now.
+            hold: how tightly each of the first of them is held to where it began, one over its standard deviation; 0 is free.
+                What is beyond them does not move.
         """
-        free = self.count + (len(ECCENTRICITY) if encoder_error else 0)
-        A = np.vstack([self.slopes * weights[:, None], self.seen_slopes])[:, :free]
-        b = np.concatenate([self.gaps * weights, self.seen])
-        if encoder_error:
-            A = np.vstack([A, np.eye(free)[self.count :] * self.scales[self.count :, None] / encoder_error])
-            b = np.concatenate([b, errors / encoder_error])
+        free = len(hold)
+        A = np.vstack([np.vstack([self.slopes * weights[:, None], self.seen_slopes])[:, :free], np.diag(hold)])
+        b = np.concatenate([self.gaps * weights, self.seen, hold * moved[:free]])
         small: Any = np.linalg.qr(np.column_stack([A, b]), mode="r")  # says of both what the many rows do
         A, b = small[:, :free], small[:, free]
         _, values, V = np.linalg.svd(A)
@@ -178,11 +181,11 @@ class _Problem:
         step[:free] = -np.linalg.lstsq(A, b, rcond=BOUND)[0]
         return step, covariance
 
-    def variances(self, used: NDArray[np.bool_], errors: Array) -> tuple[float, float]:
+    def variances(self, used: NDArray[np.bool_], moved: Array) -> tuple[float, float]:
         """The likeliest (error of the encoders, rad, unmodelled, m) by the folds that count, whatever the numbers are."""
-        J, G = self.slopes[used, : self.count], self.slopes[used, self.count :] / self.scales[self.count :]
+        J, G = self.slopes[used, : self.count], self.slopes[used, self.count :]
         free = np.linalg.svd(J, full_matrices=True)[0][:, np.linalg.matrix_rank(J) :].T  # of all that the numbers can explain
-        gaps, G = free @ (self.gaps[used] - G @ errors), free @ G
+        gaps, G = free @ (self.gaps[used] - G @ moved[self.count :]), free @ G / ONE["rad"]
         best = -np.inf, 0.0, 0.0
         for encoder_error in ENCODER_ERRORS:
             for unmodelled in UNMODELLED:
@@ -210,34 +213,33 @@ def fit(
     """
     wanted = tuple(directions_of(folds, places) if directions is None else directions)
     problem = _Problem(linkage, folds, places, wanted)
-    errors_at = [NAMES.index(direction.name) for direction in ECCENTRICITY]
-    now, encoder_error, unmodelled = numbers.copy(), 0.0, 0.0
-    problem.at(now)
-    for _ in range(ROUNDS):
-        size = max(MEDIAN * float(np.median(np.abs(problem.gaps[problem.valid]))) if problem.valid.any() else 0.0, LEAST_OUTLIER)
-        weights = problem.valid / (size * np.sqrt(1.0 + np.square(problem.gaps / size)))
-        step, covariance = problem.step(weights, now[errors_at], 0.0)
-        now = now + problem.along @ step
-        problem.at(now)
-    count = int(problem.valid.sum())
-    inner = MEDIAN * float(np.median(np.abs(problem.gaps[problem.valid]))) if count else 0.0
-    unmodelled = inner * np.sqrt(count / max(count - len(wanted), 1))
-    for turn in range(ROUNDS):
-        by_encoders = encoder_error / ONE["rad"] * np.linalg.norm(problem.slopes[:, problem.count :], axis=1)
-        inner = MEDIAN * float(np.median(np.abs(problem.gaps[problem.valid]))) if count else 0.0  # so that most always count
-        spreads = np.sqrt(problem.deviations**2 + max(unmodelled, inner) ** 2 + by_encoders**2)
-        used = problem.valid & (np.abs(problem.gaps) <= np.maximum(LARGEST * spreads, LEAST_OUTLIER))
-        if turn:
-            encoder_error, unmodelled = problem.variances(used, now[errors_at])
-        weights = used / np.hypot(problem.deviations, unmodelled)
-        step, covariance = problem.step(weights, now[errors_at], encoder_error)
-        move = problem.along @ step
-        now = now + move
-        problem.at(now)
-        if turn > 2 and np.abs(move).max() < CONVERGED:
+    moved, encoder_error, unmodelled = np.zeros(problem.along.shape[1]), 0.0, 0.0
+    used = np.ones(len(folds), dtype=bool)
+    problem.at(numbers)
+    for turn in range(2 * ROUNDS):
+        size = problem.size()
+        if turn < ROUNDS:
+            weights = problem.valid / (size * np.sqrt(1.0 + np.square(problem.gaps / size)))
+            hold = np.full(len(wanted), 1.0 / NEARBY)  # so that outliers carry nothing far away
+        else:
+            if turn > ROUNDS:
+                encoder_error, unmodelled = problem.variances(used, moved)
+            else:
+                unmodelled = size * np.sqrt(len(folds) / max(len(folds) - len(wanted), 1))
+            by_encoders = encoder_error / ONE["rad"] * np.linalg.norm(problem.slopes[:, problem.count :], axis=1)
+            spreads = np.sqrt(problem.deviations**2 + max(unmodelled, size) ** 2 + by_encoders**2)  # most always count
+            used = problem.valid & (np.abs(problem.gaps) <= LARGEST * spreads)
+            weights = used / np.hypot(problem.deviations, unmodelled)
+            hold = np.zeros(len(wanted))
+            if encoder_error:
+                hold = np.concatenate([hold, np.full(len(ECCENTRICITY), ONE["rad"] / encoder_error)])
+        step, covariance = problem.step(weights, moved, hold)
+        moved = moved + step
+        problem.at(numbers + problem.along @ moved)
+        if turn > ROUNDS + 2 and np.abs(step).max() < CONVERGED:
             break
     return Fit(
-        numbers=now,
+        numbers=numbers + problem.along @ moved,
         covariance=problem.along @ covariance @ problem.along.T,
         directions=wanted,
         deviations=np.sqrt(np.diag(covariance)[: len(wanted)]) * problem.scales[: len(wanted)],

@@ -35,17 +35,25 @@ def write_calibration(calibration: Calibration, predictions: Sequence[Prediction
         raise CalibrationError(f"cannot write the calibration to {folder}: {error.strerror or error}") from error
 
 
-def summary(calibration: Calibration, predictions: Sequence[Prediction]) -> Table:
+def summary(calibration: Calibration) -> Table:
     """What was found, for a terminal."""
     table = Table(title=sentence(calibration), title_justify="left")
     for name in ("", "before", "after", "+-", ""):
         table.add_column(name, justify="left" if not name else "right")
     for quantity in calibration.quantities:
         table.add_row(*_row(quantity))
-    for prediction in predictions:
-        table.add_row(f"{prediction.path}: RMS gap of {counted(prediction.folds, 'crossing')}", f"{UM * prediction.before:.1f}",
-                      f"{UM * prediction.after:.1f}", "", "um")  # fmt: skip
     return table
+
+
+def predicted(prediction: Prediction) -> str:
+    """What the numbers are worth on a bag that did not serve."""
+    text = (
+        f"{prediction.path}, not used: gaps of {counted(prediction.folds, 'crossing')} {UM * prediction.before:.0f} um RMS"
+        f" before, {UM * prediction.after:.2f} um after"
+    )
+    if np.isfinite(prediction.places_after):
+        text += f"; at the poses {MM * prediction.places_before:.3f} mm before, {MM * prediction.places_after:.3f} mm after"
+    return text
 
 
 def sentence(calibration: Calibration) -> str:
@@ -54,9 +62,11 @@ def sentence(calibration: Calibration) -> str:
     before, after = (float(np.sqrt(np.nanmean(np.square(gaps[used])))) if used.any() else np.nan
                      for gaps in (calibration.gaps_before, calibration.gaps_after))  # fmt: skip
     text = (
-        f"{int(used.sum())} of {counted(len(calibration.folds), 'crossing')} explained: gaps of"
-        f" {number(UM * before, '.0f')} um RMS before, {number(UM * after, '.2f')} um after"
+        f"{counted(int(used.sum()), 'crossing')} with gaps of {number(UM * before, '.0f')} um RMS before,"
+        f" {number(UM * after, '.2f')} um after"
     )
+    if others := len(used) - int(used.sum()):
+        text += f" ({others} more left out, as where a robot turns before it crosses)"
     if fit.places:
         text += f"; {fit.places} poses with {MM * fit.place_noise:.3f} mm of noise"
     if fit.encoder_error:
@@ -73,9 +83,10 @@ def _row(quantity: Quantity) -> list[str]:
 def render_calibration(calibration: Calibration, predictions: Sequence[Prediction]) -> str:
     """The page."""
     fit, folds = calibration.fit, calibration.folds
-    figure = residuals(UM * calibration.gaps_before, UM * calibration.gaps_after, UM * fit.spreads, fit.used,
-                       "gap (µm)", "crossing")  # fmt: skip
-    script, places = components({"gaps": figure}, wrap_script=False)
+    script, figures = components([
+        residuals(UM * calibration.gaps_before, 0.0 * fit.spreads, fit.used, "gap before (µm)", "crossing"),
+        residuals(UM * calibration.gaps_after, UM * fit.spreads, fit.used, "gap after (µm)", "crossing"),
+    ], wrap_script=False)  # fmt: skip
     rows: list[list[Cell]] = []
     for index, (fold, one, used) in enumerate(zip(folds, fit.touches, fit.used, strict=True)):
         rows.append([
@@ -98,11 +109,11 @@ def render_calibration(calibration: Calibration, predictions: Sequence[Predictio
             [[Cell(text) for text in _row(quantity)] for quantity in calibration.quantities],
         ),
         "kept": calibration.kept,
-        "directions": [
+        "directions": calibration.kept and [
             f"{direction.name}: ± {UNITS[direction.unit][1] * deviation:.4f} {UNITS[direction.unit][0]}"
             for direction, deviation in zip(fit.directions, fit.deviations, strict=True)
         ],
-        "gaps": places["gaps"],
+        "figures": figures,
         "folds": (
             [Column("crossing"), Column("bag", text=True), Column("time", "s"), Column("links", text=True), Column("x", "mm"),
              Column("y", "mm"), Column("gap before", "µm"), Column("gap after", "µm"), Column("its deviation", "µm"),
