@@ -15,6 +15,7 @@ import synthetic_run as made
 import yaml
 
 from dextar_control import cli
+from dextar_control.analysis.load import load_run
 from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 from dextar_control.contract.settings import default_settings
@@ -266,19 +267,46 @@ def test_bags_of_two_geometries_do_not_go_together() -> None:
         calibrate([run_of(readings), run_of(readings, robot=other)])
 
 
-def write_bag(file: Path, readings: np.ndarray) -> Path:
-    """A bag of joint states, each second one with a pose beside it, that says its robot."""
+def write_bag(file: Path, readings: np.ndarray, x: np.ndarray | None = None, frame: str = "base") -> Path:
+    """A bag of joint states that says its robot; with poses of each tenth x (n, 2), m, in a frame."""
     writer, clock = BagWriter(file), made.START
     flat = {f"robot.{key}": list(value) if isinstance(value, tuple) else value for key, value in flatten(ROBOT).items()}
     record = {"version": "1", "topics": json.dumps({}), "parameters.controller": yaml.safe_dump(flat)}
-    writer.add_topic("/joint_states", "sensor_msgs/msg/JointState", [])
+    contents: list[tuple[str, Any]] = []
     for tick, reading in enumerate(readings):
-        content = made.joint_state(made.START + tick * made.PERIOD, ["q11", "q21"], reading)
+        stamp = made.START + tick * made.PERIOD
+        contents.append(("/joint_states", made.joint_state(stamp, ["q11", "q21"], reading)))
+        if x is not None and tick % 10 == 0:
+            contents.append(("/external_pose", pose(stamp, x[tick], frame)))
+    for topic, content in contents:
+        kind = content.__msgtype__
+        if not writer.has_topic(topic):
+            writer.add_topic(topic, kind, [])
         clock += 1000
-        data = bytes(made.TYPES.serialize_cdr(content, "sensor_msgs/msg/JointState"))
-        writer.add(Sample(clock, "/joint_states", clock, 1, data))
+        writer.add(Sample(clock, topic, clock, 1, bytes(made.TYPES.serialize_cdr(content, kind))))
     writer.close({"dextar": record})
     return file
+
+
+def pose(stamp: int, x: np.ndarray, frame: str) -> Any:
+    header = made.message("std_msgs/msg/Header", stamp=made.message("builtin_interfaces/msg/Time", sec=stamp // 10**9,
+                                                                    nanosec=stamp % 10**9), frame_id=frame)  # fmt: skip
+    point = made.message("geometry_msgs/msg/Point", x=float(x[0]), y=float(x[1]), z=0.0)
+    turn = made.message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+    return made.message("geometry_msgs/msg/PoseStamped", header=header,
+                        pose=made.message("geometry_msgs/msg/Pose", position=point, orientation=turn))  # fmt: skip
+
+
+@pytest.mark.parametrize("frame", ["base", "camera"])
+def test_poses_in_the_robots_frame_are_read_from_a_bag(tmp_path: Path, frame: str) -> None:
+    part = path()[:400]
+    run = load_run(write_bag(tmp_path / "a.mcap", read(NOMINAL, part), part, frame))
+    if frame == "base":
+        assert run.poses is not None
+        assert np.array_equal(run.poses.x, part[::10])
+        assert np.array_equal(run.poses.stamps, run.states.stamps[::10])
+    else:
+        assert run.poses is None
 
 
 def test_the_command_writes_a_robot_file_and_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -358,7 +358,8 @@ def _kept(numbers: Array, wanted: Sequence[Direction]) -> list[str]:
     ]
     if not any(direction.name.endswith("left.distal_length") for direction in wanted):
         kept.append(
-            "How the distal lengths share their sum is not seen without crossings of folded links: they were kept at"
-            f" {lengths[0]:.4f} and {lengths[1]:.4f} mm."
+            "How the distal lengths share their sum is not seen without two crossings of folded links: they were kept at"
+            f" {lengths[0]:.4f} and {lengths[1]:.4f} mm, and near folded links the robot stays as wrong as that. Record some with"
+            " this file as the robot (four of --tour 12 are such), and calibrate by that bag."
         )
     return kept
