@@ -24,6 +24,7 @@ WIDEST = {"m": 3e-4, "rad": 3e-3}  # standard deviation of a quantity beyond whi
 MOST_MOVED = {"m": 5e-3, "rad": 0.1}  # from the description, beyond which the two contradict each other
 MOST_GAP = 1.5e-4  # m, RMS of the folds' gaps, without errors of the encoders, beyond which the numbers do not explain them
 MOST_PLACE_NOISE = 5e-3  # m, of a seen coordinate, likewise
+SUSPICIOUS = 1e-3  # rad, of an encoder's error once a turn that is said where nothing else is told
 LEAST_USED = 2.0 / 3.0  # of the folds
 POSE_GAP = 5e-3  # s between two joint states, beyond which no reading is known between them
 FEWEST_PLACES = 50
@@ -303,9 +304,19 @@ def _check_told(found: Fit) -> None:
         low, high = 1e3 * np.array([x.min(axis=0), x.max(axis=0)]) if len(x) else np.full((2, 2), np.nan)
         raise CalibrationError(
             f"{len(x)} crossings, at x = {low[0]:.0f} to {high[0]:.0f} mm, y = {low[1]:.0f} to {high[1]:.0f} mm, tell"
-            f" {'; '.join(vague)}; {1e3 * WIDEST['m']:g} mm and {1e3 * WIDEST['rad']:g} mrad are needed: they lie too"
-            f" close together, or all on one side; {RECORD}"
+            f" {'; '.join(vague)}; {1e3 * WIDEST['m']:g} mm and {1e3 * WIDEST['rad']:g} mrad are needed:"
+            f" {_encoders(found) or 'they lie too close together, or all on one side'}; {RECORD}"
         )
+
+
+def _encoders(found: Fit) -> str:
+    """That the encoders err, where they do so much that it is why nothing is told."""
+    if found.encoder_error < SUSPICIOUS:
+        return ""
+    return (
+        f"the encoders seem to err by some {1e3 * found.encoder_error:g} mrad once a turn, as where a disc is off its centre;"
+        " correct them, or record external poses too"
+    )
 
 
 def _check_explained(found: Fit, gaps: Array) -> None:
@@ -320,8 +331,9 @@ def _check_explained(found: Fit, gaps: Array) -> None:
     if count and (used < LEAST_USED * count or rms > MOST_GAP or none_spare):
         raise CalibrationError(
             f"no geometry explains the recordings: {used} of {count} crossings agree, with gaps of {1e6 * rms:.0f} um RMS;"
-            f" {LEAST_USED:.0%} have to, with {1e6 * MOST_GAP:.0f} um at most. Encoders that slip, play, links that bend, or a"
-            " bag of another robot would look like this. Nothing was written"
+            f" {LEAST_USED:.0%} have to, with {1e6 * MOST_GAP:.0f} um at most:"
+            f" {_encoders(found) or 'encoders that slip, play, links that bend, or a bag of another robot look like this'}. Nothing"
+            " was written"
         )
 
 
