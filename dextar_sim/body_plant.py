@@ -12,9 +12,11 @@ import numpy as np
 import pybullet as p
 
 from dextar_control.contract.errors import GeometryError, ParameterError
+from dextar_control.mechanisms.bodies import Bodies
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.symbols.functions import Fast
 from dextar_sim import world
+from dextar_sim.effects import JointEffects
 from dextar_sim.state import Motor, PlantState, check_steps, saturated, state_layout
 from dextar_sim.tree import functions_of
 from dextar_sim.urdf import bodies_of
@@ -35,6 +37,7 @@ class BodyPlant:
         window: open PyBullet's own window.
         max_torque: at which the motors saturate, N m (N).
         sides: what the motors are called; as their joints when None.
+        effects: what acts at the joints instead of constant torques; the mechanism has no friction then.
 
     Raises:
         ParameterError: period or substeps out of range, friction too steep for the substep, no display, or the mechanism does
@@ -51,6 +54,7 @@ class BodyPlant:
         window: bool = False,
         max_torque: float = math.inf,
         sides: Sequence[str] | None = None,
+        effects: JointEffects | None = None,
     ) -> None:
         self.mechanism = mechanism
         self.period = period
@@ -78,13 +82,29 @@ class BodyPlant:
             raise ParameterError("window = true needs a display; DISPLAY is not set")
         self._window = window
         self._client = world.connect(window)
-        self._divisible = substeps & (substeps - 1) == 0 and not self._has_friction
+        self._effects = effects
+        self._divisible = substeps & (substeps - 1) == 0 and not self._has_friction and effects is None
         self._divided = False
         self._steps = 0
         self._impulse: np.ndarray | None = None
-        loop = world.load(self._client, bodies, self._substep, window)
+        self._load(bodies)
+
+    def _load(self, bodies: Bodies) -> None:
+        loop = world.load(self._client, bodies, self._substep, self._window)
         self._body, self._joints = loop.body, loop.joints
         self._active = [self._joints[motor] for motor in self._motors]
+        self._divided = False
+        self._read()
+
+    def become(self, values: Mapping[str, Any]) -> None:
+        """Go on from where it is and as fast, with other values of the mechanism's parameters but for its friction."""
+        held = self._states
+        bodies = bodies_of(self.mechanism, values)
+        self._p[:] = self.mechanism.values(values)
+        self._truth.arguments.p[:] = self._p
+        world.clear(self._client)
+        self._load(bodies)
+        self._hold([state[0] for state in held], [state[1] for state in held])
         self._read()
 
     def reset(self, x: Sequence[float], x_dot: Sequence[float] = ()) -> PlantState:
@@ -105,13 +125,22 @@ class BodyPlant:
         return self._place(closed.joints.tolist(), closed.joints_dot.tolist())
 
     def _place(self, joints: Sequence[float], joints_dot: Sequence[float]) -> PlantState:
-        for index, angle, rate in zip(self._joints, joints, joints_dot, strict=True):
-            ahead = angle + 0.5 * self._substep * rate
-            p.resetJointState(self._body, index, ahead, rate, physicsClientId=self._client)
+        self._hold([angle + 0.5 * self._substep * rate for angle, rate in zip(joints, joints_dot, strict=True)], joints_dot)
+        if self._effects is not None:
+            self._effects.reset(*([of[motor] for motor in self._motors] for of in (joints, joints_dot)))
         self._steps = 0
         self._impulse = None
         self._read()
         return self.state()
+
+    def _hold(self, held: Sequence[float], joints_dot: Sequence[float]) -> None:
+        for index, angle, rate in zip(self._joints, held, joints_dot, strict=True):
+            p.resetJointState(self._body, index, angle, rate, physicsClientId=self._client)
+
+    def encoded(self) -> list[float]:
+        """Where the encoders' discs stand, rad (m)."""
+        q_a: list[float] = self.state().q_a.tolist()
+        return q_a if self._effects is None else self._effects.encoded(q_a)
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:
         """Strike the platform with an impulse along its coordinates (N s, shape (n,)) during the next step's first substep."""
@@ -137,7 +166,10 @@ class BodyPlant:
         """
         net = saturated(torque, self.max_torque)
         first = saturated(earlier, self.max_torque) if earlier is not None and late else net
-        if self._divisible and self._impulse is None and first == net:
+        if self._effects is not None:
+            self._step_under(self._effects, first, net, late)
+            net = tuple(self._effects.motor_torque)
+        elif self._divisible and self._impulse is None and first == net:
             if not self._divided:
                 self._divide(True)
             p.setJointMotorControlArray(self._body, self._active, p.TORQUE_CONTROL, forces=net, physicsClientId=self._client)
@@ -174,6 +206,21 @@ class BodyPlant:
                 self._impulse = None
             p.stepSimulation(client)
 
+    def _step_under(self, effects: JointEffects, first: Sequence[float], last: Sequence[float], late: int) -> None:
+        """One call of PyBullet for each substep, under what acts at the joints."""
+        client, body, joints, states = self._client, self._body, self._joints, self._states
+        for substep in range(self.substeps):
+            if substep:
+                states = p.getJointStates(body, joints, client)
+            effects.joints[:], effects.joints_dot[:] = [state[0] for state in states], [state[1] for state in states]
+            effects.act(first if substep < late else last)
+            forces = effects.forces
+            if self._impulse is not None:
+                forces = forces + self._pushed(self._impulse)
+                self._impulse = None
+            p.setJointMotorControlArray(body, joints, p.TORQUE_CONTROL, forces=forces.tolist(), physicsClientId=client)
+            p.stepSimulation(client)
+
     def _divide(self, divided: bool) -> None:
         """Whether one call of PyBullet is a whole period or a substep."""
         self._divided = divided
@@ -183,11 +230,16 @@ class BodyPlant:
             world.set_step(self._client, self._substep)
 
     def _strike(self, impulse: np.ndarray, net: Sequence[float]) -> None:
-        """A force on the platform over the coming substep, as what it is at all joints as PyBullet holds them, and the motors."""
-        forces = self._fast["push"](self._p, [state[0] for state in self._states], impulse / self._substep).forces
+        """A force on the platform over the coming substep, and the motors."""
+        forces = self._pushed(impulse)
         forces[self._motors] += net
         p.setJointMotorControlArray(self._body, self._joints, p.TORQUE_CONTROL, forces=forces.tolist(),
                                     physicsClientId=self._client)  # fmt: skip
+
+    def _pushed(self, impulse: np.ndarray) -> np.ndarray:
+        """What a force on the platform over a substep is at all joints as PyBullet holds them."""
+        forces: np.ndarray = self._fast["push"](self._p, [state[0] for state in self._states], impulse / self._substep).forces
+        return forces
 
     def _read(self) -> None:
         self._states = p.getJointStates(self._body, self._joints, self._client)

@@ -10,6 +10,7 @@ import numpy as np
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import RobotParameters
 from dextar_sim import geometry
+from dextar_sim.effects import PLAIN, Effects, JointEffects, are_rough, without_rotors
 from dextar_sim.platform_motion import Motion
 from dextar_sim.state import PlantState, check_steps, leg_motors, saturated
 
@@ -25,9 +26,10 @@ class CartesianPlant:
         period: duration of one step, s.
         substeps: Runge-Kutta steps in one step.
         max_torque: at which the motors saturate, N m; the robot's when None.
+        effects: of drives and friction, beside what the robot's description says.
 
     Raises:
-        ParameterError: period or substeps out of range, friction too steep for the substep.
+        ParameterError: period or substeps out of range, friction or a transmission too quick for the substep.
     """
 
     def __init__(
@@ -37,14 +39,22 @@ class CartesianPlant:
         period: float = 1.0e-3,
         substeps: int = 4,
         max_torque: float | None = None,
+        effects: Effects = PLAIN,
     ) -> None:
-        check_steps(period, substeps, leg_motors(robot))
+        self._effects: JointEffects | None = None
+        if are_rough(robot, effects):
+            self._effects = JointEffects(robot, effects, period, substeps, ahead=False)
+        else:
+            check_steps(period, substeps, leg_motors(robot))
         self.robot = robot
         self.period = period
         self.substeps = substeps
         self.max_torque = robot.max_torque if max_torque is None else max_torque
         self._substep = period / substeps
-        self._motion = Motion(robot, substeps, self._substep)
+        if self._effects is None:
+            self._motion = Motion(robot, substeps, self._substep)
+        else:
+            self._motion = Motion(without_rotors(robot, effects), 1, self._substep, torques=4)
         self._steps = 0
         self._push: tuple[float, float] = (0.0, 0.0)
         self._state: PlantState | None = None
@@ -83,10 +93,22 @@ class CartesianPlant:
         self._check(max(abs(math.sin(joints[1])), abs(math.sin(joints[3]))), 0.0)
         left, right = geometry.tips(geometry.shape(self.robot), tuple(map(float, joints)), (0.0, 0.0, 0.0, 0.0))
         self._motion.place(joints, joints_dot, [0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1])], x_dot)
+        if self._effects is not None:
+            self._effects.reset(joints[::2], joints_dot[::2])
         self._steps = 0
         self._push = (0.0, 0.0)
         self._state = None
         return self.state()
+
+    def take_up(self, mass: float) -> None:
+        """Load the end effector with a mass, kg, that moves as it does."""
+        self.robot = self.robot.replace(end_effector_mass=self.robot.end_effector_mass + mass)
+        self._motion.carry(self.robot.end_effector_mass)
+
+    def encoded(self) -> list[float]:
+        """Where the encoders' discs stand, rad."""
+        q_a: list[float] = self.state().q_a.tolist()
+        return q_a if self._effects is None else self._effects.encoded(q_a)
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:
         """Strike the end effector with an impulse (N s, shape (2,)) during the next step's first substep."""
@@ -108,16 +130,31 @@ class CartesianPlant:
         """
         net = saturated(torque, self.max_torque)
         first = saturated(earlier, self.max_torque) if earlier is not None and late else net
-        least = self._motion.advance(first, net, late, self._push)
+        if self._effects is None:
+            least = self._motion.advance(first, net, late, self._push)
+        else:
+            least = self._step_each(self._effects, first, net, late)
         self._steps += 1
         self._push = (0.0, 0.0)
         self._state = None
         if not least >= _LEAST_SINE:
             self._check(least, self._steps * self.period)
-        return np.array(net)
+        return np.array(net) if self._effects is None else self._effects.motor_torque
+
+    def _step_each(self, effects: JointEffects, first: Sequence[float], last: Sequence[float], late: int) -> float:
+        """One substep after the other, each under what acts at the joints; the least |sin delta| met."""
+        now, push, least = self._motion.state, self._push, 1.0
+        for substep in range(self.substeps):
+            effects.joints[:], effects.joints_dot[:] = now.joints, now.joints_dot
+            effects.act(first if substep < late else last)
+            forces = effects.forces.tolist()
+            met = self._motion.advance(forces, forces, 0, push)
+            least = met if not met >= least else least
+            push = (0.0, 0.0)
+        return least
 
     def acceleration(self, torque: Sequence[float]) -> np.ndarray:
-        """Platform acceleration (m/s^2, shape (2,)) now, off Type 1.
+        """Platform acceleration (m/s^2, shape (2,)) now, off Type 1, of a plant without effects.
 
         Args:
             torque: of the motors, N m, shape (2,), saturated first.

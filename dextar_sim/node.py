@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,7 +40,7 @@ from dextar_control.contract.topics import (
 from dextar_sim.messages import CommandReader, StateWriter, read_efforts
 from dextar_sim.pace import Schedule, keeping_pace, spin
 from dextar_sim.parameters import PARAMETERS
-from dextar_sim.sensors import Acknowledgement, Command, CommandDelay, CommandHold, Encoder, PoseSensor
+from dextar_sim.sensors import Acknowledgement, Command, CommandDelay, CommandHold, Encoder, PoseSensor, StampError
 from dextar_sim.speakers import SPEAKING, Speakers
 
 REPEAT_AFTER = 0.5
@@ -72,7 +73,9 @@ class PlantNode(DextarNode):
     PARAMETERS = PARAMETERS
 
     def __init__(self, **options: Any) -> None:
-        from dextar_sim.plant import Plant, urdf_of  # here: --help needs no physics
+        from dextar_sim.effects import Effects  # here: --help needs no physics
+        from dextar_sim.happenings import Happenings
+        from dextar_sim.plant import Plant, urdf_of
 
         super().__init__(**options)
         values = self.values
@@ -84,12 +87,18 @@ class PlantNode(DextarNode):
             raise ParameterError("parameter 'command_interface' = 'effort_array'; in mode lockstep it must be joint_state: "
                                  "an array does not say which state it answers")  # fmt: skip
         max_torque = values["max_torque"] or self.robot.max_torque
+        effects = Effects(**{field.name: values[field.name] for field in fields(Effects)})
         self.plant = Plant(self.robot, period=period, substeps=values["substeps"], window=values["window"],
-                           max_torque=max_torque)  # fmt: skip
+                           max_torque=max_torque, effects=effects)  # fmt: skip
         self.plant.reset(values["task.start"])
         self._encoder = Encoder(period, resolution=values["encoder_resolution"], seed=values["seed"],
                                 velocity_cutoff=values["velocity_cutoff"],
-                                position_noise=values["position_noise"])  # fmt: skip
+                                position_noise=values["position_noise"], offset=self.robot.encoder_offset,
+                                homing_error=values["homing_error"], eccentricity=values["eccentricity"])  # fmt: skip
+        self._stamp_error = StampError(values["stamp_error"], period, values["seed"])
+        self._happenings = Happenings(**{
+            name: values[name] for name in ("payload", "payload_time", "push", "push_time", "push_duration")
+        })
         self._camera = PoseSensor(period, rate=values["pose_rate"], delay=values["pose_delay"],
                                   noise=values["pose_noise"], seed=values["seed"])  # fmt: skip
         self._delay: CommandDelay[Command] = CommandDelay(round(values["command_delay"] / period))
@@ -98,7 +107,9 @@ class PlantNode(DextarNode):
         self.schedule = Schedule(self.period_ns)
         self._writer, self._reader = StateWriter(), CommandReader()
         self._index = -1
+        self._since = 0
         self._first_stamp = 0
+        self._told = 0
         self._published = -1
         self._oldest = 0
         self._newest: Command | None = None
@@ -166,6 +177,7 @@ class PlantNode(DextarNode):
             later = self._delay.periods * self.period_ns
             arrival = None if delayed.arrival is None else delayed.arrival + later
             self._hold.receive(delayed._replace(stamp=delayed.stamp + later, arrival=arrival))
+        self._happenings.before((self._index - self._since) * self.plant.period, self.plant)
         applied = self.plant.step(self._hold.torque(self._stamp(), self._ran()))
         self._index += 1
         self._prepare(applied)
@@ -178,9 +190,10 @@ class PlantNode(DextarNode):
         return self._first_stamp + self._index * self.period_ns
 
     def _prepare(self, applied: np.ndarray) -> None:
-        state, stamp = self.plant.state(), self._stamp()
+        state = self.plant.state()
+        self._told = stamp = max(self._stamp() + round(NANOSECONDS * self._stamp_error.next()), 0)
         self._max_loop_gap = max(self._max_loop_gap, state.loop_gap)
-        q_a, q_a_dot = self._encoder.read(state.q_a.tolist())
+        q_a, q_a_dot = self._encoder.read(self.plant.encoded())
         self._sample = [(self._states, self._writer.measured(stamp, q_a, q_a_dot, applied))]
         if self._poses is not None:
             seen = self._camera.sense(self._index, state.x.tolist())
@@ -194,7 +207,7 @@ class PlantNode(DextarNode):
         if self._sample is None:
             return
         self._sent, self._sample = self._sample, None
-        self._published = self._stamp()
+        self._published = self._told
         self.answered = self._commanded = False
         self._sent_at = time.monotonic()
         if self._poses is not None and self._pose is not None:
@@ -298,14 +311,16 @@ class PlantNode(DextarNode):
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Start pose at rest as the next sample, without torque; earlier states' commands no longer count."""
+        self._happenings.reset(self.plant)
         self.plant.reset(self.values["task.start"])
         for part in (self._encoder, self._camera, self._delay, self._hold):
             part.reset()
         self._newest = None
         if self._index >= 0:
             self._index += self._sample is None
-            self._oldest = self._stamp()
+            self._since = self._index
             self._prepare(np.zeros(2))
+            self._oldest = self._told
             if self.paused:
                 self.publish()
         response.success, response.message = True, "at the start, at rest"

@@ -8,6 +8,7 @@ from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.mechanisms import mechanism_named
 from dextar_sim import geometry
 from dextar_sim.body_plant import BodyPlant
+from dextar_sim.effects import PLAIN, Effects, JointEffects, are_rough, without_rotors
 from dextar_sim.state import PlantState
 from dextar_sim.urdf import bodies_of, urdf
 
@@ -23,9 +24,10 @@ class Plant(BodyPlant):
         substeps: physics steps in one step; friction is evaluated in each.
         window: open PyBullet's own window.
         max_torque: at which the motors saturate, N m; the robot's when None.
+        effects: of drives and friction, beside what the robot's description says.
 
     Raises:
-        ParameterError: period or substeps out of range, friction too steep for the substep, no display.
+        ParameterError: period or substeps out of range, friction or a transmission too quick for the substep, no display.
     """
 
     def __init__(
@@ -36,10 +38,20 @@ class Plant(BodyPlant):
         substeps: int = 4,
         window: bool = False,
         max_torque: float | None = None,
+        effects: Effects = PLAIN,
     ) -> None:
-        self.robot = robot
-        super().__init__(FIVE_BAR, flatten(robot), period=period, substeps=substeps, window=window,
+        self.robot, self._links, acting = robot, robot, None
+        if are_rough(robot, effects):
+            self._links = without_rotors(robot, effects)
+            acting = JointEffects(robot, effects, period, substeps, ahead=True)
+        super().__init__(FIVE_BAR, flatten(self._links), period=period, substeps=substeps, window=window, effects=acting,
                          max_torque=robot.max_torque if max_torque is None else max_torque, sides=robot.sides)  # fmt: skip
+
+    def take_up(self, mass: float) -> None:
+        """Load the end effector with a mass, kg, that moves as it does."""
+        loaded = {"end_effector_mass": self.robot.end_effector_mass + mass}
+        self.robot, self._links = self.robot.replace(**loaded), self._links.replace(**loaded)
+        self.become(flatten(self._links))
 
     def reset(self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)) -> PlantState:
         """Put the end effector at x with velocity x_dot, in the robot's working mode, at time 0.

@@ -38,12 +38,18 @@ PLATFORM = -1
 CHARTS = {PLATFORM: "platform", 0: "left", 1: "right"}
 LEG_NUMBERS = 12
 STATE = state_layout(2, 4)
-DRIVE = Layout("drive", 2, (
-    Field("first", "N m", "motor torques of the first substeps", 2),
-    Field("last", "N m", "of the others", 2),
-    Field("push", "N", "force on the end effector over the first substep", 2),
-    Field("late", "1", "substeps under the first torques"),
-))
+
+
+@lru_cache
+def drive_layout(torques: int) -> Layout:
+    """Of torques at the two motors, or at all four joints."""
+    return Layout("drive", 2, (
+        Field("first", "N m", "torques of the first substeps", torques),
+        Field("last", "N m", "of the others", torques),
+        Field("push", "N", "force on the end effector over the first substep", 2),
+        Field("late", "1", "substeps under the first torques"),
+    ))
+
 
 Row = tuple[float, ...]
 Term = Any  # a number or a symbol
@@ -74,7 +80,7 @@ def _acceleration(
         z, z_dot: x and y, m and m/s, or theta_1 and theta_2 of one leg, rad and rad/s.
         chart: that leg, or ``PLATFORM``.
         sides: of the elbows, +1 left of the line base -> end effector.
-        motors: torques before friction, N m.
+        motors: torques before friction, N m; four are those at q11, q12, q21, q22.
         push: force on the end effector, N.
         legs: a row for each leg as ``leg_row`` makes it.
         shared: end effector mass, gravity x, gravity y, coulomb speed.
@@ -117,9 +123,12 @@ def _acceleration(
             g2 = -(l1 * inward_1 + l2 * inward_2 * cos_d) / (l2 * sin_d) + j2x * c_x + j2y * c_y
             j11, j12 = j1x * g_xx + j1y * g_yx, j1x * g_xy + j1y * g_yy
             j21, j22 = j2x * g_xx + j2y * g_yx, j2x * g_xy + j2y * g_yy
-        torque = motors[i] - viscous * w1 - coulomb * ca.tanh(w1 / coulomb_speed)
+        torque = motors[i if len(motors) == 2 else 2 * i] - viscous * w1 - coulomb * ca.tanh(w1 / coulomb_speed)
         f_1 += j11 * (torque - i1 * g1) - j21 * i2 * g2
         f_2 += j12 * (torque - i1 * g1) - j22 * i2 * g2
+        if len(motors) > 2:
+            f_1 += (j21 - j11) * motors[2 * i + 1]
+            f_2 += (j22 - j12) * motors[2 * i + 1]
         m_11 += i1 * j11 * j11 + i2 * j21 * j21
         m_12 += i1 * j11 * j12 + i2 * j21 * j22
         m_22 += i1 * j12 * j12 + i2 * j22 * j22
@@ -199,14 +208,16 @@ def _placed(
 
 
 @lru_cache
-def motion(substeps: int) -> Library:
+def motion(substeps: int, torques: int) -> Library:
     """``period_CHART`` for each chart and ``acceleration``, compiled where that can be done.
 
     Args:
         substeps: Runge-Kutta steps in one period.
+        torques: 2 at the motors or 4 at all joints.
     """
-    z, z_dot, sides, motors, push = (ca.SX.sym(name, 2) for name in ("z", "z_dot", "sides", "motors", "push"))
-    (now_vector, now), (drive_vector, drive), h = STATE.symbols(), DRIVE.symbols(), ca.SX.sym("h")
+    z, z_dot, sides, push = (ca.SX.sym(name, 2) for name in ("z", "z_dot", "sides", "push"))
+    motors = ca.SX.sym("motors", torques)
+    (now_vector, now), (drive_vector, drive), h = STATE.symbols(), drive_layout(torques).symbols(), ca.SX.sym("h")
     robot, shared = ca.SX.sym("legs", 2 * LEG_NUMBERS), ca.SX.sym("shared", 4)
     vectors = (z, z_dot, sides, motors, push, now["joints"], shared)
     parts: list[Terms] = [[vector[i] for i in range(vector.numel())] for vector in vectors]
@@ -257,7 +268,8 @@ def _sides(joints: Term) -> Term:
 
 def _period(name: str, begun: ca.Function, step: ca.Function, place: ca.Function, substeps: int) -> ca.Function:
     """From state to state: substeps one after the other, then the joints."""
-    sizes = {"state": STATE.size, "drive": DRIVE.size, "h": 1, "legs": 2 * LEG_NUMBERS, "shared": 4}
+    drive_size = begun.numel_in("drive")
+    sizes = {"state": STATE.size, "drive": drive_size, "h": 1, "legs": 2 * LEG_NUMBERS, "shared": 4}
     given = {key: ca.MX.sym(key, size) for key, size in sizes.items()}
     begin = begun(state=given["state"], drive=given["drive"])
     steps = step.mapaccum(f"{name}_steps", substeps, ["z", "z_dot"], ["z_next", "z_dot_next"])
@@ -276,19 +288,20 @@ class Motion:
         robot: the description.
         substeps: Runge-Kutta steps in one period.
         substep: duration of one, s.
+        torques: 2 at the motors or 4 at all joints.
 
     Attributes:
         state: a record of ``STATE``, but for its time.
     """
 
-    def __init__(self, robot: RobotParameters, substeps: int, substep: float) -> None:
-        self.state = STATE.make()
-        numbers = {"legs": np.array([*leg_row(robot, 0), *leg_row(robot, 1)]),
+    def __init__(self, robot: RobotParameters, substeps: int, substep: float, torques: int = 2) -> None:
+        self.state, layout = STATE.make(), drive_layout(torques)
+        self._numbers = numbers = {"legs": np.array([*leg_row(robot, 0), *leg_row(robot, 1)]),
                    "shared": np.array([robot.end_effector_mass, *robot.gravity, robot.coulomb_speed])}
-        library, drive, self._told = motion(substeps), np.zeros(DRIVE.size), np.zeros(3)
+        library, drive, self._told = motion(substeps, torques), np.zeros(layout.size), np.zeros(3)
         places = {"state": self.state.numbers, "state_next": self.state.numbers, "drive": drive,
                   "told": self._told, "h": np.array([substep])}
-        self._pack, self._drive = struct.Struct(f"{DRIVE.size}d").pack_into, memoryview(drive)  # type: ignore[arg-type]
+        self._pack, self._drive = struct.Struct(f"{layout.size}d").pack_into, memoryview(drive)  # type: ignore[arg-type]
         self._periods = {chart: library.fast(f"period_{name}", **numbers, **places) for chart, name in CHARTS.items()}
         self._acceleration = library.fast("acceleration", **numbers)
         self._sines = (1.0, 1.0)
@@ -304,19 +317,23 @@ class Motion:
         """One period; the least |sin delta| met, nan when lost.
 
         Args:
-            first, last: motor torques of the first ``late`` substeps and of the others, N m.
+            first, last: torques of the first ``late`` substeps and of the others, N m.
             late: substeps.
             blow: force on the end effector over the first substep, N.
         """
-        self._pack(self._drive, 0, *first, *last, *blow, late)  # in the order of DRIVE
+        self._pack(self._drive, 0, *first, *last, *blow, late)  # in the order of drive_layout
         left, right = self._sines
         chart = PLATFORM if left >= _OWN_SINE and right >= _OWN_SINE else 0 if left < right else 1
         self._periods[chart].run()
         least, *self._sines = self._told.tolist()
         return float(least)
 
+    def carry(self, mass: float) -> None:
+        """The end effector's mass, kg, from now on."""
+        self._numbers["shared"][0] = mass
+
     def acceleration(self, motors: Row) -> np.ndarray:
-        """Of the platform now, m/s^2, shape (2,), off Type 1, under motor torques before friction, N m."""
+        """Of the platform now, m/s^2, shape (2,), off Type 1, under torques before friction, N m."""
         found, now = self._acceleration.arguments, self.state
         sines = np.sin(now.joints[1::2])
         found.z[:], found.z_dot[:], found.sides[:], found.motors[:] = now.x, now.x_dot, np.where(sines >= 0.0, -1.0, 1.0), motors

@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from dataclasses import fields
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import RobotParameters
 from dextar_sim.cartesian import CartesianPlant
+from dextar_sim.effects import Effects
+from dextar_sim.happenings import Happenings
 from dextar_sim.plant import Plant
-from dextar_sim.sensors import Command, CommandDelay, CommandHold, Encoder, PoseSensor, check_probability
+from dextar_sim.sensors import Command, CommandDelay, CommandHold, Encoder, PoseSensor, StampError, check_probability
 from dextar_sim.state import AnyPlant, PlantState
 
 PLANTS: dict[str, type[Plant] | type[CartesianPlant]] = {"pybullet": Plant, "cartesian": CartesianPlant}
@@ -40,7 +43,7 @@ class Sample(NamedTuple):
     """What reaches the controller in one period.
 
     Attributes:
-        time: at which the sample was taken, s.
+        time: at which the sample was taken, as its stamp tells it, s.
         q_a: measured active joints, rad, shape (2,).
         pose: newest external measurement that has arrived and was in no sample before.
     """
@@ -75,6 +78,11 @@ class Rig:
         pose_noise: standard deviation of each coordinate, m.
         pose_dropout: probability that an external measurement is missing.
         pose_outages: spans (from, to) without external measurements, s.
+        homing_error: by which each encoder is off, to one side or the other at random, rad.
+        eccentricity: amplitude of each encoder's error over a turn, rad.
+        stamp_error: up to which a sample's time is told wrong, at random, s.
+        payload: mass that the end effector takes up, kg, at ``payload_time``, s.
+        effects: of drives and friction, by the names of ``effects.Effects``.
 
     Attributes:
         samples_lost: that did not reach the controller since the reset.
@@ -103,6 +111,12 @@ class Rig:
         pose_noise: float = 0.0,
         pose_dropout: float = 0.0,
         pose_outages: Sequence[tuple[float, float]] = (),
+        homing_error: float = 0.0,
+        eccentricity: float = 0.0,
+        stamp_error: float = 0.0,
+        payload: float = 0.0,
+        payload_time: float = 0.0,
+        **effects: Any,
     ) -> None:
         if plant not in PLANTS:
             raise ParameterError(f"plant = {plant!r}; it must be one of {', '.join(PLANTS)}")
@@ -110,16 +124,24 @@ class Rig:
             raise ParameterError(f"seed = {seed}; it must be >= 0")
         check_probability("sample_loss", sample_loss)
         check_probability("jitter", jitter)
-        self.plant: AnyPlant = PLANTS[plant](robot, period=period, substeps=substeps, max_torque=max_torque)
+        unknown = sorted(set(effects) - {field.name for field in fields(Effects)})
+        if unknown:
+            raise ParameterError(f"unknown option '{unknown[0]}' of a rig")
+        self.plant: AnyPlant = PLANTS[plant](
+            robot, period=period, substeps=substeps, max_torque=max_torque, effects=Effects(**effects)
+        )
         self.period = period
         self._period_ns = round(_NANOSECONDS * period)
         self._loss, self._jitter = sample_loss, jitter * substeps
-        seeds = [int(word) for word in np.random.SeedSequence(seed).generate_state(4)]
+        seeds = [int(word) for word in np.random.SeedSequence(seed).generate_state(5)]
         self._seeds = seeds
         self._new_encoder = partial(Encoder, period, resolution=encoder_resolution, position_noise=position_noise,
+                                    offset=robot.encoder_offset, homing_error=homing_error, eccentricity=eccentricity,
                                     seed=seeds[0])  # fmt: skip
         self._new_camera = partial(PoseSensor, period, rate=pose_rate, delay=pose_delay, noise=pose_noise,
                                    dropout=pose_dropout, outages=pose_outages, seed=seeds[1])  # fmt: skip
+        self._new_stamps = partial(StampError, stamp_error, period, seeds[4])
+        self._happenings = Happenings(payload=payload, payload_time=payload_time)
         self._delay: CommandDelay[Command] = CommandDelay(round(command_delay / period))
         self._delay_ns = self._delay.periods * self._period_ns
         self._timeout = round(_NANOSECONDS * command_timeout)
@@ -128,7 +150,7 @@ class Rig:
 
     def _begin(self) -> None:
         """All between plant and controller as new, and the first sample."""
-        self._encoder, self._camera = self._new_encoder(), self._new_camera()
+        self._encoder, self._camera, self._stamps = self._new_encoder(), self._new_camera(), self._new_stamps()
         self._delay.reset()
         self._hold = CommandHold(self._timeout, self.plant.max_torque)
         self._losses, self._lateness = random.Random(self._seeds[2]), random.Random(self._seeds[3])
@@ -165,6 +187,7 @@ class Rig:
         Raises:
             GeometryError: a leg does not reach x, or cannot move at x_dot there.
         """
+        self._happenings.reset(self.plant)
         state = self.plant.reset(x, x_dot)
         self._begin()
         return state
@@ -179,6 +202,7 @@ class Rig:
         Raises:
             GeometryError: the distal links do not meet there, or the elbows coincide.
         """
+        self._happenings.reset(self.plant)
         state = self.plant.reset_joints(q_a, assembly_mode, x_dot)
         self._begin()
         return state
@@ -189,12 +213,12 @@ class Rig:
             arrived = self._camera.sense(self._index, state.x.tolist())
             if arrived is not None:
                 self._pose = Pose(arrived.sample * self.period, np.array(arrived.x))
-        q_a = self._encoder.position(state.q_a.tolist())
+        q_a, told = self._encoder.position(self.plant.encoded()), self._index * self.period + self._stamps.next()
         if self._loss and self._losses.random() < self._loss:
             self.samples_lost += 1
             self._sample: Sample | None = None
         else:
-            self._sample = Sample(self._index * self.period, np.array(q_a), self._pose)
+            self._sample = Sample(told, np.array(q_a), self._pose)
             self._pose = None
 
     def read(self) -> Sample | None:
@@ -220,6 +244,7 @@ class Rig:
             self._hold.receive(delayed)
         before, self._applied = self._applied, self._hold.torque(now)
         late = round(self._jitter * self._lateness.random()) if self._jitter else 0
+        self._happenings.before(self._index * self.period, self.plant)
         applied = self.plant.step(self._applied, before, late)
         self._index += 1
         self._measure()

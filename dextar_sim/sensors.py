@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 import sys
 from collections import deque
 from collections.abc import Sequence
@@ -40,7 +41,10 @@ class Encoder:
         resolution: counts per revolution; 0 is exact.
         velocity_cutoff: of the velocity's low-pass, Hz; 0 leaves the plain difference.
         position_noise: standard deviation, rad.
-        seed: of the noise.
+        offset: what each reads at zero, rad.
+        homing_error: by which each is off, to one side or the other at random, rad.
+        eccentricity: amplitude of an error over a turn, rad; where it vanishes is random.
+        seed: of noise, sides and phases.
 
     Raises:
         ParameterError: a value is out of its range.
@@ -53,10 +57,13 @@ class Encoder:
         resolution: int = 0,
         velocity_cutoff: float = 0.0,
         position_noise: float = 0.0,
+        offset: Sequence[float] = (0.0, 0.0),
+        homing_error: float = 0.0,
+        eccentricity: float = 0.0,
         seed: int = 0,
     ) -> None:
-        for name, value in (("resolution", resolution), ("velocity_cutoff", velocity_cutoff),
-                            ("position_noise", position_noise)):  # fmt: skip
+        for name, value in (("resolution", resolution), ("velocity_cutoff", velocity_cutoff), ("position_noise", position_noise),
+                            ("homing_error", homing_error), ("eccentricity", eccentricity)):  # fmt: skip
             if not (value >= 0.0 and math.isfinite(value)):
                 raise ParameterError(f"encoder {name} = {value}; it must be >= 0")
         if not (period > 0.0 and math.isfinite(period)):
@@ -65,7 +72,11 @@ class Encoder:
         self._count = 2.0 * math.pi / resolution if resolution else 0.0
         self._gain = 1.0 - math.exp(-2.0 * math.pi * velocity_cutoff * period) if velocity_cutoff else 1.0
         self._noise = position_noise
-        self._random = np.random.default_rng(seed)
+        self._random, mounted = np.random.default_rng(seed), np.random.default_rng([seed, 1])
+        sides = mounted.choice((-1.0, 1.0), len(offset)).tolist()
+        self._offset = [at + homing_error * side for at, side in zip(offset, sides, strict=True)]
+        self._eccentricity, self._phase = eccentricity, mounted.uniform(0.0, 2.0 * math.pi, len(offset)).tolist()
+        self._is_off = bool(eccentricity or any(self._offset))
         self._last: list[float] | None = None
         self._velocity: list[float] = []
 
@@ -76,6 +87,11 @@ class Encoder:
     def position(self, q_a: Sequence[float]) -> list[float]:
         """Measured positions (rad) of true ones (rad, shape (n,)); no sample for the velocity."""
         values: Sequence[float] = q_a
+        if self._is_off:
+            values = [
+                value + offset + self._eccentricity * math.sin(value + phase)
+                for value, offset, phase in zip(values, self._offset, self._phase, strict=True)
+            ]
         if self._noise:
             values = [value + self._noise * self._random.standard_normal() for value in values]
         count = self._count
@@ -101,6 +117,29 @@ class Encoder:
             ]
         self._last = position
         return np.array(position), np.array(self._velocity)
+
+
+class StampError:
+    """By how much the stamp of a sample is off: evenly distributed, each anew.
+
+    Args:
+        error: largest, s; below half of the period, so that stamps rise.
+        period: between two samples, s.
+        seed: of all of them.
+
+    Raises:
+        ParameterError: the error is out of its range.
+    """
+
+    def __init__(self, error: float, period: float, seed: int = 0) -> None:
+        if not 0.0 <= error < 0.5 * period:
+            raise ParameterError(f"stamp_error = {error} s; it must lie in [0, {0.5 * period:g}) s, half of the period")
+        self._error = error
+        self._random = random.Random(seed)
+
+    def next(self) -> float:
+        """Of the next sample, s."""
+        return self._random.uniform(-self._error, self._error) if self._error else 0.0
 
 
 class Measurement(NamedTuple):

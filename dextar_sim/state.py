@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError, StateError
-from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.robot import LegParameters, RobotParameters
 from dextar_control.symbols.record import Field, Layout, Record
 
 _FRICTION_STABILITY = 1.0
@@ -55,6 +55,12 @@ class AnyPlant(Protocol):
     def step(self, torque: Sequence[float], earlier: Sequence[float] | None = None, late: int = 0) -> np.ndarray:
         """Advance one period; the torque acts after ``late`` substeps under the earlier one."""
 
+    def take_up(self, mass: float) -> None:
+        """Load the end effector with a mass that moves as it does."""
+
+    def encoded(self) -> list[float]:
+        """Where the encoders' discs stand."""
+
     def apply_impulse(self, impulse: Sequence[float]) -> None:
         """Strike the end effector with an impulse during the next step's first substep."""
 
@@ -79,13 +85,17 @@ class Motor(NamedTuple):
     inertia: float
 
 
+def proximal_inertia(leg: LegParameters) -> float:
+    """What a motor moves alone, kg m^2."""
+    return leg.proximal_inertia + leg.rotor_inertia + leg.proximal_mass * (leg.proximal_center * leg.proximal_length) ** 2
+
+
 def leg_motors(robot: RobotParameters) -> list[Motor]:
     """Those of a five-bar."""
     return [
-        Motor(side, leg.viscous_friction + leg.coulomb_friction / robot.coulomb_speed,
-              leg.proximal_inertia + leg.rotor_inertia + leg.proximal_mass * (leg.proximal_center * leg.proximal_length) ** 2)
+        Motor(side, leg.viscous_friction + leg.coulomb_friction / robot.coulomb_speed, proximal_inertia(leg))
         for side, leg in zip(robot.sides, robot.legs, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def check_steps(period: float, substeps: int, motors: Sequence[Motor]) -> None:

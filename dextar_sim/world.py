@@ -42,8 +42,13 @@ def connect(window: bool) -> int:
     client = int(p.connect(p.GUI if window else p.DIRECT))
     if client < 0:
         raise ParameterError("PyBullet refused a connection" + (" with a window" if window else ""))
-    p.resetSimulation(p.RESET_USE_SIMPLE_BROADPHASE, physicsClientId=client)
+    clear(client)
     return client
+
+
+def clear(client: int) -> None:
+    """Empty a connection."""
+    p.resetSimulation(p.RESET_USE_SIMPLE_BROADPHASE, physicsClientId=client)
 
 
 def release(client: int, window: bool) -> None:
@@ -53,7 +58,7 @@ def release(client: int, window: bool) -> None:
     if window or len(_idle) >= _KEPT:
         p.disconnect(client)
     else:
-        p.resetSimulation(p.RESET_USE_SIMPLE_BROADPHASE, physicsClientId=client)
+        clear(client)
         _idle.append(client)
 
 

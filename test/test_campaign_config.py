@@ -16,7 +16,7 @@ from dextar_control.campaign.summary import MEASURES, Group
 from dextar_control.contract.errors import ParameterError
 
 ROOT = Path(__file__).resolve().parents[1]
-CAMPAIGNS = sorted((ROOT / "config").glob("campaign*.yaml"))
+CAMPAIGNS = sorted((ROOT / "config").glob("campaign*.yaml")) + [ROOT / "config" / "rig.yaml"]
 SMALL = ROOT / "config" / "campaign_small.yaml"
 
 

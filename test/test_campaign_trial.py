@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import inspect
+import math
+from dataclasses import fields
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dextar_control.campaign.design import CrossingPoint, Trial
 from dextar_control.campaign.ranges import PERTURBATIONS
-from dextar_control.campaign.trial import RIG_OPTIONS, run_trial, sample_points
+from dextar_control.campaign.trial import RIG_OPTIONS, build, known, run_trial, sample_points
 from dextar_control.contract.robot import RobotParameters
+from dextar_sim.effects import Effects
 from dextar_sim.rig import Rig
 
 LOST_ERROR = 0.1e-3  # m; the plan moves on by five times as much in a lost millisecond, the robot strays by less than half of it
@@ -32,8 +36,8 @@ def run(robot: RobotParameters, place: CrossingPoint, direction: int = 1, seed: 
 
 
 def test_each_perturbation_of_the_rig_reaches_it() -> None:
-    options = set(inspect.signature(Rig).parameters) & set(PERTURBATIONS)
-    assert options == {*RIG_OPTIONS, "encoder_resolution"}
+    options = ({*inspect.signature(Rig).parameters} | {field.name for field in fields(Effects)}) & set(PERTURBATIONS)
+    assert options == {*RIG_OPTIONS, "encoder_resolution", "cogging_periods"}
 
 
 def test_a_sample_that_is_lost_is_no_error_of_the_robot(robot: RobotParameters, place: CrossingPoint) -> None:
@@ -68,3 +72,45 @@ def test_a_row_repeats_bit_for_bit(robot: RobotParameters, place: CrossingPoint)
     assert {name: value for name, value in first.items() if name not in times} == {
         name: value for name, value in again.items() if name not in times
     }
+
+
+def test_the_true_robot_has_what_the_controller_knows_a_share_of(robot: RobotParameters) -> None:
+    perturbation = {
+        "belt": 200.0, "belt_damping": 0.1, "passive": 2e-3, "passive_modelled": 0.5, "coulomb": 0.04, "coulomb_modelled": 0.75,
+        "tilt": 0.1, "geometry_signs": 2e-4,
+    }  # fmt: skip
+    true = build(robot, perturbation, np.random.default_rng(0), np.random.default_rng(1))
+    leg, model = true.left, known(robot, perturbation)
+    assert (leg.transmission_stiffness, leg.passive_coulomb_friction, true.pin_coulomb_friction) == (200.0, 2e-3, 2e-3)
+    assert leg.transmission_damping == pytest.approx(0.2 * math.sqrt(200.0 * leg.rotor_inertia))
+    assert np.hypot(*true.gravity) == pytest.approx(9.81 * math.sin(0.1))
+    off = [leg.proximal_length - 0.09 for leg in true.legs] + [leg.distal_length - 0.09 for leg in true.legs]
+    off += np.subtract([leg.axis for leg in true.legs], [leg.axis for leg in robot.legs]).ravel().tolist()
+    assert np.abs(off) == pytest.approx(np.full(8, 2e-4), abs=1e-15) and 0 < np.sum(np.array(off) > 0.0) < 8
+    assert model == robot.replace(**{
+        "pin_coulomb_friction": 1e-3,
+        **{f"{side}.{key}": value for side in robot.sides for key, value in
+           (("passive_coulomb_friction", 1e-3), ("coulomb_friction", 0.03))},
+    })  # fmt: skip
+    assert known(robot, perturbation | {"belt_modelled": 1.0}).right.transmission_stiffness == 200.0
+
+
+@pytest.mark.parametrize("perturbation", [
+    {"belt": 1000.0}, {"coulomb": 0.02}, {"passive": 1e-3}, {"stamp_error": 1e-5}, {"payload": 0.02, "payload_time": 0.6},
+    {"push": 0.1}, {"push": 0.1, "push_across": 1.0}, {"cogging": 2e-3, "cogging_periods": 30.0},
+    {"link_encoder": 1.0, "belt": 500.0}, {"coulomb": 0.02, "coulomb_speed": 0.05},
+])  # fmt: skip
+def test_a_little_of_each_changes_a_trip_and_is_crossed(
+    robot: RobotParameters, place: CrossingPoint, perturbation: dict[str, float]
+) -> None:
+    plain, row = run(robot, place), run(robot, place, **perturbation)
+    assert row["success"], row["reason"]
+    assert row["max_error"] != plain["max_error"]
+    assert (row["held_wrong"], row["wrong_side_time"], row["stopped_after_crossing"]) == (False, 0.0, False)
+
+
+def test_a_blow_is_a_force_for_a_while_that_turns_the_robot_round(robot: RobotParameters) -> None:
+    place = sample_points(robot, 8, 0, 0)[5]
+    row = run(robot, place, bounce=1.0, blow=10.0, blow_duration=0.012)
+    assert row["crossed"] < 2
+    assert row["recognised"] is not None

@@ -13,6 +13,7 @@ from dextar_control.contract.errors import GeometryError, ParameterError, StateE
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_sim.cartesian import CartesianPlant
+from dextar_sim.effects import FRICTIONS, Effects
 from dextar_sim.plant import Plant
 from dextar_sim.state import PlantState
 
@@ -108,11 +109,12 @@ def test_both_plants_move_alike_through_the_locus(
     assert max(math.dist(first.x, second.x) for first, second in zip(*runs, strict=True)) < PYBULLET_ERROR
 
 
-def test_both_plants_lose_alike_to_friction_and_late_torque() -> None:
+@pytest.mark.parametrize("friction", FRICTIONS)
+def test_both_plants_lose_alike_to_friction_and_late_torque(friction: str) -> None:
     """A torque that comes two substeps of four late, on joints that rub."""
     robot = DEXTAR.replace(**{"left.viscous_friction": 1.0e-3, "right.coulomb_friction": 5.0e-3})
     ends = []
-    for plant in (Plant(robot), CartesianPlant(robot)):
+    for plant in (Plant(robot, effects=Effects(friction)), CartesianPlant(robot, effects=Effects(friction))):
         plant.reset((0.02, 0.105), (0.2, -0.15))
         for step in range(200):
             plant.step(wavy(step), wavy(step - 1), 2)
@@ -252,7 +254,7 @@ def test_torque_saturates_and_what_is_not_finite_is_refused() -> None:
     with pytest.raises(ParameterError, match="substeps"):
         CartesianPlant(DEXTAR, substeps=0)
     with pytest.raises(ParameterError, match="left joint friction"):
-        CartesianPlant(DEXTAR.replace(**{"left.coulomb_friction": 1.0}))
+        CartesianPlant(DEXTAR.replace(**{"left.coulomb_friction": 1.0}), effects=Effects("smooth"))
 
 
 @pytest.mark.parametrize("name", ["reset", "reset_joints", "step", "apply_impulse", "state", "close"])

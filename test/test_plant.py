@@ -14,6 +14,7 @@ from dextar_control.contract.errors import GeometryError, ParameterError, StateE
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_sim import urdf
+from dextar_sim.effects import Effects
 from dextar_sim.plant import Plant
 
 DEXTAR = load_robot(config_file("dextar.yaml"))
@@ -202,7 +203,7 @@ def test_mass_floor_of_massless_links_does_not_show(monkeypatch: pytest.MonkeyPa
 
 def test_friction_too_steep_for_the_substep_is_refused_with_the_remedy() -> None:
     with pytest.raises(ParameterError, match="left joint friction .* substeps must be >= "):
-        Plant(DEXTAR.replace(**{"left.coulomb_friction": 1.0}))
+        Plant(DEXTAR.replace(**{"left.coulomb_friction": 1.0}), effects=Effects("smooth"))
 
 
 @pytest.mark.parametrize(("options", "word"), [({"substeps": 0}, "substeps"), ({"period": 0.0}, "period")])

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -26,7 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import from_time, to_time
 from dextar_control.contract.node import make_executor, qos
-from dextar_control.contract.resources import config_file
+from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import (
     DIAGNOSTICS,
@@ -36,6 +37,7 @@ from dextar_control.contract.topics import (
     SIM_END_EFFECTOR,
     SIM_JOINT_STATES,
 )  # fmt: skip
+from dextar_sim.happenings import Happenings
 from dextar_sim.node import PlantNode
 from dextar_sim.plant import Plant
 
@@ -559,3 +561,30 @@ def test_a_step_that_is_refused_says_which_service_pauses(start: Callable[..., C
     commander = start(mode="realtime")
     answer = commander.call("step", Trigger)
     assert (answer.success, answer.message) == (False, "not paused; call /plant/pause with data true first")
+
+
+def test_a_plant_unlike_its_drawing_does_what_its_parameters_say(start: Callable[..., Commander]) -> None:
+    """Belt, offset, a push and a load, as the same plant in a loop; stamps that are wrong are answered all the same."""
+    stiffness = {"left.transmission_stiffness": 500.0, "right.transmission_stiffness": 500.0, "left.encoder_offset": 0.01}
+    given = {f"robot__{key.replace('.', '__')}": str(value) for key, value in stiffness.items()}
+    commander = lockstep_run(
+        start, 60, stamp_error="2.0e-4", encoder_resolution="0", push="[0.1, 0.2]", push_time="0.01", push_duration="0.02",
+        payload="0.05", payload_time="0.04", **given,
+    )  # fmt: skip
+    commander.until(lambda: len(commander.joints) >= 60)
+    times = np.array(stamps(commander.states[:60]))
+    off = times - PERIOD * np.arange(60)
+    assert np.diff(times).min() > 0 and 100_000 < np.abs(off).max() <= 200_000
+    plant = Plant(load_robot(config_file(ROBOT_FILE)).replace(**stiffness))
+    happenings = Happenings(push=(0.1, 0.2), push_time=0.01, push_duration=0.02, payload=0.05, payload_time=0.04)
+    plant.reset(node_defaults("plant", config_file(NODES_FILE))["task.start"])
+    for index, (state, joints) in enumerate(zip(commander.states[:60], commander.joints[:60], strict=True)):
+        if index:
+            happenings.before(1e-3 * (index - 1), plant)
+            plant.step(state.effort)
+        assert joints.header.stamp == state.header.stamp
+        assert joints.position.tolist() == pytest.approx(plant.state().joints.tolist(), abs=1e-9)
+        assert state.position.tolist() == pytest.approx(np.add(plant.encoded(), [0.01, 0.0]).tolist(), abs=1e-9)
+    plant.close()
+    commander.close()
+    assert commander.health.get("repeated_states", "0") == "0"

@@ -58,7 +58,7 @@ class Combination(_Section):
 
 
 class Default(_Section):
-    """The combination and the plant that the bars are for."""
+    """The combination and the plant that the bars are for; ``judged_plants`` names others, or more."""
 
     law: str
     estimator: str
@@ -98,6 +98,7 @@ class CampaignConfig(_Section):
     plants: list[str] = Field(min_length=1)
     combinations: list[Combination] = Field(min_length=1)
     default: Default
+    judged_plants: list[str] | None = Field(default=None, min_length=1)
     duration: float = Field(gt=0.0, le=60.0, allow_inf_nan=False)
     dwell: float = Field(ge=0.0, le=60.0, allow_inf_nan=False)
     repeat: int = Field(default=1, ge=1, le=1000)
@@ -131,6 +132,8 @@ class CampaignConfig(_Section):
                 _known(key, settings, "setting", where)
         laws = list(dict.fromkeys(combination.law for combination in self.combinations))
         estimators = list(dict.fromkeys(combination.estimator for combination in self.combinations))
+        for plant in self.judged_plants or []:
+            _known(plant, self.plants, "plant", "judged_plants: ")
         for name, case in self.cases.items():
             for chosen, known, what in (
                 (case.plants, self.plants, "plant"), (case.laws, laws, "law"), (case.estimators, estimators, "estimator"),

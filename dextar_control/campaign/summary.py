@@ -49,6 +49,10 @@ class Group:
     bounces: int  # rows that were made to bounce
     recognised: float  # share of them that was called a bounce
     false_alarms: float  # crossings called bounces, in all rows
+    wrong_crossed: float  # bounces called crossings, in all rows
+    held_wrong: float  # rows at whose end the robot is held on the wrong side
+    wrong_side_time: float  # s, the longest under a law on the wrong side
+    stopped_after_crossing: float  # rows
     recognition_delay: float  # s, the longest
     torque_after_bounce: float  # largest from a bounce on, over the planned peak
     safe_after: float  # share of the recognised bounces whose torque brakes or is gone in time
@@ -77,6 +81,10 @@ MEASURES = {
     "max_saturated": "saturated",
     "min_recognised": "recognised",
     "max_false_alarms": "false_alarms",
+    "max_wrong_crossed": "wrong_crossed",
+    "max_held_wrong": "held_wrong",
+    "max_wrong_side_time": "wrong_side_time",
+    "max_stopped_after_crossing": "stopped_after_crossing",
     "max_bounce_torque": "torque_after_bounce",
     "min_safe_after": "safe_after",
 }
@@ -96,7 +104,7 @@ def summarise(config: CampaignConfig, rows: Iterable[Row]) -> list[Group]:
                 if not found:
                     continue
                 group = _group(found)
-                if plant == config.default.plant and combination.name in (case.judged or [default]):
+                if plant in (config.judged_plants or [config.default.plant]) and combination.name in (case.judged or [default]):
                     verdicts = tuple(_verdict(group, bar, limit) for bar, limit in case.bars.items())
                     group = dataclasses.replace(group, judged=True, verdicts=verdicts)
                 groups.append(group)
@@ -129,7 +137,6 @@ def as_json(group: Group) -> dict[str, Any]:
 
 def _group(rows: list[Row]) -> Group:
     count = len(rows)
-    false_alarms = _numbers(rows, "false_alarms")
     saturated = _numbers(rows, "saturated")
     errors = _numbers(rows, "max_error")
     return Group(
@@ -150,7 +157,11 @@ def _group(rows: list[Row]) -> Group:
         saturated_rows=int(np.count_nonzero(saturated)),
         bounces=_numbers(rows, "recognised").size,
         recognised=_share(rows, "recognised"),
-        false_alarms=float(np.sum(false_alarms)) if false_alarms.size else math.nan,
+        false_alarms=_total(rows, "false_alarms"),
+        wrong_crossed=_total(rows, "missed_bounces"),
+        held_wrong=_total(rows, "held_wrong"),
+        wrong_side_time=_largest(_numbers(rows, "wrong_side_time")),
+        stopped_after_crossing=_total(rows, "stopped_after_crossing"),
         recognition_delay=_largest(_numbers(rows, "recognition_delay")),
         torque_after_bounce=_largest(_numbers(rows, "torque_after_bounce")),
         safe_after=_share(rows, "safe_after"),
@@ -170,6 +181,11 @@ def _numbers(rows: list[Row], name: str) -> np.ndarray:
 def _share(rows: list[Row], name: str) -> float:
     values = _numbers(rows, name)
     return float(values.mean()) if values.size else math.nan
+
+
+def _total(rows: list[Row], name: str) -> float:
+    values = _numbers(rows, name)
+    return float(values.sum()) if values.size else math.nan
 
 
 def _largest(values: np.ndarray) -> float:

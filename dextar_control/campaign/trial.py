@@ -41,18 +41,15 @@ BODIES = (
     "right.proximal_mass", "right.proximal_inertia", "right.distal_mass", "right.distal_inertia", "right.rotor_inertia",
     "end_effector_mass",
 )  # fmt: skip
+WEIGHT = 9.81  # m/s^2
+BELT_DAMPING = 0.05  # damping ratio of rotor and belt
+PUSH_DURATION, PUSH_BEFORE = 0.02, 0.03  # s; until the planned crossing
+CLEAR_S = 0.2  # |s| of the plan from which on a robot on the other side counts as on the wrong one
 LENGTHS = ("left.proximal_length", "left.distal_length", "right.proximal_length", "right.distal_length")
 RIG_OPTIONS = (
     "command_delay", "sample_loss", "jitter", "position_noise", "pose_rate", "pose_delay", "pose_noise", "pose_dropout",
+    "backlash", "cogging", "drive_lag", "torque_step", "payload", "payload_time", "eccentricity", "homing_error", "stamp_error",
 )  # fmt: skip
-
-
-class Built(NamedTuple):
-    """The true robot: its parameters, and where its base lies in the frame that the controller takes for its own."""
-
-    robot: RobotParameters
-    angle: float  # of its base line, rad
-    middle: Array  # (2,) of its motor axes, m
 
 
 def sample_points(robot: RobotParameters, count: int, folded: int, seed: int) -> list[CrossingPoint]:
@@ -69,11 +66,17 @@ def sample_points(robot: RobotParameters, count: int, folded: int, seed: int) ->
     ]
 
 
-def build(robot: RobotParameters, perturbation: Mapping[str, float], generator: np.random.Generator) -> Built:
+def build(
+    robot: RobotParameters, perturbation: Mapping[str, float], generator: np.random.Generator, sides: np.random.Generator
+) -> RobotParameters:
     """A robot as it was built and not as it was drawn.
 
     ``masses``: each mass and inertia is off by an evenly distributed share of up to this. ``geometry``: the four
-    lengths and both coordinates of both motor axes, eight numbers, are off by up to this, m.
+    lengths and both coordinates of both motor axes, eight numbers, are off by up to this, m. ``geometry_signs``: by this.
+
+    Args:
+        generator: of how far things are off.
+        sides: of the signs and directions of what is off by a given number.
     """
     changes: dict[str, Any] = {}
     flat = flatten(robot)
@@ -81,24 +84,44 @@ def build(robot: RobotParameters, perturbation: Mapping[str, float], generator: 
     for name, share in zip(BODIES, shares, strict=True):
         changes[name] = flat[name] * (1.0 + share)
     off = perturbation.get("geometry", 0.0) * generator.uniform(-1.0, 1.0, 8)
+    off += perturbation.get("geometry_signs", 0.0) * sides.choice((-1.0, 1.0), 8)
     for name, shift in zip(LENGTHS, off[:4], strict=True):
         changes[name] = flat[name] + shift
-    half = 0.5 * robot.base_distance
-    left, right = np.array([-half, 0.0]) + off[4:6], np.array([half, 0.0]) + off[6:8]
-    across = right - left
-    changes["base_distance"] = float(np.hypot(*across))
-    for side in ("left", "right"):
-        if "coulomb" in perturbation:
-            changes[f"{side}.coulomb_friction"] = perturbation["coulomb"]
-    return Built(robot.replace(**changes), math.atan2(across[1], across[0]), 0.5 * (left + right))
+    for side, leg, shift in zip(robot.sides, robot.legs, (off[4:6], off[6:8]), strict=True):
+        if shift.any():
+            changes[f"{side}.axis"] = tuple((np.array(leg.axis) + shift).tolist())
+    if tilt := perturbation.get("tilt"):
+        way, pull = sides.uniform(0.0, 2.0 * math.pi), WEIGHT * math.sin(tilt)
+        changes["gravity"] = (robot.gravity[0] + pull * math.cos(way), robot.gravity[1] + pull * math.sin(way))
+    if speed := perturbation.get("coulomb_speed"):
+        changes["coulomb_speed"] = speed
+    return robot.replace(**changes, **_friction_and_belt(robot, perturbation, 1.0, 1.0, belt=True))
 
 
 def known(robot: RobotParameters, perturbation: Mapping[str, float]) -> RobotParameters:
-    """The controller's model: of the perturbation it knows the modelled share of the friction."""
-    if "coulomb" not in perturbation:
-        return robot
-    modelled = perturbation["coulomb"] * perturbation.get("coulomb_modelled", 0.0)
-    return robot.replace(**{f"{side}.coulomb_friction": modelled for side in ("left", "right")})
+    """The controller's model: of the perturbation it knows the modelled share of the friction, and perhaps the belt."""
+    changes = _friction_and_belt(
+        robot, perturbation, perturbation.get("coulomb_modelled", 0.0), perturbation.get("passive_modelled", 0.0),
+        belt=bool(perturbation.get("belt_modelled")),
+    )  # fmt: skip
+    return robot.replace(**changes) if changes else robot
+
+
+def _friction_and_belt(
+    robot: RobotParameters, perturbation: Mapping[str, float], coulomb: float, passive: float, *, belt: bool
+) -> dict[str, Any]:
+    """Of the perturbation, with these shares of the friction."""
+    changes: dict[str, Any] = {}
+    for side, leg in zip(robot.sides, robot.legs, strict=True):
+        if "coulomb" in perturbation:
+            changes[f"{side}.coulomb_friction"] = coulomb * perturbation["coulomb"]
+        if "passive" in perturbation:
+            changes[f"{side}.passive_coulomb_friction"] = changes["pin_coulomb_friction"] = passive * perturbation["passive"]
+        if belt and perturbation.get("belt"):
+            stiffness, ratio = perturbation["belt"], perturbation.get("belt_damping", BELT_DAMPING)
+            changes[f"{side}.transmission_stiffness"] = stiffness
+            changes[f"{side}.transmission_damping"] = 2.0 * ratio * math.sqrt(stiffness * leg.rotor_inertia)
+    return changes
 
 
 def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
@@ -137,24 +160,30 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: Callable[..., Any]) -> 
     planning = time.perf_counter() - begin
     begin, begin_cpu = time.perf_counter(), time.process_time()
     perturbation = dict(trial.perturbation)
-    generator = np.random.default_rng(trial.seed)
+    generator, sides = np.random.default_rng(trial.seed), np.random.default_rng([trial.seed, 1])
     robot = robot.replace(working_mode=trial.working_mode)
-    built = build(robot, perturbation, generator)
+    built = build(robot, perturbation, generator, sides)
     loop = ControlLoop(
         known(robot, perturbation),
         default_settings(**{"law": trial.law, "estimator": trial.estimator, **trial.settings}),
         -trial.direction,
     )
-    options = {name: perturbation[name] for name in RIG_OPTIONS if name in perturbation}
+    options: dict[str, Any] = {name: perturbation[name] for name in RIG_OPTIONS if name in perturbation}
     if "encoder_resolution" in perturbation:
         options["encoder_resolution"] = int(perturbation["encoder_resolution"])
-    plant = rig(built.robot, plant=trial.plant, seed=trial.seed, **options)
+    if "cogging_periods" in perturbation:
+        options["cogging_periods"] = int(perturbation["cogging_periods"])
+    if perturbation.get("coulomb_speed"):
+        options["friction"] = "smooth"
+    if perturbation.get("link_encoder"):
+        options["encoder_at"] = "link"
+    plant = rig(built, plant=trial.plant, seed=trial.seed, **options)
     gc.disable()  # a row makes no cycles, and its log is long
     try:
         # What the planner certified is certified anew only for another model of the robot.
         certificate = plan.certificate if loop.robot == robot else loop.check(plan.trajectory)
-        strike = _strike_of(loop, plan, generator) if perturbation.get("bounce") else None
-        log = _drive(loop, plan, certificate, plant, built, strike)
+        strike = _strike_of(loop, plan, perturbation, generator, sides)
+        log = _drive(loop, plan, certificate, plant, strike)
         saturated_drives = plant.saturated
     except DextarError as error:
         return {"planned": True, "success": False, "reason": str(error), "wall_time": time.perf_counter() - begin}
@@ -172,10 +201,11 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: Callable[..., Any]) -> 
 
 
 class Strike(NamedTuple):
-    """A blow that sends the robot back."""
+    """A blow, or a push: a blow in each of several periods."""
 
     time: float  # s
-    impulse: Array  # (2,) N s
+    impulse: Array  # (2,) N s, of a blow, N of a push
+    duration: float = 0.0  # s; 0 is one blow
 
 
 class Log(NamedTuple):
@@ -187,54 +217,65 @@ class Log(NamedTuple):
     tau: Array  # (m, 2) commanded, N m
     power: Array  # (m,) of the commanded torques, W
     s: Array  # (m,) true
+    s_ref: Array  # (m,) of the plan
     limp: Array  # (m,) no law acts
     strike: float  # s; nan without
 
 
-def _strike_of(loop: ControlLoop, plan: Plan, generator: np.random.Generator) -> Strike:
-    """A blow that turns the motion at the first crossing round.
+def _strike_of(
+    loop: ControlLoop, plan: Plan, perturbation: Mapping[str, float], generator: np.random.Generator, sides: np.random.Generator
+) -> Strike | None:
+    """What hits the robot at the first crossing, if anything does.
 
-    Of the planned velocity it is the part along t_s, which the joints do not show, where the distal links are
-    stretched; where they are folded, and t_s leads along the locus, all of it.
+    A push acts along t_s, or across it. A bounce turns the motion round: of the planned velocity the part along t_s, which the
+    joints do not show, where the distal links are stretched; where they are folded, and t_s leads along the locus, all of it.
     """
     crossing = float(plan.certificate.crossing_times[0])
+    if perturbation.get("push"):
+        along = loop.model.place(plan.trajectory.at(crossing).x).t_s * sides.choice((-1.0, 1.0))
+        along = np.array([-along[1], along[0]]) if perturbation.get("push_across") else along
+        begin = crossing - perturbation.get("push_before", PUSH_BEFORE)
+        return Strike(begin, perturbation["push"] * along, perturbation.get("push_duration", PUSH_DURATION))
+    if not perturbation.get("bounce"):
+        return None
     moment = round((crossing + generator.uniform(-STRIKE_SPREAD, STRIKE_SPREAD)) * 1000.0) / 1000.0
     point = plan.trajectory.at(moment)
     place = loop.model.place(point.x)
     turned = point.x_dot
     if place.A_r[0] @ place.A_r[1] < 0.0:
         turned = (place.t_s @ point.x_dot) * place.t_s
+    if perturbation.get("blow"):
+        duration = perturbation.get("blow_duration", PUSH_DURATION)
+        return Strike(moment - duration, -perturbation["blow"] * turned / np.linalg.norm(turned), duration)
     mass = loop.model.platform_dynamics(place.q_a, point.x, point.x_dot, np.zeros(2)).M
     return Strike(moment, -(1.0 + generator.uniform(*RESTITUTION)) * (mass @ turned))
 
 
-def _drive(
-    loop: ControlLoop, plan: Plan, certificate: Certificate, rig: Any, built: Built, strike: Strike | None
-) -> Log:
+def _drive(loop: ControlLoop, plan: Plan, certificate: Certificate, rig: Any, strike: Strike | None) -> Log:
     start = plan.trajectory.at(0.0).x
     place = loop.model.place(start)
-    rig.reset_joints(place.q_a - built.angle, round(np.sign(place.s[0])))
+    rig.reset_joints(place.q_a, round(np.sign(place.s[0])))
     loop.schedule(plan.trajectory, certificate)
-    cosine, sine = math.cos(built.angle), math.sin(built.angle)
-    turn = np.array([[cosine, -sine], [sine, cosine]])
     period = rig.period
     count = round((plan.trajectory.duration + SETTLE) / period)
     states, x_refs, taus, limp = [], [], [], []
     x_ref, tau, began = start, np.zeros(2), math.nan
-    blow, impulse = (-1, np.zeros(2)) if strike is None else (round(strike.time / period), turn.T @ strike.impulse)
+    first, last, impulse = 0, 0, np.zeros(2)
+    if strike is not None:
+        first = round(strike.time / period)
+        last = first + max(round(strike.duration / period), 1)
+        impulse = strike.impulse * (period if strike.duration else 1.0)
     for index in range(count):
         sample, truth = rig.read(), rig.truth()
         if sample is not None:
-            pose = None
-            if sample.pose is not None:
-                pose = Pose(sample.pose.time, turn @ sample.pose.x + built.middle)
-            tau = loop.step(sample.time, sample.q_a + built.angle, pose)
+            pose = None if sample.pose is None else Pose(sample.pose.time, sample.pose.x)
+            tau = loop.step(sample.time, sample.q_a, pose)
             x_ref = loop.tick.x_ref if loop.tick is not None else start
             began = sample.time if math.isnan(began) else began
         limp.append(loop.phase in LIMP)
         if (sample is None or limp[index]) and began <= index * period:  # the trip goes on without sample or robot
             x_ref = plan.trajectory.at(index * period - began).x
-        if index == blow:
+        if first <= index < last:
             rig.strike(impulse)
         states.append(truth.numbers)
         x_refs.append(x_ref)
@@ -244,11 +285,12 @@ def _drive(
     joints, x, q_a_dot = (numbers[:, truth.layout.places[name][0]] for name in ("joints", "x", "q_a_dot"))
     return Log(
         time=np.arange(count) * period,
-        x=x @ turn.T + built.middle,
+        x=x,
         x_ref=np.array(x_refs),
         tau=tau_log,
         power=(tau_log * q_a_dot).sum(axis=1),
         s=np.sin(joints[:, 2] + joints[:, 3] - joints[:, 0] - joints[:, 1]),
+        s_ref=np.interp(np.arange(count) * period - began, certificate.profile.time, certificate.profile.s.reshape(-1)),
         limp=np.array(limp),
         strike=math.nan if strike is None else strike.time,
     )
@@ -275,6 +317,7 @@ def _judge(loop: ControlLoop, log: Log, bounced: bool) -> dict[str, float | int 
     verdicts = [passed.verdict for passed in loop.passed]
     truths = [_on_side(log, passed.time, sign) for passed, sign in zip(loop.passed, certificate.crossing_signs, strict=True)]
     near = np.abs(log.s) < NEAR
+    wrong = np.logical_not(log.limp) & (np.abs(log.s_ref) > CLEAR_S) & (log.s * log.s_ref < 0.0)
     planned = certificate.peak_torque
     reason = _reason(loop, crossed, error)
     row: dict[str, float | int | str | bool | None] = {
@@ -297,6 +340,9 @@ def _judge(loop: ControlLoop, log: Log, bounced: bool) -> dict[str, float | int 
         "called_undecided": count - verdicts.count(Verdict.CROSSED) - verdicts.count(Verdict.BOUNCED),
         "false_alarms": sum(v is Verdict.BOUNCED and was for v, was in zip(verdicts, truths, strict=True)),
         "missed_bounces": sum(v is Verdict.CROSSED and not was for v, was in zip(verdicts, truths, strict=True)),
+        "held_wrong": loop.phase is Phase.HOLD and bool(log.s[-1] * log.s_ref[-1] < 0.0),
+        "wrong_side_time": float(wrong.sum() * (log.time[1] - log.time[0])),
+        "stopped_after_crossing": crossed[0] and loop.phase in LIMP,
         "recognised": None,
     }
     return row | _bounce(loop, log, crossed[0], truths[0], planned) if bounced else row

@@ -208,7 +208,9 @@ ROBOT_KEYS = ["name", "base_distance"] + [
 ]
 _UNSAID: dict[str, float] = {
     **{f"{side}.{bound}_angle": sign * math.pi for side in ("left", "right") for bound, sign in (("min", -1.0), ("max", 1.0))},
-    **{f"{side}.{key}": 0.0 for side in ("left", "right") for key in _LEG_KEYS[-5:]},
+    **{f"{side}.{key}": 0.0 for side in ("left", "right")
+       for key in ("encoder_offset", "transmission_stiffness", "transmission_damping", "passive_viscous_friction",
+                   "passive_coulomb_friction")},
     "pin_viscous_friction": 0.0, "pin_coulomb_friction": 0.0,
 }  # what a description need not say: no range, offset, compliance or passive friction
 

@@ -1,0 +1,52 @@
+"""What happens to a robot on its way: a load that it takes up, and a push."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from dextar_control.contract.errors import ParameterError
+from dextar_sim.state import AnyPlant
+
+
+class Happenings:
+    """Of one run; a reset begins it anew, without the load.
+
+    Args:
+        payload: mass at the end effector, kg.
+        payload_time: from which on it is there, s.
+        push: force on the end effector, (2,) N.
+        push_time: at which it begins, s.
+        push_duration: for which it acts, s.
+
+    Raises:
+        ParameterError: a value is out of its range.
+    """
+
+    def __init__(
+        self, *, payload: float = 0.0, payload_time: float = 0.0, push: Sequence[float] = (0.0, 0.0), push_time: float = 0.0,
+        push_duration: float = 0.0,
+    ) -> None:  # fmt: skip
+        for name, value in (("payload", payload), ("payload_time", payload_time), ("push_time", push_time),
+                            ("push_duration", push_duration)):  # fmt: skip
+            if not (value >= 0.0 and math.isfinite(value)):
+                raise ParameterError(f"{name} = {value}; it must be >= 0")
+        if not all(map(math.isfinite, push)):
+            raise ParameterError(f"push = {list(push)} N; it must be finite")
+        self._payload, self._from = payload, payload_time
+        self._push, self._begin, self._end = push, push_time, push_time + (push_duration if any(push) else 0.0)
+        self._carried = 0.0
+
+    def reset(self, plant: AnyPlant) -> None:
+        """Take the load off again."""
+        if self._carried:
+            plant.take_up(-self._carried)
+        self._carried = 0.0
+
+    def before(self, time: float, plant: AnyPlant) -> None:
+        """What begins or goes on in the period after ``time``, s."""
+        if self._payload > self._carried and time >= self._from - 0.5 * plant.period:
+            plant.take_up(self._payload)
+            self._carried = self._payload
+        if self._begin - 0.5 * plant.period <= time < self._end - 0.5 * plant.period:
+            plant.apply_impulse([plant.period * force for force in self._push])
