@@ -332,8 +332,8 @@ def _check_explained(found: Fit, gaps: Array) -> None:
         raise CalibrationError(
             f"no geometry explains the recordings: {used} of {count} crossings agree, with gaps of {1e6 * rms:.0f} um RMS;"
             f" {LEAST_USED:.0%} have to, with {1e6 * MOST_GAP:.0f} um at most:"
-            f" {_encoders(found) or 'encoders that slip, play, links that bend, or a bag of another robot look like this'}. Nothing"
-            " was written"
+            f" {_encoders(found) or 'encoders that slip, play, links that bend, or a bag of another robot look like this'}."
+            " Nothing was written"
         )
 
 
