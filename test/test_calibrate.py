@@ -143,15 +143,15 @@ def test_a_tour_that_the_robot_was_driven_through_calibrates_it() -> None:
 def driven(numbers: np.ndarray) -> np.ndarray:
     """What the encoders read while the controller drives a robot through the tour that it takes for the described one."""
     loop = ControlLoop(ROBOT, default_settings(), -int(tour().certificate.crossing_signs[0]))
-    rig = Rig(described(ROBOT, numbers), plant="cartesian", encoder_resolution=0)
+    rig = Rig(described(ROBOT, numbers), plant="cartesian", encoder_resolution=FINE)
     start = loop.model.place(tour().trajectory.at(0.0).x)
     rig.reset_joints(start.q_a, round(np.sign(start.s[0])))
     loop.schedule(tour().trajectory, tour().certificate)
-    rows, count = [], 2.0 * np.pi / FINE
+    rows = []
     for _ in range(len(path())):
         sample = rig.read()
-        rows.append(np.round((sample.q_a + numbers[OFFSETS]) / count) * count)
-        rig.write(loop.step(sample.time, rows[-1]))
+        rows.append(sample.q_a)
+        rig.write(loop.step(sample.time, sample.q_a))
     rig.close()
     return np.array(rows)
 
