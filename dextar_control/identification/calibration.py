@@ -331,7 +331,8 @@ def _check_explained(found: Fit, gaps: Array) -> None:
     if count and (used < LEAST_USED * count or rms > MOST_GAP or none_spare):
         raise CalibrationError(
             f"no geometry explains the recordings: {used} of {count} crossings agree"
-            f"{f', with gaps of {1e6 * rms:.0f} um RMS' if used else ''}; {LEAST_USED:.0%} have to, with {1e6 * MOST_GAP:.0f} um at most:"
+            f"{f', with gaps of {1e6 * rms:.0f} um RMS' if used else ''}; {LEAST_USED:.0%} have to, with {1e6 * MOST_GAP:.0f} um"
+            " at most:"
             f" {_encoders(found) or 'encoders that slip, play, links that bend, or a bag of another robot look like this'}."
             " Nothing was written"
         )
