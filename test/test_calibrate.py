@@ -254,6 +254,7 @@ def slipped(readings: np.ndarray) -> np.ndarray:
         (lambda: run_of(read(NOMINAL, path()), path() + 0.008), "put left.axis.x .8.* mm from the description"),
         (lambda: run_of(read(NOMINAL, path()), path(), noise=0.02), "external poses scatter"),
         (lambda: run_of(read(NOMINAL, path()), robot=None), "does not say which robot"),
+        (lambda: run_of(read(NOMINAL, path()[:50]) * [1.0, np.nan]), "0 joint states have both angles"),
     ],
 )
 def test_what_a_bag_cannot_tell_is_refused_with_what_to_do(run: Any, words: str) -> None:

@@ -122,10 +122,16 @@ class Calibration:
 
 
 def recording_of(linkage: Linkage, robot: RobotParameters, run: Run, bag: int = 0) -> Recording:
-    """What a bag says by its encoders, and by a camera if there was one."""
+    """What a bag says by its encoders, and by a camera if there was one.
+
+    Raises:
+        CalibrationError: it has no two states of both joints.
+    """
     seconds = (run.states.stamps - run.states.stamps[0]) * 1e-9
     known = np.isfinite(run.states.position).all(axis=1)
     time, readings = seconds[known], run.states.position[known]
+    if len(time) < 2:
+        raise CalibrationError(f"{run.path}: {len(time)} joint states have both angles; {RECORD}")
     numbers = numbers_of(robot)
     distance = np.hypot(*linkage.elbows(numbers, readings).between.T)
     places = None
@@ -201,10 +207,10 @@ def write_robot(calibration: Calibration, file: Path) -> None:
     lines = [
         f"The robot '{calibration.after.name}', its geometry calibrated by {int(calibration.fit.used.sum())} crossings of"
         f" {', '.join(str(recording.path) for recording in calibration.recordings)}.",
-        *(f"{in_words(quantity)}" for quantity in calibration.quantities),
+        *map(in_words, calibration.quantities),
         *calibration.kept,
     ]
-    file.write_text("".join(f"# {line}\n" for line in lines) + robot_text(flat), encoding="utf-8")
+    file.write_text("".join(f"# {' '.join(line.split())}\n" for line in lines) + robot_text(flat), encoding="utf-8")
 
 
 def in_words(quantity: Quantity) -> str:
