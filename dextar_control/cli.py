@@ -10,6 +10,7 @@ import sys
 from dextar_control.commands import (
     analyze,
     bench,
+    calibrate,
     campaign,
     check_rig,
     compare,
@@ -29,6 +30,7 @@ COMMANDS = {
     "replay": replay,
     "export": export,
     "recover": recover,
+    "calibrate": calibrate,
     "campaign": campaign,
     "faults": faults,
     "check-rig": check_rig,

@@ -22,6 +22,7 @@ from dextar_control.analysis.run import (
     Floats,
     Hole,
     Joints,
+    Poses,
     RecordedTopic,
     Run,
     Served,
@@ -54,6 +55,7 @@ _CONTROL_NAMES = [
     *(f"points.{point}.{kind}.{axis}" for point, kinds in enumerate(_POINT_FIELDS) for kind in kinds
       for axis in range(len(topics.PLATFORM_NAMES))),
 ]  # fmt: skip
+_POSE_NAMES = ["pose.position.x", "pose.position.y"]
 _MOTION_NAMES = ["pose.pose.position.x", "pose.pose.position.y", "twist.twist.linear.x", "twist.twist.linear.y"]
 
 
@@ -188,6 +190,7 @@ def _run(
         control=control,
         criterion=criterion,
         truth=truth,
+        poses=_poses(of(topics.EXTERNAL_POSE), steady),
         holes=_holes(bag, states, answers),
         trajectory=trajectory,
         diagnostics=diagnostics,
@@ -256,6 +259,7 @@ def _last_statuses(newest: Iterable[Any]) -> list[Any]:
 COLUMNS: dict[str, Columns] = {
     topics.JOINT_STATES.type: _joint_paths,
     topics.CONTROLLER_STATE.type: _control_paths,
+    topics.EXTERNAL_POSE.type: lambda message: dict(zip(_POSE_NAMES, _POSE_NAMES, strict=True)) if _in_base(message) else {},
     topics.SIM_END_EFFECTOR.type: lambda _: dict(zip(_MOTION_NAMES, _MOTION_NAMES, strict=True)),
 }
 SELECT: dict[str, Select] = {topics.TRAJECTORY.type: _served, topics.DIAGNOSTICS.type: _last_statuses}
@@ -320,6 +324,16 @@ def _truth(platform: Series, joints: Series, steady: Steady | None) -> Truth | N
         return None
     x, x_dot = motion.values[rows, 0:2], motion.values[rows, 2:4]
     return Truth(common, x, x_dot, active.position[joint_rows])
+
+
+def _in_base(message: Any) -> bool:
+    return bool(message.header.frame_id == topics.BASE_FRAME)
+
+
+def _poses(series: Series, steady: Steady | None) -> Poses | None:
+    table = series.table(_POSE_NAMES, steady)
+    seen = np.isfinite(table.values).all(axis=1)
+    return Poses(table.stamps[seen], table.values[seen]) if seen.any() else None
 
 
 def _trajectory(series: Series) -> Served | None:

@@ -105,6 +105,19 @@ class Truth:
 
 
 @dataclass(frozen=True)
+class Poses:
+    """External measurements of the end effector, in the base frame.
+
+    Attributes:
+        stamps: (n,) ns, when they were true.
+        x: (n, 2) m.
+    """
+
+    stamps: Stamps
+    x: Floats
+
+
+@dataclass(frozen=True)
 class Served:
     """The trajectory as it was served.
 
@@ -181,6 +194,7 @@ class Run:
 
     Attributes:
         truth: None in a rig's bag.
+        poses: None where none was recorded.
         trajectory: the last one served with points, or None.
         diagnostics: per node name, the keys of its last status, with ``level`` (int) and ``message``.
         parameters: per node name, its parameters.
@@ -214,3 +228,4 @@ class Run:
     unreadable: dict[str, Unreadable] = field(default_factory=dict)
     stamp_steps: list[float] = field(default_factory=list)
     clock_steps: list[float] = field(default_factory=list)
+    poses: Poses | None = None

@@ -27,6 +27,7 @@ from bokeh.models import (
 )
 from bokeh.models.annotations import Span
 from bokeh.plotting import figure
+from numpy.typing import NDArray
 
 from dextar_control.analysis.curves import Curve, Panel
 from dextar_control.analysis.metrics import Metrics
@@ -178,6 +179,23 @@ def histogram(values: Floats, label: str, unit: float = 1e6) -> Any:
     for percent, dash in ((50.0, "solid"), (99.0, "dashed")):
         place = float(np.percentile(good, percent))
         axes.add_layout(Span(location=place, dimension="height", line_color=BLACK, line_dash=dash, line_width=1.5))
+    return axes
+
+
+def residuals(values: Floats, deviations: Floats, used: NDArray[np.bool_], label: str, name: str) -> Any:
+    """What is left of some observations (n,), by number, two standard deviations (n,) either way; those used set the scale."""
+    numbers = np.arange(1, len(values) + 1)
+    axes = _axes(label, HEIGHT + LAST, DataRange1d())
+    axes.xaxis.axis_label = name
+    axes.add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_width=1))
+    low, high = values - 2.0 * deviations, values + 2.0 * deviations
+    axes.segment(numbers, low, numbers, high, line_color=BLACK)
+    for counts, marker in ((True, "square"), (False, "x")):
+        rows = used == counts
+        axes.scatter(numbers[rows], values[rows], marker=marker, size=7, color=BLACK if counts else ACCENT)
+    if used.any():
+        rest = 0.1 * float(np.ptp(np.concatenate([low[used], high[used], [0.0]])))
+        axes.y_range = Range1d(start=min(0.0, float(low[used].min())) - rest, end=max(0.0, float(high[used].max())) + rest)
     return axes
 
 

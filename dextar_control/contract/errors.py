@@ -29,3 +29,7 @@ class BagError(DextarError):
 
 class CampaignError(DextarError):
     """A campaign's folder, workers or scheduler cannot be used."""
+
+
+class CalibrationError(DextarError):
+    """Recordings do not tell what was asked of them, or contradict it."""

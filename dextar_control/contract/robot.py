@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dextar_control.contract.errors import ParameterError, StateError
-from dextar_control.contract.yaml_text import load_parameters
+from dextar_control.contract.yaml_text import dump_document, load_parameters
 
 PREFIX = "robot."  # of the robot's parameters in a node
 JOINT_NAMES = ("q11", "q21")
@@ -299,3 +299,15 @@ def load_robot(path: str | Path) -> RobotParameters:
         return from_flat(flat)
     except ParameterError as error:
         raise ParameterError(f"robot file {path}: {error}") from error
+
+
+def robot_text(flat: Mapping[str, Any]) -> str:
+    """A robot's dotted keys as the ROS 2 parameter file that ``load_robot`` reads."""
+    nested: dict[str, Any] = {}
+    for name, value in flat.items():
+        *groups, last = name.split(".")
+        place = nested
+        for group in groups:
+            place = place.setdefault(group, {})
+        place[last] = list(value) if isinstance(value, tuple) else value
+    return dump_document({"/**": {"ros__parameters": {"robot": nested}}})

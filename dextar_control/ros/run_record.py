@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from dextar_control.contract.yaml_text import dump_document
+from dextar_control.contract.robot import robot_text
 
 METADATA_NAME = "dextar"
 MAX_CHANGES = 1000  # live parameter changes that are listed
@@ -98,14 +98,7 @@ def robot_file(parameters: Mapping[str, Mapping[str, Any]]) -> str:
         flat = {name.removeprefix("robot."): value for name, value in parameters.get(node, {}).items()
                 if name.startswith("robot.")}  # fmt: skip
         if flat:
-            nested: dict[str, Any] = {}
-            for name, value in flat.items():
-                *groups, last = name.split(".")
-                place = nested
-                for group in groups:
-                    place = place.setdefault(group, {})
-                place[last] = plain(value)
-            return dump_document({"/**": {"ros__parameters": {"robot": nested}}})
+            return robot_text({name: plain(value) for name, value in flat.items()})
     return ""
 
 

@@ -1,0 +1,1 @@
+"""A robot's own numbers from what it recorded of itself."""

@@ -1,0 +1,384 @@
+"""From recordings to a robot's own geometry: what they tell of it, what they do not, and whether they explain each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dextar_control.analysis.run import Run
+from dextar_control.contract.errors import CalibrationError
+from dextar_control.contract.robot import RobotParameters, flatten, robot_text
+from dextar_control.identification.fit import EVERY, Direction, Fit, Places, directions_of, fit
+from dextar_control.identification.folds import Fold, find_folds, touch
+from dextar_control.identification.linkage import NAMES, PER_TURN, Linkage, described, numbers_of
+from dextar_control.mechanisms.five_bar_locus import SIDES
+from dextar_control.symbols.types import Array
+
+SPARE = 2  # folds beyond the number of quantities that they are to tell
+LEAST_SPAN = 0.05  # rad, that each joint has to move
+WIDEST = {"m": 3e-4, "rad": 3e-3}  # standard deviation of a quantity beyond which a recording does not tell it
+MOST_MOVED = {"m": 5e-3, "rad": 0.1}  # from the description, beyond which the two contradict each other
+MOST_GAP = 1.5e-4  # m, RMS of the folds' gaps, without errors of the encoders, beyond which the numbers do not explain them
+MOST_PLACE_NOISE = 5e-3  # m, of a seen coordinate, likewise
+SUSPICIOUS = 1e-3  # rad, of an encoder's error once a turn that is said where nothing else is told
+LEAST_USED = 2.0 / 3.0  # of the folds
+POSE_GAP = 5e-3  # s between two joint states, beyond which no reading is known between them
+FEWEST_PLACES = 50
+UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}  # in which people read them
+RECORD = (
+    "record crossings spread over the locus: dextar demo --lockstep --tour 12 (on a rig the task tour:=12), also in other"
+    " working modes; several bags are taken together"
+)
+Progress = Callable[[str], None]
+
+
+class Recording(NamedTuple):
+    """What a calibration takes of a bag.
+
+    Attributes:
+        path: of the bag.
+        folds: in order of time; their times are s since the first state.
+        places: of the end effector; None where none was seen.
+        extremes: (2,) least and largest distance of the elbows by the description, m.
+        spans: (2,) of the encoders' readings, rad.
+    """
+
+    path: Path
+    folds: list[Fold]
+    places: Places | None
+    extremes: Array
+    spans: Array
+
+
+class Quantity(NamedTuple):
+    """One number, before and after.
+
+    Attributes:
+        name, unit: of the description.
+        before, after: m or rad.
+        deviation: standard; 0 of a number that was kept.
+    """
+
+    name: str
+    unit: str
+    before: float
+    after: float
+    deviation: float
+
+
+class Prediction(NamedTuple):
+    """How numbers explain a recording that did not serve to find them.
+
+    Attributes:
+        path: of the bag.
+        folds: how many there are.
+        before, after: RMS of the folds' gaps by the description and by what was found, m; of those that count.
+        places_before, places_after: RMS of the closures' gaps at the places of the end effector, m; nan without.
+    """
+
+    path: Path
+    folds: int
+    before: float
+    after: float
+    places_before: float
+    places_after: float
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What recordings tell of a robot's geometry.
+
+    Attributes:
+        before, after: the descriptions.
+        recordings: that served.
+        folds: of all of them.
+        gaps_before, gaps_after: of the folds by both descriptions, m.
+        fit: what was found.
+        kept: in words, what the recordings do not tell, with its number.
+    """
+
+    before: RobotParameters
+    after: RobotParameters
+    recordings: list[Recording]
+    folds: list[Fold]
+    gaps_before: Array
+    gaps_after: Array
+    fit: Fit
+    kept: list[str]
+
+    @property
+    def quantities(self) -> list[Quantity]:
+        """The description's geometry, number by number."""
+        before, after = numbers_of(self.before), self.fit.numbers
+        deviations = np.sqrt(np.maximum(np.diag(self.fit.covariance), 0.0))
+        return [
+            Quantity(one.name, one.unit, *(float(row[NAMES.index(one.name)]) for row in (before, after, deviations)))
+            for one in EVERY
+        ]
+
+
+def recording_of(linkage: Linkage, robot: RobotParameters, run: Run, bag: int = 0) -> Recording:
+    """What a bag says by its encoders, and by a camera if there was one.
+
+    Raises:
+        CalibrationError: it has no two states of both joints.
+    """
+    seconds = (run.states.stamps - run.states.stamps[0]) * 1e-9
+    known = np.isfinite(run.states.position).all(axis=1)
+    time, readings = seconds[known], run.states.position[known]
+    if len(time) < 2:
+        raise CalibrationError(f"{run.path}: {len(time)} joint states have both angles; {RECORD}")
+    numbers = numbers_of(robot)
+    distance = np.hypot(*linkage.elbows(numbers, readings).between.T)
+    places = None
+    if run.poses is not None:
+        seen = (run.poses.stamps - run.states.stamps[0]) * 1e-9
+        after = np.clip(np.searchsorted(time, seen), 1, len(time) - 1)
+        good = (time[after] - time[after - 1] <= POSE_GAP) & (seen >= time[0]) & (seen <= time[-1])
+        if good.sum() >= FEWEST_PLACES:
+            places = Places(
+                np.column_stack([np.interp(seen[good], time, column) for column in readings.T]), run.poses.x[good]
+            )
+    return Recording(
+        run.path, find_folds(linkage, numbers, run.robot.working_mode if run.robot else robot.working_mode, time, readings, bag),
+        places, np.array([distance.min(), distance.max()]), np.ptp(readings, axis=0),
+    )  # fmt: skip
+
+
+def calibrate(runs: Sequence[Run], *, poses: bool = True, progress: Progress = lambda stage: None) -> Calibration:
+    """A robot's geometry from recorded runs of it.
+
+    Args:
+        runs: with crossings, of one robot, whose description each of them has.
+        poses: use the external poses, if there are any.
+        progress: told what is being done.
+
+    Raises:
+        CalibrationError: the recordings cannot tell what is looked for, contradict each other or the description.
+    """
+    robot = _common_robot(runs)
+    linkage, numbers = Linkage(), numbers_of(robot)
+    progress("looking for folds of the joints' motion")
+    recordings = [recording_of(linkage, robot, run, bag) for bag, run in enumerate(runs)]
+    folds = [fold for recording in recordings for fold in recording.folds]
+    seen = [recording.places for recording in recordings if recording.places is not None] if poses else []
+    places = Places(*(np.concatenate(parts) for parts in zip(*seen, strict=True))) if seen else None
+    wanted = directions_of(folds, places)
+    _check_enough(recordings, folds, wanted, places)
+    progress(f"fitting {len(wanted)} quantities to {len(folds)} folds")
+    found = fit(linkage, numbers, folds, places, wanted)
+    centred = np.where([name.endswith(PER_TURN) for name in NAMES], 0.0, found.numbers)
+    before, after = (np.array([touch(linkage, row, fold).gap for fold in folds]) for row in (numbers, centred))
+    _check_places(found)
+    _check_explained(found, after)
+    _check_told(found)
+    _check_bounds(robot, found)
+    return Calibration(robot, described(robot, found.numbers), recordings, folds, before, after, found, _kept(numbers, wanted))
+
+
+def predict(calibration: Calibration, run: Run) -> Prediction:
+    """How a recording that did not serve is explained before and after.
+
+    Raises:
+        CalibrationError: it has no fold.
+    """
+    linkage = Linkage()
+    recording = recording_of(linkage, calibration.before, run)
+    if not recording.folds:
+        raise CalibrationError(f"{run.path} cannot check: {_no_fold(calibration.before, recording)}")
+    numbers = numbers_of(calibration.before), numbers_of(calibration.after)
+    gaps = np.array([[touch(linkage, row, fold).gap for fold in recording.folds] for row in numbers])
+    counts = np.abs(gaps[1]) <= np.maximum(MOST_GAP * 3.0, 3.0 * np.nanmedian(np.abs(gaps[1])))
+    places = [_rms(linkage.closures(row, *recording.places).gaps) if recording.places else np.nan for row in numbers]
+    return Prediction(run.path, len(recording.folds), *(_rms(row[counts]) for row in gaps), *places)
+
+
+def write_robot(calibration: Calibration, file: Path) -> None:
+    """The description with what was found, as every node takes it; what is known of each number stands on top.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    flat = {key: value for key, value in flatten(calibration.after).items() if key != "base_distance"}
+    lines = [
+        f"The robot '{calibration.after.name}', its geometry calibrated by {int(calibration.fit.used.sum())} crossings of"
+        f" {', '.join(str(recording.path) for recording in calibration.recordings)}.",
+        *map(in_words, calibration.quantities),
+        *calibration.kept,
+    ]
+    file.write_text("".join(f"# {' '.join(line.split())}\n" for line in lines) + robot_text(flat), encoding="utf-8")
+
+
+def in_words(quantity: Quantity) -> str:
+    """Name, change and standard deviation."""
+    unit, scale = UNITS[quantity.unit]
+    now = f"{quantity.name} {scale * quantity.after:.4f} {unit}"
+    if quantity.deviation == 0.0:
+        return f"{now}, kept"
+    return f"{now} +- {scale * quantity.deviation:.4f}, was {scale * quantity.before:.4f}"
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.nanmean(np.square(values)))) if values.size else np.nan
+
+
+def _common_robot(runs: Sequence[Run]) -> RobotParameters:
+    robots = []
+    for run in runs:
+        if run.robot is None:
+            raise CalibrationError(f"{run.path} does not say which robot it is of; give its description with --robot")
+        robots.append(run.robot)
+    for run, robot in zip(runs[1:], robots[1:], strict=True):
+        if not np.array_equal(numbers_of(robot), numbers_of(robots[0])):
+            raise CalibrationError(
+                f"{run.path} was recorded with another geometry of the robot than {runs[0].path}; calibrate by bags of one"
+            )
+    return robots[0]
+
+
+def _no_fold(robot: RobotParameters, recording: Recording) -> str:
+    total, least = robot.left.distal_length + robot.right.distal_length, robot.left.distal_length - robot.right.distal_length
+    low, high = 1e3 * recording.extremes
+    return (
+        f"no crossing: the elbows, by the description, come {low:.2f} to {high:.2f} mm near each other and nowhere turn back from"
+        f" {1e3 * total:.2f} mm (stretched distal links) or {1e3 * abs(least):.2f} mm (folded ones); {RECORD}"
+    )
+
+
+def _check_enough(
+    recordings: Sequence[Recording], folds: Sequence[Fold], wanted: Sequence[Direction], places: Places | None
+) -> None:
+    names = ", ".join(str(recording.path) for recording in recordings)
+    spans = np.max([recording.spans for recording in recordings], axis=0)
+    if spans.min() < LEAST_SPAN:
+        joint = int(spans.argmin())
+        raise CalibrationError(
+            f"{names}: too little motion: the {SIDES[joint]} encoder moves by {spans[joint]:.4f} rad; for its offset and"
+            f" {SIDES[joint]}.proximal_length {LEAST_SPAN} rad are the least; {RECORD}"
+        )
+    if not folds and places is None:
+        raise CalibrationError(f"{names}: {_no_fold_of_all(recordings)}")
+    lacking = len(wanted) + SPARE - len(folds)
+    if places is None and lacking > 0:
+        raise CalibrationError(
+            f"{names}: too few crossings: {len(folds)} for {len(wanted)} quantities ({', '.join(one.name for one in wanted)});"
+            f" {lacking} more are needed; {RECORD}"
+        )
+
+
+def _no_fold_of_all(recordings: Sequence[Recording]) -> str:
+    low = 1e3 * min(recording.extremes[0] for recording in recordings)
+    high = 1e3 * max(recording.extremes[1] for recording in recordings)
+    return (
+        f"no crossing: the elbows' distance by the description, {low:.2f} to {high:.2f} mm, nowhere turns back from that of"
+        f" stretched or folded distal links, so that no length can be told; {RECORD}"
+    )
+
+
+def _check_places(found: Fit) -> None:
+    """The end effector was seen where some geometry has it.
+
+    Raises:
+        CalibrationError: it was not.
+    """
+    if found.place_noise > MOST_PLACE_NOISE:
+        raise CalibrationError(
+            f"the external poses scatter by {1e3 * found.place_noise:.1f} mm (standard deviation) about any geometry's end"
+            f" effector; {1e3 * MOST_PLACE_NOISE:g} mm is the most: check their frame, unit and stamps, or leave them out"
+            " (--no-pose). Nothing was written"
+        )
+
+
+def _check_told(found: Fit) -> None:
+    """Each quantity is told well enough to be of use.
+
+    Raises:
+        CalibrationError: one is not.
+    """
+    vague = [
+        f"{direction.name} to +-{1e3 * deviation:.2g} {UNITS[direction.unit][0]}" if deviation < 100.0 * WIDEST[direction.unit]
+        else f"{direction.name} not at all"
+        for direction, deviation in zip(found.directions, found.deviations, strict=True)
+        if not deviation <= WIDEST[direction.unit]
+    ]
+    if vague:
+        x = np.array([one.x for one in found.touches])[found.used]
+        low, high = 1e3 * np.array([x.min(axis=0), x.max(axis=0)]) if len(x) else np.full((2, 2), np.nan)
+        raise CalibrationError(
+            f"{len(x)} crossings, at x = {low[0]:.0f} to {high[0]:.0f} mm, y = {low[1]:.0f} to {high[1]:.0f} mm, tell"
+            f" {'; '.join(vague)}; {1e3 * WIDEST['m']:g} mm and {1e3 * WIDEST['rad']:g} mrad are needed:"
+            f" {_encoders(found) or 'they lie too close together, or all on one side'}; {RECORD}"
+        )
+
+
+def _encoders(found: Fit) -> str:
+    """That the encoders err, where they do so much that it is why nothing is told."""
+    if found.encoder_error < SUSPICIOUS:
+        return ""
+    return (
+        f"the encoders seem to err by some {1e3 * found.encoder_error:g} mrad once a turn, as where a disc is off its centre;"
+        " correct them, or record external poses too"
+    )
+
+
+def _check_explained(found: Fit, gaps: Array) -> None:
+    """One geometry explains the recordings.
+
+    Raises:
+        CalibrationError: none does.
+    """
+    used, count = int(found.used.sum()), len(gaps)
+    rms = _rms(gaps[found.used])
+    none_spare = not found.places and used <= len(found.directions)
+    if count and (used < LEAST_USED * count or rms > MOST_GAP or none_spare):
+        raise CalibrationError(
+            f"no geometry explains the recordings: {used} of {count} crossings agree"
+            f"{f', with gaps of {1e6 * rms:.0f} um RMS' if used else ''}; {LEAST_USED:.0%} have to, with {1e6 * MOST_GAP:.0f} um"
+            " at most:"
+            f" {_encoders(found) or 'encoders that slip, play, links that bend, or a bag of another robot look like this'}."
+            " Nothing was written"
+        )
+
+
+def _check_bounds(robot: RobotParameters, found: Fit) -> None:
+    """The result is the described robot, a little changed.
+
+    Raises:
+        CalibrationError: it is another one.
+    """
+    moved = found.numbers - numbers_of(robot)
+    for direction in EVERY:
+        change = float(moved[NAMES.index(direction.name)])
+        unit, scale = UNITS[direction.unit]
+        if not abs(change) <= MOST_MOVED[direction.unit]:
+            raise CalibrationError(
+                f"the recordings put {direction.name} {scale * change:+.2f} {unit} from the description; within"
+                f" {scale * MOST_MOVED[direction.unit]:g} {unit} it can be this robot: correct the description first. Nothing was"
+                " written"
+            )
+
+
+def _kept(numbers: Array, wanted: Sequence[Direction]) -> list[str]:
+    """What these quantities leave open, in words."""
+    if len(wanted) == len(EVERY):
+        return []
+    value = dict(zip(NAMES, numbers, strict=True))
+    middle = [500.0 * (value[f"left.axis.{axis}"] + value[f"right.axis.{axis}"]) for axis in "xy"]
+    lengths = [1e3 * value[f"{side}.distal_length"] for side in SIDES]
+    kept = [
+        f"The scale is not seen without an external pose: the distal lengths' sum was kept at {sum(lengths):.4f} mm.",
+        f"Where the robot stands is not seen: the middle of its motor axes was kept at ({middle[0]:.4f}, {middle[1]:.4f}) mm.",
+        "How it is turned is not seen: the mean of the encoder offsets was kept at"
+        f" {500.0 * sum(value[f'{side}.encoder_offset'] for side in SIDES):.4f} mrad.",
+    ]
+    if not any(direction.name.endswith("left.distal_length") for direction in wanted):
+        kept.append(
+            "How the distal lengths share their sum is not seen without two crossings of folded links: they were kept at"
+            f" {lengths[0]:.4f} and {lengths[1]:.4f} mm, and near folded links the robot stays as wrong as that. Record some with"
+            " this file as the robot (four of --tour 12 are such), and calibrate by that bag."
+        )
+    return kept

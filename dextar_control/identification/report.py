@@ -1,0 +1,130 @@
+"""A calibration in files and in words: the robot's file, a page, a table for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bokeh.embed import components
+from rich.table import Table
+
+from dextar_control.analysis.page import Cell, Column, number, render
+from dextar_control.analysis.web_figures import residuals
+from dextar_control.analysis.words import counted
+from dextar_control.contract.errors import CalibrationError
+from dextar_control.identification.calibration import UNITS, Calibration, Prediction, Quantity, write_robot
+
+ROBOT_FILE, PAGE_FILE = "calibrated.yaml", "calibration.html"
+MM, UM = 1e3, 1e6
+
+
+def write_calibration(calibration: Calibration, predictions: Sequence[Prediction], folder: Path) -> None:
+    """Write the robot's file and the page.
+
+    Raises:
+        CalibrationError: they cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_robot(calibration, folder / ROBOT_FILE)
+        page = render_calibration(calibration, predictions)
+        (folder / PAGE_FILE).write_text(page, encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise CalibrationError(f"cannot write the calibration to {folder}: {error.strerror or error}") from error
+
+
+def summary(calibration: Calibration) -> Table:
+    """What was found, for a terminal."""
+    table = Table(title=sentence(calibration), title_justify="left")
+    for name in ("", "before", "after", "+-", ""):
+        table.add_column(name, justify="left" if not name else "right")
+    for quantity in calibration.quantities:
+        table.add_row(*_row(quantity))
+    return table
+
+
+def predicted(prediction: Prediction) -> str:
+    """What the numbers are worth on a bag that did not serve."""
+    text = (
+        f"{prediction.path}, not used: gaps of {counted(prediction.folds, 'crossing')} {UM * prediction.before:.0f} um RMS"
+        f" before, {UM * prediction.after:.2f} um after"
+    )
+    if np.isfinite(prediction.places_after):
+        text += f"; at the poses {MM * prediction.places_before:.3f} mm before, {MM * prediction.places_after:.3f} mm after"
+    return text
+
+
+def sentence(calibration: Calibration) -> str:
+    """How well the folds, and the places, are explained."""
+    fit, used = calibration.fit, calibration.fit.used
+    before, after = (float(np.sqrt(np.nanmean(np.square(gaps[used])))) if used.any() else np.nan
+                     for gaps in (calibration.gaps_before, calibration.gaps_after))  # fmt: skip
+    text = (
+        f"{counted(int(used.sum()), 'crossing')} with gaps of {number(UM * before, '.0f')} um RMS before,"
+        f" {number(UM * after, '.2f')} um after"
+    )
+    if others := len(used) - int(used.sum()):
+        text += f" ({others} more left out, as where a robot turns before it crosses)"
+    if fit.places:
+        text += f"; {fit.places} poses with {MM * fit.place_noise:.3f} mm of noise"
+    if fit.encoder_error:
+        text += f"; the encoders seem to err by {1e3 * fit.encoder_error:.2g} mrad once a turn, which is allowed for"
+    return text
+
+
+def _row(quantity: Quantity) -> list[str]:
+    unit, scale = UNITS[quantity.unit]
+    sure = f"{scale * quantity.deviation:.4f}" if quantity.deviation else "kept"
+    return [quantity.name, f"{scale * quantity.before:.4f}", f"{scale * quantity.after:.4f}", sure, unit]
+
+
+def render_calibration(calibration: Calibration, predictions: Sequence[Prediction]) -> str:
+    """The page."""
+    fit, folds = calibration.fit, calibration.folds
+    script, figures = components([
+        residuals(UM * calibration.gaps_before, 0.0 * fit.spreads, fit.used, "gap before (µm)", "crossing"),
+        residuals(UM * calibration.gaps_after, UM * fit.spreads, fit.used, "gap after (µm)", "crossing"),
+    ], wrap_script=False)  # fmt: skip
+    rows: list[list[Cell]] = []
+    for index, (fold, one, used) in enumerate(zip(folds, fit.touches, fit.used, strict=True)):
+        rows.append([
+            Cell(str(index + 1)), Cell(calibration.recordings[fold.bag].path.name), Cell(f"{fold.time:.3f}"),
+            Cell(fold.family.name.lower()), *(Cell(number(MM * value, ".2f")) for value in one.x),
+            Cell(number(UM * calibration.gaps_before[index], ".1f")), Cell(number(UM * calibration.gaps_after[index], ".2f")),
+            Cell(number(UM * fit.spreads[index], ".2f")), Cell("yes" if used else "no", not used),
+        ])  # fmt: skip
+    checked = [
+        [Cell(str(one.path)), Cell(str(one.folds)), *(Cell(number(UM * gap, ".2f")) for gap in (one.before, one.after)),
+         *(Cell(number(MM * gap, ".3f")) for gap in (one.places_before, one.places_after))] for one in predictions
+    ]  # fmt: skip
+    values: dict[str, Any] = {
+        "title": f"{calibration.after.name}: geometry calibrated",
+        "heading": f"{calibration.after.name}: geometry by {', '.join(one.path.name for one in calibration.recordings)}",
+        "sentence": sentence(calibration),
+        "quantities": (
+            [Column("quantity", text=True), Column("before"), Column("after"), Column("standard deviation"),
+             Column("unit", text=True)],
+            [[Cell(text) for text in _row(quantity)] for quantity in calibration.quantities],
+        ),
+        "kept": calibration.kept,
+        "directions": calibration.kept and [
+            f"{direction.name}: ± {UNITS[direction.unit][1] * deviation:.4f} {UNITS[direction.unit][0]}"
+            for direction, deviation in zip(fit.directions, fit.deviations, strict=True)
+        ],
+        "figures": figures,
+        "folds": (
+            [Column("crossing"), Column("bag", text=True), Column("time", "s"), Column("links", text=True), Column("x", "mm"),
+             Column("y", "mm"), Column("gap before", "µm"), Column("gap after", "µm"), Column("its deviation", "µm"),
+             Column("counts", text=True)],
+            rows,
+        ),
+        "predictions": (
+            [Column("bag", text=True), Column("crossings"), Column("RMS gap before", "µm"), Column("after", "µm"),
+             Column("RMS at the poses before", "mm"), Column("after", "mm")],
+            checked,
+        ),
+        "footer": f"Made by dextar calibrate. {ROBOT_FILE} beside this page is a robot file for every node.",
+    }  # fmt: skip
+    return render("calibration.html", script, **values)
