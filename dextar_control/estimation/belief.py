@@ -86,7 +86,8 @@ class Belief:
         The noise that the filters were told is right but for a factor, which each estimates from its own innovations: of N
         samples of a size the log-likelihood ratio is N size / 2 times the logarithm of the ratio of the sums of their squares,
         and the difference of the spreads. So a model that fits badly on both sides gives no side an advantage; where both fit
-        alike the log-odds vanish, and where even the better one fits worse than it was told they shrink by that factor. CORRELATED and CONTRAST were chosen on simulated robots.
+        alike the log-odds vanish, and where even the better one fits worse than it was told they shrink by that factor.
+        CORRELATED and CONTRAST were chosen on simulated robots.
 
         Args:
             same, image: squared normalised innovations of the two filters.
