@@ -196,7 +196,7 @@ def test_joints_or_cables_in_the_wrong_order(robot: RobotParameters, trip: Plan)
     with pytest.raises(StateError, match="are not in working mode"):
         drive(robot, trip, seen=lambda loop, time, q_a: q_a[::-1])
     loop, time, _ = drive(robot, trip, swapped=True)
-    assert loop.tripped == "saturation"
+    assert loop.tripped in ("saturation", "tracking_error")  # whichever is sooner
     assert time < trip.certificate.crossing_times[0]
 
 
@@ -215,7 +215,7 @@ def test_a_robot_that_is_blocked_asks_for_torque_until_it_is_stopped(robot: Robo
     stuck = ControlLoop(robot, default_settings(), 1).model.inverse_geometric_model(trip.trajectory.at(0.0).x)
     loop, _, shares = drive(robot, trip, seen=lambda loop, time, q_a: stuck)
     assert loop.tripped == "saturation", loop.reason
-    assert re.search(r"torque 0.214 N m for 2[01] ms; the limit is 0.214 N m for 20 ms", loop.reason)
+    assert re.search(r"torque 0.214 N m for 6[01] ms; the limit is 0.214 N m for 60 ms", loop.reason)
 
 
 def test_a_loop_that_swings(robot: RobotParameters, trip: Plan) -> None:

@@ -13,6 +13,7 @@ from dextar_control.campaign.config import CampaignConfig
 from dextar_control.campaign.figure import draw_summary
 from dextar_control.campaign.pool import core_count
 from dextar_control.campaign.store import Store
+from dextar_control.campaign.worker import Row
 from dextar_control.contract.errors import CampaignError
 from dextar_control.contract.terminal import Terminal
 
@@ -54,7 +55,7 @@ def judge(config: CampaignConfig, keys: Sequence[str], store: Store, console: Te
     try:
         store.write_table(keys)
         store.write_text("summary.json", _json(config, groups, speeds, elapsed, bars - len(missed), bars))
-        store.write_text("summary.md", _markdown(config, len(rows), groups, verdict, missed, speed))
+        store.write_text("summary.md", _markdown(config, rows, groups, verdict, missed, speed))
         store.write_text("failures.md", report.markdown_failures(failed, others, default_name))
         for plant in dict.fromkeys(group.plant for group in groups):
             name = "figure" if plant == default.plant or len(config.plants) == 1 else f"figure-{plant}"
@@ -84,16 +85,18 @@ def _verdict(bars: int, missed: Sequence[str], default_name: str) -> str:
 
 
 def _markdown(
-    config: CampaignConfig, rows: int, groups: Sequence[summary.Group], verdict: str, missed: Sequence[str], speed: str
+    config: CampaignConfig, rows: Sequence[Row], groups: Sequence[summary.Group], verdict: str, missed: Sequence[str], speed: str
 ) -> str:
     points = f"{config.points.count} crossing points ({config.points.folded} folded)"
     lines = [
-        f"{rows} rows: {points}, {len(config.directions)} directions, {config.seeds} seeds from {config.seed};"
+        f"{len(rows)} rows: {points}, {len(config.directions)} directions, {config.seeds} seeds from {config.seed};"
         f" one way lasts {config.duration:g} s unless the case says otherwise.",
         "",
         report.markdown_table(groups),
         "",
         report.LEGEND + ".",
+        "",
+        report.reliability(rows),
         "",
         f"{verdict}; one core runs {speed}.",
         *(f"- {line}" for line in missed),

@@ -9,6 +9,7 @@ from rich import box
 from rich.table import Table
 
 from dextar_control.campaign.summary import Group
+from dextar_control.campaign.trial import SAID
 from dextar_control.campaign.worker import Row
 
 LENGTHS = {"max_error", "median_error", "max_end_error"}  # bars in m, said in mm
@@ -74,6 +75,23 @@ def cells(group: Group, with_plant: bool) -> list[str]:
         _number(group.false_alarms, ".0f"),
         _bars(group),
     ]
+
+
+def reliability(rows: Iterable[Row]) -> str:
+    """A table of the estimators that tell the side: of the runs that stated a confidence, how often it was right."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        if row.get(f"said_{SAID[0]:g}") is not None:
+            found.setdefault(row["estimator"], []).append(row)
+    lines = []
+    for estimator, stated in found.items():
+        cells_of = [estimator]
+        for odds in SAID:
+            count = sum(row[f"said_{odds:g}"] for row in stated)
+            right = sum(row[f"right_{odds:g}"] for row in stated)
+            cells_of.append(f"{percent(right / count)} ({count})" if count else "-")
+        lines.append(cells_of)
+    return _markdown(("right %, of runs, at a confidence from", *(f"{odds:g}" for odds in SAID)), lines, left=1) if lines else ""
 
 
 def missed_lines(groups: Iterable[Group]) -> list[str]:

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 LAWS = tuple(law.name.lower() for law in Law)
 ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
 MAX_ERROR, END_ERROR = 5e-3, 1e-3  # m, true
+SAID = (0.5, 0.6, 0.8, 0.9, 0.99, 0.999)  # confidences from which the bins of the reliability table begin
 NEAR = 0.1  # |s| that counts as near the locus
+CLEAR = 0.2  # |s| from which on the test of the side runs
 SETTLE = 0.2  # s of holding after the trip
 STRIKE_SPREAD = 0.01  # s before and after the planned crossing between which a bounce is struck
 RESTITUTION = (0.6, 1.0)  # speed after over before, of a bounce
@@ -219,6 +221,8 @@ class Log(NamedTuple):
     s: Array  # (m,) true
     s_ref: Array  # (m,) of the plan
     limp: Array  # (m,) no law acts
+    mode: Array  # (m,) believed sign of s
+    confidence: Array  # (m,) stated in it
     strike: float  # s; nan without
 
 
@@ -258,7 +262,7 @@ def _drive(loop: ControlLoop, plan: Plan, certificate: Certificate, rig: Any, st
     loop.schedule(plan.trajectory, certificate)
     period = rig.period
     count = round((plan.trajectory.duration + SETTLE) / period)
-    states, x_refs, taus, limp = [], [], [], []
+    states, x_refs, taus, limp, beliefs = [], [], [], [], []
     x_ref, tau, began = start, np.zeros(2), math.nan
     first, last, impulse = 0, 0, np.zeros(2)
     if strike is not None:
@@ -277,6 +281,8 @@ def _drive(loop: ControlLoop, plan: Plan, certificate: Certificate, rig: Any, st
             x_ref = plan.trajectory.at(index * period - began).x
         if first <= index < last:
             rig.strike(impulse)
+        estimate = None if loop.tick is None else loop.tick.estimate
+        beliefs.append((0.0, 0.5) if estimate is None else (estimate.assembly_mode, estimate.confidence))
         states.append(truth.numbers)
         x_refs.append(x_ref)
         taus.append(tau)
@@ -292,6 +298,8 @@ def _drive(loop: ControlLoop, plan: Plan, certificate: Certificate, rig: Any, st
         s=np.sin(joints[:, 2] + joints[:, 3] - joints[:, 0] - joints[:, 1]),
         s_ref=np.interp(np.arange(count) * period - began, certificate.profile.time, certificate.profile.s.reshape(-1)),
         limp=np.array(limp),
+        mode=np.array(beliefs)[:, 0],
+        confidence=np.array(beliefs)[:, 1],
         strike=math.nan if strike is None else strike.time,
     )
 
@@ -316,6 +324,7 @@ def _judge(loop: ControlLoop, log: Log, bounced: bool) -> dict[str, float | int 
         crossed.append(before * sign < 0.0 < after * sign)
     verdicts = [passed.verdict for passed in loop.passed]
     truths = [_on_side(log, passed.time, sign) for passed, sign in zip(loop.passed, certificate.crossing_signs, strict=True)]
+    said = _reliability(log)
     near = np.abs(log.s) < NEAR
     wrong = np.logical_not(log.limp) & (np.abs(log.s_ref) > CLEAR_S) & (log.s * log.s_ref < 0.0)
     planned = certificate.peak_torque
@@ -344,8 +353,19 @@ def _judge(loop: ControlLoop, log: Log, bounced: bool) -> dict[str, float | int 
         "wrong_side_time": float(wrong.sum() * (log.time[1] - log.time[0])),
         "stopped_after_crossing": crossed[0] and loop.phase in LIMP,
         "recognised": None,
+        **{f"said_{odds:g}": number for odds, number in zip(SAID, said[0], strict=True)},
+        **{f"right_{odds:g}": number for odds, number in zip(SAID, said[1], strict=True)},
     }
     return row | _bounce(loop, log, crossed[0], truths[0], planned) if bounced else row
+
+
+def _reliability(log: Log) -> tuple[list[int], list[float]]:
+    """Whether the run stated a confidence of each bin of SAID clear of the locus, and the share of the time it was right."""
+    clear = np.abs(log.s) >= CLEAR
+    which = np.digitize(log.confidence, SAID) - 1
+    bins = [clear & (which == k) & (log.mode != 0.0) for k in range(len(SAID))]
+    right = log.mode * log.s > 0.0
+    return [int(found.any()) for found in bins], [float(right[found].mean()) if found.any() else 0.0 for found in bins]
 
 
 def _on_side(log: Log, time_of_verdict: float, sign: float) -> bool:

@@ -60,6 +60,8 @@ class Settings:
         passage_log_odds: that decide it.
         passage_encoder_deviation, passage_torque_deviation, passage_acceleration_deviation: as the above, of the test's
             filters: a model that is worse than these makes the test unsure.
+        passage_disturbance: torque at a joint that the model may lack (friction, tilt, payload), N m; the test's filters
+            allow for what it lacked while the side was known, up to this.
         pose_deviation: of an external position, m.
         pose_gate: distance between an external position and the estimate, in standard deviations, beyond which
             it is refused.
@@ -70,6 +72,8 @@ class Settings:
         max_residual: of the criterion at a crossing of an accepted trajectory, N.
         verdict_s: |s| of the reference outside which a believed assembly mode is compared with the plan's.
         verdict_confidence: in the believed assembly mode from which on it counts.
+        side_time, side_error: clear of the locus without knowing the side, after which a motion or a hold ends in a safe stop, s,
+            where since the side was known the estimate has been farther from the reference than this, m.
         watch_ratio, watch_torque: while a crossing trajectory is tracked the torque is held below the larger of
             ratio x planned peak and watch_torque (N m).
         watch_time: at a torque limit that ends a motion in a safe stop, s: a robot that bounced asks for it.
@@ -113,6 +117,7 @@ class Settings:
     passage_encoder_deviation: float
     passage_torque_deviation: float
     passage_acceleration_deviation: float
+    passage_disturbance: float
     pose_deviation: float
     pose_gate: float
     pose_timeout: float
@@ -122,6 +127,8 @@ class Settings:
     max_residual: float
     verdict_s: float
     verdict_confidence: float
+    side_time: float
+    side_error: float
     watch_ratio: float
     watch_torque: float
     watch_time: float

@@ -451,15 +451,16 @@ class ControlLoop:
 
     def _supervise(self, dt: float) -> None:
         """Whether the law may go on, by the table of watches and by the estimator's opinion of the side."""
-        problem = self.supervisor.check(self._q_a, dt)
+        problem = self.supervisor.check(self._q_a, dt, self.mode_known)
         self.saturated_ticks += self.supervisor.saturated
         if self._stop_wanted and not problem and self._comes_to_rest():
             self._go_limp(Phase.SAFE_STOP, self.reason)
             return
-        bounced = self._judge.compare(self._time, self._planned.s_blocks.tolist(), self.estimator, self.phase in MOVING)
-        if bounced or problem:
-            self.tripped = "side" if bounced else self.supervisor.tripped
-            self._go_limp(Phase.SAFE_STOP, bounced or problem, trusted=not self.supervisor.estimate_lost)
+        side = self._judge.compare(self._time, self._planned.s_blocks.tolist(), self.estimator, self.phase in MOVING,
+                                   self.supervisor)
+        if side or problem:
+            self.tripped = "side" if side else self.supervisor.tripped
+            self._go_limp(Phase.SAFE_STOP, side or problem, trusted=not self.supervisor.estimate_lost)
 
     def _comes_to_rest(self) -> bool:
         """Whether a robot that is braked from now on stops clear of the locus."""

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dextar_control.contract.settings import Settings
+from dextar_control.control.supervisor import Supervisor
 from dextar_control.estimation.estimate import Estimator
 from dextar_control.model.model import Model
 from dextar_control.planning.certificate import Certificate
@@ -44,6 +45,8 @@ class CrossingJudge:
 
     def __init__(self, model: Model) -> None:
         self.passed: list[Passed] = []
+        self._known_until = [math.nan] * len(model.blocks)  # s; nan while the side is known or the locus is near
+        self._error = [0.0] * len(model.blocks)  # m, the largest since the side was known
         self._model = model
         self._times: list[float] = []
         self._signs: list[float] = []
@@ -55,6 +58,7 @@ class CrossingJudge:
     def configure(self, settings: Settings) -> None:
         """Take the settings that concern it, also while running."""
         self._clear_s, self._sure = settings.verdict_s, settings.verdict_confidence
+        self._patience, self._suspect = settings.side_time, settings.side_error
 
     def begin(self, certificate: Certificate, start: float) -> None:
         """A checked trajectory is tracked from ``start`` on, s."""
@@ -65,6 +69,7 @@ class CrossingJudge:
 
     def let_go(self, time: float) -> None:
         """The robot is let go while it moves: the crossing of each block that has begun is still to be judged."""
+        self._known_until = [math.nan] * len(self._model.blocks)
         every = (self._current(time, block) for block in range(len(self._model.blocks)))
         self._open = [current for current in every if current >= 0]
 
@@ -72,18 +77,33 @@ class CrossingJudge:
         """What the robot does from now on is no part of a crossing."""
         self._open = []
 
-    def compare(self, time: float, s_ref: list[float], estimator: Estimator, moving: bool) -> str:
+    def compare(self, time: float, s_ref: list[float], estimator: Estimator, moving: bool, watched: Supervisor) -> str:
         """Away from the locus: a verdict where the estimator is sure. What is wrong, or nothing.
+
+        An estimator that tells the side and stays unsure of it for too long is wrong too where the robot has not followed the
+        plan since: it may be on the other side. Who was sent back at the locus did not follow it, and who did was not.
 
         Args:
             time: of the sample, s.
             s_ref: of the reference, of each block of A_r.
             estimator: whose belief is compared.
             moving: a trajectory is tracked; otherwise a point is held.
+            watched: with the distance between reference and estimate.
         """
         problem, modes = "", estimator.modes
         for block, s in enumerate(s_ref):
             mode, confidence = modes[block]
+            self._error[block] = 0.0 if confidence >= self._sure else max(self._error[block], watched.error)
+            if abs(s) < self._clear_s or confidence >= self._sure:
+                self._known_until[block] = math.nan
+            elif estimator.tells_side and math.isnan(self._known_until[block]):
+                self._known_until[block] = time
+            elif time - self._known_until[block] > self._patience and self._error[block] > self._suspect:
+                problem = problem or (
+                    f"the side of the locus is not known for {time - self._known_until[block]:.2f} s clear of it (confidence"
+                    f" {confidence:.3f}) after an error of {self._error[block]:.4f} m; the limits are {self._patience:g} s and"
+                    f" {self._suspect:g} m"
+                )
             if abs(s) < self._clear_s or not confidence >= self._sure or (mode * s >= 0.0 and time < self._settled[block]):
                 continue
             current = self._current(time, block)

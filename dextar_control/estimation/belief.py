@@ -12,11 +12,11 @@ import math
 from dataclasses import dataclass
 
 CERTAIN = 20.0  # log-odds at which a belief is kept
-CORRELATED = 10.0  # samples over which the innovations of a wrong model hang together: so many count as one
+CORRELATED = 10.0  # samples over which the innovations hang together: so many count as one
 DOUBT, DOUBT_TIME = 20.0, 5e-3  # misfit over the known one, averaged over so many s, that begins a test ...
 DOUBT_S = 0.4  # ... where |s| is below this: farther from the locus it is somebody's push, not the other side
 RISE, FORGET = 0.05, 5.0  # s over which the misfit in a known assembly mode is averaged, up and down: a model stays wrong
-CONTRAST = 3.0, 6.0  # how many times worse the less likely filter has to fit before the test begins to count, and fully does
+CONTRAST = 2.0, 4.0  # how many times worse the less likely filter has to fit before the test begins to count, and fully does
 
 
 @dataclass(slots=True)
@@ -28,13 +28,14 @@ class Belief:
         log_odds: of it.
         armed: the robot is, or was, so near to the locus that the mode is unknown until the test has decided.
         testing: the two filters of the test run.
-        ratio: log-likelihood ratio of the two, image over same.
+        ratio: half of what the sum of ln det of the image's innovations' covariances is above that of the other.
         misfit_same, misfit_image: sums of their squared normalised innovations.
         samples: of the test.
         swaps: how often the image was the robot.
         misfit_known: mean of the squared normalised innovation, halved, while the mode is known.
         misfit_now: the same over the last samples.
         doubtful: whether that makes the mode doubtful.
+        before: log-odds by what the test found before its filters began anew.
         seen: log-odds of the mode by what else was seen (``estimation.out_of_sequence``).
         strayed: the state was where the working mode ends.
     """
@@ -51,6 +52,7 @@ class Belief:
     misfit_known: float = 0.0
     misfit_now: float = 0.0
     doubtful: bool = False
+    before: float = 0.0
     seen: float = 0.0
     strayed: bool = False
 
@@ -58,41 +60,50 @@ class Belief:
         """Another one."""
         return Belief(
             self.mode, self.log_odds, self.armed, self.testing, self.ratio, self.misfit_same, self.misfit_image, self.samples,
-            self.swaps, self.misfit_known, self.misfit_now, self.doubtful, self.seen, self.strayed,
+            self.swaps, self.misfit_known, self.misfit_now, self.doubtful, self.before, self.seen, self.strayed,
         )
 
     def end_test(self) -> None:
         """No test, and nothing counted for the next one."""
         self.testing = False
-        self.ratio = self.misfit_same = self.misfit_image = 0.0
+        self.before = self.ratio = self.misfit_same = self.misfit_image = 0.0
         self.samples = 0
+
+    def pause(self) -> None:
+        """The test's filters have to begin anew: what it has found stays."""
+        found = self.log_odds - self.seen
+        self.end_test()
+        self.before, self.armed = found, True
 
     def unsure(self) -> None:
         """Nothing is known for or against the mode, and no test runs."""
         self.end_test()
         self.log_odds, self.armed = 0.0, False
 
-    def weigh(self, same: float, spread_same: float, image: float, spread_image: float) -> None:
+    def weigh(self, same: float, spread_same: float, image: float, spread_image: float, size: int) -> None:
         """Take one measurement's two likelihoods in.
 
-        Where even the better filter fits worse than the noise that it was told, now or while the assembly mode was known,
-        the log-odds shrink by that factor, and where both fit alike badly they vanish: a wrong model makes the test
-        unsure, not wrong. CORRELATED and CONTRAST were chosen on simulated campaigns: what comes out ranks, it is not a
-        calibrated probability.
+        The noise that the filters were told is right but for a factor, which each estimates from its own innovations: of N
+        samples of a size the log-likelihood ratio is N size / 2 times the logarithm of the ratio of the sums of their squares,
+        and the difference of the spreads. So a model that fits badly on both sides gives no side an advantage; where both fit
+        alike the log-odds vanish, and where even the better one fits worse than it was told they shrink by that factor.
+        CORRELATED and CONTRAST were chosen on simulated robots.
 
         Args:
             same, image: squared normalised innovations of the two filters.
             spread_same, spread_image: ln det of the innovations' covariances.
+            size: of an innovation.
         """
-        self.ratio += 0.5 * (image + spread_image - same - spread_same)
+        self.ratio += 0.5 * (spread_image - spread_same)
         self.misfit_same += same
         self.misfit_image += image
         self.samples += 1
         better, worse = sorted((self.misfit_same, self.misfit_image))
         z = min(max((worse / better - CONTRAST[0]) / (CONTRAST[1] - CONTRAST[0]), 0.0), 1.0)
         contrast = z * z * z * (10.0 + z * (6.0 * z - 15.0))
-        misfit = max(1.0, self.misfit_known, better / (2.0 * self.samples))
-        self.log_odds = self.seen + contrast * self.ratio / (CORRELATED * misfit)
+        fit = 0.5 * size * self.samples * math.log(self.misfit_image / self.misfit_same)
+        misfit = max(1.0, better / (size * self.samples))
+        self.log_odds = self.seen + self.before + contrast * (fit + self.ratio) / (CORRELATED * misfit)
 
     def fit(self, misfit: float, dt: float) -> None:
         """While the mode is known: how well the model fits, and whether that makes the mode doubtful.

@@ -114,7 +114,7 @@ class DirectEstimator:
         self._mode = 1.0
         self._outside = np.inf
         self.mode_known = True
-        self.note = ""
+        self.tells_side, self.note = False, ""
         self.configure(settings)
 
     def configure(self, settings: Settings) -> None:

@@ -21,10 +21,12 @@ class Estimator(Protocol):
 
     Attributes:
         estimate: of the last sample, a record of ``estimation.records.ESTIMATE``.
+        tells_side: whether it can tell on which side a robot is that has passed the locus.
         note: what there is to say of the external measurements; empty when they are taken as they come.
     """
 
     estimate: Record
+    tells_side: bool
     note: str
 
     @property

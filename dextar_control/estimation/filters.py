@@ -1,10 +1,11 @@
 """The Kalman filter over the Cartesian dynamics, on symbols: regular on the Type 2 locus, no direct model.
 
-State (x, x_dot, b). Process: x_ddot by the forward dynamics under the torque that was commanded, which is
+State (x, x_dot, b, d). Process: x_ddot by the forward dynamics under the torque that was commanded and d, which is
 regular on the locus; near it the input torques do not act along t_s, so the filter coasts there.
 Measurement: q_a = inverse geometric model(x) + b, regular as well; along t_s it says nothing on the locus.
 b (n,) is what a wrong geometry adds to the joint angles: without it a tenth of a millimetre is taken for
 motion along t_s, amplified by 1/s. Where the weak direction of J_inv does not see x it sees b.
+d (n,) is what acts on the joints and the model lacks: friction, tilt, a payload. Friction turns round with its joint.
 """
 
 from __future__ import annotations
@@ -26,14 +27,18 @@ from dextar_control.symbols.singular import blocks
 from dextar_control.symbols.smooth import is_finite
 from dextar_control.symbols.types import Symbol
 
+TURN = 0.05  # rad/s of a joint over which its friction turns round
+UNSURE_SPEED = 0.5  # m/s, standard deviation of x_dot beside the filter's own, of a state that may be on the wrong side
+UNSURE_BIAS = 2.0  # of its b, that x makes up for in the joints, over that of the start
 BLIND = 0.02  # s before a position in which at most a blow near the locus may have gone unseen
 
 FILTER = (
     Field("x", "m", "mean of the platform", "n"),
     Field("x_dot", "m/s", "mean of its velocity", "n"),
     Field("b", "rad", "mean of what a wrong geometry adds to the joints", "n"),
+    Field("d", "N m", "mean of the torques that act on the joints and that the model lacks", "n"),
     Field("x_ddot", "m/s^2", "acceleration of the last prediction", "n"),
-    Field("covariance", "SI", "of (x, x_dot, b)", "3n", "3n"),
+    Field("covariance", "SI", "of (x, x_dot, b, d)", "4n", "4n"),
 )
 NOISE = (
     Field("encoder", "rad", "standard deviation of a sample"),
@@ -41,6 +46,9 @@ NOISE = (
     Field("bias_walk", "rad/sqrt(rad)", "of b's random walk as the joints move"),
     Field("torque", "N m", "of a sample's torque: friction and motors"),
     Field("acceleration", "m/s^2", "of a sample's acceleration: masses"),
+    Field("disturbance", "N m", "of d at the start"),
+    Field("disturbance_walk", "N m/sqrt(s)", "of d's random walk"),
+    Field("disturbance_turn", "N m", "of its change as the joint turns round"),
     Field("shock_gate", "1", "squared normalised innovation that only a blow explains"),
     Field("shock_speed", "m/s", "of x_dot after a blow"),
 )
@@ -76,12 +84,13 @@ class _Filters:
         J, one, zero = ca.inv(self.at(x, ca.SX.zeros(self.n)).J_inv), ca.SX.eye(self.n), ca.SX.zeros(self.n, self.n)
         bias, encoder = noise["bias"] ** 2, noise["encoder"] ** 2
         covariance = ca.vertcat(
-            ca.horzcat((bias + encoder) * J @ J.T, zero, -bias * J),
-            ca.horzcat(zero, speed**2 * one, zero),
-            ca.horzcat(-bias * J.T, zero, bias * one),
+            ca.horzcat((bias + encoder) * J @ J.T, zero, -bias * J, zero),
+            ca.horzcat(zero, speed**2 * one, zero, zero),
+            ca.horzcat(-bias * J.T, zero, bias * one, zero),
+            ca.horzcat(zero, zero, zero, noise["disturbance"] ** 2 * one),
         )
         rest = ca.SX.zeros(self.n)
-        return {"x": x, "x_dot": rest, "b": rest, "x_ddot": rest, "covariance": covariance}
+        return {"x": x, "x_dot": rest, "b": rest, "d": rest, "x_ddot": rest, "covariance": covariance}
 
     def predict(self, noise: dict[str, Symbol], state: dict[str, Symbol], tau: Symbol, dt: Symbol) -> dict[str, Symbol]:
         """One step under tau (n,), N m: x_ddot by the forward dynamics in its middle, and the covariance with it.
@@ -92,27 +101,37 @@ class _Filters:
         t_s on the locus.
         """
         n, x, x_dot = self.n, state["x"], state["x_dot"]
-        e = self.at(x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * state["x_ddot"], tau)
+        e = self.at(x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * state["x_ddot"], tau + state["d"])
         x_ddot = e.forward_dynamics
         G = ca.solve(e.M, e.J_inv.T)  # x_ddot per torque
-        F = ca.SX.eye(3 * n)
+        F = ca.SX.eye(4 * n)
         F[:n, n : 2 * n] = dt * ca.SX.eye(n)
+        F[:n, 3 * n :], F[n : 2 * n, 3 * n :] = 0.5 * dt**2 * G, dt * G
         P = F @ state["covariance"] @ F.T
         P[n : 2 * n, n : 2 * n] += (dt * noise["torque"]) ** 2 * G @ G.T + (dt * noise["acceleration"]) ** 2 * ca.SX.eye(n)
-        P[2 * n :, 2 * n :] += ca.diag(dt * ca.fabs(e.q_a_dot) * noise["bias_walk"] ** 2)
-        return {"x": x + dt * (x_dot + 0.5 * dt * x_ddot), "x_dot": x_dot + dt * x_ddot, "b": state["b"], "x_ddot": x_ddot,
-                "covariance": _symmetric(P)}
+        P[2 * n : 3 * n, 2 * n : 3 * n] += ca.diag(dt * ca.fabs(e.q_a_dot) * noise["bias_walk"] ** 2)
+        turned = ca.fabs(ca.tanh(e.J_inv @ (x_dot + dt * x_ddot) / TURN) - ca.tanh(e.J_inv @ x_dot / TURN))
+        walk = dt * noise["disturbance_walk"] ** 2 + 2.0 * turned * noise["disturbance_turn"] ** 2
+        P[3 * n :, 3 * n :] += ca.diag(walk * ca.SX.ones(n))
+        return {"x": x + dt * (x_dot + 0.5 * dt * x_ddot), "x_dot": x_dot + dt * x_ddot, "b": state["b"], "d": state["d"],
+                "x_ddot": x_ddot, "covariance": _symmetric(P)}
+
+    def complete(self, noise: dict[str, Symbol], state: dict[str, Symbol]) -> tuple[dict[str, Symbol], dict[str, Symbol]]:
+        """(noise, state) of the filter that serves, for which the model lacks no torque: what is 0 is not computed."""
+        n, nothing = self.n, ca.SX(self.n, 1)
+        P = ca.diagcat(state["covariance"][: 3 * n, : 3 * n], ca.SX(n, n))
+        return noise | {"disturbance_walk": ca.SX(0.0), "disturbance_turn": ca.SX(0.0)}, state | {"d": nothing, "covariance": P}
 
     def shocked(self, noise: dict[str, Symbol], state: dict[str, Symbol], dt: Symbol, struck: Symbol) -> dict[str, Symbol]:
         """Where ``struck`` is 1, a blow somewhere in the last dt: x_dot is up to shock_speed off, and x what came of it."""
         n = self.n
-        reach = ca.vertcat(dt * ca.SX.eye(n), ca.SX.eye(n), ca.SX.zeros(n, n))
+        reach = ca.vertcat(dt * ca.SX.eye(n), ca.SX.eye(n), ca.SX.zeros(2 * n, n))
         return state | {"covariance": state["covariance"] + struck * noise["shock_speed"] ** 2 * reach @ reach.T}
 
     def innovation(self, state: dict[str, Symbol], q_meas: Symbol) -> tuple[Symbol, Symbol]:
-        """(innovation (n,), rad, of the active joints on any turn, and their Jacobian (n, 3n))."""
+        """(innovation (n,), rad, of the active joints on any turn, and their Jacobian (n, 4n))."""
         e = self.at(state["x"], ca.SX.zeros(self.n))
-        H = ca.horzcat(e.J_inv, ca.SX.zeros(self.n, self.n), ca.SX.eye(self.n))
+        H = ca.horzcat(e.J_inv, ca.SX(self.n, self.n), ca.SX.eye(self.n), ca.SX(self.n, self.n))
         return wrapped(q_meas - e.q_a - state["b"]), H
 
     def update(
@@ -123,7 +142,8 @@ class _Filters:
         PH, S = _gain_parts(P, H, variance)
         K = PH @ ca.inv(S)
         step = K @ innovation
-        changed = {"x": state["x"] + step[:n], "x_dot": state["x_dot"] + step[n : 2 * n], "b": state["b"] + step[2 * n :],
+        changed = {"x": state["x"] + step[:n], "x_dot": state["x_dot"] + step[n : 2 * n], "b": state["b"] + step[2 * n : 3 * n],
+                   "d": state["d"] + step[3 * n :],
                    "covariance": _symmetric(P - K @ PH.T)}
         squares = [ca.dot(innovation[rows], ca.solve(S[rows, rows], innovation[rows])) for rows in parts]
         return state | changed, ca.vertcat(*squares), ca.vertcat(*(ca.log(ca.det(S[rows, rows])) for rows in parts))
@@ -145,34 +165,58 @@ class _Filters:
         return self.update(state, *self.innovation(state, q_meas), noise["encoder"] ** 2, [rows for rows, _ in self.blocks])
 
     def position(self, state: dict[str, Symbol], x_meas: Symbol) -> tuple[Symbol, Symbol]:
-        """(innovation (n,), m, of an external position, and its Jacobian (n, 3n))."""
-        return x_meas - state["x"], ca.horzcat(ca.SX.eye(self.n), ca.SX.zeros(self.n, 2 * self.n))
+        """(innovation (n,), m, of an external position, and its Jacobian (n, 4n))."""
+        return x_meas - state["x"], ca.horzcat(ca.SX.eye(self.n), ca.SX(self.n, 3 * self.n))
 
     def unseen_blow(self, noise: dict[str, Symbol], state: dict[str, Symbol]) -> dict[str, Symbol]:
         """A blow along t_s at any time in the last BLIND, which b may have been taken for."""
         n = self.n
         t_s = self.at(state["x"], ca.SX.zeros(n)).singular.v_weak
         variance = noise["shock_speed"] ** 2 * t_s @ t_s.T
-        added = ca.SX(3 * n, 3 * n)
+        added = ca.SX(4 * n, 4 * n)
         added[:n, :n] = variance * BLIND**2 / 3.0
         added[:n, n : 2 * n] = added[n : 2 * n, :n] = variance * BLIND / 2.0
         added[n : 2 * n, n : 2 * n] = variance
-        added[2 * n :, 2 * n :] = noise["bias"] ** 2 * ca.SX.eye(n)
+        added[2 * n : 3 * n, 2 * n : 3 * n] = noise["bias"] ** 2 * ca.SX.eye(n)
         return state | {"covariance": state["covariance"] + added}
 
-    def mirror(self, state: dict[str, Symbol], columns: Sequence[int]) -> tuple[dict[str, Symbol], Symbol]:
-        """The same joints and velocities in a block's other assembly mode, with its covariance, and whether that is defined."""
-        n = self.n
+    def unsure(self, noise: dict[str, Symbol], state: dict[str, Symbol]) -> dict[str, Symbol]:
+        """A state with which a test begins: followed on the wrong side it had x_dot, b and d wrong, in accord with the joints.
+
+        The same is added for it and for its image, so that neither has an advantage.
+        """
+        n, one, P = self.n, ca.SX.eye(self.n), ca.SX(state["covariance"])
+        P[3 * n :, :] = P[:, 3 * n :] = 0.0
+        P[3 * n :, 3 * n :] = noise["disturbance"] ** 2 * one
+        P[n : 2 * n, n : 2 * n] += UNSURE_SPEED**2 * one
+        P[2 * n : 3 * n, 2 * n : 3 * n] += noise["bias"] ** 2 * one
+        J = ca.inv(self.at(state["x"], ca.SX.zeros(n)).J_inv)
+        apart = ca.vertcat(J, ca.SX.zeros(n, n), -one, ca.SX.zeros(n, n))
+        P += (UNSURE_BIAS * noise["bias"]) ** 2 * apart @ apart.T
+        return state | {"d": ca.SX.zeros(n), "covariance": P}
+
+    def mirror(self, state: dict[str, Symbol], columns: Sequence[int]) -> tuple[dict[str, Symbol], Symbol, Symbol]:
+        """The same joints and velocities in a block's other assembly mode, with its covariance.
+
+        Returns:
+            The image, the parameters of its working mode, which may be another one, and its distance to Type 1, 0 where
+            there is no image.
+        """
+        n, mechanism = self.n, self.mechanism
         e = self.at(state["x"], state["x_dot"])
         other = ca.SX(state["x"])
         other[columns] = mirror_image(self.mechanism, e.q_a, state["x"], self.p)[columns]
         J = ca.inv(self._equations.at(self.vector, e.q_a, other, ca.SX.zeros(n)).J_inv)
-        T = ca.SX.eye(3 * n)
+        T = ca.SX.eye(4 * n)
         T[:n, :n] = T[n : 2 * n, n : 2 * n] = J @ e.J_inv
-        off = ca.norm_1(self.mechanism.inverse_geometric_model(other, self.p) - e.q_a)
-        image = {"x": other, "x_dot": J @ e.q_a_dot, "b": state["b"], "x_ddot": ca.SX.zeros(n),
+        sines, sines_here = (mechanism.type1_sines(e.q_a, place, self.p) for place in (other, state["x"]))
+        p, rows = ca.SX(self.vector), mechanism.rows_of("working_mode")
+        if rows is not None:
+            p[rows] *= ca.if_else(sines * sines_here < 0.0, -1.0, 1.0)
+        off = ca.norm_1(mechanism.inverse_geometric_model(other, mechanism.named(p)) - e.q_a)
+        image = {"x": other, "x_dot": J @ e.q_a_dot, "b": state["b"], "d": state["d"], "x_ddot": ca.SX.zeros(n),
                  "covariance": _symmetric(T @ state["covariance"] @ T.T)}
-        return image, ca.if_else(off < 1e-6, 1.0, 0.0)  # still in this working mode
+        return image, p, ca.if_else(off < 1e-6, ca.mmin(ca.fabs(sines)), 0.0)
 
     def look(self, state: dict[str, Symbol], estimate: dict[str, Symbol], *sample: Symbol) -> dict[str, Symbol]:
         """Where the mean is with respect to the locus of each block, beside what the sample told of it; and the estimate.
@@ -219,12 +263,14 @@ def filters_of(mechanism: Mechanism) -> Library:
     corrected, struck = f.correct(noise, state, q_meas, dt)
     innovated, square, spread = f.innovate(noise, state, q_meas)
     followed, square_f, spread_f = f.innovate(noise, f.predict(noise, state, tau, dt), q_meas)
+    type1_f = f.at(followed["x"], ca.SX.zeros(n)).type1
     moved, square_x, spread_x = f.update(state, *f.position(state, x_meas), deviation**2, [range(n)])
 
     # One sample of the filter that serves and of the one that tells how well the model fits.
     same_vector, same = f.filter.symbols("same")
     test_vector, test = f.noise.symbols("test_noise")
-    main, hit = f.correct(noise, f.predict(noise, state, tau, dt), q_meas, gap)
+    served, bare = f.complete(noise, state)
+    main, hit = f.correct(served, f.predict(served, bare, tau, dt), q_meas, gap)
     same, fit, fit_spread = f.innovate(test, f.predict(test, same, tau, dt), q_meas)
     x = ca.SX.sym("x", n)
     return Library([
@@ -239,10 +285,11 @@ def filters_of(mechanism: Mechanism) -> Library:
               {"filter_next": f.filter.join(moved), "square": square_x, "spread": spread_x,
                "distance": ca.norm_2(x_meas - state["x"])}),
         named("unseen_blow", p | told | whole, {"filter_next": f.filter.join(f.unseen_blow(noise, state))}),
-        *(named(f"mirror_{block}", p | whole, {"image": f.filter.join(image), "near": near})
-          for block, (image, near) in enumerate(images)),
+        named("unsure", p | told | whole, {"filter_next": f.filter.join(f.unsure(noise, state))}),
+        *(named(f"mirror_{block}", p | whole, {"image": f.filter.join(image), "p_image": p_image, "type1": type1})
+          for block, (image, p_image, type1) in enumerate(images)),
         in_place(named("follow", p | told | whole | {"tau": tau, "dt": dt, "q_meas": q_meas},
-                       {"filter_next": f.filter.join(followed), "fit": ca.vertcat(square_f, spread_f)})),
+                       {"filter_next": f.filter.join(followed), "fit": ca.vertcat(square_f, spread_f), "type1": type1_f})),
         in_place(named("look", p | whole | shown, f.look(state, estimate))),
         in_place(named("advance", p | told | {"test_noise": test_vector} | whole | shown | {
             "same": same_vector, "tau": tau, "dt": dt, "gap": gap, "q_meas": q_meas,

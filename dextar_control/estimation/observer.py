@@ -21,6 +21,8 @@ REST_SPEED = 1e-3  # m/s, standard deviation of a robot at rest
 MAX_STEP = 1e-3 * (1.0 + 1e-6)  # s of one prediction; a longer gap is predicted in several
 LONG = 0.1  # s of a gap over which nothing is predicted any more
 UNKNOWN = math.nan, math.nan
+LEAST_LACKING = 5e-4  # N m at a joint that a test allows for, however well the model has fitted
+WALK = 0.5  # 1/sqrt(s), of such a torque's random walk over itself
 LOST = 0.5  # of the least distance to Type 1, below which the working mode is no longer sure
 
 
@@ -40,6 +42,7 @@ class Side:
         belief: about the block's assembly mode.
         told: where the main filter's mean is with respect to the block's locus, and what the last sample told of it.
         image: filter from the main one's mirror image in this block, told of less noise.
+        p: the robot's parameters in the image's working mode, which may be another one.
         mirror: what makes that.
         follow: what takes a sample into it.
         shown: mode and log-odds of the belief that the estimate shows.
@@ -48,6 +51,7 @@ class Side:
     belief: Belief
     told: Record
     image: Record
+    p: Array
     mirror: Fast
     follow: Fast
     shown: tuple[float, float] = UNKNOWN
@@ -65,6 +69,7 @@ class Observer:
         main: the filter that serves.
         same: from the main one's state, told of less noise; while there is no test it tells how well the model fits.
         noise: that the main filter is told of; test_noise: that the others are.
+        most_lacking: torque at a joint that the model may lack, N m; a test allows for what it lacked while the side was known.
         sides: of the blocks of A_r, mostly one, whose belief, told and image are the observer's.
         modes: (assembly mode, confidence in it) of each block as ``tell_side`` was last called.
         estimate: what the main filter makes, with the least sure of them.
@@ -80,8 +85,10 @@ class Observer:
         self.estimate.s = math.nan
         self.passage = Passage(0.0, 0.0, 0.0)
         self._finite = True
+        self.most_lacking, self._lacking = 0.0, [0.0] * model.n
         self._p, self._library = model.p, filters_of(model.mechanism)
         self._model = model
+        self._rows = [len(rows) for rows in model.blocks]
         told = Layout("told", model.n, TOLD)
         every = np.zeros(len(model.blocks) * told.size)
         main, shown = self.main.numbers, self.estimate.numbers
@@ -94,12 +101,12 @@ class Observer:
         self._look = self._library.fast("look", **places)
         self.sides = []
         for block, numbers in enumerate(every.reshape(-1, told.size)):
-            image = self.layout.make()
+            image, p = self.layout.make(), np.array(model.p)
             follow = self._library.fast(
-                "follow", p=model.p, noise=self.test_noise.numbers, filter=image.numbers, filter_next=image.numbers,
+                "follow", p=p, noise=self.test_noise.numbers, filter=image.numbers, filter_next=image.numbers,
                 tau=given.tau, dt=given.dt, q_meas=given.q_meas,
             )
-            self.sides.append(Side(Belief(), told.of(numbers), image, self._library.fast(f"mirror_{block}"), follow))
+            self.sides.append(Side(Belief(), told.of(numbers), image, p, self._library.fast(f"mirror_{block}"), follow))
         self.modes: list[tuple[float, float]] = []
         self._steps = {name: self._library.fast(name) for name in _OWN}
 
@@ -115,14 +122,14 @@ class Observer:
     def belief(self, belief: Belief) -> None:
         self.sides[0].belief = belief
 
-    def _step(self, name: str, state: Record, *arguments: Any, noise: Record | None = None) -> Any:
+    def _step(self, name: str, state: Record, *arguments: Any, noise: Record | None = None, p: Array | None = None) -> Any:
         """One of the filter's steps on a state, which is changed; its other results."""
         fast = self._steps[name]
         given = fast.arguments
         if noise is not None:
             given.noise[:] = noise.numbers
         if hasattr(given, "p"):
-            given.p[:] = self._p
+            given.p[:] = self._p if p is None else p
         given.filter[:] = state.numbers
         for place, argument in zip((getattr(given, key) for key in _OWN[name]), arguments, strict=True):
             place[:] = argument
@@ -154,11 +161,15 @@ class Observer:
         self._step("unseen_blow", state, noise=self.noise)
 
     def mirror(self, state: Record, image: Record, block: int = 0) -> bool:
-        """Make the image the mirror image of a state in a block; false where that is not defined."""
+        """Make the image the mirror image of a state in a block; false where that is not in this working mode."""
+        return self._mirror(state, image, block) and bool((self.sides[block].mirror.results.p_image == self._p).all())
+
+    def _mirror(self, state: Record, image: Record, block: int) -> bool:
+        """The same in any working mode; false where a leg of the image is too near to Type 1."""
         found = self.sides[block].mirror(self._p, state.numbers)
         image.numbers[:] = found.image
-        mean = 3 * self.n
-        return bool(found.near[0] > 0.0 and np.isfinite(image.numbers[:mean]).all())
+        mean = 4 * self.n
+        return bool(found.type1[0] >= LOST * self._min_type1 and np.isfinite(image.numbers[:mean]).all())
 
     def look_again(self) -> None:
         """After the main filter was changed."""
@@ -171,7 +182,7 @@ class Observer:
     def begin(self, x: Array, speed: float) -> None:
         """A robot at x (n,), m, known from its joints; speed: standard deviation of its velocity about zero, m/s."""
         self.main.numbers[:] = self._steps["begin"](self._p, self.noise.numbers, x, speed).filter
-        self.same.take(self.main)
+        self._compare_with_main()
         self._finite = True
         for side in self.sides:
             side.shown = UNKNOWN
@@ -196,7 +207,7 @@ class Observer:
             self.predict(self.same, self.test_noise, tau, step)
             for side in self.sides:
                 if side.belief.testing:
-                    self.predict(side.image, self.test_noise, tau, step)
+                    self._step("predict", side.image, tau, step, noise=self.test_noise, p=side.p)
 
     def observe(self, tau: Array, dt: float, q_meas: Array) -> None:
         """One sample: the filters and the belief.
@@ -227,7 +238,7 @@ class Observer:
             if belief.testing or belief.armed:
                 quiet = False
         if struck or not fits:
-            self.same.take(self.main)
+            self._compare_with_main()
         for block, side in enumerate(self.sides):
             s, s_variance, type1, folded, square, _ = side.told.numbers.tolist()  # in the order of TOLD
             if quiet:
@@ -238,19 +249,50 @@ class Observer:
         """Take the sample into a block's test; the filters of the test know nothing of a blow, which ends it."""
         belief, told = side.belief, side.told
         if struck:
-            belief.testing, belief.log_odds, belief.armed = False, 0.0, True
+            belief.unsure()
+            belief.armed = True
             return
         side.follow.run()
-        image, spread_image = side.follow.results.fit.reshape(2, -1)[:, block].tolist()
+        found = side.follow.results
+        if not found.type1.item() >= LOST * self._min_type1:  # on its way into another working mode: the test goes on there
+            belief.pause()
+            return
+        image, spread_image = found.fit.reshape(2, -1)[:, block].tolist()
         if math.isfinite(told.square + image):
-            belief.weigh(told.square, told.spread, image, spread_image)
+            belief.weigh(told.square, told.spread, image, spread_image, self._rows[block])
+
+    def _compare_with_main(self) -> None:
+        """The filter that tells how well the model fits starts from the main one.
+
+        In a test it and the image allow for as much torque as the model lacked while the side was known.
+        """
+        lacking = self.most_lacking
+        if any(side.belief.testing for side in self.sides):
+            lacking = min(max(LEAST_LACKING, *map(abs, self._lacking)), lacking)
+        noise = self.test_noise
+        noise.disturbance = noise.disturbance_turn = lacking
+        noise.disturbance_walk = WALK * lacking
+        self.same.take(self.main)
+        self._step("unsure", self.same, noise=noise)
+
+    def _begin_test(self, block: int, side: Side) -> bool:
+        """From the main filter's state and its image, unsure of both alike; false where there is no image."""
+        side.belief.armed = not self._mirror(self.main, side.image, block)  # as soon as there is an image
+        if side.belief.armed:
+            return False
+        side.p[:] = side.mirror.results.p_image
+        side.belief.testing = True
+        self._compare_with_main()
+        self._step("unsure", side.image, noise=self.test_noise, p=side.p)
+        return True
 
     def _test_from_main(self, side: Side) -> None:
         """The test of this side begins or ends: those of others go on from the main filter's state, as this one does."""
-        self.same.take(self.main)
+        self._compare_with_main()
         for block, other in enumerate(self.sides):
             if other is not side and other.belief.testing:
-                other.belief.testing = self.mirror(self.main, other.image, block)
+                other.belief.pause()
+                self._begin_test(block, other)
 
     def _judge_passage(self, block: int, side: Side, s: float, s_variance: float, type1: float, folded: bool) -> None:
         """Begin, go on with or end a block's test of crossed against bounced.
@@ -273,6 +315,8 @@ class Observer:
             belief.mode = mode
             return
         if near < passage.armed:
+            if not any(other.belief.armed or other.belief.testing for other in self.sides):
+                self._lacking = self.same.d.tolist()
             belief.end_test()
             belief.armed = True
             belief.log_odds = log_odds_of_side(s, s_variance) if folded else 0.0
@@ -280,16 +324,17 @@ class Observer:
             belief.log_odds = log_odds_of_side(s, s_variance)
             belief.armed = near < passage.begin
         elif belief.armed and near >= passage.begin:
-            belief.armed = False
-            if self.mirror(self.main, side.image, block):
+            if self._begin_test(block, side):
                 self._test_from_main(side)
-                belief.testing = True
-        elif belief.doubtful and passage.begin <= near < DOUBT_S and self.mirror(self.main, side.image, block):
-            self._test_from_main(side)
-            belief.end_test()
-            belief.testing, belief.log_odds = True, 0.0
+        elif belief.doubtful and passage.begin <= near < DOUBT_S:
+            belief.unsure()
+            if self._begin_test(block, side):
+                self._test_from_main(side)
         elif belief.testing and abs(belief.log_odds) >= passage.log_odds:
             if belief.log_odds < 0.0:
+                if (side.p != self._p).any():  # in another working mode
+                    belief.strayed = True
+                    return
                 self.main.take(side.image)
                 self._test_from_main(side)
                 mode = -mode
@@ -297,6 +342,7 @@ class Observer:
                 self.look_again()
             belief.testing = False
             belief.log_odds = CERTAIN
+            self._compare_with_main()
         belief.doubtful = False
         if belief.testing or belief.armed:
             belief.misfit_now = 0.0
@@ -320,4 +366,4 @@ class Observer:
 
 
 _OWN = {"predict": ("tau", "dt"), "correct": ("q_meas", "dt"), "innovate": ("q_meas",),
-        "correct_position": ("x_meas", "deviation"), "unseen_blow": (), "begin": ("x", "speed")}
+        "correct_position": ("x_meas", "deviation"), "unseen_blow": (), "unsure": (), "begin": ("x", "speed")}

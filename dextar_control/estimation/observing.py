@@ -28,7 +28,7 @@ class ObserverEstimator:
         self.observer = Observer(model, min_type1, estimate)
         self._joints = JointFilter(model.mechanism)
         self.estimate = self.observer.estimate
-        self.note = ""
+        self.tells_side, self.note = True, ""
         self.configure(settings)
 
     def configure(self, settings: Settings) -> None:
@@ -40,6 +40,7 @@ class ObserverEstimator:
         test.take(noise)
         test.encoder, test.torque = settings.passage_encoder_deviation, settings.passage_torque_deviation
         test.acceleration = settings.passage_acceleration_deviation
+        self.observer.most_lacking = settings.passage_disturbance
         self.observer.passage = Passage(settings.passage_armed, settings.passage_begin, settings.passage_log_odds)
         self.unknown_s = settings.passage_armed
         self._sure, self._bandwidth = settings.verdict_confidence, settings.filter_bandwidth

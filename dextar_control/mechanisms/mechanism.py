@@ -209,6 +209,15 @@ class Mechanism(ABC):
         vector = ca.SX.sym("p", sum(parameter.size for parameter in self.parameters))
         return vector, self.named(vector)
 
+    def rows_of(self, name: str) -> slice | None:
+        """Where a parameter stands in the vector; None where there is none of that name."""
+        place = 0
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return slice(place, place + parameter.size)
+            place += parameter.size
+        return None
+
     def named(self, vector: Any) -> Any:
         """The parameters of a vector of symbols or numbers by their dotted names."""
         named, place = SimpleNamespace(), 0
