@@ -451,7 +451,7 @@ class ControlLoop:
 
     def _supervise(self, dt: float) -> None:
         """Whether the law may go on, by the table of watches and by the estimator's opinion of the side."""
-        problem = self.supervisor.check(self._q_a, dt, self.mode_known)
+        problem = self.supervisor.check(self._q_a, dt, self.estimator)
         self.saturated_ticks += self.supervisor.saturated
         if self._stop_wanted and not problem and self._comes_to_rest():
             self._go_limp(Phase.SAFE_STOP, self.reason)

@@ -19,6 +19,7 @@ import numpy as np
 
 from dextar_control.contract.settings import Law, Settings
 from dextar_control.control.law import OUTPUT, law_of
+from dextar_control.estimation.estimate import Estimator
 from dextar_control.estimation.records import ESTIMATE
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
@@ -199,19 +200,19 @@ class Supervisor:
         self._values.numbers[:] = 0.0
         self._last.numbers[:] = 0.0
 
-    def check(self, q_a: Array, dt: float, side_known: bool) -> str:
+    def check(self, q_a: Array, dt: float, estimator: Estimator) -> str:
         """What is wrong with the sample that was just answered, in a sentence with value and limit; empty for nothing.
 
         Args:
             q_a: (n,) measured, rad.
             dt: since the last sample, s.
-            side_known: of the locus.
+            estimator: that knows the side of the locus, or does not.
         """
         trips, saturated = self._told.tolist()
         self.saturated, self.tripped = saturated > 0.0, ""
         if self._counting or trips > 0.0:
             before, self._error = self._error, self.error
-            self._count(self._passed.numbers.tolist(), dt, side_known and self._error < before)
+            self._count(self._passed.numbers.tolist(), dt, estimator.mode_known and self._error < before)
         return self._sentence(self.tripped, q_a) if self.tripped else ""
 
     def _count(self, passed: list[float], dt: float, recovers: bool) -> None:

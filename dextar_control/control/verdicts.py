@@ -45,8 +45,8 @@ class CrossingJudge:
 
     def __init__(self, model: Model) -> None:
         self.passed: list[Passed] = []
-        self._known_until = [math.nan] * len(model.blocks)  # s; nan while the side is known or the locus is near
-        self._error = [0.0] * len(model.blocks)  # m, the largest since the side was known
+        self._unsure: list[tuple[float, float] | None] = [None] * len(model.blocks)  # since when clear of the locus, s, and the
+        # largest error since the side was known, m
         self._model = model
         self._times: list[float] = []
         self._signs: list[float] = []
@@ -69,7 +69,7 @@ class CrossingJudge:
 
     def let_go(self, time: float) -> None:
         """The robot is let go while it moves: the crossing of each block that has begun is still to be judged."""
-        self._known_until = [math.nan] * len(self._model.blocks)
+        self._unsure = [None] * len(self._model.blocks)
         every = (self._current(time, block) for block in range(len(self._model.blocks)))
         self._open = [current for current in every if current >= 0]
 
@@ -93,18 +93,12 @@ class CrossingJudge:
         problem, modes = "", estimator.modes
         for block, s in enumerate(s_ref):
             mode, confidence = modes[block]
-            self._error[block] = 0.0 if confidence >= self._sure else max(self._error[block], watched.error)
-            if abs(s) < self._clear_s or confidence >= self._sure:
-                self._known_until[block] = math.nan
-            elif estimator.tells_side and math.isnan(self._known_until[block]):
-                self._known_until[block] = time
-            elif time - self._known_until[block] > self._patience and self._error[block] > self._suspect:
-                problem = problem or (
-                    f"the side of the locus is not known for {time - self._known_until[block]:.2f} s clear of it (confidence"
-                    f" {confidence:.3f}) after an error of {self._error[block]:.4f} m; the limits are {self._patience:g} s and"
-                    f" {self._suspect:g} m"
-                )
-            if abs(s) < self._clear_s or not confidence >= self._sure or (mode * s >= 0.0 and time < self._settled[block]):
+            if not confidence >= self._sure:
+                clear = abs(s) >= self._clear_s and estimator.tells_side
+                problem = self._doubted(block, time, clear, confidence, watched) or problem
+                continue
+            self._unsure[block] = None
+            if abs(s) < self._clear_s or (mode * s >= 0.0 and time < self._settled[block]):
                 continue
             current = self._current(time, block)
             if mode * s < 0.0:
@@ -121,6 +115,18 @@ class CrossingJudge:
             coming = (at for at, of in zip(self._times[current + 1 :], self._blocks[current + 1 :], strict=True) if of == block)
             self._settled[block] = self._start + next(coming, math.inf) - OPEN_BEFORE
         return problem
+
+    def _doubted(self, block: int, time: float, clear: bool, confidence: float, watched: Supervisor) -> str:
+        """One more sample with a side that is not known, clear of the locus or not: what is wrong, or nothing."""
+        since, error = self._unsure[block] or (math.nan, 0.0)
+        since, error = (time if math.isnan(since) else since) if clear else math.nan, max(error, watched.error)
+        self._unsure[block] = since, error
+        if not (time - since > self._patience and error > self._suspect):
+            return ""
+        return (
+            f"the side of the locus is not known for {time - since:.2f} s clear of it (confidence {confidence:.3f}) after an"
+            f" error of {error:.4f} m; the limits are {self._patience:g} s and {self._suspect:g} m"
+        )
 
     def compare_afterwards(self, time: float, estimator: Estimator) -> str:
         """The side on which a robot ends that was let go during a crossing: it may change as it coasts.
