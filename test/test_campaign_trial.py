@@ -62,7 +62,7 @@ def test_a_run_that_bounces_is_no_crossing_and_is_called_so(robot: RobotParamete
 @pytest.mark.parametrize("coulomb", [0.0, 0.02])
 def test_no_robot_that_bounced_is_held_or_called_crossed_whatever_its_friction(robot: RobotParameters, coulomb: float) -> None:
     """At points where it was held on the wrong side, called crossed or left undecided while the test knew of no friction."""
-    points = [point for point in sample_points(robot, 12, 0, 97) if point.family == "stretched"]
+    points = [point for point in sample_points(robot, 16, 0, 97) if point.family == "stretched"]
     rows = [run(robot, point, (-1) ** index, index, bounce=1.0, coulomb=coulomb) for index, point in enumerate(points)]
     bounced = [row for row in rows if row["recognised"] is not None]
     assert len(bounced) >= 6

@@ -48,7 +48,8 @@ class Settings:
         hold_zone, hold_width: |s| around the locus that counts as a crossing (phase CROSSING); the estimator ``dgm``
             does not call the direct model below hold_zone.
         return_time: over which ``dgm`` takes the direct model again after a crossing, s.
-        encoder_deviation: of a joint sample, rad, as the observer is told.
+        encoder_deviation: of a joint sample, rad, as the observer is told; it may see it scatter more.
+        scatter_gain: how many times what it sees counts, in variance; 0 is off.
         bias_deviation: of the joint angles that a wrong geometry explains, rad.
         bias_walk: of their random walk as the joints move, rad/sqrt(rad).
         torque_deviation: of a sample's torque (friction, motors), N m.
@@ -105,6 +106,7 @@ class Settings:
     hold_width: float
     return_time: float
     encoder_deviation: float
+    scatter_gain: float
     bias_deviation: float
     bias_walk: float
     torque_deviation: float

@@ -24,12 +24,15 @@ from dextar_control.model.solved import mirror_image
 from dextar_control.symbols.functions import Library, cache_folder, in_place, named
 from dextar_control.symbols.record import Field, Layout
 from dextar_control.symbols.singular import blocks
-from dextar_control.symbols.smooth import is_finite
+from dextar_control.symbols.smooth import is_finite, smooth_step
 from dextar_control.symbols.types import Symbol
 
 TURN = 0.05  # rad/s of a joint over which its friction turns round
 UNSURE_SPEED = 0.5  # m/s, standard deviation of x_dot beside the filter's own, of a state that may be on the wrong side
 UNSURE_BIAS = 2.0  # of its b, that x makes up for in the joints, over that of the start
+CLEAR = 0.2, 0.4  # |s| between which the scatter of the samples begins to count
+JUMP = 4.0  # times the variance of a sample as it was known, beyond which one jump of the innovation counts for no more
+SCATTER = 0.02, 0.3  # s over which the scatter of the samples is averaged, where it rises and where it falls
 BLIND = 0.02  # s before a position in which at most a blow near the locus may have gone unseen
 
 FILTER = (
@@ -38,10 +41,13 @@ FILTER = (
     Field("b", "rad", "mean of what a wrong geometry adds to the joints", "n"),
     Field("d", "N m", "mean of the torques that act on the joints and that the model lacks", "n"),
     Field("x_ddot", "m/s^2", "acceleration of the last prediction", "n"),
+    Field("innovation", "rad", "of the last sample", "n"),
+    Field("scatter", "rad^2", "of the samples about a smooth motion: mean squared step of the innovation, halved", "n"),
     Field("covariance", "SI", "of (x, x_dot, b, d)", "4n", "4n"),
 )
 NOISE = (
-    Field("encoder", "rad", "standard deviation of a sample"),
+    Field("encoder", "rad", "least standard deviation of a sample"),
+    Field("scatter_gain", "1", "of the scatter that is seen in the samples, in their variance"),
     Field("bias", "rad", "of b at the start"),
     Field("bias_walk", "rad/sqrt(rad)", "of b's random walk as the joints move"),
     Field("torque", "N m", "of a sample's torque: friction and motors"),
@@ -90,7 +96,8 @@ class _Filters:
             ca.horzcat(zero, zero, zero, noise["disturbance"] ** 2 * one),
         )
         rest = ca.SX.zeros(self.n)
-        return {"x": x, "x_dot": rest, "b": rest, "d": rest, "x_ddot": rest, "covariance": covariance}
+        return {"x": x, "x_dot": rest, "b": rest, "d": rest, "x_ddot": rest, "innovation": rest, "scatter": rest,
+                "covariance": covariance}
 
     def predict(self, noise: dict[str, Symbol], state: dict[str, Symbol], tau: Symbol, dt: Symbol) -> dict[str, Symbol]:
         """One step under tau (n,), N m: x_ddot by the forward dynamics in its middle, and the covariance with it.
@@ -113,8 +120,8 @@ class _Filters:
         turned = ca.fabs(ca.tanh(e.J_inv @ (x_dot + dt * x_ddot) / TURN) - ca.tanh(e.J_inv @ x_dot / TURN))
         walk = dt * noise["disturbance_walk"] ** 2 + 2.0 * turned * noise["disturbance_turn"] ** 2
         P[3 * n :, 3 * n :] += ca.diag(walk * ca.SX.ones(n))
-        return {"x": x + dt * (x_dot + 0.5 * dt * x_ddot), "x_dot": x_dot + dt * x_ddot, "b": state["b"], "d": state["d"],
-                "x_ddot": x_ddot, "covariance": _symmetric(P)}
+        return state | {"x": x + dt * (x_dot + 0.5 * dt * x_ddot), "x_dot": x_dot + dt * x_ddot, "x_ddot": x_ddot,
+                        "covariance": _symmetric(P)}
 
     def complete(self, noise: dict[str, Symbol], state: dict[str, Symbol]) -> tuple[dict[str, Symbol], dict[str, Symbol]]:
         """(noise, state) of the filter that serves, for which the model lacks no torque: what is 0 is not computed."""
@@ -151,12 +158,23 @@ class _Filters:
     def correct(
         self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol, dt: Symbol
     ) -> tuple[dict[str, Symbol], Symbol]:
-        """Take the active joints (n,), rad, and see whether the robot was struck in the last dt."""
+        """Take the active joints (n,), rad, and see whether the robot was struck in the last dt.
+
+        The samples count as the worse the more the innovation jumps from one to the next: so it does under wrong stamps, a
+        coarse encoder, and where this filter and the law shake a soft transmission, which then finds less to answer it.
+        What is slow to come, an acceleration that the model has wrong, does not count.
+        """
         innovation, H = self.innovation(state, q_meas)
-        variance = noise["encoder"] ** 2
-        _, S = _gain_parts(state["covariance"], H, variance)
+        variance = noise["encoder"] ** 2 + noise["scatter_gain"] * state["scatter"]
+        _, S = _gain_parts(state["covariance"], H, noise["encoder"] ** 2 + state["scatter"])
         struck = ca.if_else(ca.dot(innovation, ca.solve(S, innovation)) > noise["shock_gate"], 1.0, 0.0)
-        return self.update(self.shocked(noise, state, dt, struck), innovation, H, variance, ())[0], struck
+        counts = smooth_step(ca.fabs(self.at(state["x"], ca.SX.zeros(self.n)).s), *CLEAR) * (1.0 - struck)
+        most = JUMP * (noise["encoder"] ** 2 + state["scatter"])
+        more = ca.fmin(0.5 * (innovation - state["innovation"]) ** 2, most) - state["scatter"]
+        rise, fall = (ca.fmin(dt / time, 1.0) for time in SCATTER)
+        memory = {"innovation": (1.0 - struck) * innovation,
+                  "scatter": state["scatter"] + counts * ca.if_else(more > 0.0, rise, fall) * more}
+        return self.update(self.shocked(noise, state, dt, struck), innovation, H, variance, ())[0] | memory, struck
 
     def innovate(
         self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol
@@ -214,7 +232,7 @@ class _Filters:
         if rows is not None:
             p[rows] *= ca.if_else(sines * sines_here < 0.0, -1.0, 1.0)
         off = ca.norm_1(mechanism.inverse_geometric_model(other, mechanism.named(p)) - e.q_a)
-        image = {"x": other, "x_dot": J @ e.q_a_dot, "b": state["b"], "d": state["d"], "x_ddot": ca.SX.zeros(n),
+        image = state | {"x": other, "x_dot": J @ e.q_a_dot, "x_ddot": ca.SX.zeros(n),
                  "covariance": _symmetric(T @ state["covariance"] @ T.T)}
         return image, p, ca.if_else(off < 1e-6, ca.mmin(ca.fabs(sines)), 0.0)
 
@@ -240,7 +258,7 @@ class _Filters:
 def _gain_parts(P: Symbol, H: Symbol, variance: Symbol) -> tuple[Symbol, Symbol]:
     """P H^T and H P H^T + variance 1."""
     PH = P @ H.T
-    return PH, H @ PH + variance * ca.SX.eye(H.shape[0])
+    return PH, H @ PH + ca.diag(variance * ca.SX.ones(H.shape[0]))
 
 
 def _symmetric(matrix: Symbol) -> Symbol:

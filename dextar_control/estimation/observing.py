@@ -36,6 +36,7 @@ class ObserverEstimator:
         noise, test = self.observer.noise, self.observer.test_noise
         noise.encoder, noise.bias, noise.bias_walk = settings.encoder_deviation, settings.bias_deviation, settings.bias_walk
         noise.torque, noise.acceleration = settings.torque_deviation, settings.acceleration_deviation
+        noise.scatter_gain = settings.scatter_gain
         noise.shock_gate, noise.shock_speed = settings.shock_gate**2, settings.shock_speed
         test.take(noise)
         test.encoder, test.torque = settings.passage_encoder_deviation, settings.passage_torque_deviation

@@ -68,6 +68,8 @@ PARAMETERS = (
     Parameter("filter_bandwidth", "of the joint filter of dgm and plain", 10.0, 2000.0, unit="rad/s", live=True),
     Parameter("return_time", "over which dgm takes the direct model again after a crossing", 0.0, 1.0, unit="s", live=True),
     Parameter("encoder_deviation", "of a joint sample, as the observer is told", 1e-7, 0.1, unit="rad", live=True),
+    Parameter("scatter_gain", "of the scatter that the observer sees in the samples, in their variance; 0 is off", 0.0, 1e6,
+              unit="1", live=True),
     Parameter("bias_deviation", "of the joint angles that a wrong geometry explains", 1e-9, 0.1, unit="rad", live=True),
     Parameter("bias_walk", "of their random walk as the joints move", 0.0, 0.1, unit="rad/sqrt(rad)", live=True),
     Parameter("torque_deviation", "of a sample's torque", 1e-6, 10.0, unit="N m", live=True),
