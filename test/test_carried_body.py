@@ -171,7 +171,7 @@ def test_it_crosses_both_loci_at_once_there_and_back(robot: Robot, trips: list[P
 def test_the_plain_law_takes_more_than_twice_the_planned_torque_where_the_consistent_one_stays_below_it(
     robot: Robot, trips: list[Plan]
 ) -> None:
-    assert drive(robot, trips[0], law="classic").near_torque > 2.0 * trips[0].certificate.peak_torque
+    assert drive(robot, trips[0], law="classic", scatter_gain=0.0).near_torque > 2.0 * trips[0].certificate.peak_torque
 
 
 @pytest.mark.parametrize("row", range(len(PLACES)))

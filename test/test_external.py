@@ -83,7 +83,7 @@ def test_a_position_between_two_samples_is_taken_between_them(robot: RobotParame
     observer.predict(state, noise, tau, early)
     observer.correct_position(state, seen, settings.pose_deviation)
     observer.predict(state, noise, tau, PERIOD - early)
-    observer.correct(state, noise, recorded.q_a[300], PERIOD)
+    observer.correct(state, noise, recorded.q_a[300], PERIOD - early)
     observer.predict(state, noise, tau_next, PERIOD)
     observer.correct(state, noise, recorded.q_a[301], PERIOD)
     np.testing.assert_allclose(ours.observer.main.x, state.x, rtol=0.0, atol=EXACT)

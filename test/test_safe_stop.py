@@ -63,7 +63,7 @@ def test_from_every_instant_the_robot_comes_to_rest_clear_of_the_locus_on_a_know
         assert "at rest after" in row.told
         assert abs(row.end_s) >= SETTINGS.stop_s
         assert row.side_right or not row.side_known
-    assert sum(row.side_known for row in stops) >= 0.99 * len(stops)
+    assert sum(row.side_known for row in stops) >= 0.98 * len(stops)  # in the others it has to be told
 
 
 def test_the_safe_stop_takes_energy_and_gives_none(stops: list[SimpleNamespace]) -> None:
