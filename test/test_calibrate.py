@@ -251,7 +251,7 @@ def slipped(readings: np.ndarray) -> np.ndarray:
         (lambda: run_of(read(NOMINAL, path()[:150])), "too little motion: the left encoder moves by .* rad"),
         (lambda: run_of(read(NOMINAL, path()[200:290])), "no crossing: the elbows' distance .* nowhere turns back"),
         (lambda: run_of(np.concatenate([read(NOMINAL, path()[: round(1.1 / PERIOD)])] * 4)), "not at all|to \\+-"),
-        (lambda: run_of(slipped(read(NOMINAL, path()))), "no geometry explains the recordings|tell left.proximal_length to .* mm"),
+        (lambda: run_of(slipped(read(NOMINAL, path()))), "no geometry explains|tell left.proximal_length to .* mm"),
         (lambda: run_of(read(NOMINAL, path(), eccentricity=(2e-3, -2e-3))), "the encoders seem to err by some [13] mrad"),
         (lambda: run_of(read(NOMINAL, path()), path() + 0.008), "put left.axis.x .8.* mm from the description"),
         (lambda: run_of(read(NOMINAL, path()), path(), noise=0.02), "external poses scatter"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from difflib import get_close_matches
 from enum import IntEnum
 from typing import Any, TypeVar
 
@@ -182,5 +183,13 @@ def choice(kind: type[Choice], name: str, value: Any) -> Choice:
 
 
 def default_settings(**changes: object) -> Settings:
-    """The controller settings of ``config/crossing.yaml``, with changes."""
+    """The controller settings of ``config/crossing.yaml``, with changes.
+
+    Raises:
+        ParameterError: there is no setting of this name.
+    """
+    unknown = sorted({*changes} - {field.name for field in fields(Settings)})
+    if unknown:
+        near = get_close_matches(unknown[0], [field.name for field in fields(Settings)], 1)
+        raise ParameterError(f"unknown setting '{unknown[0]}'{f'; {near[0]} is one' if near else ''}")
     return Settings.from_values(node_defaults("controller", config_file(NODES_FILE)) | changes)

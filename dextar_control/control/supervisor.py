@@ -95,6 +95,7 @@ def watch_of(mechanism: Mechanism) -> ca.Function:
         for name, fields in (("bounds", BOUNDS), ("last", LAST), ("estimate", ESTIMATE), ("output", OUTPUT))
     )
     q_meas = ca.SX.sym("q_meas", n)
+    turns = ca.DM([joint.unit == "rad" for joint in mechanism.joints])  # of angles a range is one on any turn
     dt, limit, crossing = (ca.SX.sym(name) for name in ("dt", "limit", "crossing"))
     known, finite = last["known"] > 0.0, ca.if_else(is_finite(hat_vector) * out["finite"] > 0.0, 1.0, 0.0)
 
@@ -108,7 +109,8 @@ def watch_of(mechanism: Mechanism) -> ca.Function:
         "tracking_error": ca.if_else(finite, ca.norm_2(out["error"]), 0.0),
         "joint_speed": largest(wrapped(q_meas - last["q_meas"]), known) / dt,
         "platform_speed": ca.if_else(finite, ca.norm_2(hat["x_dot"]), 0.0),
-        "joint_range": ca.mmax(ca.fabs(wrapped(q_meas - bounds["middle"])) - bounds["half"]),
+        "joint_range": ca.mmax(ca.fabs(ca.if_else(turns, wrapped(q_meas - bounds["middle"]), q_meas - bounds["middle"]))
+                               - bounds["half"]),
         "estimator": largest(wrapped(q_meas - mechanism.inverse_geometric_model(hat["x"], p)), finite),
         "locus": ca.if_else(finite, ca.fabs(out["s"]), 0.0),
         "saturation": largest(out["tau"], finite),

@@ -49,9 +49,12 @@ class Robot:
         """From dotted names: the mechanism's parameters, LIMITS, and where there are bounds ``joint_min`` and ``joint_max``.
 
         Raises:
-            ParameterError: a number is missing or out of its bounds.
+            ParameterError: a number is missing or out of its bounds, or unknown.
         """
         mechanism.values(values)
+        known = {"mechanism", "joint_min", "joint_max", *(number.name for number in (*LIMITS, *mechanism.parameters))}
+        if unknown := sorted({*values} - known):
+            raise ParameterError(f"unknown robot parameter '{unknown[0]}' of the mechanism {mechanism.name}")
         missing = [limit.name for limit in LIMITS if limit.name not in values]
         if missing:
             raise ParameterError(f"robot parameter '{missing[0]}' of the mechanism {mechanism.name} is missing")

@@ -12,7 +12,7 @@ from dextar_control.model.model import Model
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.certificate import PLAN_RESIDUAL, Certificate, Plan, measure
 from dextar_control.planning.checks import certify
-from dextar_control.planning.locus import LocusPoint
+from dextar_control.planning.locus import MIN_END_S, LocusPoint
 from dextar_control.planning.search import BENDS, GOOD, TORQUE_SHARE, Problem, Progress, descend, trajectory_of
 from dextar_control.planning.trajectory import Trajectory, in_words
 from dextar_control.symbols.record import Record
@@ -117,15 +117,19 @@ def weightless(model: Model, trajectory: Trajectory) -> bool:
 
 
 def _checked(robot: AnyRobot, trajectory: Trajectory) -> Plan:
-    return Plan(trajectory, certify(robot, trajectory, max_residual=PLAN_RESIDUAL, crossings=1))
+    certificate = certify(robot, trajectory, max_residual=PLAN_RESIDUAL, crossings=1)
+    least = float(np.abs(certificate.profile.s[[0, -1]]).min())
+    if not least >= MIN_END_S:
+        raise TrajectoryError(f"the way ends at |s| = {least:.3g} of the Type 2 locus; a rest needs {MIN_END_S}")
+    return Plan(trajectory, certificate)
 
 
 def _needed(robot: AnyRobot, seen: Certificate, torque: float) -> float:
     """The share of its duration at which a way keeps this torque, N m, and the speed limits."""
     return max(
         float(np.sqrt(seen.peak_torque / torque)),
-        seen.peak_joint_speed / robot.max_joint_speed,
-        seen.peak_platform_speed / robot.max_platform_speed,
+        HEADROOM * seen.peak_joint_speed / robot.max_joint_speed,
+        HEADROOM * seen.peak_platform_speed / robot.max_platform_speed,
     )
 
 
@@ -135,7 +139,7 @@ def _stretched(robot: AnyRobot, found: Attempt) -> Plan:
     duration, trajectory = problem.task.duration, trajectory_of(problem, z)
     for _ in range(STRETCHES):
         factor = float(np.clip(_needed(robot, measure(robot, trajectory), TORQUE_SHARE * robot.max_torque), 0.5, 2.0))
-        if abs(factor - 1.0) < SETTLED:
+        if 1.0 - SETTLED < factor <= 1.0:
             break
         duration *= factor
         if weightless(problem.model, trajectory):

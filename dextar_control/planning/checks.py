@@ -71,13 +71,14 @@ def certify(
 
 
 def beyond_range(robot: AnyRobot, q_a: Array) -> Array:
-    """How far each active joint (..., n), rad, on any turn, is outside its range, rad; negative inside.
+    """How far each active joint (..., n), rad (m), is outside its range, rad (m); negative inside.
 
-    A range of a whole turn is no bound.
+    An angle counts on any turn: a range of a whole turn is no bound.
     """
     low, high = (np.array(bounds) for bounds in robot.joint_range)
-    off = q_a - 0.5 * (low + high)
-    return np.asarray(np.abs(off - 2.0 * np.pi * np.floor((off + np.pi) / (2.0 * np.pi))) - 0.5 * (high - low))
+    off, turns = q_a - 0.5 * (low + high), [joint.unit == "rad" for joint in states_model(robot).mechanism.joints]
+    on_one_turn = np.where(turns, off - 2.0 * np.pi * np.floor((off + np.pi) / (2.0 * np.pi)), off)
+    return np.asarray(np.abs(on_one_turn) - 0.5 * (high - low))
 
 
 def check_joint_range(robot: AnyRobot, profile: Profile) -> None:
@@ -86,9 +87,12 @@ def check_joint_range(robot: AnyRobot, profile: Profile) -> None:
     row, leg = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
     if beyond[row, leg] > 0.0:
         low, high = (bounds[leg] for bounds in robot.joint_range)
+        unit = states_model(robot).mechanism.joints[leg].unit
+        what = "angle" if unit == "rad" else "position"
         raise TrajectoryError(
-            f"the {robot.sides[leg]} joint's angle is {profile.q_a[row, leg]:.4g} rad, {beyond[row, leg]:.4g} rad outside"
-            f" its range; the limits are {low:.4g} and {high:.4g} rad (at {profile.time[row]:.4f} s, {in_words(profile.x[row])})"
+            f"the {robot.sides[leg]} joint's {what} is {profile.q_a[row, leg]:.4g} {unit}, {beyond[row, leg]:.4g} {unit} outside"
+            f" its range; the limits are {low:.4g} and {high:.4g} {unit}"
+            f" (at {profile.time[row]:.4f} s, {in_words(profile.x[row])})"
         )
 
 

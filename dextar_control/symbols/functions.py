@@ -33,6 +33,7 @@ COMPILE_TIMEOUT = 60.0  # s
 KEPT = 60  # libraries: some ten for each version of the equations
 SEAL = 32  # bytes
 _told: set[str] = set()
+_given_up: set[str] = set()  # compilers that took too long in this process
 COMPILER_VARIABLE = "DEXTAR_CC"
 """Environment variable that names the C compiler; empty for none."""
 
@@ -207,6 +208,8 @@ def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequenc
             else f"there is no C compiler {named}, which {COMPILER_VARIABLE} names"
         )
         return None
+    if command in _given_up:
+        return None
     generator = ca.CodeGenerator("dextar_model", {"with_header": False, "main": False})
     for function in functions.values():
         generator.add(function)
@@ -226,6 +229,7 @@ def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequenc
             os.replace(target, library)  # whole or not at all, whoever else compiles the same
         _prune(folder)
     except subprocess.TimeoutExpired:
+        _given_up.add(command)
         _tell(f"the C compiler {command} took more than {COMPILE_TIMEOUT:g} s")
     except subprocess.CalledProcessError as error:
         lines = error.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
