@@ -52,7 +52,7 @@ class Robot:
             ParameterError: a number is missing or out of its bounds, or unknown.
         """
         mechanism.values(values)
-        known = {"mechanism", "joint_min", "joint_max", *(number.name for number in (*LIMITS, *mechanism.parameters))}
+        known = {"name", "mechanism", "joint_min", "joint_max", *(number.name for number in (*LIMITS, *mechanism.parameters))}
         if unknown := sorted({*values} - known):
             raise ParameterError(f"unknown robot parameter '{unknown[0]}' of the mechanism {mechanism.name}")
         missing = [limit.name for limit in LIMITS if limit.name not in values]
