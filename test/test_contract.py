@@ -23,6 +23,7 @@ from dextar_control.contract.errors import ParameterError, StateError, Trajector
 from dextar_control.contract.node import Parameter, check_value, qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, flatten, from_flat, load_robot
+from dextar_control.contract.settings import default_settings
 from dextar_control.contract.topics import (
     CONTROLLER_STATE,
     CRITERION,
@@ -298,3 +299,8 @@ def test_what_a_description_may_leave_out_is_checked_where_it_is_said(
         assert from_flat(flat) == robot
     with pytest.raises(ParameterError, match=said):
         from_flat(flat | {key: value})
+
+
+def test_a_misspelt_setting_is_named() -> None:
+    with pytest.raises(ParameterError, match="unknown setting 'watch_torqe'; watch_torque is one"):
+        default_settings(watch_torqe=10.0)

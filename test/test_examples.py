@@ -9,16 +9,18 @@ import sys
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from plain_loop import EXAMPLES, ExactPlant, PyBulletPlant, drive, example
 
-from dextar_control.contract.errors import GeometryError, ParameterError
+from dextar_control.contract.errors import GeometryError, ParameterError, TrajectoryError
 from dextar_control.control.phases import Phase
 from dextar_control.control.verdicts import Verdict
 from dextar_control.model.model import Model, check_geometry
 from dextar_control.model.robot import Robot
 from dextar_control.planning.certificate import PLAN_RESIDUAL
+from dextar_control.planning.checks import beyond_range
 from dextar_control.planning.locus import nearest_point
 from dextar_control.planning.planner import Plan, plan_approach, plan_return_trip_through
 
@@ -151,16 +153,40 @@ def test_a_number_of_its_own_that_is_missing_or_out_of_bounds_is_named(biglide: 
         biglide.ROBOT.replace(joint_min=[-0.4, 0.4])
 
 
-def test_a_plan_of_geometric_models_that_contradict_the_closures_is_refused(biglide: Any) -> None:
-    class Wrong(biglide.Biglide):
-        name = "wrong"
+@pytest.mark.parametrize(("method", "said"), [
+    ("inverse_geometric_model", "the inverse geometric model of wrong leaves its closures open by"),
+    ("direct_geometric_model", r"the direct geometric model of wrong gives .* for the joints and the side \(s = -0\.428\)"),
+    ("lagrangian", "the inertia of wrong at .* is not positive: its Lagrangian has to be kinetic less potential energy"),
+    ("closures", "B of mechanism wrong is singular everywhere: the closures do not depend on all active joints"),
+])  # fmt: skip
+def test_a_plan_of_a_mechanism_that_contradicts_itself_is_refused(biglide: Any, method: str, said: str) -> None:
+    right = getattr(biglide.Biglide(), method)
+    instead = {
+        "inverse_geometric_model": lambda self, x, p: right(x, p) + 1e-4,
+        "direct_geometric_model": lambda self, q_a, side, p: right(q_a, -side, p),
+        "lagrangian": lambda self, *state: -right(*state),
+        "closures": lambda self, *state: ca.vertcat(right(*state)[0], right(*state)[0]),
+    }
+    wrong = type("Wrong", (biglide.Biglide,), {"name": "wrong", method: instead[method]})
+    with pytest.raises(ParameterError, match=said):
+        robot = dataclasses.replace(biglide.ROBOT, mechanism=wrong())
+        plan_approach(robot, np.array([-0.045, -0.03]), np.array([-0.045, 0.0]), 0.3)
 
-        def inverse_geometric_model(self, x: Any, p: Any) -> Any:
-            return super().inverse_geometric_model(x, p) + 1e-4
 
-    wrong = dataclasses.replace(biglide.ROBOT, mechanism=Wrong())
-    with pytest.raises(ParameterError, match="the inverse geometric model of wrong leaves its closures open by"):
-        plan_approach(wrong, np.array([-0.045, -0.03]), np.array([-0.045, 0.0]), 0.3)
+def test_a_way_of_free_duration_keeps_a_speed_limit_and_ends_clear_of_the_locus(biglide: Any) -> None:
+    place = nearest_point(biglide.ROBOT, np.array([0.0, 0.0]))
+    for limit in (1.0, 0.5, 0.3):
+        certificate = plan_return_trip_through(biglide.ROBOT.replace(max_joint_speed=limit), place, 1, None, 0.1).certificate
+        assert certificate.peak_joint_speed <= limit and abs(certificate.profile.s[0]) >= 0.4
+    with pytest.raises(TrajectoryError, match=r"the way ends at \|s\| = .* of the Type 2 locus; a rest needs 0\.4"):
+        plan_return_trip_through(biglide.ROBOT.replace(max_torque=0.02), place, 1, None, 0.1)
+
+
+def test_a_slider_has_no_turns(biglide: Any) -> None:
+    far = biglide.ROBOT.replace(joint_min=[-0.4 + 2.0 * np.pi] * 2, joint_max=[0.4 + 2.0 * np.pi] * 2)
+    assert (beyond_range(far, np.zeros(2)) > 5.0).all()
+    with pytest.raises(ParameterError, match="unknown robot parameter 'joint_mn' of the mechanism biglide"):
+        Robot.of(far.mechanism, {**far.numbers, "joint_mn": [0.0, 0.0]})
 
 
 @pytest.mark.parametrize(("name", "crossings"), [("biglide", 2), ("carried_body", 4)])

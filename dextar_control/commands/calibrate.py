@@ -43,6 +43,10 @@ def run(arguments: argparse.Namespace) -> int:
         for bag in (*arguments.bag, *arguments.check):
             shown.stage(f"reading {bag}")
             runs.append(load_run(bag, arguments.namespace, shown.read, robot))
+        twice = [run.path for row, run in enumerate(runs) if run.path.resolve() in [one.path.resolve() for one in runs[:row]]]
+        if twice:
+            say(f"dextar calibrate: {twice[0]} is given twice; each bag may serve once, and --check takes one that does not")
+            return EXIT_FAILED
         used, unused = runs[: len(arguments.bag)], runs[len(arguments.bag) :]
         folder = arguments.output or used[0].path.parent
         try:

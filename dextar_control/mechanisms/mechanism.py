@@ -119,7 +119,7 @@ class Mechanism(ABC):
         The extension of a leg is within [-1, 1] where it reaches x, +-1 at Type 1 and beyond that by how far it misses; there the
         joint is the one that comes nearest. What optimises needs it; a mechanism for which nothing is planned does without.
         """
-        raise NotImplementedError(f"mechanism {self.name} has no geometric model for what it does not reach")
+        raise ParameterError(f"mechanism {self.name} has no nearest_joints, which planning needs: write that method")
 
     def unreached(self, x: Array, q_a: Array, p: Any) -> str:
         """Why q_a is nan at x, in words; ``p`` has numbers."""

@@ -17,11 +17,14 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.symbols.singular import SingularVectors, blocks, nearest, singular_vectors
 from dextar_control.symbols.types import Symbol
+
+TRIES = 5  # sets of numbers at which a matrix that is singular everywhere is found to be
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,7 @@ def equations(mechanism: Mechanism) -> Equations:
     """The equations of a mechanism.
 
     Raises:
-        ParameterError: its closures and coordinates do not match in number, or B is singular everywhere.
+        ParameterError: its closures and coordinates do not match in number, or B or A_r is singular everywhere.
     """
     n = mechanism.n
     vector, p = mechanism.symbols()
@@ -114,10 +117,10 @@ def equations(mechanism: Mechanism) -> Equations:
             f" {closures.shape[0]} closures; the three numbers must be equal"
         )
     A_r, B = ca.jacobian(closures, x), ca.jacobian(closures, q_a)  # Eq. 2
-    if ca.sprank(B) < n:
-        raise ParameterError(f"B of mechanism {mechanism.name} is singular everywhere: some closure depends on no active joint")
-    if ca.sprank(A_r) < n:
-        raise ParameterError(f"A_r of mechanism {mechanism.name} is singular everywhere: a closure has no coordinate of its own")
+    for name, matrix, why in (("B", B, "the closures do not depend on all active joints, each in its own way"),
+                              ("A_r", A_r, "a closure has no coordinate of its own")):
+        if ca.sprank(matrix) < n or _loses_rank(ca.Function(name, [vector, q_a, x], [matrix])):
+            raise ParameterError(f"{name} of mechanism {mechanism.name} is singular everywhere: {why}")
     J_inv = -ca.solve(B, A_r)  # Eq. 8
     q_a_dot = J_inv @ x_dot  # Eq. 2
 
@@ -161,3 +164,13 @@ def equations(mechanism: Mechanism) -> Equations:
         M, h, multipliers, inverse_dynamics, friction, forward_dynamics, s_blocks, nearest(s_blocks, s_blocks), singular,
         criterion, ca.mmin(ca.fabs(mechanism.type1_sines(q_a, x, p))),
     )
+
+
+def _loses_rank(matrix: ca.Function) -> bool:
+    """Whether a matrix has less than full rank at all of some numbers that mean nothing; not where it is no number."""
+    generator = np.random.default_rng(0)
+    for _ in range(TRIES):
+        found = np.array(matrix(*(generator.uniform(0.5, 1.5, matrix.size1_in(i)) for i in range(matrix.n_in()))))
+        if not np.isfinite(found).all() or np.linalg.matrix_rank(found) == len(found):
+            return False
+    return True

@@ -23,6 +23,7 @@ from dextar_control.symbols.types import Array, Symbol
 AnyModel = TypeVar("AnyModel", bound="Model")
 
 SOLVED = 1e-12  # m^2, of a closure that counts as closed
+CLEAR, RETURNED = 0.1, 1e-6  # |s| from which a direct model is asked for its place, and how near to it, of its distance
 CLOSED = 1e-9  # of the closures' own size, beyond which a geometric model does not satisfy them
 
 
@@ -171,7 +172,7 @@ def _closed_near(mechanism: Mechanism, e: Equations) -> ca.Function:
 
 
 def check_geometry(model: Model, places: Array) -> None:
-    """The geometric models satisfy the closures.
+    """The geometric models satisfy the closures, the direct one on its side of the locus, and M is positive definite.
 
     Args:
         model: of the robot.
@@ -191,4 +192,17 @@ def check_geometry(model: Model, places: Array) -> None:
             raise ParameterError(
                 f"the inverse geometric model of {mechanism.name} leaves its closures open by {gap:.3g} at x ="
                 f" {np.round(place, 6).tolist()}; it must satisfy them"
+            )
+        joints, s, at = model.inverse_geometric_model(place), model.place(place).s.item(), np.round(place, 6).tolist()
+        if abs(s) > CLEAR and "direct_geometric_model" in model.library.symbolic:
+            found = model.direct_geometric_model(joints, np.sign(s), place)
+            if not np.linalg.norm(found - place) <= RETURNED * max(float(np.linalg.norm(place)), 1e-3):
+                raise ParameterError(
+                    f"the direct geometric model of {mechanism.name} gives {np.round(found, 6).tolist()} for the joints and the"
+                    f" side (s = {s:+.3f}) of x = {at}"
+                )
+        if not np.linalg.eigvalsh(model.platform_dynamics(joints, place, np.zeros(model.n), np.zeros(model.n)).M).min() > 0.0:
+            raise ParameterError(
+                f"the inertia of {mechanism.name} at x = {at} is not positive: its Lagrangian has to be kinetic less potential"
+                " energy"
             )

@@ -176,6 +176,8 @@ def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> Locu
         GeometryError: the working mode has no locus that far from Type 1, or none was found from there.
     """
     x = np.asarray(x, dtype=np.float64)
+    if x.shape != (planning_model(robot).n,) or not np.isfinite(x).all():
+        raise GeometryError(f"place {np.round(x, 6).tolist()}; it must be {planning_model(robot).n} finite numbers, m")
     limit = robot.min_type1_distance if type1 is None else type1
     if not isinstance(robot, RobotParameters):
         return _nearest_by_gradient(robot, x, limit)
