@@ -105,7 +105,7 @@ class ControlLoop:
             raise ParameterError(
                 f"passage_armed = {settings.passage_armed} with passage_begin = {settings.passage_begin}; it must be smaller"
             )
-        self.settings = settings
+        self.settings, self._held = settings, (settings.hold_zone, settings.hold_width)
         if settings.law not in self._acts:
             self._acts[settings.law] = acts_of(self.model.mechanism).fast(
                 f"act_{settings.law.name.lower()}", p=self.model.p, gains=self._gains.numbers,
@@ -433,15 +433,14 @@ class ControlLoop:
 
     def _servo(self, reference_time: float, dt: float) -> None:
         """One tick of the law, and whether it may go on."""
-        settings, given = self.settings, self._places
+        given = self._places
         crossing = self.phase is Phase.TRACK or self.phase is Phase.CROSSING
-        zone, width = (settings.hold_zone, settings.hold_width) if crossing else (REST_ZONE, REST_WIDTH)
+        zone, width = self._held if crossing else (REST_ZONE, REST_WIDTH)
         s_ref = self._planned.at(reference_time)
         self.estimator.track(dt, self._q_a, self._answer, self._reference, zone, width)
         limit = self.robot.max_torque
         if crossing:
-            near = abs(s_ref) < settings.hold_zone + settings.hold_width
-            self.phase = Phase.CROSSING if near else Phase.TRACK
+            self.phase = Phase.CROSSING if abs(s_ref) < zone + width else Phase.TRACK
             limit = self._crossing_limit
         given.dt[0], given.limit[0], given.crossing[0] = dt, limit, self.phase is Phase.CROSSING
         self._act.run()

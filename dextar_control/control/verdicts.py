@@ -97,7 +97,8 @@ class CrossingJudge:
                 clear = abs(s) >= self._clear_s and estimator.tells_side
                 problem = self._doubted(block, time, clear, confidence, watched) or problem
                 continue
-            self._unsure[block] = None
+            if self._unsure[block]:
+                self._unsure[block] = None
             if abs(s) < self._clear_s or (mode * s >= 0.0 and time < self._settled[block]):
                 continue
             current = self._current(time, block)

@@ -233,10 +233,10 @@ class Observer:
         quiet = fits and not struck
         for block, side in enumerate(self.sides):
             belief = side.belief
-            if belief.testing:
-                self._weigh(block, side, struck)
             if belief.testing or belief.armed:
                 quiet = False
+                if belief.testing:
+                    self._weigh(block, side, struck)
         if struck or not fits:
             self._compare_with_main()
         for block, side in enumerate(self.sides):
