@@ -27,6 +27,7 @@ from dextar_control.contract.settings import default_settings
 from dextar_control.contract.topics import (
     CONTROLLER_STATE,
     CRITERION,
+    CRITERION_NAMES,
     JOINT_COMMANDS,
     JOINT_STATES,
     MARKERS,
@@ -185,9 +186,10 @@ def test_templates_are_the_middlewares_own_bytes() -> None:
     assert list(message.points[1].velocities) == [8.0, 9.0]
     assert list(message.points[3].effort) == [16.0, 17.0]
     assert (message.points[0].time_from_start.sec, message.points[0].time_from_start.nanosec) == (1, 500_000_000)
-    criterion = deserialize_message(messages.criterion_template().pack(5, [1, 2, 3, 4, 5, 6, 7, 8]), JointState)
+    criterion = deserialize_message(messages.criterion_template().pack(5, range(1, 1 + len(CRITERION_NAMES))), JointState)
     read = dict(zip(criterion.name, criterion.position, strict=True))
     assert (read["phase"], read["mode_confidence"], read["verdict"]) == (6.0, 7.0, 8.0)
+    assert (read["torque_limit"], read["innovation_q11"], read["disturbance_q21"]) == (9.0, 11.0, 16.0)
 
 
 def test_a_template_reads_what_another_publisher_wrote() -> None:

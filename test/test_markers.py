@@ -178,7 +178,7 @@ class Display(Rig):
     def say(self, robot: RobotParameters, x: np.ndarray) -> None:
         """The topics of one tick."""
         self.send(1, _legs(robot, x)[0])
-        self.criterion.publish(JointState(name=list(CRITERION_NAMES), position=[0.0, 0.4, 0.01, 0.0, 1.0, 3.0, 1.0, 0.0]))
+        self.criterion.publish(JointState(name=list(CRITERION_NAMES), position=[0.0, 0.4, 0.01, 0.0, 1.0, 3.0, 1.0] + [0.0] * 9))
         rows = [JointTrajectoryPoint(positions=[float(value) for value in row]) for row in (x + 1e-3, x, x - x, x)]
         self.state.publish(JointTrajectory(joint_names=["x", "y"], points=rows))
 

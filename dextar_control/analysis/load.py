@@ -301,10 +301,12 @@ def _criterion(series: Series, steady: Steady | None) -> Criterion:
     columns = dict(zip(topics.CRITERION_NAMES, table.values.T, strict=True))
     phase = _codes(columns.pop("phase"), range(len(topics.PHASES)), -1.0).astype(np.int64)
     columns["verdict"] = _codes(columns["verdict"], list(Verdict), np.nan)
+    first = topics.CRITERION_NAMES.index(f"innovation_{JOINT_NAMES[0]}")
+    innovation, bias, disturbance = (table.values[:, first + 2 * k : first + 2 * k + 2] for k in range(3))
     return Criterion(
-        stamps=table.stamps, phase=phase,
+        stamps=table.stamps, phase=phase, innovation=innovation, bias=bias, disturbance=disturbance,
         **{name: columns[name] for name in ("residual", "s", "sigma_min", "projection_weight", "assembly_mode",
-                                            "mode_confidence", "verdict")},
+                                            "mode_confidence", "verdict", "torque_limit", "innovation_square")},
     )  # fmt: skip
 
 

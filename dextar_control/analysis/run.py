@@ -64,7 +64,7 @@ class Control:
 
 @dataclass(frozen=True)
 class Criterion:
-    """The crossing criterion at each tick; all (n,).
+    """The crossing criterion at each tick, and what else the controller thought; all (n,) but where it is said.
 
     Attributes:
         stamps: ns of the state answered.
@@ -75,6 +75,10 @@ class Criterion:
         phase: a ``Phase``.
         mode_confidence: in the assembly mode, 0.5 to 1; nan when not recorded.
         verdict: a ``Verdict`` on the planned crossing that began last; nan when not recorded.
+        torque_limit: at which the torques were cut, N m; nan when not recorded.
+        innovation: (n, 2) of the observer: joints less those that it expected, rad; innovation_square: (n,) over its covariance;
+            bias: (n, 2) what a wrong geometry adds to the joints, rad; disturbance: (n, 2) torques at the joints that the model
+            lacks, N m. Nan when not recorded; 0 with estimators that have none.
     """
 
     stamps: Stamps
@@ -86,6 +90,11 @@ class Criterion:
     phase: NDArray[np.int64]
     mode_confidence: Floats
     verdict: Floats
+    torque_limit: Floats
+    innovation_square: Floats
+    innovation: Floats
+    bias: Floats
+    disturbance: Floats
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,11 @@ CRITERION_MEANINGS = {
     "projection_weight": "of the law's feedback along the weak direction, 1 to 0; 0 on the locus",
     "assembly_mode": "of the estimate: the sign of its s, +1 or -1",
     "mode_confidence": "in that assembly mode, 0.5 to 1",
+    "torque_limit": "at which the torques are cut",
+    "innovation_square": "observer's innovation over its covariance; 2 on average where the observer is right",
+    "innovation": "measured angle less the one that the observer expected",
+    "bias": "observer's: what a wrong geometry adds to the angle",
+    "disturbance": "observer's: torque at the joint that the model lacks",
 }
 
 
@@ -240,12 +245,13 @@ def _control_meaning(name: str) -> str:
 
 def _criterion(run: Run, stamps: Stamps) -> list[Field]:
     own = run.criterion.stamps
-    units = {"residual": FORCE}
+    units = {"residual": FORCE, "torque_limit": TORQUE, "innovation": ANGLE, "bias": ANGLE, "disturbance": TORQUE}
     fields = []
     for field in dataclasses.fields(run.criterion):
         if field.name not in ("stamps", "phase", "verdict"):
             values = _joined(own, getattr(run.criterion, field.name), stamps)
-            fields.append(Field(field.name, units.get(field.name, ONE), CRITERION_MEANINGS[field.name], values))
+            known = units.get(field.name, ONE), CRITERION_MEANINGS[field.name], values
+            fields += _joints(f"{field.name}_{{}}", *known) if values.ndim == 2 else [Field(field.name, *known)]
     phases = {int(number): phase_name(int(number)) for number in np.unique(run.criterion.phase) if number >= 0}
     verdicts = {verdict.value: verdict.name.lower() for verdict in Verdict}
     told = "; ".join(f"{name.upper()}: {meaning}" for name, meaning in PHASES.items())

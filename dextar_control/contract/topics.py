@@ -110,7 +110,8 @@ class Service:
 STREAM_DEPTH = 1000
 PLATFORM_NAMES = ("x", "y")
 CRITERION_NAMES = (
-    "residual", "s", "sigma_min", "projection_weight", "assembly_mode", "phase", "mode_confidence", "verdict",
+    "residual", "s", "sigma_min", "projection_weight", "assembly_mode", "phase", "mode_confidence", "verdict", "torque_limit",
+    "innovation_square", *(f"{name}_{joint}" for name in ("innovation", "bias", "disturbance") for joint in JOINT_NAMES),
 )  # fmt: skip
 MAX_TRAJECTORY_POINTS = 50_000
 END_EFFECTOR_NAME = "end_effector"
@@ -169,8 +170,10 @@ CRITERION = Topic(
     "criterion", "sensor_msgs/msg/JointState", "controller", STREAM_DEPTH, False, 1000.0,
     "position by name: residual (N), s (1), sigma_min (1), projection_weight (1), assembly_mode (+1/-1), phase (enum), "
     "mode_confidence (in the assembly mode, 0.5 to 1), verdict (on the planned crossing that began last: 0 undecided, "
-    "1 crossed, 2 bounced); stamp of the state",
-    unit="N and 1, by name", stamp="of the state",
+    "1 crossed, 2 bounced), torque_limit (at which the torques are cut, N m); of the observer innovation_JOINT (rad),"
+    " innovation_square (over its covariance, 2 on average where the observer is right), bias_JOINT (that a wrong geometry adds, rad)"
+    " and disturbance_JOINT (torque that the model lacks, N m), 0 with other estimators; stamp of the state",
+    unit="SI, by name", stamp="of the state",
 )  # fmt: skip
 SIM_END_EFFECTOR = Topic(
     "sim/end_effector", "nav_msgs/msg/Odometry", "plant", STREAM_DEPTH, False, 1000.0,

@@ -64,6 +64,7 @@ OUTPUT = (
     Field("s", "1", "singularity measure at the state of the model"),
     Field("sigma_min", "1", "smallest singular value of A_r over the mean length behind s"),
     Field("weight", "1", "1 where the weak direction follows the feedback, 0 where it follows the plan"),
+    Field("limit", "N m", "at which tau is cut"),
     Field("finite", "1", "1 where all of this is finite"),
 )
 
@@ -144,7 +145,7 @@ def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
     found = {
         "tau": tau, "error": error, "error_dot": error_dot, "u": u, "force": e.J_inv.T @ tau,
         "residual": nearest(e.s_blocks, e.criterion), "s": e.s,
-        "sigma_min": ca.mmin(ca.fabs(e.singular.sigma_weak)) / mechanism.singularity_length(p), "weight": weight,
+        "sigma_min": ca.mmin(ca.fabs(e.singular.sigma_weak)) / mechanism.singularity_length(p), "weight": weight, "limit": limit,
     }
     found["finite"] = is_finite(ca.vertcat(*found.values()))
     arguments = {"p": vector, "gains": gains_vector, "reference": ref_vector, "estimate": hat_vector, "integral": integral,

@@ -42,6 +42,7 @@ FILTER = (
     Field("d", "N m", "mean of the torques that act on the joints and that the model lacks", "n"),
     Field("x_ddot", "m/s^2", "acceleration of the last prediction", "n"),
     Field("innovation", "rad", "of the last sample", "n"),
+    Field("innovation_square", "1", "of the last sample, normalised by its covariance"),
     Field("scatter", "rad^2", "of the samples about a smooth motion: mean squared step of the innovation, halved", "n"),
     Field("covariance", "SI", "of (x, x_dot, b, d)", "4n", "4n"),
 )
@@ -96,8 +97,8 @@ class _Filters:
             ca.horzcat(zero, zero, zero, noise["disturbance"] ** 2 * one),
         )
         rest = ca.SX.zeros(self.n)
-        return {"x": x, "x_dot": rest, "b": rest, "d": rest, "x_ddot": rest, "innovation": rest, "scatter": rest,
-                "covariance": covariance}
+        return {"x": x, "x_dot": rest, "b": rest, "d": rest, "x_ddot": rest, "innovation": rest,
+                "innovation_square": ca.SX(0.0), "scatter": rest, "covariance": covariance}
 
     def predict(self, noise: dict[str, Symbol], state: dict[str, Symbol], tau: Symbol, dt: Symbol) -> dict[str, Symbol]:
         """One step under tau (n,), N m: x_ddot by the forward dynamics in its middle, and the covariance with it.
@@ -174,7 +175,8 @@ class _Filters:
         rise, fall = (ca.fmin(dt / time, 1.0) for time in SCATTER)
         memory = {"innovation": (1.0 - struck) * innovation,
                   "scatter": state["scatter"] + counts * ca.if_else(more > 0.0, rise, fall) * more}
-        return self.update(self.shocked(noise, state, dt, struck), innovation, H, variance, ())[0] | memory, struck
+        moved, square, _ = self.update(self.shocked(noise, state, dt, struck), innovation, H, variance, [range(self.n)])
+        return moved | memory | {"innovation_square": square}, struck
 
     def innovate(
         self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol
@@ -252,6 +254,7 @@ class _Filters:
             for block, slope in enumerate(ca.vertsplit(slopes))
         ]
         now = {"x": state["x"], "x_dot": state["x_dot"], "q_a": e.q_a + state["b"], "q_a_dot": e.q_a_dot, "s": e.s}
+        now |= {name: state[name] for name in ("d", "b", "innovation", "innovation_square")}
         return {"told": ca.vertcat(*told), "estimate_next": self.estimate.join(estimate | now)}
 
 

@@ -70,7 +70,8 @@ class Outputs:
         values = [number for vector in told for number in vector.tolist()]
         self._states.publish(self._state_out.pack(stamp, values, round(tick.reference_time * NANOSECONDS)))
         criterion = [output.residual, output.s, output.sigma_min, output.weight, estimate.assembly_mode, float(tick.phase),
-                     estimate.confidence, verdict]
+                     estimate.confidence, verdict, output.limit, estimate.innovation_square,
+                     *estimate.innovation.tolist(), *estimate.b.tolist(), *estimate.d.tolist()]
         self._criterion.publish(self._criterion_out.pack(stamp, criterion))
 
     def repeat(self) -> None:
