@@ -12,12 +12,14 @@ from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.run import Floats, Run, Stamps
 from dextar_control.analysis.tracking import Tracked, plan_of, tracked
 from dextar_control.contract.errors import DextarError
+from dextar_control.contract.robot import JOINT_NAMES
 from dextar_control.planning.certificate import Certificate
 
 HEADROOM = 1.25  # of the torque axis over the larger of plan and command
 MOST_TORQUE = 3.0  # of the plan's peak, to which the axis reaches at most
 MOST_RESIDUAL = 3.0  # the same for the criterion's residual
 ERROR_CEILING = 10.0  # mm
+TOGETHER = 20  # squares of innovations that are drawn as their mean
 
 
 class Curve(NamedTuple):
@@ -73,6 +75,25 @@ def panels(run: Run, metrics: Metrics) -> list[Panel]:
     return [
         _torque(metrics, track, plan), _error(run, track), _residual(run, track, plan), _singularity(run, track, plan)
     ]  # fmt: skip
+
+
+def observer_panels(run: Run, metrics: Metrics) -> list[Panel]:
+    """What the observer says that the model lacks, and its innovations beside what they should be; empty where not told."""
+    track = tracked(run)
+    found = metrics.margins
+    if track is None or found.innovation is None:
+        return []
+    time = _time(run.criterion.stamps, track)
+    inside = _inside(time, track)
+    panels = []
+    if found.disturbance:
+        curves = [Curve(f"joint {name}", time[inside], 1e3 * run.criterion.disturbance[inside, part], "commanded", part)
+                  for part, name in enumerate(JOINT_NAMES)]  # fmt: skip
+        panels.append(Panel("disturbance", "torque that the model lacks (mN m)", curves, math.nan, math.nan))
+    square = np.convolve(run.criterion.innovation_square[inside], np.full(TOGETHER, 1.0 / TOGETHER), "same")
+    expected = Curve("as its noise has it", track.time[[0, -1]], np.full(2, found.innovation.expected), "planned")
+    curves = [expected, Curve(f"mean of {TOGETHER} samples", time[inside], square, "seen")]
+    return [*panels, Panel("innovation", "square of the innovation (1)", curves, math.nan, math.nan)]
 
 
 def _torque(metrics: Metrics, track: Tracked, plan: Certificate | None) -> Panel:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dextar_control.analysis.crossings import CrossingMetrics, judge_crossings, peak
+from dextar_control.analysis.margins import Margins, measure_margins
 from dextar_control.analysis.run import Floats, Hole, Phase, Run, Unreadable
 from dextar_control.analysis.timing import PhaseSpan, Timing, measure_timing, periods, phase_name, phase_spans, recorded, within
 from dextar_control.analysis.tracking import plan_of, tracked
@@ -60,6 +61,7 @@ class Metrics:
         unreadable: per topic name, what could not be decoded of what is needed; it counts as not recorded.
         stamp_steps, clock_steps: by how much the clock of the stamps, and the recorder's system clock, stepped back each time, s.
         timing: rates, jitter and round trips.
+        margins: how near the run came to what is watched.
         phases: the controller's, one after the other.
     """
 
@@ -101,6 +103,7 @@ class Metrics:
     plant_steps: int | None
     late_share: float
     timing: Timing
+    margins: Margins
     phases: list[PhaseSpan]
     lost: dict[str, int | None] = field(default_factory=dict)
     holes: list[Hole] = field(default_factory=list)
@@ -145,6 +148,7 @@ def compute_metrics(run: Run) -> Metrics:
     plant = run.diagnostics.get("plant", {})
     late_ticks, steps = _whole(plant.get("late_ticks")), _whole(plant.get("steps"))
     timing = measure_timing(run, track)
+    late = late_share(late_ticks, steps, timing.late_share)
     values: dict[str, Any] = {
         "bag": str(run.path),
         "version": run.version,
@@ -182,7 +186,8 @@ def compute_metrics(run: Run) -> Metrics:
         "late_ticks": late_ticks,
         "plant_steps": steps,
         "timing": timing,
-        "late_share": late_share(late_ticks, steps, timing.late_share),
+        "margins": measure_margins(run, track, plan, timing, limit, late),
+        "late_share": late,
         "phases": phase_spans(run, track),
         "unreadable": run.unreadable,
         "stamp_steps": run.stamp_steps,

@@ -17,7 +17,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.crossings import CrossingMetrics, crossed_in_words
-from dextar_control.analysis.curves import checked_plan, panels
+from dextar_control.analysis.curves import checked_plan, observer_panels, panels
+from dextar_control.analysis.margins import Innovation, Margin, Margins
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import RecordedTopic, Run
@@ -25,7 +26,7 @@ from dextar_control.analysis.thin import POINTS
 from dextar_control.analysis.timing import Spread, lockstep, periods, round_trips, within
 from dextar_control.analysis.tracking import tracked
 from dextar_control.analysis.verdict import in_words, unreadable_lines
-from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band
+from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band, residuals
 from dextar_control.analysis.words import counted
 from dextar_control.contract.topics import TOPICS
 from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
@@ -76,6 +77,14 @@ def render_report(run: Run, metrics: Metrics) -> str:
         drawn[f"timing{index}"] = axes
     if metrics.phases:
         drawn["phases"] = phase_band(metrics.phases, metrics)
+    observed = observer_panels(run, metrics)
+    for index, axes in enumerate(over_time(observed, instants, duration)):
+        drawn[f"observed{index}"] = axes
+    if (found := metrics.margins.innovation) is not None:
+        drawn["white"] = residuals(
+            np.array(found.correlations), np.full(len(found.correlations), 0.5 * found.bound),
+            np.ones(len(found.correlations), dtype=bool), "correlation of the innovation (1)", "samples between",
+        )  # fmt: skip
     script, places = components(drawn, wrap_script=False)
     plan = checked_plan(run)
     most = max((len(curve.time) for panel in shown for curve in panel.curves), default=0)
@@ -95,6 +104,8 @@ def render_report(run: Run, metrics: Metrics) -> str:
         thinned=f"Drawn are the extremes of {1e3 * 2 * duration / POINTS:.0f} ms bins and, about each crossing, every sample"
         " as far as there is room; the numbers below use every sample." if most > POINTS else "",
         notes=[f"{panel.label}: {panel.note}" for panel in shown if panel.note],
+        margins=_margins(metrics.margins),
+        observed=[div for name, div in places.items() if name.startswith("observed") or name == "white"],
         crossings=_crossings(run, metrics),
         timing=_timing(metrics),
         recording=_recording(run),
@@ -187,6 +198,67 @@ def _tiles(metrics: Metrics) -> list[dict[str, str]]:
 
 def _measured(value: float, form: str, unit: str, missing: str = "not recorded") -> str:
     return f"{value:{form}} {unit}" if math.isfinite(value) else missing
+
+
+def _margins(margins: Margins) -> dict[str, Any]:
+    """Limits as bars, the nearest first, and what the observer says of itself."""
+    rows = [
+        {"name": one.name.replace("_", " "), "what": one.what, "width": f"{100.0 * min(max(one.share, 0.0), 1.0):.1f}",
+         "share": f"{100.0 * one.share:.3g} %", "bad": _passed(one), "told": _margin_in_words(one)}
+        for one in margins.limits
+    ]  # fmt: skip
+    tiles = [{"name": "least confidence outside of crossings", "value": number(margins.least_confidence, ".5f", "not recorded")}]
+    for name, values, scale, unit in (
+        ("torque that the model lacks, largest at each joint", margins.disturbance, 1e3, "mN m"),
+        ("angle by a wrong geometry, largest at each joint", margins.bias, 1e3, "mrad"),
+    ):
+        shown = ", ".join(f"{scale * value:.2g}" for value in values)
+        tiles.append({"name": name, "value": f"{shown} {unit}" if values else "not told"})
+    if (found := margins.innovation) is not None:
+        tiles += [
+            {"name": f"square of the innovation, mean; {found.expected:g} if right", "value": f"{found.square:.3g}"},
+            {"name": "correlation with the next sample", "value": f"{found.correlation:+.2f}"},
+            {"name": "scatter of the samples", "value": f"{1e6 * found.scatter:.3g} µrad"},
+        ]  # fmt: skip
+    return {"rows": rows, "unknown": margins.unknown, "tiles": tiles, "innovation": found and _innovation_in_words(found)}
+
+
+def _passed(margin: Margin) -> bool:
+    """Whether what is watched did not allow it."""
+    return margin.share >= 1.0 and margin.lasted >= margin.allowed and not margin.note
+
+
+def _margin_in_words(margin: Margin) -> str:
+    unit = f" {margin.unit}" if margin.unit not in ("", "1") else ""
+    text = f"{margin.value:.3g} of {margin.limit:.3g}{unit}"
+    if margin.name == "locus":
+        text = f"{margin.value:.3g}, at least {margin.limit:.3g}"
+    elif margin.name == "joint_range" and margin.value < 0.0:
+        text = f"inside by {-margin.value:.3g}{unit}, {margin.limit:.3g}{unit} beyond is the limit"
+    if margin.lasted > 0.0:
+        text += f", passed for {1e3 * margin.lasted:.3g} of {1e3 * margin.allowed:.3g} ms"
+    if math.isfinite(margin.time):
+        text += f"; at {margin.time:.3f} s, |s| = {abs(margin.s):.2f}"
+    return f"{text}; {margin.note}" if margin.note else text
+
+
+def _innovation_in_words(found: Innovation) -> str:
+    """Whether the observer errs as it believes."""
+    if found.square > found.high:
+        said = "it trusts its model more than this robot bears: something that it does not know acts on the robot"
+    elif found.square < found.low:
+        said = "it is told of more noise than there is, which costs precision and bears what the model lacks"
+    else:
+        said = "it errs as it believes"
+    white = (
+        "innovations of successive samples hang together no more than noise does" if abs(found.correlation) < found.bound else
+        f"innovations hang together over {counted(found.correlated, 'sample')}"
+    )
+    return (
+        f"The observer's innovation (the joints less those that it expected, {1e6 * found.rms:.3g} µrad RMS) has a normalised"
+        f" square of {found.square:.3g} on average over {found.samples} samples; {found.low:.2f} to {found.high:.2f} would be"
+        f" right: {said}. Its {white} (95 % of white noise within ±{found.bound:.3f})."
+    )
 
 
 def _crossing_columns(has_truth: bool) -> tuple[Column, ...]:

@@ -171,7 +171,7 @@ CRITERION = Topic(
     "position by name: residual (N), s (1), sigma_min (1), projection_weight (1), assembly_mode (+1/-1), phase (enum), "
     "mode_confidence (in the assembly mode, 0.5 to 1), verdict (on the planned crossing that began last: 0 undecided, "
     "1 crossed, 2 bounced), torque_limit (at which the torques are cut, N m); of the observer innovation_JOINT (rad),"
-    " innovation_square (over its covariance, 2 on average where the observer is right), bias_JOINT (that a wrong geometry adds, rad)"
+    " innovation_square (over its covariance, 2 on average where the observer is right), bias_JOINT (of a wrong geometry, rad)"
     " and disturbance_JOINT (torque that the model lacks, N m), 0 with other estimators; stamp of the state",
     unit="SI, by name", stamp="of the state",
 )  # fmt: skip

@@ -130,6 +130,11 @@ def watch_of(mechanism: Mechanism) -> ca.Function:
     })
 
 
+def timer_after(timer: float, dt: float, passed: bool) -> float:
+    """How long a watch's limit has been passed, s, dt after it was ``timer``."""
+    return timer + dt if passed else max(timer - RECOVERY * dt, 0.0)
+
+
 @lru_cache
 def acts_of(mechanism: Mechanism) -> Library:
     """``act_NAME`` of each law: its tick, and the watches on what it answers; what is between the two is its output."""
@@ -154,6 +159,7 @@ class Supervisor:
 
     Attributes:
         places: that the functions of ``acts_of`` share with it.
+        times: per watch, how long its limit may be passed, s; negative: not at all.
     """
 
     def __init__(self, robot: AnyRobot, model: Model) -> None:
@@ -168,7 +174,7 @@ class Supervisor:
             "bounds": self._bounds.numbers, "last": self._last.numbers, "last_next": self._last.numbers, "told": self._told,
             "values": self._values.numbers, "limits": self._limits.numbers, "passed": self._passed.numbers,
         }
-        self._times = dict.fromkeys(NAMES, -1.0)
+        self.times = dict.fromkeys(NAMES, -1.0)
         self._timers = dict.fromkeys(NAMES, 0.0)
         self._counting = False
         self._error = 0.0
@@ -184,7 +190,7 @@ class Supervisor:
         limits.joint_range, limits.joint_jump = settings.joint_margin, settings.max_joint_jump
         limits.estimator = settings.max_joint_misfit
         limits.torque_rate = settings.max_torque_rate * self._robot.max_torque
-        self._times |= {
+        self.times |= {
             "joint_speed": settings.speed_time, "platform_speed": settings.speed_time, "estimator": settings.misfit_time,
             "torque_rate": settings.torque_rate_time, "saturation": settings.watch_time,
         }
@@ -221,10 +227,10 @@ class Supervisor:
         """Count the times of watches that may be passed for a while, and find the first one that trips."""
         self._counting = False
         for name, over in zip(NAMES, passed, strict=True):
-            trips, time = over > 0.0 and not (recovers and name == "saturation"), self._times[name]
+            trips, time = over > 0.0 and not (recovers and name == "saturation"), self.times[name]
             if time >= 0.0:
-                timer = self._timers[name] + dt if trips else max(self._timers[name] - RECOVERY * dt, 0.0)
-                self._timers[name], trips = timer, timer > time
+                self._timers[name] = timer = timer_after(self._timers[name], dt, trips)
+                trips = timer > time
                 self._counting = self._counting or timer > 0.0
             if trips and not self.tripped:
                 self.tripped = name
@@ -273,5 +279,5 @@ class Supervisor:
             "torque_rate": (f"the torque changes by {{:.0f}} {effort}/s", f"{effort}/s"),
         }[name]
         shown = f"{limit:.3f}" if name == "saturation" else f"{limit:.4g}"
-        lasted, allowed = 1e3 * self._timers[name], 1e3 * self._times[name]
+        lasted, allowed = 1e3 * self._timers[name], 1e3 * self.times[name]
         return f"{what.format(value)} for {lasted:.0f} ms; the limit is {shown} {unit} for {allowed:.0f} ms"
