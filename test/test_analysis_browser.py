@@ -5,14 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from browser import Page, find_chromium
+from browser import Page
 from recorded_run import lockstep_bag
 from synthetic_run import write_run
 
 from dextar_control.analysis.compare import compare_bags, write_comparison
 from dextar_control.analysis.report import analyze
+from dextar_control.commands.pdf import find_browser, write_pdf
 
-CHROMIUM = find_chromium()
+CHROMIUM = find_browser()
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt install chromium to look at the pages")
 
 IDLE = "window.Bokeh !== undefined && Bokeh.documents.length > 0 && Bokeh.documents[0].is_idle"
@@ -83,9 +84,11 @@ def test_its_panels_zoom_together(report: Path) -> None:
         assert page.errors == []
 
 
-def test_a_page_as_wide_as_the_window_needs_no_sideways_scrolling(report: Path) -> None:
+@pytest.mark.parametrize("width", [420, 768, 1280])
+def test_a_page_needs_no_sideways_scrolling(report: Path, width: int) -> None:
     with opened(report) as page:
-        assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+        page.resize(width)
+        page.wait("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
 
 
 @pytest.mark.parametrize("options", [{"truth": False}, {"phase": 2}, {"bounce": True, "says": (2, 1)}])
@@ -104,6 +107,12 @@ def test_the_comparison_draws_too(tmp_path: Path) -> None:
         assert page.evaluate(f"{FIGURES}.length") == 6
         drawn(page)
         assert page.errors == []
+
+
+def test_a_page_is_printed_beside_itself(report: Path) -> None:
+    content = write_pdf(report).read_bytes()
+    assert content.startswith(b"%PDF") and content.count(b"/Type /Page\n") > 2
+    assert len(content) > 100_000  # with its figures
 
 
 def test_this_test_sees_errors_and_requests(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from synthetic_run import FAR_TORQUE, robot, write_run
 
+from dextar_control import cli
 from dextar_control.analysis import compute_metrics, load_run
 from dextar_control.analysis.margins import Margin, Margins, measure_margins
 from dextar_control.analysis.page import render_report
@@ -125,3 +126,11 @@ def test_without_a_robot_only_what_the_nodes_watch_is_told(tmp_path: Path) -> No
     margins = compute_metrics(run).margins
     assert set(by_name(margins)) == {"states"}
     assert "--robot" in margins.unknown[0]
+
+
+def test_pdf_is_refused_at_once_where_no_browser_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["analyze", "no.mcap", "--pdf"])
+    assert ended.value.code == 2
+    assert "needs Chromium or Chrome" in capsys.readouterr().err

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from dextar_control.commands import EXIT_FAILED, EXIT_USAGE
 from dextar_control.commands.bags import add_robot, exit_code_of, given_robot, shown_progress
+from dextar_control.commands.pdf import add_pdf, write_pdf
 from dextar_control.contract.errors import DextarError
 
 SUMMARY = "metrics, figures and a report from recorded runs"
@@ -33,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--format", action="append", default=[], metavar="NAME", dest="formats", choices=FORMATS,
         help="also write paper.NAME, a figure for a paper with its fonts embedded: png, svg or pdf (repeatable)",
     )  # fmt: skip
+    add_pdf(parser, "report.html")
     parser.add_argument("--width", type=_width, default=88.0, metavar="MM", help="of that figure, mm (default: %(default)g)")
 
 
@@ -62,6 +64,10 @@ def run(arguments: argparse.Namespace) -> int:
                 metrics = analyze(
                     bag, folder, arguments.formats, arguments.width, show, arguments.namespace, shown.read, robot
                 )
+                place = folder or Path(metrics.bag).parent
+                if arguments.pdf:
+                    show("printing report.html")
+                    write_pdf(place / "report.html")
         except DextarError as error:
             say(f"dextar analyze: {error}")
             code = EXIT_USAGE
@@ -69,8 +75,9 @@ def run(arguments: argparse.Namespace) -> int:
         if len(arguments.bag) > 1:
             console.print(f"{bag}", soft_wrap=True)
         console.print(summary_table(metrics))
-        names = ["metrics.json", "figure.png", "report.html", *(f"paper.{name}" for name in dict.fromkeys(arguments.formats))]
-        console.print(f"{folder or Path(metrics.bag).parent}: {' '.join(names)}", soft_wrap=True)
+        names = ["metrics.json", "figure.png", "report.html", *["report.pdf"] * arguments.pdf]
+        names += [f"paper.{name}" for name in dict.fromkeys(arguments.formats)]
+        console.print(f"{place}: {' '.join(names)}", soft_wrap=True)
         code = code or (EXIT_FAILED if metrics.success is False else exit_code_of(metrics))
     return code
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from dextar_control.commands import EXIT_FAILED
 from dextar_control.commands.bags import add_robot, exit_code_of, given_robot, shown_progress
+from dextar_control.commands.pdf import add_pdf, write_pdf
 
 SUMMARY = "the robot's own lengths, motor axes and encoder offsets from recorded crossings"
 DESCRIPTION = (
@@ -26,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="a bag that is not used, to see how the numbers explain it (repeatable)")  # fmt: skip
     parser.add_argument("--no-pose", action="store_true", help="leave external poses out, by the encoders alone")
     add_robot(parser)
+    add_pdf(parser, "calibration.html")
     parser.add_argument("--output", type=Path, metavar="DIR", help="where the results go (default: beside the first bag)")
 
 
@@ -54,11 +56,12 @@ def run(arguments: argparse.Namespace) -> int:
             predictions = [predict(found, other) for other in unused]
             shown.stage(f"writing to {folder}")
             write_calibration(found, predictions, folder)
+            written = [ROBOT_FILE, PAGE_FILE, *([write_pdf(folder / PAGE_FILE).name] if arguments.pdf else [])]
         except CalibrationError as error:
             say(f"dextar calibrate: {error}")
             return EXIT_FAILED
     console.print(summary(found))
     for line in (*found.kept, *map(predicted, predictions)):
         console.print(line, soft_wrap=True)
-    console.print(f"{folder}: {ROBOT_FILE} {PAGE_FILE}", soft_wrap=True)
+    console.print(f"{folder}: {' '.join(written)}", soft_wrap=True)
     return exit_code_of(*runs)
