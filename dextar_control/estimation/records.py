@@ -21,4 +21,5 @@ ESTIMATE = (
     Field("assembly_mode", "1", "believed sign of s"),
     Field("confidence", "1", "in the assembly mode, 0.5 to 1"),
     Field("s", "1", "singularity measure"),
+    Field("d", "N m", "torques that act on the joints and that the model lacks", "n"),
 )
