@@ -94,7 +94,7 @@ def _check_trip(repeat: int, dwell: float) -> None:
 def _there_and_back(
     robot: AnyRobot, out: Trajectory, dwell: float, repeat: int, way: Callable[[Array, Array], Plan]
 ) -> Plan:
-    """A way out and back: by its time reversal where that may be, by a way of its own with gravity or friction of passive joints."""
+    """A way out and back: by its time reversal where that may be, by a way of its own otherwise."""
     start, goal = out.at(0.0).x, out.at(out.duration).x
     back = out.reversed()
     if not scalable(planning_model(robot), out):
