@@ -127,12 +127,12 @@ def _friction_and_belt(
 
 
 def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
-    """The trial's trip; those of one process that ask for the same share one.
+    """The trial's trip, by what the controller knows of the robot; those of one process that ask for the same share one.
 
     Raises:
         DextarError: there is none.
     """
-    robot = robot.replace(working_mode=trial.working_mode)
+    robot = known(robot.replace(working_mode=trial.working_mode), trial.perturbation)
     criterion = Criterion.ZERO_WRENCH if trial.law == "multi_model" else Criterion.RECIPROCAL
     return _planned(robot, trial.point, trial.direction, trial.duration, trial.dwell, trial.repeat, criterion)
 

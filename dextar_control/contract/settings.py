@@ -55,6 +55,8 @@ class Settings:
         bias_walk: of their random walk as the joints move, rad/sqrt(rad).
         torque_deviation: of a sample's torque (friction, motors), N m.
         acceleration_deviation: of a sample's platform acceleration (masses), m/s^2.
+        disturbance_deviation: of the torque at a joint that the model lacks (friction, tilt, payload) at the start, N m.
+        disturbance_walk: of its random walk, N m/sqrt(s); with both at 0 none is estimated.
         shock_gate: innovation of the joints, in standard deviations, from which on the observer allows for a blow ...
         shock_speed: ... that may have changed the platform's speed by this, m/s.
         passage_armed: |s| within which the observer takes the assembly mode for unknown.
@@ -69,6 +71,7 @@ class Settings:
             it is refused.
         pose_timeout: without an external position, after which its absence is told, s.
         friction_compensation: fraction of the modelled joint friction that is fed forward.
+        disturbance_compensation: fraction of the estimated disturbance torque that is taken off the law's.
         max_tracking_error: platform error that ends a motion in a safe stop, m.
         max_start_distance: between the robot and a trajectory's start, m.
         max_residual: of the criterion at a crossing of an accepted trajectory, N.
@@ -112,6 +115,8 @@ class Settings:
     bias_walk: float
     torque_deviation: float
     acceleration_deviation: float
+    disturbance_deviation: float
+    disturbance_walk: float
     shock_gate: float
     shock_speed: float
     passage_armed: float
@@ -125,6 +130,7 @@ class Settings:
     pose_gate: float
     pose_timeout: float
     friction_compensation: float
+    disturbance_compensation: float
     max_tracking_error: float
     max_start_distance: float
     max_residual: float

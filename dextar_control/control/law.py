@@ -53,6 +53,7 @@ GAINS = (
     Field("zone", "1", "|s| in the middle of the transition; for projected and multi_model the band's edge"),
     Field("zone_width", "1", "of the transition, in |s|"),
     Field("friction_compensation", "1", "fraction of the modelled friction fed forward"),
+    Field("disturbance_compensation", "1", "fraction of the estimated disturbance torque that is compensated"),
 )
 OUTPUT = (
     Field("tau", "N m", "input torques, limited", "n"),
@@ -140,6 +141,7 @@ def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
     else:
         tau, weight = e.inverse_dynamics, ca.SX(1.0)  # Eq. 4
     tau = tau + gains["friction_compensation"] * mechanism.friction(ref["q_a_dot"], p)
+    tau = tau - gains["disturbance_compensation"] * hat["d"]
     size = ca.fabs(tau)
     tau = ca.if_else(size < HUGE, ca.if_else(size <= limit, tau, limit * ca.sign(tau)), ca.SX.nan(n))
     found = {

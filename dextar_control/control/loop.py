@@ -49,6 +49,10 @@ class ControlLoop:
         near: (n,) m, about where the robot stands at the first sample, for a mechanism without a direct geometric model in
             closed form; the origin when None.
 
+    Attributes:
+        lacking: largest torque that the model lacks at a joint, N m, when a crossing trajectory's torque was at its limit last
+            with the side known: the limit leaves it beside the law's.
+
     Raises:
         ParameterError: assembly_mode is neither +1 nor -1.
     """
@@ -86,6 +90,7 @@ class ControlLoop:
         self._start = 0.0
         self._pending: tuple[Trajectory, Certificate, float | None] | None = None
         self._crossing_limit = robot.max_torque
+        self.lacking = 0.0
         self._stop_wanted = False
         self.configure(settings)
 
@@ -120,6 +125,7 @@ class ControlLoop:
         gains.K_i = settings.integral_frequency * gains.K_p
         gains.zone = settings.band if settings.law in (Law.PROJECTED, Law.MULTI_MODEL) else settings.zone
         gains.zone_width, gains.friction_compensation = settings.zone_width, settings.friction_compensation
+        gains.disturbance_compensation = settings.disturbance_compensation
         self.estimator.configure(settings)
         self.supervisor.configure(settings)
         self._judge.configure(settings)
@@ -414,7 +420,7 @@ class ControlLoop:
         self._set_trajectory(trajectory, certificate.profile.time, certificate.profile.multipliers)
         self._integral[:] = 0.0
         self._stop_wanted = False
-        self.saturated_ticks = 0
+        self.saturated_ticks, self.lacking = 0, 0.0
         self.phase = Phase.TRACK if crossing else Phase.APPROACH
 
     def _limit_crossing(self, certificate: Certificate) -> float:
@@ -441,7 +447,9 @@ class ControlLoop:
         limit = self.robot.max_torque
         if crossing:
             self.phase = Phase.CROSSING if abs(s_ref) < zone + width else Phase.TRACK
-            limit = self._crossing_limit
+            if self.supervisor.saturated and self.mode_known:  # on the other side d would be another
+                self.lacking = float(abs(self._estimate.d).max())
+            limit = min(limit, self._crossing_limit + self.lacking)
         given.dt[0], given.limit[0], given.crossing[0] = dt, limit, self.phase is Phase.CROSSING
         self._act.run()
         self._supervise(dt)

@@ -5,7 +5,8 @@ regular on the locus; near it the input torques do not act along t_s, so the fil
 Measurement: q_a = inverse geometric model(x) + b, regular as well; along t_s it says nothing on the locus.
 b (n,) is what a wrong geometry adds to the joint angles: without it a tenth of a millimetre is taken for
 motion along t_s, amplified by 1/s. Where the weak direction of J_inv does not see x it sees b.
-d (n,) is what acts on the joints and the model lacks: friction, tilt, a payload. Friction turns round with its joint.
+d (n,) is what acts on the joints and the model lacks: friction, tilt, a payload, wrong masses. Friction turns round with
+its joint.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from dextar_control.symbols.types import Symbol
 TURN = 0.05  # rad/s of a joint over which its friction turns round
 UNSURE_SPEED = 0.5  # m/s, standard deviation of x_dot beside the filter's own, of a state that may be on the wrong side
 UNSURE_BIAS = 2.0  # of its b, that x makes up for in the joints, over that of the start
+KEPT = 0.05, 0.3  # |s| between which what is seen begins to count for d
 CLEAR = 0.2, 0.4  # |s| between which the scatter of the samples begins to count
 JUMP = 4.0  # times the variance of a sample as it was known, beyond which one jump of the innovation counts for no more
 SCATTER = 0.02, 0.3  # s over which the scatter of the samples is averaged, where it rises and where it falls
@@ -56,6 +58,7 @@ NOISE = (
     Field("disturbance", "N m", "of d at the start"),
     Field("disturbance_walk", "N m/sqrt(s)", "of d's random walk"),
     Field("disturbance_turn", "N m", "of its change as the joint turns round"),
+    Field("disturbance_near", "1", "how much of what is seen near the locus counts for d"),
     Field("shock_gate", "1", "squared normalised innovation that only a blow explains"),
     Field("shock_speed", "m/s", "of x_dot after a blow"),
 )
@@ -105,8 +108,9 @@ class _Filters:
 
         b changes with the configuration: it walks as the joints move and stands still with them. A walk in time would let a
         robot that is held drift away, for at rest the joints cannot tell x from b. The covariance takes x_ddot for
-        independent of the state, which over a sample it nearly is. The torque's noise acts through M^-1 J_inv^T: not along
-        t_s on the locus.
+        independent of the state but d, which over a sample it nearly is. The torque's noise acts through M^-1 J_inv^T: not along
+        t_s on the locus. Near it d stays as it is: a force along t_s would take a torque there that grows as 1/s, of the
+        other sign behind the locus.
         """
         n, x, x_dot = self.n, state["x"], state["x_dot"]
         e = self.at(x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * state["x_ddot"], tau + state["d"])
@@ -121,14 +125,10 @@ class _Filters:
         turned = ca.fabs(ca.tanh(e.J_inv @ (x_dot + dt * x_ddot) / TURN) - ca.tanh(e.J_inv @ x_dot / TURN))
         walk = dt * noise["disturbance_walk"] ** 2 + 2.0 * turned * noise["disturbance_turn"] ** 2
         P[3 * n :, 3 * n :] += ca.diag(walk * ca.SX.ones(n))
+        near = noise["disturbance_near"]
+        P[3 * n :, : 3 * n] *= near + (1.0 - near) * smooth_step(ca.fabs(e.s), *KEPT)  # symmetric: what is above follows
         return state | {"x": x + dt * (x_dot + 0.5 * dt * x_ddot), "x_dot": x_dot + dt * x_ddot, "x_ddot": x_ddot,
                         "covariance": _symmetric(P)}
-
-    def complete(self, noise: dict[str, Symbol], state: dict[str, Symbol]) -> tuple[dict[str, Symbol], dict[str, Symbol]]:
-        """(noise, state) of the filter that serves, for which the model lacks no torque: what is 0 is not computed."""
-        n, nothing = self.n, ca.SX(self.n, 1)
-        P = ca.diagcat(state["covariance"][: 3 * n, : 3 * n], ca.SX(n, n))
-        return noise | {"disturbance_walk": ca.SX(0.0), "disturbance_turn": ca.SX(0.0)}, state | {"d": nothing, "covariance": P}
 
     def shocked(self, noise: dict[str, Symbol], state: dict[str, Symbol], dt: Symbol, struck: Symbol) -> dict[str, Symbol]:
         """Where ``struck`` is 1, a blow somewhere in the last dt: x_dot is up to shock_speed off, and x what came of it."""
@@ -290,8 +290,7 @@ def filters_of(mechanism: Mechanism) -> Library:
     # One sample of the filter that serves and of the one that tells how well the model fits.
     same_vector, same = f.filter.symbols("same")
     test_vector, test = f.noise.symbols("test_noise")
-    served, bare = f.complete(noise, state)
-    main, hit = f.correct(served, f.predict(served, bare, tau, dt), q_meas, gap)
+    main, hit = f.correct(noise, f.predict(noise, state, tau, dt), q_meas, gap)
     same, fit, fit_spread = f.innovate(test, f.predict(test, same, tau, dt), q_meas)
     x = ca.SX.sym("x", n)
     return Library([
@@ -316,6 +315,6 @@ def filters_of(mechanism: Mechanism) -> Library:
             "same": same_vector, "tau": tau, "dt": dt, "gap": gap, "q_meas": q_meas,
         }, {
             "filter_next": f.filter.join(main), "same_next": f.filter.join(same), **f.look(main, estimate, fit, fit_spread),
-            "sample": ca.vertcat(is_finite(ca.vertcat(main["x"], main["x_dot"], main["b"])), hit, is_finite(fit)),
+            "sample": ca.vertcat(is_finite(ca.vertcat(main["x"], main["x_dot"], main["b"], main["d"])), hit, is_finite(fit)),
         })),
     ], cache_folder())

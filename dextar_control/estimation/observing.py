@@ -37,8 +37,10 @@ class ObserverEstimator:
         noise.encoder, noise.bias, noise.bias_walk = settings.encoder_deviation, settings.bias_deviation, settings.bias_walk
         noise.torque, noise.acceleration = settings.torque_deviation, settings.acceleration_deviation
         noise.scatter_gain = settings.scatter_gain
+        noise.disturbance, noise.disturbance_walk = settings.disturbance_deviation, settings.disturbance_walk
         noise.shock_gate, noise.shock_speed = settings.shock_gate**2, settings.shock_speed
         test.take(noise)
+        test.disturbance_near = 1.0
         test.encoder, test.torque = settings.passage_encoder_deviation, settings.passage_torque_deviation
         test.acceleration = settings.passage_acceleration_deviation
         self.observer.most_lacking = settings.passage_disturbance

@@ -34,11 +34,14 @@ def leg_parameters(leg: str) -> tuple[Parameter, ...]:
     )
 
 
-def friction(q_a_dot: Symbol, legs: Sequence[Any], coulomb_speed: Symbol) -> Symbol:
-    """Viscous and smoothed Coulomb friction (n,), N m, of the legs' motors, opposing q_a_dot (n,), rad/s."""
-    viscous = ca.vertcat(*(leg.viscous_friction for leg in legs))
-    coulomb = ca.vertcat(*(leg.coulomb_friction for leg in legs))
-    return viscous * q_a_dot + coulomb * ca.tanh(q_a_dot / coulomb_speed)
+def friction(rates: Symbol, viscous: Sequence[Symbol], coulomb: Sequence[Symbol], coulomb_speed: Symbol) -> Symbol:
+    """Viscous and smoothed Coulomb friction (k,), N m, of joints, opposing their rates (k,), rad/s."""
+    return ca.vertcat(*viscous) * rates + ca.vertcat(*coulomb) * ca.tanh(rates / coulomb_speed)
+
+
+def motor_friction(q_a_dot: Symbol, legs: Sequence[Any], coulomb_speed: Symbol) -> Symbol:
+    """That of the legs' motors (n,), N m."""
+    return friction(q_a_dot, [leg.viscous_friction for leg in legs], [leg.coulomb_friction for leg in legs], coulomb_speed)
 
 
 def direction(angle: Symbol | float) -> Symbol:

@@ -130,12 +130,13 @@ def equations(mechanism: Mechanism) -> Equations:
 
     b = along(along(closures))  # Eq. 11
     L = mechanism.lagrangian(q_a, x, v, x_dot, p)
+    rates, opposing = mechanism.passive_friction(q_a, x, v, x_dot, p)
 
     def euler_lagrange(position: Symbol, velocity: Symbol) -> Symbol:
-        """d/dt of dL/dvelocity, less dL/dposition."""
+        """d/dt of dL/dvelocity, less dL/dposition, and the friction of joints without a motor, by its virtual power."""
         momentum = ca.gradient(L, velocity)
         rate = along(momentum) + ca.jtimes(momentum, ca.vertcat(v, x_dot), ca.vertcat(a, x_ddot))
-        return rate - ca.gradient(L, position)
+        return rate - ca.gradient(L, position) + ca.jacobian(rates, velocity).T @ opposing
 
     w_b, w_d = euler_lagrange(q_a, v), euler_lagrange(x, x_dot)  # Eq. 3
     M_a, M_x = ca.jacobian(w_b, a), ca.jacobian(w_d, x_ddot)  # Eq. 10

@@ -107,11 +107,15 @@ class Best:
         raise TrajectoryError(f"{text}; neither a longer duration nor a point nearby was found to work")
 
 
-def weightless(model: Model, trajectory: Trajectory) -> bool:
-    """Whether the robot needs no torque at rest where a trajectory starts and ends: then time may be scaled, and reversed."""
+def scalable(model: Model, trajectory: Trajectory) -> bool:
+    """Whether a trajectory's time may be scaled, and reversed: there is no weight, and joints without a motor do not rub.
+
+    Without, the robot needs no torque at rest where it starts and ends, and the same wrenches there for a speed and its opposite.
+    """
+    rest, x_dot = np.zeros(model.n), trajectory.at(0.5 * trajectory.duration).x_dot
     for x in (trajectory.at(0.0).x, trajectory.at(trajectory.duration).x):
-        found = model.wrenches(model.place(x).q_a, x, np.zeros(model.n), np.zeros(model.n))
-        if found.w_b.any() or found.w_d.any():
+        still, there, back = (model.wrenches(model.place(x).q_a, x, speed, rest) for speed in (rest, x_dot, -x_dot))
+        if still.w_b.any() or still.w_d.any() or (there.w_b != back.w_b).any() or (there.w_d != back.w_d).any():
             return False
     return True
 
@@ -142,7 +146,7 @@ def _stretched(robot: AnyRobot, found: Attempt) -> Plan:
         if 1.0 - SETTLED < factor <= 1.0:
             break
         duration *= factor
-        if weightless(problem.model, trajectory):
+        if scalable(problem.model, trajectory):
             trajectory = trajectory.scaled(factor)
         else:
             problem = problem.lasting(duration)

@@ -16,7 +16,7 @@ import numpy as np
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.model.robot import AnyRobot
-from dextar_control.planning.attempts import weightless
+from dextar_control.planning.attempts import scalable
 from dextar_control.planning.between import plan_crossing
 from dextar_control.planning.certificate import PLAN_RESIDUAL, Plan
 from dextar_control.planning.checks import certify
@@ -94,10 +94,10 @@ def _check_trip(repeat: int, dwell: float) -> None:
 def _there_and_back(
     robot: AnyRobot, out: Trajectory, dwell: float, repeat: int, way: Callable[[Array, Array], Plan]
 ) -> Plan:
-    """A way out and back: by its time reversal when there is no gravity, by a way of its own with gravity."""
+    """A way out and back: by its time reversal where that may be, by a way of its own otherwise."""
     start, goal = out.at(0.0).x, out.at(out.duration).x
     back = out.reversed()
-    if not weightless(planning_model(robot), out):
+    if not scalable(planning_model(robot), out):
         back = way(goal, start).trajectory
     trip = join([hold(start, dwell)] + [out, hold(goal, dwell), back, hold(start, dwell)] * repeat)
     return Plan(trip, certify(robot, trip, max_residual=PLAN_RESIDUAL, crossings=2 * repeat))
