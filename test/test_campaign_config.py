@@ -82,7 +82,7 @@ def test_the_big_campaign_is_as_large_as_the_claims() -> None:
         ({"settings": {"zone": "wide"}}, "settings.zone: 'wide' is not valid"),
         ({"cases__bounced__estimators": ["dgn"]}, "case bounced: unknown estimator 'dgn'"),
         ({"cases__bounced__judged": ["consistent"]}, "case bounced: unknown combination 'consistent'"),
-        ({"cases": {}}, "cases: {} is not valid"),
+        ({"cases": {}}, "cases: it must have at least one of cases or sweeps"),
         ({"default__plant": None}, "default.plant: it is missing"),
     ],
     ids=str,

@@ -11,13 +11,14 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
-from dextar_control.campaign import report
+from dextar_control.campaign import reliability, report
 from dextar_control.campaign.config import CampaignConfig, load_config
-from dextar_control.campaign.figure import draw_summary
+from dextar_control.campaign.figure import draw_frontier, draw_summary
 from dextar_control.campaign.outcome import judge
 from dextar_control.campaign.selection import select
 from dextar_control.campaign.store import Store
 from dextar_control.campaign.summary import Group, as_json, real_time_factor, summarise
+from dextar_control.campaign.trial import SAID
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = {"case": "nominal", "plant": "pybullet", "law": "consistent", "estimator": "observer"}
@@ -104,6 +105,42 @@ def test_a_share_is_100_percent_only_if_it_is_all() -> None:
     assert [report.percent(share) for share in (1.0, 0.99999, 0.975, 0.0, math.nan)] == ["100", "99.9", "97.5", "0", "-"]
 
 
+def said(count: int, right: float, stated: float) -> list[dict[str, Any]]:
+    """Rows that stated a confidence from 0.99 on, and were right for a share of the time."""
+    bins = {f"{kind}_{odds:g}": 0.0 for kind in ("said", "right", "stated") for odds in SAID}
+    told = {"said_0.99": 1, "right_0.99": right, "stated_0.99": stated, "called_crossed": 2, "called_bounced": 0}
+    return [GOOD | bins | told for _ in range(count)]
+
+
+def test_wilsons_interval_is_that_of_the_books() -> None:
+    assert reliability.wilson(0.5, 10) == pytest.approx((0.2366, 0.7634), abs=1e-4)
+    assert reliability.wilson(1.0, 100) == pytest.approx((0.9630, 1.0), abs=1e-4)
+
+
+def test_who_is_surer_than_right_is_told_so() -> None:
+    good = reliability.reliability(said(200, 1.0, 0.995))["observer"]
+    assert set(good) == {"0.99", "verdicts"} and good["verdicts"].runs == 400
+    assert (good["0.99"].right, good["0.99"].runs, good["0.99"].stated) == (1.0, 200, pytest.approx(0.995))
+    assert "nowhere surer" in reliability.in_words("observer", good)
+    assert "nowhere surer" in reliability.in_words("observer", reliability.reliability(said(20, 0.97, 0.995))["observer"])
+    bad = reliability.reliability(said(200, 0.95, 0.995))["observer"]
+    assert bad["0.99"].most < 0.995
+    assert "worst from 0.99, where it states 99.50 % on average and 95.00 % is right" in reliability.in_words("observer", bad)
+    assert "| 95 (91" in report.reliability_table({"observer": bad})
+    assert reliability.draw_reliability({"observer": bad}).axes[0].get_xlabel() == "confidence stated"
+
+
+def test_a_sweep_is_a_case_for_each_level_and_a_small_figure() -> None:
+    config = load_config(ROOT / "config" / "frontier.yaml")
+    assert config.cases["passive_slow 0.001"].perturbation == {"passive": 1e-3}
+    assert config.cases["passive_slow 0.001"].duration == 2.0 and config.cases["tilt 0.0873"].title == "tilt 5 degrees"
+    some = select(config, cases=["belt 150", "belt 50"])
+    assert list(some.cases) == ["belt 150", "belt 50"] and some.sweeps["belt"].levels == [150, 50]
+    rows = [GOOD | {"case": "belt 150", "plant": "cartesian"}, ROWS[2] | {"case": "belt 50", "plant": "cartesian"}]
+    (axes,) = [axes for axes in draw_frontier(some, summarise(some, rows)).axes if axes.get_visible()]
+    assert [line.get_ydata().tolist() for line in axes.lines[:2]] == [[100.0, 0.0], [100.0, 0.0]]
+
+
 ROWS_WITH_KEYS = [row | {"key": f"{number:016x}"} for number, row in enumerate(ROWS)]
 
 
@@ -123,6 +160,9 @@ def test_the_outcome_is_in_its_folder(tmp_path: Path, config: CampaignConfig) ->
     assert "too fast" in (tmp_path / "failures.md").read_text(encoding="utf-8")
     for name in ("figure.png", "figure.svg"):
         assert (tmp_path / name).stat().st_size > 10_000
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "1 of 6 bars hold." in page and "max_error is 20.0 mm" in page and page.count("<svg") == 1 and "http://" not in (
+        page.replace("http://www.w3.org", "").replace("http://purl.org", "").replace("http://creativecommons.org", ""))
     said = console.export_text()
     assert "1 of 6 bars hold" in said
     assert "nominal, consistent / observer: max_error is 20.0 mm, the bar is 0.300 mm" in said

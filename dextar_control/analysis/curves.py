@@ -89,7 +89,7 @@ def observer_panels(run: Run, metrics: Metrics) -> list[Panel]:
     if found.disturbance:
         curves = [Curve(f"joint {name}", time[inside], 1e3 * run.criterion.disturbance[inside, part], "commanded", part)
                   for part, name in enumerate(JOINT_NAMES)]  # fmt: skip
-        panels.append(Panel("disturbance", "torque that the model lacks (mN m)", curves, math.nan, math.nan))
+        panels.append(Panel("disturbance", "disturbance (mN m)", curves, math.nan, math.nan))
     square = np.convolve(run.criterion.innovation_square[inside], np.full(TOGETHER, 1.0 / TOGETHER), "same")
     expected = Curve("as its noise has it", track.time[[0, -1]], np.full(2, found.innovation.expected), "planned")
     curves = [expected, Curve(f"mean of {TOGETHER} samples", time[inside], square, "seen")]

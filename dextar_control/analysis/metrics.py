@@ -14,7 +14,7 @@ from dextar_control.analysis.crossings import CrossingMetrics, judge_crossings, 
 from dextar_control.analysis.margins import Margins, measure_margins
 from dextar_control.analysis.run import Floats, Hole, Phase, Run, Unreadable
 from dextar_control.analysis.timing import PhaseSpan, Timing, measure_timing, periods, phase_name, phase_spans, recorded, within
-from dextar_control.analysis.tracking import plan_of, tracked
+from dextar_control.analysis.tracking import Tracked, plan_of, tracked
 from dextar_control.analysis.verdict import Verdict, judge, late_share
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import JOINT_NAMES
@@ -43,7 +43,7 @@ class Metrics:
             ``planned_peak_torque`` that of the plan, ``torque_ratio`` the one over the other.
         peak_torque_near, planned_peak_torque_near, torque_ratio_near: the same within |s| < 0.1;
             the ratio is to the planned peak of the whole trajectory.
-        saturated: commands at the controller's torque limit while tracking (``watch_ratio`` x planned, or the
+        saturated: commands at the controller's torque limit while tracking (as recorded; else ``watch_ratio`` x planned, or the
             motors'); ``drive_saturated``: steps that the plant's drives clipped, over its whole run.
         truth_share: of the tracked ticks, those with a recorded truth.
         loop_rate: of the states while tracking on the system clock (not by their stamps), from their
@@ -176,7 +176,7 @@ def compute_metrics(run: Run) -> Metrics:
         "torque_ratio_near": _ratio(peak(torque[near]), planned_peak),
         "truth_share": float(np.isfinite(track.true_error).sum() / len(track.stamps)) if track else 0.0,
         "drive_saturated": _whole(plant.get("saturated_ticks")),
-        "saturated": int((np.abs(torque) >= limit * SATURATED).any(axis=1).sum()),
+        "saturated": _saturated(run, track, limit) if track else 0,
         "loop_rate": _ratio(1.0, float(np.median(spans))) if len(spans) else math.nan,
         "mean_rate": _ratio(1.0, float(np.mean(spans))) if len(spans) else math.nan,
         "states": len(asked),
@@ -223,6 +223,15 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _saturated(run: Run, track: Tracked, otherwise: float) -> int:
+    """How many commands were at their limit: the one that the controller had, where the bag tells, N m."""
+    stamps = track.start + np.round(1e9 * track.torque_time).astype(np.int64)
+    rows = np.minimum(np.searchsorted(run.criterion.stamps, stamps), len(run.criterion.stamps) - 1)
+    recorded = run.criterion.torque_limit[rows]
+    limits = np.where((run.criterion.stamps[rows] == stamps) & (recorded > 0.0), recorded, otherwise)
+    return int((np.abs(track.torque).max(axis=1, initial=0.0) >= limits * SATURATED).sum())
 
 
 def _torque_limit(run: Run, planned_peak: float) -> float:

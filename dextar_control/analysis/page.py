@@ -18,7 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.crossings import CrossingMetrics, crossed_in_words
 from dextar_control.analysis.curves import checked_plan, observer_panels, panels
-from dextar_control.analysis.margins import Innovation, Margin, Margins
+from dextar_control.analysis.margins import LAGS, Innovation, Margin, Margins
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import RecordedTopic, Run
@@ -33,6 +33,7 @@ from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 
 NO_TRUTH = "needs truth"
 MOST_PLAN_LINES = 40
+LACKING = 0.5  # correlation of an innovation with the next one, from which on it is no noise
 WORDS = {True: ("good", "Success."), False: ("bad", "Failed."), None: ("", "Not decidable.")}
 PRINTED = {"version", "versions", "started", "ended", "certificate", "parameters_missing", "parameter_changes", "name", "notes",
            "tags", "law", "estimator", "robot_description", "parameter_changes_not_listed"}  # in their own places
@@ -77,9 +78,8 @@ def render_report(run: Run, metrics: Metrics) -> str:
         drawn[f"timing{index}"] = axes
     if metrics.phases:
         drawn["phases"] = phase_band(metrics.phases, metrics)
-    observed = observer_panels(run, metrics)
-    for index, axes in enumerate(over_time(observed, instants, duration)):
-        drawn[f"observed{index}"] = axes
+    for index, panel in enumerate(observer_panels(run, metrics)):
+        (drawn[f"observed{index}"],) = over_time([panel], instants, duration)
     if (found := metrics.margins.innovation) is not None:
         drawn["white"] = residuals(
             np.array(found.correlations), np.full(len(found.correlations), 0.5 * found.bound),
@@ -121,12 +121,12 @@ def render_report(run: Run, metrics: Metrics) -> str:
 
 
 def render(template: str, script: str, **values: Any) -> str:
-    """A page with Bokeh's code inside it."""
+    """A page, with Bokeh's code inside it where there is a script for it."""
     environment = Environment(
         loader=PackageLoader("dextar_control.analysis"), autoescape=select_autoescape(), undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    code = "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
+    code = "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw) if script else ""
     page = environment.get_template(template).render(bokeh=code.replace("</script", "<\\/script"), script=script, **values)
     return f"{page}\n"
 
@@ -252,7 +252,8 @@ def _innovation_in_words(found: Innovation) -> str:
         said = "it errs as it believes"
     white = (
         "innovations of successive samples hang together no more than noise does" if abs(found.correlation) < found.bound else
-        f"innovations hang together over {counted(found.correlated, 'sample')}"
+        f"innovations hang together over {counted(found.correlated, 'sample')}{' or more' * (found.correlated == LAGS)}"
+        + (": what the model lacks shows in them" if found.correlation > LACKING else "")
     )
     return (
         f"The observer's innovation (the joints less those that it expected, {1e6 * found.rms:.3g} µrad RMS) has a normalised"

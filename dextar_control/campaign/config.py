@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from dextar_control.campaign.ranges import BARS, PERTURBATIONS, Range
 from dextar_control.contract.settings import Settings
@@ -86,8 +86,46 @@ class Case(_Section):
         return _within(bars, BARS, "bar")
 
 
+class Sweep(_Section):
+    """One number of the perturbation at several levels, each a case named ``<sweep> <level>``.
+
+    Attributes:
+        number: of ``ranges.PERTURBATIONS``.
+        levels: that it takes.
+        unit, scale: in which a level times the scale is drawn.
+        asked: the level up to which (of a stiffness: down to which) all is to be borne.
+        perturbation, settings, duration: of all its cases.
+    """
+
+    title: str
+    number: str
+    levels: list[float] = Field(min_length=1)
+    unit: str = ""
+    scale: float = 1.0
+    asked: float | None = None
+    perturbation: Numbers = {}
+    settings: Numbers = {}
+    duration: float | None = Field(default=None, gt=0.0, le=60.0, allow_inf_nan=False)
+
+    @field_validator("number")
+    @classmethod
+    def _known_number(cls, number: str) -> str:
+        _known(number, PERTURBATIONS, "perturbation")
+        return number
+
+    def shown(self, level: float) -> str:
+        """A level as it is drawn, to three digits."""
+        return f"{float(f'{level * self.scale:.3g}'):g}"
+
+    def case(self, level: float) -> Case:
+        """The case of one level."""
+        title = f"{self.title} {self.shown(level)} {self.unit}".strip()
+        numbers = self.perturbation | {self.number: level}
+        return Case(title=title, perturbation=numbers, settings=self.settings, duration=self.duration)
+
+
 class CampaignConfig(_Section):
-    """Everything a campaign is made of."""
+    """Everything a campaign is made of; the cases of its sweeps are among the cases."""
 
     robot: str
     rig: str
@@ -104,7 +142,17 @@ class CampaignConfig(_Section):
     repeat: int = Field(default=1, ge=1, le=1000)
     perturbation: Numbers = {}
     settings: Numbers = {}
-    cases: dict[str, Case] = Field(min_length=1)
+    sweeps: dict[str, Sweep] = {}
+    cases: dict[str, Case] = Field(default={}, validate_default=True)
+
+    @field_validator("cases")
+    @classmethod
+    def _with_sweeps(cls, cases: dict[str, Case], info: ValidationInfo) -> dict[str, Case]:
+        swept = {sweep_case(name, level): sweep.case(level)
+                 for name, sweep in info.data.get("sweeps", {}).items() for level in sweep.levels}  # fmt: skip
+        if not cases and not swept:
+            raise problem("it must have at least one of cases or sweeps")
+        return swept | cases
 
     @field_validator("directions")
     @classmethod
@@ -142,6 +190,11 @@ class CampaignConfig(_Section):
                 for item in chosen or []:
                     _known(item, known, what, f"case {name}: ")
         return self
+
+
+def sweep_case(sweep: str, level: float) -> str:
+    """The name of the case of one level of a sweep."""
+    return f"{sweep} {level:g}"
 
 
 def load_config(path: str | Path) -> CampaignConfig:

@@ -9,7 +9,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dextar_control.campaign.config import CampaignConfig
+from dextar_control.campaign.config import CampaignConfig, sweep_case
 from dextar_control.campaign.summary import Group
 
 BLACK, GREY, LIGHT = "#000000", "#6b6b6b", "#dddddd"
@@ -50,6 +50,42 @@ def draw_summary(config: CampaignConfig, groups: Sequence[Group], plant: str) ->
         success.plot([], [], linestyle="", label=name.replace("/", " / "), **styles[name])
     success.plot([], [], color=BLACK, linewidth=2.0, label=f"bar for {config.default.law} / {config.default.estimator}")
     figure.legend(loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    return figure
+
+
+def draw_frontier(config: CampaignConfig, groups: Sequence[Group]) -> Figure:
+    """Share of the trials that crossed, and that were ok, over the levels of each sweep, by the default combination."""
+    default, columns = config.default, 3
+    found = {group.case: group for group in groups
+             if (group.law, group.estimator, group.plant) == (default.law, default.estimator, default.plant)}  # fmt: skip
+    rows = math.ceil(len(config.sweeps) / columns)
+    figure = Figure(figsize=(8.4, 0.7 + 2.1 * rows), layout="constrained")
+    FigureCanvasAgg(figure)
+    every = figure.subplots(rows, columns, sharey=True, squeeze=False).reshape(-1)
+    for axes, (name, sweep) in zip(every, config.sweeps.items(), strict=False):
+        levels = [level for level in sweep.levels if sweep_case(name, level) in found]
+        places = [sweep.scale * level for level in levels]
+        for share, label, style, fill in (("crossed", "crossed", "o-", BLACK), ("success", "ok", "s--", "white")):
+            values = [100.0 * getattr(found[sweep_case(name, level)], share) for level in levels]
+            axes.plot(places, values, style, color=BLACK, markerfacecolor=fill, markersize=5, linewidth=1.2, label=label,
+                      clip_on=False)  # fmt: skip
+        if sweep.asked is not None:
+            axes.axvline(sweep.scale * sweep.asked, color=GREY, linestyle=":", linewidth=1.6, label="asked for")
+        if places and max(places) > 10.0 * min(places) > 0.0:
+            axes.set_xscale("log")
+        axes.set_xticks(places, [sweep.shown(level) for level in levels], fontsize=7)
+        axes.set_xticks([], minor=True)
+        axes.set_ylim(-4.0, 104.0)
+        axes.tick_params(axis="y", labelsize=7)
+        axes.grid(axis="y", color=LIGHT, linewidth=0.6)
+        axes.set_title(sweep.title, fontsize=9, parse_math=False)
+        axes.set_xlabel(sweep.unit, fontsize=8, parse_math=False)
+    for axes in every[len(config.sweeps) :]:
+        axes.set_visible(False)
+    for axes in every[::columns]:
+        axes.set_ylabel("of the trials (%)", fontsize=8)
+    labelled = {label: line for axes in every for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(labelled.values(), labelled.keys(), loc="outside upper center", ncols=3, fontsize=8, frameon=False)
     return figure
 
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import platform
 from collections.abc import Sequence
 from typing import Any
 
-from dextar_control.campaign import design, report, summary
+from matplotlib.figure import Figure
+
+from dextar_control.analysis.page import Cell, Column, render
+from dextar_control.analysis.words import counted
+from dextar_control.campaign import design, reliability, report, summary
 from dextar_control.campaign.config import CampaignConfig
-from dextar_control.campaign.figure import draw_summary
+from dextar_control.campaign.figure import draw_frontier, draw_summary
 from dextar_control.campaign.pool import core_count
 from dextar_control.campaign.store import Store
 from dextar_control.campaign.worker import Row
@@ -18,7 +23,9 @@ from dextar_control.contract.errors import CampaignError
 from dextar_control.contract.terminal import Terminal
 
 EXIT_FAILED = 1
-SHOWN_FAILURES = 8
+Reliability = dict[str, dict[str, reliability.Bin]]
+PAGE_FILE = "report.html"
+SHOWN_FAILURES, LISTED_FAILURES = 8, 200  # on the terminal, on the page
 RESOLUTION = 150  # dots per inch
 
 
@@ -51,17 +58,24 @@ def judge(config: CampaignConfig, keys: Sequence[str], store: Store, console: Te
     bars = sum(len(group.verdicts) for group in groups)
     speeds = {plant: summary.real_time_factor(row for row in rows if row["plant"] == plant) for plant in config.plants}
     verdict = _verdict(bars, missed, default_name)
+    sure = reliability.reliability(rows)
     speed = ", ".join(f"{factor:.1f} x real time on {plant}" for plant, factor in speeds.items() if math.isfinite(factor))
     try:
         store.write_table(keys)
         store.write_text("summary.json", _json(config, groups, speeds, elapsed, bars - len(missed), bars))
-        store.write_text("summary.md", _markdown(config, rows, groups, verdict, missed, speed))
+        store.write_text("summary.md", _markdown(config, rows, groups, sure, verdict, missed, speed))
         store.write_text("failures.md", report.markdown_failures(failed, others, default_name))
+        figures = {}
         for plant in dict.fromkeys(group.plant for group in groups):
             name = "figure" if plant == default.plant or len(config.plants) == 1 else f"figure-{plant}"
-            figure = draw_summary(config, groups, plant)
+            figures[name] = draw_summary(config, groups, plant)
+        others_drawn = {"reliability": reliability.draw_reliability(sure)} if sure else {}
+        others_drawn |= {"frontier": draw_frontier(config, groups)} if config.sweeps else {}
+        for name, figure in (figures | others_drawn).items():
             for kind in ("png", "svg"):
                 figure.savefig(store.folder / f"{name}.{kind}", dpi=RESOLUTION)
+        page = _page(config, rows, groups, sure, (verdict, missed), failed, speed, list(figures.values()), others_drawn)
+        store.write_text(PAGE_FILE, page)
     except OSError as error:
         raise CampaignError(f"cannot write the results into {store.folder}: {error.strerror or error}") from error
     console.print(report.terminal_table(groups, f"{len(rows)} rows, seed {config.seed}"))
@@ -73,7 +87,7 @@ def judge(config: CampaignConfig, keys: Sequence[str], store: Store, console: Te
         console.print(f"  and {len(failed) - SHOWN_FAILURES} more in failures.md")
     for line in [verdict, *missed]:
         console.print(line, soft_wrap=True)
-    console.print(f"{store.folder}: rows.parquet summary.md summary.json failures.md figure.png", soft_wrap=True)
+    console.print(f"{store.folder}: rows.parquet summary.md summary.json failures.md figure.png {PAGE_FILE}", soft_wrap=True)
     return EXIT_FAILED if missed else 0
 
 
@@ -85,23 +99,76 @@ def _verdict(bars: int, missed: Sequence[str], default_name: str) -> str:
 
 
 def _markdown(
-    config: CampaignConfig, rows: Sequence[Row], groups: Sequence[summary.Group], verdict: str, missed: Sequence[str], speed: str
-) -> str:
-    points = f"{config.points.count} crossing points ({config.points.folded} folded)"
+    config: CampaignConfig, rows: Sequence[Row], groups: Sequence[summary.Group], sure: Reliability, verdict: str,
+    missed: Sequence[str], speed: str,
+) -> str:  # fmt: skip
     lines = [
-        f"{len(rows)} rows: {points}, {len(config.directions)} directions, {config.seeds} seeds from {config.seed};"
-        f" one way lasts {config.duration:g} s unless the case says otherwise.",
+        _what(config, rows),
         "",
         report.markdown_table(groups),
         "",
         report.LEGEND + ".",
         "",
-        report.reliability(rows),
+        report.reliability_table(sure),
+        "",
+        *(reliability.in_words(estimator, bins) for estimator, bins in sure.items()),
         "",
         f"{verdict}; one core runs {speed}.",
         *(f"- {line}" for line in missed),
     ]
     return "\n".join(lines) + "\n"
+
+
+def _what(config: CampaignConfig, rows: Sequence[Row]) -> str:
+    return (
+        f"{counted(len(rows), 'row')}: {counted(config.points.count, 'crossing point')} ({config.points.folded} folded),"
+        f" {counted(len(config.directions), 'direction')}, {counted(config.seeds, 'seed')} from {config.seed};"
+        f" one way lasts {config.duration:g} s unless the case says otherwise."
+    )
+
+
+def _page(
+    config: CampaignConfig, rows: Sequence[Row], groups: Sequence[summary.Group], sure: Reliability,
+    judged: tuple[str, Sequence[str]], failed: Sequence[Sequence[str]], speed: str, figures: Sequence[Figure],
+    others: dict[str, Figure],
+) -> str:  # fmt: skip
+    """All of it in one page that opens offline."""
+    verdict, missed = judged
+    many = len({group.plant for group in groups}) > 1
+    columns = [Column(name, text=index < 2) for index, name in enumerate(report.HEADINGS)]
+    shown = failed[:LISTED_FAILURES]
+    return render(
+        "campaign.html", "",
+        title=f"campaign: {verdict}",
+        heading=f"{config.default.law} / {config.default.estimator}: {counted(len(config.cases), 'case')}",
+        subheading=_what(config, rows),
+        verdict={"kind": "" if verdict.startswith("no") else "bad" if missed else "good",
+                 "word": f"{verdict[:1].upper()}{verdict[1:]}."},
+        missed=missed,
+        groups=(columns, [[Cell(cell, bool(group.missed) and index == len(columns) - 1)
+                           for index, cell in enumerate(report.cells(group, many))] for group in groups]),
+        legend=report.LEGEND,
+        frontier=_svg(others["frontier"]) if "frontier" in others else "",
+        figures=[_svg(figure) for figure in figures],
+        reliability={
+            "sentences": [reliability.in_words(estimator, bins) for estimator, bins in sure.items()],
+            "drawn": _svg(others["reliability"]) if "reliability" in others else "",
+            "legend": "Clear of the locus, of the runs that stated a confidence of the range (grey, its mean marked), for how"
+            " much of the time they were right; the axes are logarithmic in the chance to be wrong. Below the dashed line it is"
+            " too sure.",
+        },
+        failures=([Column(name, text=True) for name in report.FAILURE_HEADINGS], [[Cell(cell) for cell in row] for row in shown]),
+        more=f"And {len(failed) - len(shown)} more in failures.md." if len(failed) > len(shown) else "",
+        footer=f"Made by dextar campaign; one core runs {speed}. All numbers stand in summary.json and rows.parquet beside it.",
+    )  # fmt: skip
+
+
+def _svg(figure: Figure) -> str:
+    """A figure as part of a page."""
+    stream = io.StringIO()
+    figure.savefig(stream, format="svg")
+    text = stream.getvalue()
+    return text[text.index("<svg") :]
 
 
 def _json(

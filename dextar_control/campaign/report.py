@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from rich import box
 from rich.table import Table
 
+from dextar_control.campaign.reliability import VERDICTS, Bin
 from dextar_control.campaign.summary import Group
 from dextar_control.campaign.trial import SAID
 from dextar_control.campaign.worker import Row
@@ -77,21 +78,16 @@ def cells(group: Group, with_plant: bool) -> list[str]:
     ]
 
 
-def reliability(rows: Iterable[Row]) -> str:
-    """A table of the estimators that tell the side: of the runs that stated a confidence, how often it was right."""
-    found: dict[str, list[Row]] = {}
-    for row in rows:
-        if row.get(f"said_{SAID[0]:g}") is not None:
-            found.setdefault(row["estimator"], []).append(row)
-    lines = []
-    for estimator, stated in found.items():
-        cells_of = [estimator]
-        for odds in SAID:
-            count = sum(row[f"said_{odds:g}"] for row in stated)
-            right = sum(row[f"right_{odds:g}"] for row in stated)
-            cells_of.append(f"{percent(right / count)} ({count})" if count else "-")
-        lines.append(cells_of)
-    return _markdown(("right %, of runs, at a confidence from", *(f"{odds:g}" for odds in SAID)), lines, left=1) if lines else ""
+def reliability_table(found: dict[str, dict[str, Bin]]) -> str:
+    """How often the estimators that tell the side were right, by the confidence that they stated."""
+    names = [*(f"{odds:g}" for odds in SAID), VERDICTS]
+    lines = [[estimator, *(_share_right(bins.get(name)) for name in names)] for estimator, bins in found.items()]
+    headings = ("right % (95 % interval; of), at a confidence from", *names[:-1], "at its verdicts")
+    return _markdown(headings, lines, left=1) if lines else ""
+
+
+def _share_right(one: Bin | None) -> str:
+    return "-" if one is None else f"{percent(one.right)} ({percent(one.least)}–{percent(one.most)}; {one.runs})"
 
 
 def missed_lines(groups: Iterable[Group]) -> list[str]:

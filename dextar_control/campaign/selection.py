@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from dextar_control.campaign.config import CampaignConfig, unknown, validated
+from dextar_control.campaign.config import CampaignConfig, sweep_case, unknown, validated
 from dextar_control.contract.errors import ParameterError
 
 
@@ -31,6 +31,9 @@ def select(
         for case in cases:
             _check(case, config.cases, "case")
         data["cases"] = {name: data["cases"][name] for name in config.cases if name in cases}
+        for name, sweep in config.sweeps.items():
+            data["sweeps"][name]["levels"] = [level for level in sweep.levels if sweep_case(name, level) in cases]
+        data["sweeps"] = {name: sweep for name, sweep in data["sweeps"].items() if sweep["levels"]}
     if laws is not None and estimators is not None:
         known = {combination.name: combination.model_dump() for combination in config.combinations}
         data["combinations"] = [

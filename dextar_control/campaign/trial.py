@@ -355,17 +355,19 @@ def _judge(loop: ControlLoop, log: Log, bounced: bool) -> dict[str, float | int 
         "recognised": None,
         **{f"said_{odds:g}": number for odds, number in zip(SAID, said[0], strict=True)},
         **{f"right_{odds:g}": number for odds, number in zip(SAID, said[1], strict=True)},
+        **{f"stated_{odds:g}": number for odds, number in zip(SAID, said[2], strict=True)},
     }
     return row | _bounce(loop, log, crossed[0], truths[0], planned) if bounced else row
 
 
-def _reliability(log: Log) -> tuple[list[int], list[float]]:
-    """Whether the run stated a confidence of each bin of SAID clear of the locus, and the share of the time it was right."""
+def _reliability(log: Log) -> tuple[list[int], list[float], list[float]]:
+    """Of each bin of SAID whether the run stated it clear of the locus, share of that time it was right, mean confidence."""
     clear = np.abs(log.s) >= CLEAR
     which = np.digitize(log.confidence, SAID) - 1
     bins = [clear & (which == k) & (log.mode != 0.0) for k in range(len(SAID))]
     right = log.mode * log.s > 0.0
-    return [int(found.any()) for found in bins], [float(right[found].mean()) if found.any() else 0.0 for found in bins]
+    shares, means = ([float(of[found].mean()) if found.any() else 0.0 for found in bins] for of in (right, log.confidence))
+    return [int(found.any()) for found in bins], shares, means
 
 
 def _on_side(log: Log, time_of_verdict: float, sign: float) -> bool:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from dextar_control.commands.pdf import add_pdf, write_pdf
 from dextar_control.contract.errors import ParameterError
 
 SUMMARY = "run crossing points x directions x cases x laws x estimators x seeds in parallel, and judge them"
 DESCRIPTION = (
     "Runs what its folder lacks, so an interrupted campaign goes on with the same command, and writes rows.parquet,"
-    " summary.md, summary.json, failures.md and figure.png there. Exit code 0 when all bars of the file hold, 1 when one is"
+    " report.html, summary.md, summary.json, failures.md, figure.png, reliability.png and, of a file with sweeps, frontier.png"
+    " there. Exit code 0 when all bars of the file hold, 1 when one is"
     " missed, 2 for a wrong argument, 128 + the signal's number when one ended it."
 )
 
@@ -26,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--estimators", metavar="A,B", help="only these estimators")
     parser.add_argument("--workers", type=int, metavar="N", help="processes on this machine (default: one for each core)")
     parser.add_argument("--scheduler", metavar="TCP://HOST:PORT", help="use the workers of a running Dask scheduler instead")
+    add_pdf(parser, "report.html")
     parser.add_argument("--row", metavar="KEY", help="run one row again, print it and compare it with the recorded one")
 
 
@@ -37,4 +40,4 @@ def run(arguments: argparse.Namespace) -> int:
         if str(error.name).startswith("dextar"):
             raise
         raise ParameterError(f"a campaign needs the packages named in setup.py, installed by pip: {error}") from error
-    return run_command(arguments)
+    return run_command(arguments, printed=write_pdf)
