@@ -50,7 +50,7 @@ def driven() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
                 if limit == 0.0:  # where it does not bind
                     continue
                 share = limit / value if name == "locus" else value / limit
-                nearest[name] = max(nearest.get(name, (-math.inf, 0.0, 0.0)), (share, value, limit))
+                nearest[name] = max(nearest.get(name, (-math.inf, 0.0, 0.0)), (share, value, limit), key=lambda one: one[0])
             longest = max(longest, loop.supervisor._timers["saturation"])
         if PUSHED[0] <= k * 1e-3 < PUSHED[1]:
             rig.strike(np.array([0.0, PUSH * rig.period]))

@@ -33,6 +33,7 @@ from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 
 NO_TRUTH = "needs truth"
 MOST_PLAN_LINES = 40
+TICK = 1.5e-3  # s
 LACKING = 0.5  # correlation of an innovation with the next one, from which on it is no noise
 WORDS = {True: ("good", "Success."), False: ("bad", "Failed."), None: ("", "Not decidable.")}
 PRINTED = {"version", "versions", "started", "ended", "certificate", "parameters_missing", "parameter_changes", "name", "notes",
@@ -224,8 +225,8 @@ def _margins(margins: Margins) -> dict[str, Any]:
 
 
 def _passed(margin: Margin) -> bool:
-    """Whether what is watched did not allow it."""
-    return margin.share >= 1.0 and margin.lasted >= margin.allowed and not margin.note
+    """Whether what is watched did not allow it; the tick at which a motion ends is no longer one under the law."""
+    return margin.share >= 1.0 and margin.lasted >= margin.allowed - TICK and not margin.note
 
 
 def _margin_in_words(margin: Margin) -> str:
