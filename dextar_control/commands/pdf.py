@@ -13,7 +13,7 @@ from typing import Any
 from dextar_control.contract.errors import DextarError
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge", "brave-browser")
-WIDTH = 900  # px of the page as it is drawn, which a narrow screen has: one column
+WIDTH = 760  # px of the page as it is drawn: what is wider than the paper less its margins is cut off
 PATIENCE = 120.0  # s
 
 
