@@ -204,10 +204,10 @@ class Observer:
     def _predict_all(self, tau: Array, step: float, steps: int) -> None:
         for _ in range(steps):
             self.predict(self.main, self.noise, tau, step)
-            self.predict(self.same, self.test_noise, tau, step)
+            self._step("predict_test", self.same, tau, step, noise=self.test_noise)
             for side in self.sides:
                 if side.belief.testing:
-                    self._step("predict", side.image, tau, step, noise=self.test_noise, p=side.p)
+                    self._step("predict_test", side.image, tau, step, noise=self.test_noise, p=side.p)
 
     def observe(self, tau: Array, dt: float, q_meas: Array) -> None:
         """One sample: the filters and the belief.
@@ -365,5 +365,5 @@ class Observer:
         return bool(self.told.folded >= 0.0)
 
 
-_OWN = {"predict": ("tau", "dt"), "correct": ("q_meas", "dt"), "innovate": ("q_meas",),
+_OWN = {"predict": ("tau", "dt"), "predict_test": ("tau", "dt"), "correct": ("q_meas", "dt"), "innovate": ("q_meas",),
         "correct_position": ("x_meas", "deviation"), "unseen_blow": (), "unsure": (), "begin": ("x", "speed")}
