@@ -91,8 +91,8 @@ class ObserverEstimator:
         self._joints.set(self.estimate.q_a, self.estimate.q_a_dot)
 
     def _advance(self, dt: float, q_a: Array, tau: Array) -> None:
-        self.observer.observe(tau, dt, q_a)
-        self.observer.tell_side()
+        if self.observer.observe(tau, dt, q_a):
+            self.observer.tell_side()
 
     def track(self, dt: float, q_a: Array, tau: Array, reference: Record, zone: float, width: float) -> None:
         """See ``Estimator``."""
