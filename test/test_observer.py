@@ -31,16 +31,18 @@ STEP_ERROR = 8e-6, 4e-4  # m, m/s after 20 ms: the process takes the acceleratio
 CROSSING_SPEED = 0.4  # m/s along the gradient of s
 RUNS, SAMPLES = 24, 200
 LEVEL = 1e-4  # of the chi-square bounds, on each side: the seeds are fixed, a sound filter fails one in thousands
+LINEAR = {"bias_deviation": 1e-3, "disturbance_deviation": 5e-3}  # where what the covariance leaves out of the motion is small
 RECOVERY = 0.02  # s after a blow
 SMALL = 0.1e-3  # m
+HIDDEN = 0.4e-3  # m, after a blow on a robot at rest: a wrong geometry would give the same joints
 HELD, SETTLED = 20.0, 1.0  # s of holding, and after which it is looked at
 NOISE = 2e-5  # rad of the encoder, less than half a fine count
 LEARNED = 0.7  # of the error at rest before: b is all that is learned, and eight parameters are not two angles
 
 
-def _observer(robot: RobotParameters, x: np.ndarray, x_dot: np.ndarray) -> Observer:
-    """With the default settings; its main filter is at a place with a velocity."""
-    observer = ObserverEstimator(Model.of(robot), default_settings(), robot.min_type1_distance).observer
+def _observer(robot: RobotParameters, x: np.ndarray, x_dot: np.ndarray, **settings: float) -> Observer:
+    """With the default settings but those; its main filter is at a place with a velocity."""
+    observer = ObserverEstimator(Model.of(robot), default_settings(**settings), robot.min_type1_distance).observer
     observer.begin(x, REST_SPEED)
     observer.main.x_dot = x_dot
     return observer
@@ -78,9 +80,7 @@ def test_correcting_on_the_locus_is_regular_and_keeps_the_covariance_positive(ro
         before = point.t_s @ state.covariance[0:2, 0:2] @ point.t_s
         observer.correct(state, observer.noise, Model.of(here).inverse_geometric_model(point.x), PERIOD)
         assert np.isfinite(state.numbers).all()
-        known = 3 * state.covariance.shape[0] // 4  # the filter that serves is told that the model lacks no torque
-        assert np.linalg.eigvalsh(state.covariance[:known, :known]).min() > 0.0
-        assert not state.covariance[known:].any()
+        assert np.linalg.eigvalsh(state.covariance).min() > 0.0
         np.testing.assert_allclose(state.x, point.x, atol=1e-12)
         after = point.t_s @ state.covariance[0:2, 0:2] @ point.t_s
         assert after <= before * (1.0 + 1e-9)
@@ -116,14 +116,14 @@ def _random_runs(robot: RobotParameters, trip: Plan, first: float) -> tuple[np.n
 
     for run in range(RUNS):
         point = trip.trajectory.at(first)
-        observer = _observer(robot, point.x, point.x_dot)
+        observer = _observer(robot, point.x, point.x_dot, **LINEAR)
         state, noise = observer.main, observer.noise
-        off = generator.multivariate_normal(np.zeros(6), state.covariance[:6, :6])
-        y, b = np.concatenate([point.x, point.x_dot]) + off[:4], off[4:].copy()
+        off = generator.multivariate_normal(np.zeros(8), state.covariance)
+        y, b, d = np.concatenate([point.x, point.x_dot]) + off[:4], off[4:6].copy(), off[6:].copy()
         for k in range(SAMPLES):
             time = first + (k + 0.5) * PERIOD
             tau = np.array([np.interp(time, profile.time, profile.torque[:, i]) for i in range(2)])
-            true = tau + generator.normal(0.0, noise.torque, 2)
+            true = tau + d + generator.normal(0.0, noise.torque, 2)
             k1 = rate(y, true)
             k2 = rate(y + 0.5 * PERIOD * k1, true)
             k3 = rate(y + 0.5 * PERIOD * k2, true)
@@ -131,11 +131,12 @@ def _random_runs(robot: RobotParameters, trip: Plan, first: float) -> tuple[np.n
             y[2:] += PERIOD * generator.normal(0.0, noise.acceleration, 2)
             speed = np.abs(state_of(model, y[:2], y[2:]).q_a_dot)
             b += np.sqrt(PERIOD * speed) * generator.normal(0.0, noise.bias_walk, 2)
+            d += np.sqrt(PERIOD) * generator.normal(0.0, noise.disturbance_walk, 2)
             q_meas = model.inverse_geometric_model(y[:2]) + b + generator.normal(0.0, noise.encoder, 2)
             observer.predict(state, noise, tau, PERIOD)
             innovations[run, k], _ = observer.innovate(state, noise, q_meas)
-            error = np.concatenate([y, b]) - np.concatenate([state.x, state.x_dot, state.b])
-            errors[run, k] = error @ np.linalg.solve(state.covariance[:6, :6], error)
+            error = np.concatenate([y, b, d]) - np.concatenate([state.x, state.x_dot, state.b, state.d])
+            errors[run, k] = error @ np.linalg.solve(state.covariance, error)
     return errors, innovations
 
 
@@ -154,7 +155,7 @@ def test_the_errors_are_as_large_as_the_covariance_says(monte: tuple[np.ndarray,
     """Before the crossing, on it, and after it."""
     errors, _ = monte
     for k in (0, 50, 99, 150, 199):
-        assert _within(errors[:, k].sum(), 6 * RUNS), (k, errors[:, k].mean())
+        assert _within(errors[:, k].sum(), 8 * RUNS), (k, errors[:, k].mean())
 
 
 def test_the_innovations_are_as_large_as_the_filter_expects(monte: tuple[np.ndarray, np.ndarray]) -> None:
@@ -254,5 +255,5 @@ def test_a_blow_away_from_the_locus_is_followed(robot: RobotParameters, trip: Pl
     run = drive(robot, trip, plant="cartesian", blow=Blow(0.1, 0.06 * np.array(direction)), until=0.18)
     after = run.time >= 0.1 + RECOVERY
     assert run.error[~after].max() > 10.0 * SMALL
-    assert run.estimate_error[after].max() < SMALL
+    assert run.estimate_error[after].max() < HIDDEN
     assert not ((run.mode != run.side) & (run.confidence >= run.loop.settings.verdict_confidence)).any()

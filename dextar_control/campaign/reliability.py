@@ -79,8 +79,8 @@ def in_words(estimator: str, bins: dict[str, Bin]) -> str:
     worst = max(over, key=lambda one: (1.0 - one.right) / (1.0 - one.stated + END))
     return (
         f"{estimator} is too sure at confidences from {', '.join(f'{one.low:g}' for one in over)}; worst from {worst.low:g},"
-        f" where it states {min(100.0 * worst.stated, 99.99):.2f} % on average and {100.0 * worst.right:.2f} % is right (95 % interval"
-        f" {100.0 * worst.least:.2f} to {100.0 * worst.most:.2f} %, {worst.runs} runs)."
+        f" where it states {min(100.0 * worst.stated, 99.99):.2f} % on average and {100.0 * worst.right:.2f} % is right (95 %"
+        f" interval {100.0 * worst.least:.2f} to {100.0 * worst.most:.2f} %, {worst.runs} runs)."
     )
 
 

@@ -62,8 +62,8 @@ class Settings:
         passage_armed: |s| within which the observer takes the assembly mode for unknown.
         passage_begin: |s| at which its test of crossed against bounced begins.
         passage_log_odds: that decide it.
-        passage_encoder_deviation, passage_torque_deviation, passage_acceleration_deviation: as the above, of the test's
-            filters: a model that is worse than these makes the test unsure.
+        passage_encoder_deviation, passage_bias_deviation, passage_torque_deviation, passage_acceleration_deviation: as the above,
+            of the test's filters: a model that is worse than these makes the test unsure.
         passage_disturbance: torque at a joint that the model may lack (friction, tilt, payload), N m; the test's filters
             allow for what it lacked while the side was known, up to this.
         pose_deviation: of an external position, m.
@@ -123,6 +123,7 @@ class Settings:
     passage_begin: float
     passage_log_odds: float
     passage_encoder_deviation: float
+    passage_bias_deviation: float
     passage_torque_deviation: float
     passage_acceleration_deviation: float
     passage_disturbance: float

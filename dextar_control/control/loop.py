@@ -50,8 +50,8 @@ class ControlLoop:
             closed form; the origin when None.
 
     Attributes:
-        lacking: largest torque that the model lacks at a joint, N m, when a crossing trajectory's torque was at its limit last
-            with the side known: the limit leaves it beside the law's.
+        lacking: largest torque that the model lacks at a joint, N m, up to ``watch_torque``, when a crossing trajectory's torque
+            was at its limit last with the side known: the limit leaves it beside the law's.
 
     Raises:
         ParameterError: assembly_mode is neither +1 nor -1.
@@ -448,7 +448,7 @@ class ControlLoop:
         if crossing:
             self.phase = Phase.CROSSING if abs(s_ref) < zone + width else Phase.TRACK
             if self.supervisor.saturated and self.mode_known:  # on the other side d would be another
-                self.lacking = float(abs(self._estimate.d).max())
+                self.lacking = min(float(abs(self._estimate.d).max()), self.settings.watch_torque)
             limit = min(limit, self._crossing_limit + self.lacking)
         given.dt[0], given.limit[0], given.crossing[0] = dt, limit, self.phase is Phase.CROSSING
         self._act.run()

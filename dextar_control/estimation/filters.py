@@ -31,7 +31,7 @@ from dextar_control.symbols.types import Symbol
 TURN = 0.05  # rad/s of a joint over which its friction turns round
 UNSURE_SPEED = 0.5  # m/s, standard deviation of x_dot beside the filter's own, of a state that may be on the wrong side
 UNSURE_BIAS = 2.0  # of its b, that x makes up for in the joints, over that of the start
-KEPT = 0.05, 0.3  # |s| between which what is seen begins to count for d
+KEPT = 0.05, 0.3  # |s| between which what is seen begins to correct d
 CLEAR = 0.2, 0.4  # |s| between which the scatter of the samples begins to count
 JUMP = 4.0  # times the variance of a sample as it was known, beyond which one jump of the innovation counts for no more
 SCATTER = 0.02, 0.3  # s over which the scatter of the samples is averaged, where it rises and where it falls
@@ -58,7 +58,6 @@ NOISE = (
     Field("disturbance", "N m", "of d at the start"),
     Field("disturbance_walk", "N m/sqrt(s)", "of d's random walk"),
     Field("disturbance_turn", "N m", "of its change as the joint turns round"),
-    Field("disturbance_near", "1", "how much of what is seen near the locus counts for d"),
     Field("shock_gate", "1", "squared normalised innovation that only a blow explains"),
     Field("shock_speed", "m/s", "of x_dot after a blow"),
 )
@@ -103,14 +102,15 @@ class _Filters:
         return {"x": x, "x_dot": rest, "b": rest, "d": rest, "x_ddot": rest, "innovation": rest,
                 "innovation_square": ca.SX(0.0), "scatter": rest, "covariance": covariance}
 
-    def predict(self, noise: dict[str, Symbol], state: dict[str, Symbol], tau: Symbol, dt: Symbol) -> dict[str, Symbol]:
+    def predict(
+        self, noise: dict[str, Symbol], state: dict[str, Symbol], tau: Symbol, dt: Symbol, *, test: bool = False
+    ) -> dict[str, Symbol]:
         """One step under tau (n,), N m: x_ddot by the forward dynamics in its middle, and the covariance with it.
 
         b changes with the configuration: it walks as the joints move and stands still with them. A walk in time would let a
         robot that is held drift away, for at rest the joints cannot tell x from b. The covariance takes x_ddot for
         independent of the state but d, which over a sample it nearly is. The torque's noise acts through M^-1 J_inv^T: not along
-        t_s on the locus. Near it d stays as it is: a force along t_s would take a torque there that grows as 1/s, of the
-        other sign behind the locus.
+        t_s on the locus. The d of a filter of the test may turn round with its joint, as friction does.
         """
         n, x, x_dot = self.n, state["x"], state["x_dot"]
         e = self.at(x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * state["x_ddot"], tau + state["d"])
@@ -122,11 +122,11 @@ class _Filters:
         P = F @ state["covariance"] @ F.T
         P[n : 2 * n, n : 2 * n] += (dt * noise["torque"]) ** 2 * G @ G.T + (dt * noise["acceleration"]) ** 2 * ca.SX.eye(n)
         P[2 * n : 3 * n, 2 * n : 3 * n] += ca.diag(dt * ca.fabs(e.q_a_dot) * noise["bias_walk"] ** 2)
-        turned = ca.fabs(ca.tanh(e.J_inv @ (x_dot + dt * x_ddot) / TURN) - ca.tanh(e.J_inv @ x_dot / TURN))
-        walk = dt * noise["disturbance_walk"] ** 2 + 2.0 * turned * noise["disturbance_turn"] ** 2
-        P[3 * n :, 3 * n :] += ca.diag(walk * ca.SX.ones(n))
-        near = noise["disturbance_near"]
-        P[3 * n :, : 3 * n] *= near + (1.0 - near) * smooth_step(ca.fabs(e.s), *KEPT)  # symmetric: what is above follows
+        walk = dt * noise["disturbance_walk"] ** 2 * ca.SX.ones(n)
+        if test:
+            turned = ca.fabs(ca.tanh(e.J_inv @ (x_dot + dt * x_ddot) / TURN) - ca.tanh(e.J_inv @ x_dot / TURN))
+            walk += 2.0 * turned * noise["disturbance_turn"] ** 2
+        P[3 * n :, 3 * n :] += ca.diag(walk)
         return state | {"x": x + dt * (x_dot + 0.5 * dt * x_ddot), "x_dot": x_dot + dt * x_ddot, "x_ddot": x_ddot,
                         "covariance": _symmetric(P)}
 
@@ -143,16 +143,21 @@ class _Filters:
         return wrapped(q_meas - e.q_a - state["b"]), H
 
     def update(
-        self, state: dict[str, Symbol], innovation: Symbol, H: Symbol, variance: Symbol, parts: Sequence[Sequence[int]]
+        self, state: dict[str, Symbol], innovation: Symbol, H: Symbol, variance: Symbol, parts: Sequence[Sequence[int]],
+        taken: Symbol | float = 1.0,
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """Kalman update: the state, and of each part of the innovation its normalised square and ln det of its covariance."""
+        """Kalman update: the state, and of each part of the innovation its normalised square and ln det of its covariance.
+
+        Args:
+            taken: share of the gain with which d is corrected; what is not taken of d stays in the covariance (Schmidt's filter).
+        """
         n, P = self.n, state["covariance"]
         PH, S = _gain_parts(P, H, variance)
         K = PH @ ca.inv(S)
-        step = K @ innovation
+        step, less = K @ innovation, K @ PH.T
+        less[3 * n :, 3 * n :] *= taken * (2.0 - taken)
         changed = {"x": state["x"] + step[:n], "x_dot": state["x_dot"] + step[n : 2 * n], "b": state["b"] + step[2 * n : 3 * n],
-                   "d": state["d"] + step[3 * n :],
-                   "covariance": _symmetric(P - K @ PH.T)}
+                   "d": state["d"] + taken * step[3 * n :], "covariance": _symmetric(P - less)}
         squares = [ca.dot(innovation[rows], ca.solve(S[rows, rows], innovation[rows])) for rows in parts]
         return state | changed, ca.vertcat(*squares), ca.vertcat(*(ca.log(ca.det(S[rows, rows])) for rows in parts))
 
@@ -164,18 +169,23 @@ class _Filters:
         The samples count as the worse the more the innovation jumps from one to the next: so it does under wrong stamps, a
         coarse encoder, and where this filter and the law shake a soft transmission, which then finds less to answer it.
         What is slow to come, an acceleration that the model has wrong, does not count.
+
+        Near the locus d stays as it is: a force along t_s would take a torque there that grows as 1/s, of the other sign behind
+        the locus.
         """
         innovation, H = self.innovation(state, q_meas)
         variance = noise["encoder"] ** 2 + noise["scatter_gain"] * state["scatter"]
         _, S = _gain_parts(state["covariance"], H, noise["encoder"] ** 2 + state["scatter"])
         struck = ca.if_else(ca.dot(innovation, ca.solve(S, innovation)) > noise["shock_gate"], 1.0, 0.0)
-        counts = smooth_step(ca.fabs(self.at(state["x"], ca.SX.zeros(self.n)).s), *CLEAR) * (1.0 - struck)
+        near = ca.fabs(self.at(state["x"], ca.SX.zeros(self.n)).s)
+        counts = smooth_step(near, *CLEAR) * (1.0 - struck)
         most = JUMP * (noise["encoder"] ** 2 + state["scatter"])
         more = ca.fmin(0.5 * (innovation - state["innovation"]) ** 2, most) - state["scatter"]
         rise, fall = (ca.fmin(dt / time, 1.0) for time in SCATTER)
         memory = {"innovation": (1.0 - struck) * innovation,
                   "scatter": state["scatter"] + counts * ca.if_else(more > 0.0, rise, fall) * more}
-        moved, square, _ = self.update(self.shocked(noise, state, dt, struck), innovation, H, variance, [range(self.n)])
+        taken, parts = smooth_step(near, *KEPT), [range(self.n)]
+        moved, square, _ = self.update(self.shocked(noise, state, dt, struck), innovation, H, variance, parts, taken)
         return moved | memory | {"innovation_square": square}, struck
 
     def innovate(
@@ -283,7 +293,7 @@ def filters_of(mechanism: Mechanism) -> Library:
     images = [f.mirror(state, columns) for _, columns in f.blocks]
     corrected, struck = f.correct(noise, state, q_meas, dt)
     innovated, square, spread = f.innovate(noise, state, q_meas)
-    followed, square_f, spread_f = f.innovate(noise, f.predict(noise, state, tau, dt), q_meas)
+    followed, square_f, spread_f = f.innovate(noise, f.predict(noise, state, tau, dt, test=True), q_meas)
     type1_f = f.at(followed["x"], ca.SX.zeros(n)).type1
     moved, square_x, spread_x = f.update(state, *f.position(state, x_meas), deviation**2, [range(n)])
 
@@ -291,12 +301,13 @@ def filters_of(mechanism: Mechanism) -> Library:
     same_vector, same = f.filter.symbols("same")
     test_vector, test = f.noise.symbols("test_noise")
     main, hit = f.correct(noise, f.predict(noise, state, tau, dt), q_meas, gap)
-    same, fit, fit_spread = f.innovate(test, f.predict(test, same, tau, dt), q_meas)
+    same, fit, fit_spread = f.innovate(test, f.predict(test, same, tau, dt, test=True), q_meas)
     x = ca.SX.sym("x", n)
     return Library([
         named("begin", p | told | {"x": x, "speed": speed}, {"filter": f.filter.join(f.begin(noise, x, speed))}),
-        named("predict", p | told | whole | {"tau": tau, "dt": dt},
-              {"filter_next": f.filter.join(f.predict(noise, state, tau, dt))}),
+        *(named(name, p | told | whole | {"tau": tau, "dt": dt},
+                {"filter_next": f.filter.join(f.predict(noise, state, tau, dt, test=test))})
+          for name, test in (("predict", False), ("predict_test", True))),
         named("correct", p | told | whole | {"q_meas": q_meas, "dt": dt},
               {"filter_next": f.filter.join(corrected), "struck": struck}),
         named("innovate", p | told | whole | {"q_meas": q_meas},

@@ -76,7 +76,7 @@ class Observer:
     """
 
     def __init__(self, model: Model, min_type1: float, estimate: Record | None = None) -> None:
-        self.n, self._min_type1 = model.n, min_type1
+        self.n, self._sure_type1 = model.n, LOST * min_type1
         self.layout = Layout("filter", model.n, FILTER)
         noise = Layout("noise", model.n, NOISE)
         self.main, self.same = self.layout.make(), self.layout.make()
@@ -169,7 +169,7 @@ class Observer:
         found = self.sides[block].mirror(self._p, state.numbers)
         image.numbers[:] = found.image
         mean = 4 * self.n
-        return bool(found.type1[0] >= LOST * self._min_type1 and np.isfinite(image.numbers[:mean]).all())
+        return bool(found.type1[0] >= self._sure_type1 and np.isfinite(image.numbers[:mean]).all())
 
     def look_again(self) -> None:
         """After the main filter was changed."""
@@ -204,13 +204,13 @@ class Observer:
     def _predict_all(self, tau: Array, step: float, steps: int) -> None:
         for _ in range(steps):
             self.predict(self.main, self.noise, tau, step)
-            self.predict(self.same, self.test_noise, tau, step)
+            self._step("predict_test", self.same, tau, step, noise=self.test_noise)
             for side in self.sides:
                 if side.belief.testing:
-                    self._step("predict", side.image, tau, step, noise=self.test_noise, p=side.p)
+                    self._step("predict_test", side.image, tau, step, noise=self.test_noise, p=side.p)
 
-    def observe(self, tau: Array, dt: float, q_meas: Array) -> None:
-        """One sample: the filters and the belief.
+    def observe(self, tau: Array, dt: float, q_meas: Array) -> bool:
+        """One sample: the filters and the belief; whether the side has to be told anew (``tell_side``).
 
         Args:
             tau: (n,) commanded since the last sample, N m.
@@ -219,8 +219,8 @@ class Observer:
         """
         if dt > LONG or not self._finite:
             self.begin_again(q_meas)
-            return
-        step = dt
+            return True
+        step, anew = dt, False
         if dt > MAX_STEP:
             steps = math.ceil(dt / MAX_STEP)
             step = dt / steps
@@ -230,7 +230,7 @@ class Observer:
         advance.run()
         finite, hit, fitting = advance.results.sample.tolist()
         self._finite, struck, fits = finite > 0.0, hit > 0.0, fitting > 0.0
-        quiet = fits and not struck
+        quiet, armed = fits and not struck, self.passage.armed
         for block, side in enumerate(self.sides):
             belief = side.belief
             if belief.testing or belief.armed:
@@ -242,8 +242,13 @@ class Observer:
         for block, side in enumerate(self.sides):
             s, s_variance, type1, folded, square, _ = side.told.numbers.tolist()  # in the order of TOLD
             if quiet:
-                side.belief.fit(square, dt)
+                belief = side.belief
+                belief.fit(square, dt)
+                if s * belief.mode >= armed and type1 >= self._sure_type1 and not (belief.doubtful or belief.strayed):
+                    continue  # clear of the locus on the side where it was
             self._judge_passage(block, side, s, s_variance, type1, folded >= 0.0)
+            anew = True
+        return anew
 
     def _weigh(self, block: int, side: Side, struck: bool) -> None:
         """Take the sample into a block's test; the filters of the test know nothing of a blow, which ends it."""
@@ -254,7 +259,7 @@ class Observer:
             return
         side.follow.run()
         found = side.follow.results
-        if not found.type1.item() >= LOST * self._min_type1:  # on its way into another working mode: the test goes on there
+        if not found.type1.item() >= self._sure_type1:  # on its way into another working mode: the test goes on there
             belief.pause()
             return
         image, spread_image = found.fit.reshape(2, -1)[:, block].tolist()
@@ -303,7 +308,7 @@ class Observer:
         where the state is suddenly on the other side.
         """
         belief, passage = side.belief, self.passage
-        if not (math.isfinite(s) and type1 >= LOST * self._min_type1):
+        if not (math.isfinite(s) and type1 >= self._sure_type1):
             belief.strayed = True
         if belief.strayed:
             belief.unsure()
@@ -365,5 +370,5 @@ class Observer:
         return bool(self.told.folded >= 0.0)
 
 
-_OWN = {"predict": ("tau", "dt"), "correct": ("q_meas", "dt"), "innovate": ("q_meas",),
+_OWN = {"predict": ("tau", "dt"), "predict_test": ("tau", "dt"), "correct": ("q_meas", "dt"), "innovate": ("q_meas",),
         "correct_position": ("x_meas", "deviation"), "unseen_blow": (), "unsure": (), "begin": ("x", "speed")}

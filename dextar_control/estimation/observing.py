@@ -40,8 +40,8 @@ class ObserverEstimator:
         noise.disturbance, noise.disturbance_walk = settings.disturbance_deviation, settings.disturbance_walk
         noise.shock_gate, noise.shock_speed = settings.shock_gate**2, settings.shock_speed
         test.take(noise)
-        test.disturbance_near = 1.0
         test.encoder, test.torque = settings.passage_encoder_deviation, settings.passage_torque_deviation
+        test.bias = settings.passage_bias_deviation
         test.acceleration = settings.passage_acceleration_deviation
         self.observer.most_lacking = settings.passage_disturbance
         self.observer.passage = Passage(settings.passage_armed, settings.passage_begin, settings.passage_log_odds)
@@ -91,8 +91,8 @@ class ObserverEstimator:
         self._joints.set(self.estimate.q_a, self.estimate.q_a_dot)
 
     def _advance(self, dt: float, q_a: Array, tau: Array) -> None:
-        self.observer.observe(tau, dt, q_a)
-        self.observer.tell_side()
+        if self.observer.observe(tau, dt, q_a):
+            self.observer.tell_side()
 
     def track(self, dt: float, q_a: Array, tau: Array, reference: Record, zone: float, width: float) -> None:
         """See ``Estimator``."""

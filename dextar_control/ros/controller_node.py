@@ -83,6 +83,8 @@ PARAMETERS = (
     Parameter("passage_begin", "|s| at which the test of crossed against bounced begins", 0.0, 0.9, unit="1", live=True),
     Parameter("passage_log_odds", "that decide the test", 0.1, 20.0, unit="1", live=True),
     Parameter("passage_encoder_deviation", "of a joint sample, as the test is told", 1e-7, 0.1, unit="rad", live=True),
+    Parameter("passage_bias_deviation", "of the joint angles that a wrong geometry explains, as the test is told", 1e-9, 0.1,
+              unit="rad", live=True),
     Parameter("passage_torque_deviation", "of a sample's torque, as the test is told", 1e-6, 10.0, unit="N m", live=True),
     Parameter("passage_acceleration_deviation", "of a sample's platform acceleration, as the test is told",
               0.0, 1e3, unit="m/s^2", live=True),
