@@ -163,7 +163,7 @@ def test_it_crosses_both_loci_at_once_there_and_back(robot: Robot, trips: list[P
     assert run.loop.phase is Phase.HOLD and run.loop.completed == 1, run.loop.reason
     assert sides(run) == BOTH
     assert run.error.max() <= (MAX_ERROR if share == 1.0 else MAX_ERROR_MASSES)
-    assert run.near_torque <= certificate.peak_torque
+    assert run.near_torque <= (1.0 if share == 1.0 else 1.2) * certificate.peak_torque  # masses that far off ask for as much
     verdicts = [passed.verdict for passed in run.loop.passed]
     assert verdicts.count(Verdict.CROSSED) >= (4 if share == 1.0 else 3) and Verdict.BOUNCED not in verdicts
 
@@ -229,7 +229,7 @@ def test_it_crosses_the_two_loci_one_shortly_after_the_other(
     run = drive(robot, Plan(trip, certificate), heavier(robot, share))
     assert run.loop.phase is Phase.HOLD and sides(run) == BOTH, run.loop.reason
     assert run.error.max() <= (MAX_ERROR if share == 1.0 else MAX_ERROR_MASSES)
-    assert run.near_torque <= certificate.peak_torque
+    assert run.near_torque <= (1.0 if share == 1.0 else 1.2) * certificate.peak_torque  # masses that far off ask for as much
     verdicts = [passed.verdict for passed in run.loop.passed]
     assert verdicts.count(Verdict.CROSSED) >= (4 if share == 1.0 else 3) and Verdict.BOUNCED not in verdicts
 

@@ -39,7 +39,9 @@ class ObserverEstimator:
         noise.scatter_gain = settings.scatter_gain
         noise.disturbance, noise.disturbance_walk = settings.disturbance_deviation, settings.disturbance_walk
         noise.shock_gate, noise.shock_speed = settings.shock_gate**2, settings.shock_speed
+        allowed = test.disturbance, test.disturbance_turn, test.disturbance_walk  # of a test that may be going on
         test.take(noise)
+        test.disturbance, test.disturbance_turn, test.disturbance_walk = allowed
         test.encoder, test.torque = settings.passage_encoder_deviation, settings.passage_torque_deviation
         test.bias = settings.passage_bias_deviation
         test.acceleration = settings.passage_acceleration_deviation
