@@ -9,6 +9,7 @@ jerk, when, and for ``plan_through`` both ends) is chosen by minimising the peak
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
@@ -96,8 +97,12 @@ def _there_and_back(
 ) -> Plan:
     """A way out and back: by its time reversal where that may be, by a way of its own otherwise."""
     start, goal = out.at(0.0).x, out.at(out.duration).x
-    back = out.reversed()
-    if not scalable(planning_model(robot), out):
-        back = way(goal, start).trajectory
-    trip = join([hold(start, dwell)] + [out, hold(goal, dwell), back, hold(start, dwell)] * repeat)
-    return Plan(trip, certify(robot, trip, max_residual=PLAN_RESIDUAL, crossings=2 * repeat))
+
+    def trip(back: Trajectory) -> Plan:
+        whole = join([hold(start, dwell)] + [out, hold(goal, dwell), back, hold(start, dwell)] * repeat)
+        return Plan(whole, certify(robot, whole, max_residual=PLAN_RESIDUAL, crossings=2 * repeat))
+
+    if scalable(planning_model(robot), out):
+        with suppress(TrajectoryError):  # the motors' friction may ask for more on the way back
+            return trip(out.reversed())
+    return trip(way(goal, start).trajectory)
