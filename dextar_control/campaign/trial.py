@@ -132,7 +132,7 @@ def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
     Raises:
         DextarError: there is none.
     """
-    robot = robot.replace(working_mode=trial.working_mode)
+    robot = known(robot.replace(working_mode=trial.working_mode), trial.perturbation)
     criterion = Criterion.ZERO_WRENCH if trial.law == "multi_model" else Criterion.RECIPROCAL
     return _planned(robot, trial.point, trial.direction, trial.duration, trial.dwell, trial.repeat, criterion)
 
@@ -182,10 +182,8 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: Callable[..., Any]) -> 
     plant = rig(built, plant=trial.plant, seed=trial.seed, **options)
     gc.disable()  # a row makes no cycles, and its log is long
     try:
-        # What the planner certified is certified anew only for another model of the robot.
-        certificate = plan.certificate if loop.robot == robot else loop.check(plan.trajectory)
         strike = _strike_of(loop, plan, perturbation, generator, sides)
-        log = _drive(loop, plan, certificate, plant, strike)
+        log = _drive(loop, plan, plant, strike)
         saturated_drives = plant.saturated
     except DextarError as error:
         return {"planned": True, "success": False, "reason": str(error), "wall_time": time.perf_counter() - begin}
@@ -255,8 +253,8 @@ def _strike_of(
     return Strike(moment, -(1.0 + generator.uniform(*RESTITUTION)) * (mass @ turned))
 
 
-def _drive(loop: ControlLoop, plan: Plan, certificate: Certificate, rig: Any, strike: Strike | None) -> Log:
-    start = plan.trajectory.at(0.0).x
+def _drive(loop: ControlLoop, plan: Plan, rig: Any, strike: Strike | None) -> Log:
+    start, certificate = plan.trajectory.at(0.0).x, plan.certificate
     place = loop.model.place(start)
     rig.reset_joints(place.q_a, round(np.sign(place.s[0])))
     loop.schedule(plan.trajectory, certificate)

@@ -23,9 +23,12 @@ from dextar_control.mechanisms.planar import (
     leg_parameters,
     nearest_two_link_angle,
     rod,
+    rubbing,
     two_link_angle,
 )
 from dextar_control.symbols.types import Array, Symbol
+
+PASSIVE = ("passive_viscous_friction", "N m s/rad"), ("passive_coulomb_friction", "N m")
 
 
 class FiveBar(FiveBarLocus):
@@ -172,3 +175,27 @@ class FiveBar(FiveBarLocus):
     def friction(self, q_a_dot: Symbol, p: Any) -> Symbol:
         """Of the motors."""
         return friction(q_a_dot, [getattr(p, side) for side in SIDES], p.coulomb_speed)
+
+
+class RubbingFiveBar(FiveBar):
+    """The same with friction of elbows and pin, whose smoothed change of sign costs each tick some time."""
+
+    parameters = (
+        *FiveBar.parameters,
+        *(Parameter(f"{side}.{name}", unit, "of the elbow", 0.0) for side in SIDES for name, unit in PASSIVE),
+        Parameter("pin_viscous_friction", "N m s/rad", "between the distal links", 0.0),
+        Parameter("pin_coulomb_friction", "N m", "between the distal links", 0.0),
+    )
+
+    def passive_friction(self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any) -> tuple[Symbol, Symbol]:
+        """Of the left elbow, the right one and the pin."""
+        turning = []
+        for leg, side in enumerate(SIDES):
+            P = self.elbow(leg, q_a[leg], p)
+            r, r_dot = x - P, x_dot - ca.jtimes(P, q_a, q_a_dot)
+            turning.append((r[0] * r_dot[1] - r[1] * r_dot[0]) / getattr(p, side).distal_length ** 2)
+        left, right = turning
+        rates = ca.vertcat(left - q_a_dot[0], right - q_a_dot[1], right - left)
+        viscous = ca.vertcat(p.left.passive_viscous_friction, p.right.passive_viscous_friction, p.pin_viscous_friction)
+        coulomb = ca.vertcat(p.left.passive_coulomb_friction, p.right.passive_coulomb_friction, p.pin_coulomb_friction)
+        return rates, rubbing(rates, viscous, coulomb, p.coulomb_speed)

@@ -204,6 +204,10 @@ class Mechanism(ABC):
     def friction(self, q_a_dot: Symbol, p: Any) -> Symbol:
         """Friction torque of the active joints (n,), opposing q_a_dot."""
 
+    def passive_friction(self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any) -> tuple[Symbol, Symbol]:
+        """(rates, torques) (m,) of the passive joints that rub: the torques oppose the rates, which are linear in velocities."""
+        return ca.SX(0, 1), ca.SX(0, 1)
+
     def symbols(self) -> tuple[Symbol, Any]:
         """(all parameters as one vector, the same by their dotted names)."""
         vector = ca.SX.sym("p", sum(parameter.size for parameter in self.parameters))

@@ -38,7 +38,12 @@ def friction(q_a_dot: Symbol, legs: Sequence[Any], coulomb_speed: Symbol) -> Sym
     """Viscous and smoothed Coulomb friction (n,), N m, of the legs' motors, opposing q_a_dot (n,), rad/s."""
     viscous = ca.vertcat(*(leg.viscous_friction for leg in legs))
     coulomb = ca.vertcat(*(leg.coulomb_friction for leg in legs))
-    return viscous * q_a_dot + coulomb * ca.tanh(q_a_dot / coulomb_speed)
+    return rubbing(q_a_dot, viscous, coulomb, coulomb_speed)
+
+
+def rubbing(rates: Symbol, viscous: Symbol, coulomb: Symbol, speed: Symbol) -> Symbol:
+    """Viscous and smoothed Coulomb friction (m,), N m, that opposes rates (m,), rad/s."""
+    return viscous * rates + coulomb * ca.tanh(rates / speed)
 
 
 def direction(angle: Symbol | float) -> Symbol:

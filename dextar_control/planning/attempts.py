@@ -108,10 +108,15 @@ class Best:
 
 
 def weightless(model: Model, trajectory: Trajectory) -> bool:
-    """Whether the robot needs no torque at rest where a trajectory starts and ends: then time may be scaled, and reversed."""
+    """Whether time may be scaled and reversed.
+
+    The robot needs no torque at rest where a trajectory starts and ends, and its passive joints do not rub.
+    """
+    rest, motion = np.zeros(model.n), np.ones(model.n)
     for x in (trajectory.at(0.0).x, trajectory.at(trajectory.duration).x):
-        found = model.wrenches(model.place(x).q_a, x, np.zeros(model.n), np.zeros(model.n))
-        if found.w_b.any() or found.w_d.any():
+        at = model.place(x).q_a, x
+        still, there, back = (model.wrenches(*at, x_dot, rest) for x_dot in (rest, motion, -motion))
+        if still.w_b.any() or still.w_d.any() or (there.w_d != back.w_d).any():
             return False
     return True
 
