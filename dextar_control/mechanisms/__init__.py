@@ -12,12 +12,13 @@ MECHANISMS: dict[str, Mechanism] = {mechanism.name: mechanism for mechanism in (
 """Those that a robot's file can name."""
 
 
-FIVE_BARS = MECHANISMS["five_bar"], RubbingFiveBar()
+RUBBING_FIVE_BAR = RubbingFiveBar()
 
 
 def five_bar_of(values: Mapping[str, Any]) -> Mechanism:
     """The five-bar of these values: with friction of its passive joints where there is some."""
-    return FIVE_BARS[any("pin_" in name or ".passive_" in name for name, value in values.items() if value)]
+    rubs = any(values.get(parameter.name) for parameter in RUBBING_FIVE_BAR.passive)
+    return RUBBING_FIVE_BAR if rubs else MECHANISMS["five_bar"]
 
 
 def mechanism_named(name: str) -> Mechanism:

@@ -180,12 +180,12 @@ class FiveBar(FiveBarLocus):
 class RubbingFiveBar(FiveBar):
     """The same with friction of elbows and pin, whose smoothed change of sign costs each tick some time."""
 
-    parameters = (
-        *FiveBar.parameters,
+    passive = (
         *(Parameter(f"{side}.{name}", unit, "of the elbow", 0.0) for side in SIDES for name, unit in PASSIVE),
         Parameter("pin_viscous_friction", "N m s/rad", "between the distal links", 0.0),
         Parameter("pin_coulomb_friction", "N m", "between the distal links", 0.0),
     )
+    parameters = (*FiveBar.parameters, *passive)
 
     def passive_friction(self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any) -> tuple[Symbol, Symbol]:
         """Of the left elbow, the right one and the pin."""
