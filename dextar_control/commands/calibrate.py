@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dextar_control.contract.errors import CalibrationError
     from dextar_control.contract.terminal import Terminal, say, spoken_warnings
     from dextar_control.identification.calibration import calibrate, predict
-    from dextar_control.identification.report import PAGE_FILE, ROBOT_FILE, predicted, summary, write_calibration
+    from dextar_control.identification.report import PAGE_FILE, ROBOT_FILE, predicted, sentence, summary, write_calibration
 
     console, robot = Terminal(), given_robot(arguments)
     with spoken_warnings("calibrate"), shown_progress() as shown:
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         except CalibrationError as error:
             say(f"dextar calibrate: {error}")
             return EXIT_FAILED
-    console.print(summary(found))
+    console.print(summary(sentence(found), found.quantities))
     for line in (*found.kept, *map(predicted, predictions)):
         console.print(line, soft_wrap=True)
     console.print(f"{folder}: {ROBOT_FILE} {PAGE_FILE}", soft_wrap=True)

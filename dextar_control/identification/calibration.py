@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -11,10 +11,11 @@ import numpy as np
 
 from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import CalibrationError
-from dextar_control.contract.robot import RobotParameters, flatten, robot_text
+from dextar_control.contract.robot import RobotParameters
 from dextar_control.identification.fit import EVERY, Direction, Fit, Places, directions_of, fit
 from dextar_control.identification.folds import Fold, find_folds, touch
 from dextar_control.identification.linkage import NAMES, PER_TURN, Linkage, described, numbers_of
+from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, in_words, rms_of
 from dextar_control.mechanisms.five_bar_locus import SIDES
 from dextar_control.symbols.types import Array
 
@@ -28,12 +29,10 @@ SUSPICIOUS = 1e-3  # rad, of an encoder's error once a turn that is said where n
 LEAST_USED = 2.0 / 3.0  # of the folds
 POSE_GAP = 5e-3  # s between two joint states, beyond which no reading is known between them
 FEWEST_PLACES = 50
-UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}  # in which people read them
 RECORD = (
     "record crossings spread over the locus: dextar demo --lockstep --tour 12 (on a rig the task tour:=12), also in other"
     " working modes; several bags are taken together"
 )
-Progress = Callable[[str], None]
 
 
 class Recording(NamedTuple):
@@ -52,22 +51,6 @@ class Recording(NamedTuple):
     places: Places | None
     extremes: Array
     spans: Array
-
-
-class Quantity(NamedTuple):
-    """One number, before and after.
-
-    Attributes:
-        name, unit: of the description.
-        before, after: m or rad.
-        deviation: standard; 0 of a number that was kept.
-    """
-
-    name: str
-    unit: str
-    before: float
-    after: float
-    deviation: float
 
 
 class Prediction(NamedTuple):
@@ -116,8 +99,8 @@ class Calibration:
         before, after = numbers_of(self.before), self.fit.numbers
         deviations = np.sqrt(np.maximum(np.diag(self.fit.covariance), 0.0))
         return [
-            Quantity(one.name, one.unit, *(float(row[NAMES.index(one.name)]) for row in (before, after, deviations)))
-            for one in EVERY
+            Quantity(one.name, one.unit, float(before[row]), float(after[row]), float(deviations[row]))
+            for one in EVERY for row in [NAMES.index(one.name)]
         ]
 
 
@@ -160,7 +143,7 @@ def calibrate(runs: Sequence[Run], *, poses: bool = True, progress: Progress = l
     Raises:
         CalibrationError: the recordings cannot tell what is looked for, contradict each other or the description.
     """
-    robot = _common_robot(runs)
+    robot = common_robot(runs, numbers_of, "geometry")
     linkage, numbers = Linkage(), numbers_of(robot)
     progress("looking for folds of the joints' motion")
     recordings = [recording_of(linkage, robot, run, bag) for bag, run in enumerate(runs)]
@@ -193,51 +176,18 @@ def predict(calibration: Calibration, run: Run) -> Prediction:
     numbers = numbers_of(calibration.before), numbers_of(calibration.after)
     gaps = np.array([[touch(linkage, row, fold).gap for fold in recording.folds] for row in numbers])
     counts = np.abs(gaps[1]) <= np.maximum(MOST_GAP * 3.0, 3.0 * np.nanmedian(np.abs(gaps[1])))
-    places = [_rms(linkage.closures(row, *recording.places).gaps) if recording.places else np.nan for row in numbers]
-    return Prediction(run.path, len(recording.folds), *(_rms(row[counts]) for row in gaps), *places)
+    places = [rms_of(linkage.closures(row, *recording.places).gaps) if recording.places else np.nan for row in numbers]
+    return Prediction(run.path, len(recording.folds), *(rms_of(row[counts]) for row in gaps), *places)
 
 
-def write_robot(calibration: Calibration, file: Path) -> None:
-    """The description with what was found, as every node takes it; what is known of each number stands on top.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    flat = {key: value for key, value in flatten(calibration.after).items() if key != "base_distance"}
-    lines = [
+def robot_lines(calibration: Calibration) -> list[str]:
+    """What is known of the description's numbers."""
+    return [
         f"The robot '{calibration.after.name}', its geometry calibrated by {int(calibration.fit.used.sum())} crossings of"
         f" {', '.join(str(recording.path) for recording in calibration.recordings)}.",
         *map(in_words, calibration.quantities),
         *calibration.kept,
     ]
-    file.write_text("".join(f"# {' '.join(line.split())}\n" for line in lines) + robot_text(flat), encoding="utf-8")
-
-
-def in_words(quantity: Quantity) -> str:
-    """Name, change and standard deviation."""
-    unit, scale = UNITS[quantity.unit]
-    now = f"{quantity.name} {scale * quantity.after:.4f} {unit}"
-    if quantity.deviation == 0.0:
-        return f"{now}, kept"
-    return f"{now} +- {scale * quantity.deviation:.4f}, was {scale * quantity.before:.4f}"
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.nanmean(np.square(values)))) if values.size else np.nan
-
-
-def _common_robot(runs: Sequence[Run]) -> RobotParameters:
-    robots = []
-    for run in runs:
-        if run.robot is None:
-            raise CalibrationError(f"{run.path} does not say which robot it is of; give its description with --robot")
-        robots.append(run.robot)
-    for run, robot in zip(runs[1:], robots[1:], strict=True):
-        if not np.array_equal(numbers_of(robot), numbers_of(robots[0])):
-            raise CalibrationError(
-                f"{run.path} was recorded with another geometry of the robot than {runs[0].path}; calibrate by bags of one"
-            )
-    return robots[0]
 
 
 def _no_fold(robot: RobotParameters, recording: Recording) -> str:
@@ -332,7 +282,7 @@ def _check_explained(found: Fit, gaps: Array) -> None:
         CalibrationError: none does.
     """
     used, count = int(found.used.sum()), len(gaps)
-    rms = _rms(gaps[found.used])
+    rms = rms_of(gaps[found.used])
     none_spare = not found.places and used <= len(found.directions)
     if count and (used < LEAST_USED * count or rms > MOST_GAP or none_spare):
         raise CalibrationError(

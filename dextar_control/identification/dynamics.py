@@ -1,8 +1,7 @@
 """Weighted least squares for masses, inertias, friction and gravity by recorded motions.
 
 The equation is that of ``model.regressor``, on the platform: regular on the locus. Each instant counts by what is known of its
-torques and of its accelerations there, so that where the encoders do not tell the platform's acceleration nothing is learnt from it.
-What no motion tells stays as described: each number is held to its description as loosely as ``PRIOR`` sizes.
+torques and accelerations, so that where the encoders do not tell the platform's acceleration nothing is learnt from it. What no motion tells stays as described: each number is held to its description as loosely as ``PRIOR`` sizes.
 """
 
 from __future__ import annotations
@@ -28,13 +27,14 @@ ROUNDS = 8
 LARGEST = 4.0  # standard deviations, beyond which an instant is an outlier
 TOLD = 0.25  # of that prior deviation, below which a combination of numbers is told
 ALONE = 0.25  # likewise of a number by itself
+LEAST_BODY = 0.02  # of a described mass or inertia, that is left of it at least: no body is without
 SHARP = 0.01  # rad/s over which friction turns round at most: it sticks, whatever the description smooths it over
 LEAST_TORQUE = 2e-4  # N m, of the rest, that is no sign of anything
 NEGLIGIBLE = 1e-3  # of a combination's own size, below which another number does not belong to it
 
 
 class Combination(NamedTuple):
-    """A sum of numbers that the torques see together.
+    """A sum of numbers that the torques see together: a base parameter.
 
     Attributes:
         name: of the sum, in words.
@@ -65,6 +65,7 @@ class DynamicFit:
         delay, delay_deviation: from command to drive, s, per motion.
         time: (m,) s of the instants, of motion ``which`` (m,).
         torque: (m, n) commanded then, N m.
+        rates: (m, n) of the joints, rad/s.
         rest_before, rest: (m, n) of the torques, by the description and by what was found.
         used: (m,) whether an instant counts.
     """
@@ -81,6 +82,7 @@ class DynamicFit:
     time: Array
     which: NDArray[np.int64]
     torque: Array
+    rates: Array
     rest_before: Array
     rest: Array
     used: NDArray[np.bool_]
@@ -130,7 +132,8 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFi
     blocks = np.unique(np.stack([which, np.floor(time / BLOCK).astype(np.int64)]), axis=1, return_inverse=True)[1].ravel()
     jitter = np.concatenate([np.tile(motion.jitter, (len(motion.tells), 1)) for motion in motions])
     prior = np.concatenate([PRIOR * sizes, np.full(count, DELAY)])
-    low = np.concatenate([[one.minimum for one in unknowns], np.full(count, -np.inf)])
+    least = [max(one.minimum, LEAST_BODY * float(p[one.row])) if one.unit.startswith("kg") else one.minimum for one in unknowns]
+    low = np.concatenate([least, np.full(count, -np.inf)])
     numbers, delay, spread = before.copy(), np.zeros(count), np.full(2, 0.02)
     used, rest_before = np.ones(len(which), dtype=bool), np.zeros(0)
     for turn in range(ROUNDS):
@@ -176,7 +179,7 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFi
         bound=tuple(one.name for one, is_beyond in zip(unknowns, beyond, strict=True) if is_beyond),
         delay=delay, delay_deviation=deviations[k:], time=time, which=which,
         torque=np.concatenate([motion.filtered(motion.tau) for motion in motions]),
-        rest_before=rest_before, rest=rest, used=used,
+        rates=np.concatenate([motion.rates for motion in motions]), rest_before=rest_before, rest=rest, used=used,
     )
 
 
@@ -199,10 +202,10 @@ def _combinations(
             base, across = [column, *base], np.column_stack([across, own / np.linalg.norm(own)])
     shares = np.linalg.lstsq(R[:, base], R, rcond=None)[0]
     found = []
-    for row, first in enumerate(base):
-        factors = shares[row] * prior[first] / prior
-        factors[np.abs(shares[row]) < NEGLIGIBLE] = 0.0
-        others = [f"{factors[i]:+.3g} {unknowns[i].name}" for i in np.flatnonzero(factors) if i != first]
+    for first, own_shares in zip(base, shares, strict=True):
+        factors = own_shares * prior[first] / prior
+        factors[np.abs(own_shares) < NEGLIGIBLE] = 0.0
+        others = [f"{factors[i]:+.3g} {unknowns[i].name}" for i in np.flatnonzero(factors).tolist() if i != first]
         scale = factors * prior
         found.append(Combination(
             " ".join([unknowns[first].name, *others]), unknowns[first].unit, factors, float(factors @ before),

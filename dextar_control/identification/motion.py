@@ -100,7 +100,7 @@ class Motion:
         q_a, x, x_dot, x_ddot, tau, tau_dot: (m, n), the torques as commanded.
         jitter: (n,) standard deviation of the joints' accelerations by their readings' noise, rad/s^2.
         spans: (n,) of the readings, rad.
-        turning: (n, 2) share of the instants at which each joint turns backwards and forwards.
+        rates: (k, n) of the joints at the k instants that tell something, rad/s.
     """
 
     recorded: Recorded
@@ -116,7 +116,7 @@ class Motion:
     tau_dot: Array
     jitter: Array
     spans: Array
-    turning: Array
+    rates: Array
 
     def filtered(self, values: Array) -> Array:
         """(m, ...) of the instants, at those that tell something."""
@@ -136,7 +136,8 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
     usable = np.isfinite(recorded.torque).all(axis=1) & (recorded.side != 0.0)
     breaks = (np.diff(recorded.time) > GAP * period) | np.diff(usable) | (np.diff(recorded.side) != 0.0)
     edge, step, least = round(EDGE / period), max(round(WINDOW / period), 1), round(SHORTEST / period)
-    parts, stretches, tells, rates, end = list[dict[str, Array]](), list[slice](), [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))], 0
+    parts, stretches, end = list[dict[str, Array]](), list[slice](), 0
+    tells, rates = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
     for rows in np.split(np.arange(len(recorded.time)), np.flatnonzero(breaks) + 1):
         if not usable[rows[0]] or np.ptp(recorded.time[rows]) < SHORTEST:
             continue
@@ -158,11 +159,9 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
             end += len(own)
     joined = {name: np.concatenate([np.zeros((0, 2) if name != "time" else 0), *(part[name] for part in parts)])
               for name in ("time", "q_a", "x", "x_dot", "x_ddot", "tau", "tau_dot")}  # fmt: skip
-    turning = np.concatenate(rates)
-    shares = np.stack([(turning < 0.0).mean(axis=0), (turning > 0.0).mean(axis=0)], axis=1) if len(turning) else np.zeros((2, 2))
     return Motion(
         recorded=recorded, stretches=tuple(stretches), parallel=parallel, tells=np.concatenate(tells),
-        jitter=_jitter(recorded, period, smooth), spans=np.ptp(recorded.readings, axis=0), turning=shares, **joined,
+        jitter=_jitter(recorded, period, smooth), spans=np.ptp(recorded.readings, axis=0), rates=np.concatenate(rates), **joined,
     )
 
 
@@ -183,7 +182,7 @@ def _even(robot: RobotParameters, recorded: Recorded, rows: Any, period: float, 
 
 
 def _jitter(recorded: Recorded, period: float, smooth: Array) -> Array:
-    """(n,) of the joints' accelerations, rad/s^2: what the filter takes off the readings, as if it were white, and lets through."""
+    """(n,) of the joints' accelerations, rad/s^2: what the filter takes off the readings, as white noise, and lets through."""
     noise = (recorded.readings - sosfiltfilt(smooth, recorded.readings, axis=0)).std(axis=0)
     impulse = np.zeros(int(1.0 / period))
     impulse[len(impulse) // 2] = 1.0

@@ -69,10 +69,12 @@ def _gap(e: Equations) -> Symbol:
 
 @lru_cache
 def regressors(mechanism: Mechanism) -> Library:
-    """Functions of (p, q_a, x, q_a_dot, q_a_ddot, tau) and of (p, x, x_dot, x_ddot).
+    """The identification's functions, compiled together where that can be done.
 
-    ``motion``: x_dot, x_ddot, s, and the rates (n,), of the joints' rates. ``gap``: J_inv, inertia (M J_inv^-1, (n, n)), gap (n,), N, and slopes
-    (n, k) by the ``unknowns_of``. ``planned``: torque_slopes (n, k) of the torques, N m, by them, and rates (n,) of the joints, on the way of the platform.
+    ``motion`` of (p, q_a, x, q_a_dot, q_a_ddot): x_dot, x_ddot, s, and the rates (n,) of the joints.
+    ``gap`` of (p, q_a, x, x_dot, x_ddot, tau): J_inv, inertia (M J_inv^-1, (n, n)), gap (n,), N, slopes (n, k) of it by the
+    ``unknowns_of``.
+    ``planned`` of (p, x, x_dot, x_ddot): torque_slopes (n, k) of the torques, N m, by them, and rates (n,) of the joints.
     """
     e = equations_of(mechanism)
     n, rows = mechanism.n, [unknown.row for unknown in unknowns_of(mechanism)]

@@ -1,9 +1,9 @@
 """The motion that tells most of a robot's masses and friction: loops from rest to rest, on its own side of the locus.
 
-In each loop each coordinate is a finite Fourier series about the start that begins and ends at rest without acceleration. The loops
-are those of many random ones, then improved, whose torques together tell most: the largest determinant of the information on
-the numbers of ``model.regressor``, each counted by its own size. No two are alike, so that what is not modelled (the teeth of a
-gear, a belt) does not err the same way again and again.
+In each loop each coordinate is a finite Fourier series about the start that begins and ends at rest without acceleration. The
+loops are those of many random ones, then improved, whose torques together tell most: the largest determinant of the information
+on the numbers of ``model.regressor``, each counted by its own size. No two are alike, so that what is not modelled (the teeth of
+a gear, a belt) does not err the same way again and again.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class _Search:
         self._harmonics = np.arange(1, HARMONICS + 1)
 
     def shape(self, raw: Array) -> list[Shape]:
-        """The candidate with these coefficients, at rest at its ends, as wide and as fast as it may be; none where none is clear."""
+        """The candidate with these coefficients, as wide and as fast as it may be; none where none is clear."""
         a, b = raw
         k = self._harmonics[:, None]
         a = a - k**2 * (k**2 * a).sum(axis=0) / (k**4).sum()  # no acceleration at the ends
@@ -149,7 +149,7 @@ class _Search:
         x, x_dot, x_ddot = self._table(shape.coefficients, 2.0 * np.pi * np.arange(count + 1) / count)
         x_dot[[0, -1]] = x_ddot[[0, -1]] = 0.0  # up to rounding they are
         x[[0, -1]] = 0.0
-        return quintic(np.arange(count + 1) * (shape.period / count), self._start + x, rate * x_dot, rate**2 * x_ddot)
+        return quintic(np.linspace(0.0, shape.period, count + 1), self._start + x, rate * x_dot, rate**2 * x_ddot)
 
     def _table(self, coefficients: Array, phases: Array) -> tuple[Array, Array, Array]:
         """(from the start (m, n), first and second derivative by the phase)."""
@@ -162,7 +162,8 @@ class _Search:
         found = states_model(self._robot).sides(self._start + self._table(coefficients, self._phases)[0])
         s, type1 = found.s[:, 0] * self._sign, found.type1[:, 0]
         return bool(
-            np.isfinite(s).all() and s.min() >= HEADROOM * CLEAR_S and type1.min() >= max(CLEAR_TYPE1, self._robot.min_type1_distance)
+            np.isfinite(s).all() and s.min() >= HEADROOM * CLEAR_S
+            and type1.min() >= max(CLEAR_TYPE1, self._robot.min_type1_distance)
             and beyond_range(self._robot, found.q_a).max() <= 0.0
         )
 

@@ -50,7 +50,7 @@ ARGUMENTS = {
     "estimator": Argument("", "of the platform state; external needs poses, of a camera or the plant's pose_rate; empty:"
                           " params_file's", "word", tuple(estimator.name.lower() for estimator in Estimation)),
     "tour": Argument("", "crossings spread over the locus; empty: params_file's", "number"),
-    "excite": Argument("", "about how long a motion is that tells masses and friction to dextar identify, s; empty: params_file's",
+    "excite": Argument("", "about how long a motion is that tells dextar identify masses and friction, s; empty: params_file's",
                        "number"),
     "lockstep": Argument("false", "each simulated step waits for its command: repeatable, not in real time"),
     "duration": Argument("", "of one way, s; empty: params_file's", "number"),

@@ -81,8 +81,9 @@ class Task:
         """
         asked = [f"{name} = {values[name]}" for name in ("point", "tour", "tour_points", "excite") if values[name]]
         if len(asked) > 1:
-            raise ParameterError(f"{' and '.join(asked)} are given; one may be (point: [], tour: 0, tour_points: [], excite: 0 are"
-                " off)")
+            raise ParameterError(
+                f"{' and '.join(asked)} are given; one may be (point: [], tour: 0, tour_points: [], excite: 0 are off)"
+            )
         if values["direction"] and not values["point"]:
             raise ParameterError(f"direction = {values['direction']} is given without a point; it must be 0")
         if len(values["tour_points"]) % 2:
