@@ -189,7 +189,10 @@ def compute_metrics(run: Run) -> Metrics:
         "clock_steps": run.clock_steps,
         "lost": {topic: _add(count.get("lost"), count.get("dropped")) for topic, count in run.losses.items()},
     }
-    verdict: Verdict = judge(values, has_truth=run.truth is not None, tracked=track is not None, problem=problem)
+    exciting = bool(run.parameters.get("trajectory_server", {}).get("excite"))
+    verdict: Verdict = judge(
+        values, has_truth=run.truth is not None, tracked=track is not None, problem=problem, exciting=exciting
+    )
     return Metrics(**values, success=verdict.success, reasons=verdict.reasons)
 
 

@@ -1,7 +1,8 @@
 """Weighted least squares for masses, inertias, friction and gravity by recorded motions.
 
 The equation is that of ``model.regressor``, on the platform: regular on the locus. Each instant counts by what is known of its
-torques and accelerations, so that where the encoders do not tell the platform's acceleration nothing is learnt from it. What no motion tells stays as described: each number is held to its description as loosely as ``PRIOR`` sizes.
+torques and accelerations, so that where the encoders do not tell the platform's acceleration nothing is learnt from it. What no
+motion tells stays as described: each number is held to its description, loosely.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from dextar_control.mechanisms import RUBBING_FIVE_BAR
 from dextar_control.model.regressor import Unknown, regressors, sizes_of, unknowns_of
 from dextar_control.symbols.types import Array
 
-PRIOR = 5.0  # sizes of a number, by which it may differ from the description where nothing tells it
+PRIOR, PRIOR_BODY = 5.0, 0.5  # sizes of a number, and of a mass or inertia, by which it may differ from the description untold
 DELAY = 5e-3  # s, likewise, of the time from command to drive
 ROUNDS = 8
 LARGEST = 4.0  # standard deviations, beyond which an instant is an outlier
@@ -131,7 +132,8 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFi
     time = np.concatenate([motion.time[motion.tells] for motion in motions])
     blocks = np.unique(np.stack([which, np.floor(time / BLOCK).astype(np.int64)]), axis=1, return_inverse=True)[1].ravel()
     jitter = np.concatenate([np.tile(motion.jitter, (len(motion.tells), 1)) for motion in motions])
-    prior = np.concatenate([PRIOR * sizes, np.full(count, DELAY)])
+    loose = [PRIOR_BODY if one.unit.startswith("kg") else PRIOR for one in unknowns]
+    prior = np.concatenate([loose * sizes, np.full(count, DELAY)])
     least = [max(one.minimum, LEAST_BODY * float(p[one.row])) if one.unit.startswith("kg") else one.minimum for one in unknowns]
     low = np.concatenate([least, np.full(count, -np.inf)])
     numbers, delay, spread = before.copy(), np.zeros(count), np.full(2, 0.02)

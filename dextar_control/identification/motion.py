@@ -43,7 +43,7 @@ class Recorded(NamedTuple):
         readings: (m, n) of the encoders, rad.
         torque: (m, n) commanded at each, until the next, N m; nan where there is none.
         side: (m,) sign of s that the controller believed; 0 where it did not know.
-        poses: (times, s, (k,), positions, m, (k, n)) of the end effector; None where it was not seen.
+        poses: times (k,), s, and positions (k, n), m, of the end effector; None where it was not seen.
     """
 
     path: Path
@@ -97,7 +97,7 @@ class Motion:
         stretches: slices of the m instants.
         parallel: coefficients of the filter that goes over both sides of the equation, stretch by stretch.
         tells: of the m those rows that count then: far enough apart, clear of both ends, the joints turning.
-        q_a, x, x_dot, x_ddot, tau, tau_dot: (m, n), the torques as commanded.
+        q_a, q_a_ddot, x, x_dot, x_ddot, tau, smooth_tau, tau_dot: (m, n); tau as commanded.
         jitter: (n,) standard deviation of the joints' accelerations by their readings' noise, rad/s^2.
         spans: (n,) of the readings, rad.
         rates: (k, n) of the joints at the k instants that tell something, rad/s.
@@ -109,10 +109,12 @@ class Motion:
     parallel: Array
     tells: NDArray[np.int64]
     q_a: Array
+    q_a_ddot: Array
     x: Array
     x_dot: Array
     x_ddot: Array
     tau: Array
+    smooth_tau: Array
     tau_dot: Array
     jitter: Array
     spans: Array
@@ -143,7 +145,7 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
             continue
         part = _even(robot, recorded, rows, period, smooth)
         part["x"] = direct(part["q_a"], float(recorded.side[rows[0]])).x
-        found = moving(part["q_a"], part["x"], part.pop("q_a_dot"), part.pop("q_a_ddot"))
+        found = moving(part["q_a"], part["x"], part.pop("q_a_dot"), part["q_a_ddot"])
         part |= {"x_dot": found.x_dot, "x_ddot": found.x_ddot}
         clear = (np.abs(found.s[:, 0]) >= LEAST_S) & np.isfinite(found.x_ddot).all(axis=1)
         slow = minimum_filter1d(np.abs(found.rates).min(axis=1), 2 * round(SPREAD / period) + 1) < LEAST_RATE
@@ -158,7 +160,7 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
             rates.append(found.rates[own[inner]])
             end += len(own)
     joined = {name: np.concatenate([np.zeros((0, 2) if name != "time" else 0), *(part[name] for part in parts)])
-              for name in ("time", "q_a", "x", "x_dot", "x_ddot", "tau", "tau_dot")}  # fmt: skip
+              for name in ("time", "q_a", "q_a_ddot", "x", "x_dot", "x_ddot", "tau", "smooth_tau", "tau_dot")}  # fmt: skip
     return Motion(
         recorded=recorded, stretches=tuple(stretches), parallel=parallel, tells=np.concatenate(tells),
         jitter=_jitter(recorded, period, smooth), spans=np.ptp(recorded.readings, axis=0), rates=np.concatenate(rates), **joined,
@@ -175,9 +177,10 @@ def _even(robot: RobotParameters, recorded: Recorded, rows: Any, period: float, 
     torque = 0.5 * (torque + np.vstack([torque[:1], torque[:-1]]))  # of a command that acts for a period, about its begin
     q_a = sosfiltfilt(smooth, readings - np.array(robot.encoder_offset), axis=0)
     q_a_dot = np.gradient(q_a, period, axis=0)
+    smooth_tau = sosfiltfilt(smooth, torque, axis=0)
     return {
         "time": grid, "q_a": q_a, "q_a_dot": q_a_dot, "q_a_ddot": np.gradient(q_a_dot, period, axis=0), "tau": torque,
-        "tau_dot": np.gradient(sosfiltfilt(smooth, torque, axis=0), period, axis=0),
+        "smooth_tau": smooth_tau, "tau_dot": np.gradient(smooth_tau, period, axis=0),
     }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""A calibration in files and in words: the robot's file, a page, a table for a terminal."""
+"""A calibration or an identification in files and in words: the robot's file, a page, a table for a terminal."""
 
 from __future__ import annotations
 
@@ -16,10 +16,17 @@ from dextar_control.analysis.words import counted
 from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.identification.calibration import Calibration, Prediction, robot_lines
-from dextar_control.identification.quantities import UNITS, Quantity, write_robot
+from dextar_control.identification.identification import Identification, TorquePrediction, identified_lines
+from dextar_control.identification.quantities import UNITS, Quantity, rms_of, write_robot
+from dextar_control.mechanisms.five_bar_locus import SIDES
 
 ROBOT_FILE, PAGE_FILE = "calibrated.yaml", "calibration.html"
-MM, UM = 1e3, 1e6
+IDENTIFIED_FILE, IDENTIFICATION_FILE = "identified.yaml", "identification.html"
+MM, UM, MNM = 1e3, 1e6, 1e3
+TORQUES = (
+    "What of the commanded torques masses, friction and gravity do not explain, where the joints turn, clear of the locus."
+    " Crosses lie more than four deviations off and do not count."
+)
 OBSERVATION = (
     "At a crossing the distal links are aligned: the elbows are as far apart as the distal lengths' sum (stretched) or difference"
     " (folded). The gap is what the encoders say of that distance less what the lengths say. A crossing that does not count lies"
@@ -145,3 +152,71 @@ def render_calibration(calibration: Calibration, predictions: Sequence[Predictio
         "footer": f"Made by dextar calibrate. {ROBOT_FILE} beside this page is a robot file for every node.",
     }  # fmt: skip
     return render("identification.html", script, **values)
+
+
+def write_identification(identification: Identification, predictions: Sequence[TorquePrediction], folder: Path) -> None:
+    """Write the robot's file and the page.
+
+    Raises:
+        CalibrationError: they cannot be written.
+    """
+    page = render_identification(identification, predictions)
+    write_results(identification.after, identified_lines(identification), page, folder / IDENTIFIED_FILE,
+                  folder / IDENTIFICATION_FILE)  # fmt: skip
+
+
+def torques_predicted(prediction: TorquePrediction) -> str:
+    """What the numbers are worth on a bag that did not serve."""
+    return (
+        f"{prediction.path}, not used: of torques of {MNM * prediction.torque:.1f} mN m RMS {MNM * prediction.before:.2f} mN m"
+        f" were unexplained before, {MNM * prediction.after:.2f} mN m after"
+    )
+
+
+def torques_sentence(identification: Identification) -> str:
+    """How well the torques are explained."""
+    fit = identification.fit
+    used = fit.used
+    before, after, torque = (MNM * rms_of(rows[used]) for rows in (fit.rest_before, fit.rest, fit.torque))
+    text = (
+        f"{counted(int(used.sum()), 'instant')} with torques of {torque:.1f} mN m RMS, of which {before:.2f} mN m were"
+        f" unexplained before, {after:.2f} mN m after"
+    )
+    if others := len(used) - int(used.sum()):
+        text += f" ({others} more left out, as where the robot was pushed)"
+    return text
+
+
+def render_identification(identification: Identification, predictions: Sequence[TorquePrediction]) -> str:
+    """The page."""
+    fit, names = identification.fit, ", ".join(motion.recorded.path.name for motion in identification.motions)
+    none = np.zeros(len(fit.rest))
+    script, figures = components([
+        residuals(MNM * rest[:, joint], none, fit.used, f"{side} torque left over {when} (mN m)", "instant")
+        for joint, side in enumerate(SIDES) for when, rest in (("before", fit.rest_before), ("after", fit.rest))
+    ], wrap_script=False)  # fmt: skip
+    checked = [
+        [Cell(str(one.path)), Cell(str(one.instants)),
+         *(Cell(number(MNM * value, ".2f")) for value in (one.torque, one.before, one.after))] for one in predictions
+    ]  # fmt: skip
+    return render(
+        "identification.html", script,
+        title=f"{identification.after.name}: masses and friction identified",
+        heading=f"{identification.after.name}: masses and friction by {names}",
+        verdict="Identified.",
+        sentence=torques_sentence(identification),
+        quantities=quantity_table(identification.quantities),
+        kept=identification.kept,
+        told="What the torques see together (base parameters), with standard deviations by the scatter of the recordings.",
+        directions=identification.told,
+        observed="Instant by instant",
+        observation=TORQUES,
+        figures=figures,
+        observations=None,
+        predictions=(
+            [Column("bag", text=True), Column("instants"), Column("RMS torque", "mN m"), Column("unexplained before", "mN m"),
+             Column("after", "mN m")],
+            checked,
+        ),
+        footer=f"Made by dextar identify. {IDENTIFIED_FILE} beside this page is a robot file for every node.",
+    )  # fmt: skip

@@ -20,7 +20,7 @@ from dextar_control.symbols.types import Array, Symbol
 
 AXES = "xyz"
 SIZES = {"N m": 0.02, "N m s/rad": 0.005, "N": 0.2, "N s/m": 0.05, "m/s^2": 1.0, "kg": 0.05, "kg m^2": 1e-4}
-"""By which a number of a unit is counted where the description has no other number of it: a torque felt beside the motion's own."""
+"""By which a number of a unit is counted: what is felt beside the motion's own torques."""
 
 
 class Unknown(NamedTuple):
@@ -59,7 +59,8 @@ def sizes_of(mechanism: Mechanism, p: Array) -> Array:
     """By which the unknown numbers are counted: masses and inertias by the largest of the description, others by ``SIZES``."""
     unknowns = unknowns_of(mechanism)
     largest = {unit: max(float(p[one.row]) for one in unknowns if one.unit == unit) for unit in {one.unit for one in unknowns}}
-    return np.array([largest[one.unit] if one.unit.startswith("kg") and largest[one.unit] else SIZES[one.unit] for one in unknowns])
+    by_unit = {unit: most if unit.startswith("kg") and most else SIZES[unit] for unit, most in largest.items()}
+    return np.array([by_unit[one.unit] for one in unknowns])
 
 
 def _gap(e: Equations) -> Symbol:
