@@ -16,6 +16,7 @@ from dextar_control.identification.fit import EVERY, Direction, Fit, Places, dir
 from dextar_control.identification.folds import Fold, find_folds, touch
 from dextar_control.identification.linkage import NAMES, PER_TURN, Linkage, described, numbers_of
 from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, in_words, rms_of
+from dextar_control.identification.recorded import Recorded, recorded_of
 from dextar_control.mechanisms.five_bar_locus import SIDES
 from dextar_control.symbols.types import Array
 
@@ -104,32 +105,20 @@ class Calibration:
         ]
 
 
-def recording_of(linkage: Linkage, robot: RobotParameters, run: Run, bag: int = 0) -> Recording:
-    """What a bag says by its encoders, and by a camera if there was one.
-
-    Raises:
-        CalibrationError: it has no two states of both joints.
-    """
-    seconds = (run.states.stamps - run.states.stamps[0]) * 1e-9
-    known = np.isfinite(run.states.position).all(axis=1)
-    time, readings = seconds[known], run.states.position[known]
-    if len(time) < 2:
-        raise CalibrationError(f"{run.path}: {len(time)} joint states have both angles; {RECORD}")
-    numbers = numbers_of(robot)
+def recording_of(linkage: Linkage, robot: RobotParameters, recorded: Recorded, bag: int = 0) -> Recording:
+    """What a motion says by its encoders, and by a camera if there was one."""
+    time, readings, numbers = recorded.time, recorded.readings, numbers_of(robot)
     distance = np.hypot(*linkage.elbows(numbers, readings).between.T)
     places = None
-    if run.poses is not None:
-        seen = (run.poses.stamps - run.states.stamps[0]) * 1e-9
+    if recorded.poses is not None:
+        seen, x = recorded.poses
         after = np.clip(np.searchsorted(time, seen), 1, len(time) - 1)
         good = (time[after] - time[after - 1] <= POSE_GAP) & (seen >= time[0]) & (seen <= time[-1])
         if good.sum() >= FEWEST_PLACES:
-            places = Places(
-                np.column_stack([np.interp(seen[good], time, column) for column in readings.T]), run.poses.x[good]
-            )
-    return Recording(
-        run.path, find_folds(linkage, numbers, run.robot.working_mode if run.robot else robot.working_mode, time, readings, bag),
-        places, np.array([distance.min(), distance.max()]), np.ptp(readings, axis=0),
-    )  # fmt: skip
+            places = Places(np.column_stack([np.interp(seen[good], time, column) for column in readings.T]), x[good])
+    folds = find_folds(linkage, numbers, recorded.working_mode, time, readings, bag)
+    extremes = np.array([distance.min(), distance.max()])
+    return Recording(recorded.path, folds, places, extremes, np.ptp(readings, axis=0))
 
 
 def calibrate(runs: Sequence[Run], *, poses: bool = True, progress: Progress = lambda stage: None) -> Calibration:
@@ -144,9 +133,20 @@ def calibrate(runs: Sequence[Run], *, poses: bool = True, progress: Progress = l
         CalibrationError: the recordings cannot tell what is looked for, contradict each other or the description.
     """
     robot = common_robot(runs, numbers_of, "geometry")
+    return calibrate_recorded(robot, [recorded_of(run, robot, RECORD) for run in runs], poses=poses, progress=progress)
+
+
+def calibrate_recorded(
+    robot: RobotParameters, motions: Sequence[Recorded], *, poses: bool = True, progress: Progress = lambda stage: None
+) -> Calibration:
+    """The same of what was recorded, wherever it comes from.
+
+    Raises:
+        CalibrationError: as ``calibrate``.
+    """
     linkage, numbers = Linkage(), numbers_of(robot)
     progress("looking for folds of the joints' motion")
-    recordings = [recording_of(linkage, robot, run, bag) for bag, run in enumerate(runs)]
+    recordings = [recording_of(linkage, robot, motion, bag) for bag, motion in enumerate(motions)]
     folds = [fold for recording in recordings for fold in recording.folds]
     seen = [recording.places for recording in recordings if recording.places is not None] if poses else []
     places = Places(*(np.concatenate(parts) for parts in zip(*seen, strict=True))) if seen else None
@@ -170,7 +170,7 @@ def predict(calibration: Calibration, run: Run) -> Prediction:
         CalibrationError: it has no fold.
     """
     linkage = Linkage()
-    recording = recording_of(linkage, calibration.before, run)
+    recording = recording_of(linkage, calibration.before, recorded_of(run, calibration.before, RECORD))
     if not recording.folds:
         raise CalibrationError(f"{run.path} cannot check: {_no_fold(calibration.before, recording)}")
     numbers = numbers_of(calibration.before), numbers_of(calibration.after)

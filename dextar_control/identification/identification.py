@@ -13,8 +13,9 @@ from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import CalibrationError, ParameterError
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.identification.dynamics import ALONE, DynamicFit, fit_dynamics, rest_of, rows_of
-from dextar_control.identification.motion import EXCITE, LEAST_RATE, LEAST_S, Motion, Recorded, motion_of, recorded_of
+from dextar_control.identification.motion import EXCITE, LEAST_RATE, LEAST_S, Motion, motion_of
 from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, in_words, rms_of
+from dextar_control.identification.recorded import Recorded, recorded_of
 from dextar_control.identification.transmission import Stiffness, stiffnesses_of
 from dextar_control.mechanisms import RUBBING_FIVE_BAR
 from dextar_control.mechanisms.five_bar_locus import SIDES
@@ -98,7 +99,7 @@ def identify(runs: Sequence[Run], *, progress: Progress = lambda stage: None) ->
         CalibrationError: the recordings cannot tell what is looked for, contradict each other or the description.
     """
     robot = common_robot(runs, lambda one: RUBBING_FIVE_BAR.values(flatten(one)), "description")
-    return identify_recorded(robot, [recorded_of(run) for run in runs], progress=progress)
+    return identify_recorded(robot, [recorded_of(run, robot, EXCITE) for run in runs], progress=progress)
 
 
 def identify_recorded(
@@ -109,6 +110,11 @@ def identify_recorded(
     Raises:
         CalibrationError: as ``identify``.
     """
+    for recorded in recordings:
+        if not np.isfinite(recorded.torque).any():
+            raise CalibrationError(
+                f"{recorded.path} has no torque: no joint_commands with an effort, by which masses and friction are told; {EXCITE}"
+            )
     progress("looking for stretches that tell something")
     motions = [motion_of(robot, recorded) for recorded in recordings]
     _check_motion(motions)
@@ -135,7 +141,7 @@ def predict_torques(identification: Identification, run: Run) -> TorquePredictio
     Raises:
         CalibrationError: it tells nothing.
     """
-    motion = motion_of(identification.before, recorded_of(run))
+    motion = motion_of(identification.before, recorded_of(run, identification.before, EXCITE))
     if not len(motion.tells):
         raise CalibrationError(f"{run.path} cannot check: {_too_little([motion])}")
     rests = []

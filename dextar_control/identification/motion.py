@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
-from dextar_control.analysis.run import Run
-from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters, flatten
+from dextar_control.identification.recorded import Recorded
 from dextar_control.mechanisms import RUBBING_FIVE_BAR
 from dextar_control.model.model import library_of
 from dextar_control.model.regressor import regressors
@@ -29,62 +27,8 @@ BLOCK = 0.25  # s within which the rest may have one cause
 LEAST_S = 0.2  # |s| from which on encoders tell where the platform is, and how it is accelerated
 LEAST_RATE = 0.1  # rad/s of each joint, below which friction has no sure sign
 GAP = 3.5  # periods without a state that end a stretch
-STALE = 0.02  # s, age of a command that still acts
 SHORTEST = 0.3  # s of a stretch
 EXCITE = "record dextar demo --lockstep --excite (on a rig the task excite:=10)"
-
-
-class Recorded(NamedTuple):
-    """What a bag says of a motion.
-
-    Attributes:
-        path: of the bag.
-        time: (m,) s, rising.
-        readings: (m, n) of the encoders, rad.
-        torque: (m, n) commanded at each, until the next, N m; nan where there is none.
-        side: (m,) sign of s that the controller believed; 0 where it did not know.
-        poses: times (k,), s, and positions (k, n), m, of the end effector; None where it was not seen.
-    """
-
-    path: Path
-    time: Array
-    readings: Array
-    torque: Array
-    side: Array
-    poses: tuple[Array, Array] | None = None
-
-
-def recorded_of(run: Run) -> Recorded:
-    """That of a bag.
-
-    Raises:
-        CalibrationError: it has no states, or no torques.
-    """
-    stamps = run.states.stamps
-    known = np.isfinite(run.states.position).all(axis=1)
-    if known.sum() < 2:
-        raise CalibrationError(f"{run.path}: {int(known.sum())} joint states have both angles; {EXCITE}")
-    given = np.isfinite(run.commands.effort).all(axis=1)
-    if not given.any():
-        raise CalibrationError(
-            f"{run.path} has no torque: no joint_commands with an effort, which masses and friction are told by; {EXCITE}"
-        )
-    torque = _held(run.commands.stamps[given], run.commands.effort[given], stamps, STALE)
-    if len(run.criterion.stamps):
-        side = _held(run.criterion.stamps, run.criterion.assembly_mode[:, None], stamps, STALE)[:, 0]
-    else:
-        side = np.full(len(stamps), float(run.parameters.get("controller", {}).get("assembly_mode", 1)))
-    poses = None if run.poses is None else ((run.poses.stamps - stamps[0]) * 1e-9, run.poses.x)
-    time = (stamps - stamps[0]) * 1e-9
-    return Recorded(run.path, time[known], run.states.position[known], torque[known], np.nan_to_num(side[known]), poses)
-
-
-def _held(stamps: Any, values: Array, at: Any, age: float) -> Array:
-    """Values (k, c) at stamps (k,), ns, held until the next one, at other stamps (m,); nan where older than ``age``, s."""
-    rows = np.searchsorted(stamps, at, side="right") - 1
-    found = values[np.maximum(rows, 0)].astype(np.float64)
-    found[(rows < 0) | (at - stamps[np.maximum(rows, 0)] > age * 1e9)] = np.nan
-    return found
 
 
 @dataclass(frozen=True)
@@ -130,7 +74,7 @@ class Motion:
 
 def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
     """What of a recorded motion tells something; it may be empty."""
-    p = RUBBING_FIVE_BAR.values(flatten(robot))
+    p = RUBBING_FIVE_BAR.values(flatten(robot) | {"working_mode": recorded.working_mode})
     library, made = library_of(RUBBING_FIVE_BAR), regressors(RUBBING_FIVE_BAR)
     direct, moving = (partial(one, p) for one in (library.batch("direct_geometric_model"), made.batch("motion")))
     period = float(np.median(np.diff(recorded.time)))
