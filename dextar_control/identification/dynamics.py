@@ -17,6 +17,7 @@ from scipy.linalg import qr
 from scipy.optimize import lsq_linear
 
 from dextar_control.contract.robot import RobotParameters, flatten
+from dextar_control.identification.fit import MEDIAN
 from dextar_control.identification.motion import BLOCK, Motion
 from dextar_control.mechanisms import RUBBING_FIVE_BAR
 from dextar_control.model.regressor import Unknown, regressors, sizes_of, unknowns_of
@@ -24,12 +25,13 @@ from dextar_control.symbols.types import Array
 
 PRIOR, PRIOR_BODY = 5.0, 0.5  # sizes of a number, and of a mass or inertia, by which it may differ from the description untold
 DELAY = 5e-3  # s, likewise, of the time from command to drive
-ROUNDS = 8
+ROUNDS, CONVERGED = 10, 1e-4  # of the prior deviations, of a step
 LARGEST = 4.0  # standard deviations, beyond which an instant is an outlier
 TOLD = 0.25  # of that prior deviation, below which a combination of numbers is told
 ALONE = 0.25  # likewise of a number by itself
 LEAST_BODY = 0.02  # of a described mass or inertia, that is left of it at least: no body is without
 SHARP = 0.01  # rad/s over which friction turns round at most: it sticks, whatever the description smooths it over
+NOTHING = 5e-4  # N m, of the rest, that makes no outlier
 LEAST_TORQUE = 2e-4  # N m, of the rest, that is no sign of anything
 NEGLIGIBLE = 1e-3  # of a combination's own size, below which another number does not belong to it
 
@@ -148,16 +150,18 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFi
         if turn == 0:
             rest_before = rest
         else:
-            spread = np.maximum(1.4826 * np.median(np.abs(rest[used]), axis=0), LEAST_TORQUE)
+            spread = np.maximum(MEDIAN * np.median(np.abs(rest[used]), axis=0), LEAST_TORQUE)
         whiten = _whitening(rows, spread, jitter)
         misfit = np.einsum("mij,mj->mi", whiten, gap)
+        scale = max(MEDIAN * float(np.median(np.abs(misfit[used]))), 1e-9)
+        whiten, misfit = whiten / scale, misfit / scale
         if turn > 1:
-            used = np.abs(misfit).max(axis=1) <= LARGEST * max(float(np.median(np.abs(misfit))) * 1.4826, 1.0)
+            used = (np.abs(misfit).max(axis=1) <= LARGEST) | (np.abs(rest).max(axis=1) <= NOTHING)
         slopes = np.zeros((*gap.shape, k + count))
         slopes[:, :, :k] = rows.slopes
         slopes[np.arange(len(which)), :, k + which] = -rows.late
-        scaled = np.einsum("mij,mjk->mik", whiten, slopes)[used] * prior
-        flat = scaled.reshape(-1, k + count)
+        scaled = np.einsum("mij,mjk->mik", whiten, slopes) * prior
+        flat = scaled[used].reshape(-1, k + count)
         now = np.concatenate([numbers, delay])
         away = (np.concatenate([before, np.zeros(count)]) - now) / prior
         A, b = np.vstack([flat, np.eye(k + count)]), np.concatenate([-misfit[used].ravel(), away])
@@ -168,9 +172,11 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFi
         wanted = now + prior * free
         now = np.maximum(now + prior * step, low)
         numbers, delay = now[:k], now[k:]
+        if turn > 2 and np.abs(step).max() < CONVERGED:
+            break
     posterior = np.linalg.inv(flat.T @ flat + np.eye(k + count))
     scores = np.zeros((blocks.max() + 1, k + count))
-    np.add.at(scores, blocks[used], np.einsum("mik,mi->mk", scaled, misfit[used]))
+    np.add.at(scores, blocks, np.einsum("mik,mi->mk", scaled, np.clip(misfit, -LARGEST, LARGEST)))  # outliers widen them
     covariance = posterior @ (scores.T @ scores + np.eye(k + count)) @ posterior
     deviations = np.sqrt(np.diag(covariance)) * prior
     held = now[:k] <= low[:k] + 1e-12

@@ -27,7 +27,7 @@ BODIES = 5  # combinations of masses and inertias that a five-bar's torques see 
 WIDEST = {"coulomb_friction": 5e-3, "viscous_friction": 5e-3}  # N m, N m s/rad of a motor: deviation beyond which it is not told
 WIDEST_GRAVITY = 1.0  # m/s^2
 MOST_REST = 0.35  # of a joint's torque, RMS, that may stay unexplained
-LEAST_USED = 2.0 / 3.0  # of the instants
+LEAST_USED = 0.5  # of the instants
 MOST_FACTOR = 3.0  # of a combination of masses or inertias, over and under the description
 WEIGHT = 9.81  # m/s^2
 STRIBECK_SPEED, STRIBECK_SURE, STRIBECK_LEAST = 0.3, 5.0, 2e-3  # rad/s; standard deviations and N m from which on it shows
@@ -113,15 +113,15 @@ def identify_recorded(
     for recorded in recordings:
         if not np.isfinite(recorded.torque).any():
             raise CalibrationError(
-                f"{recorded.path} has no torque: no joint_commands with an effort, by which masses and friction are told; {EXCITE}"
+                f"{recorded.path} has no torque: no joint_commands with an effort, which tells masses and friction; {EXCITE}"
             )
     progress("looking for stretches that tell something")
     motions = [motion_of(robot, recorded) for recorded in recordings]
     _check_motion(motions)
     progress(f"fitting to {sum(len(motion.tells) for motion in motions)} instants")
     found = fit_dynamics(robot, motions)
-    _check_told(motions, found)
     _check_explained(motions, found)
+    _check_told(motions, found)
     _check_bounds(robot, found)
     stiffnesses = stiffnesses_of(robot, motions)
     changes: dict[str, Any] = {one.name: float(value) for one, value in zip(found.unknowns, found.numbers, strict=True)}
@@ -231,7 +231,7 @@ def _check_explained(motions: Sequence[Motion], found: DynamicFit) -> None:
         CalibrationError: they do not.
     """
     used = float(found.used.mean())
-    shares = [rms_of(rest[found.used]) / max(rms_of(torque[found.used]), 1e-9)
+    shares = [rms_of(rest) / max(rms_of(torque), 1e-9)
               for rest, torque in zip(found.rest.T, found.torque.T, strict=True)]  # fmt: skip
     if max(shares) > MOST_REST or used < LEAST_USED:
         joint = int(np.argmax(shares))

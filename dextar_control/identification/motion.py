@@ -107,7 +107,7 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
               for name in ("time", "q_a", "q_a_ddot", "x", "x_dot", "x_ddot", "tau", "smooth_tau", "tau_dot")}  # fmt: skip
     return Motion(
         recorded=recorded, stretches=tuple(stretches), parallel=parallel, tells=np.concatenate(tells),
-        jitter=_jitter(recorded, period, smooth), spans=np.ptp(recorded.readings, axis=0), rates=np.concatenate(rates), **joined,
+        jitter=_jitter(recorded, period, smooth, parallel), spans=np.ptp(recorded.readings, axis=0), rates=np.concatenate(rates), **joined,
     )
 
 
@@ -128,10 +128,10 @@ def _even(robot: RobotParameters, recorded: Recorded, rows: Any, period: float, 
     }  # fmt: skip
 
 
-def _jitter(recorded: Recorded, period: float, smooth: Array) -> Array:
-    """(n,) of the joints' accelerations, rad/s^2: what the filter takes off the readings, as white noise, and lets through."""
+def _jitter(recorded: Recorded, period: float, smooth: Array, parallel: Array) -> Array:
+    """(n,) of the joints' accelerations, rad/s^2, by what the filter takes off."""
     noise = (recorded.readings - sosfiltfilt(smooth, recorded.readings, axis=0)).std(axis=0)
     impulse = np.zeros(int(1.0 / period))
     impulse[len(impulse) // 2] = 1.0
-    passed = np.gradient(np.gradient(sosfiltfilt(smooth, impulse), period), period)
+    passed = np.gradient(np.gradient(sosfiltfilt(parallel, sosfiltfilt(smooth, impulse)), period), period)
     return np.asarray(noise * np.linalg.norm(passed))
