@@ -107,7 +107,8 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
               for name in ("time", "q_a", "q_a_ddot", "x", "x_dot", "x_ddot", "tau", "smooth_tau", "tau_dot")}  # fmt: skip
     return Motion(
         recorded=recorded, stretches=tuple(stretches), parallel=parallel, tells=np.concatenate(tells),
-        jitter=_jitter(recorded, period, smooth, parallel), spans=np.ptp(recorded.readings, axis=0), rates=np.concatenate(rates), **joined,
+        jitter=_jitter(recorded, period, smooth, parallel), spans=np.ptp(recorded.readings, axis=0),
+        rates=np.concatenate(rates), **joined,
     )
 
 
