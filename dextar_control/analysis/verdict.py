@@ -32,7 +32,8 @@ def judge(
         has_truth: the bag holds the true motion.
         tracked: a trajectory was tracked.
         problem: why the plan could not be computed.
-        exciting: the motion was to tell masses and friction: it has no crossing, and how far off it was says nothing.
+        exciting: the motion was to tell masses and friction: it has no crossing, and how far off it was, or that torques
+            were at their limit, says nothing against it.
     """
     verdict = _judge(values, has_truth, tracked, problem, exciting)
     late = late_in_words(values)
@@ -81,7 +82,7 @@ def _judge(values: Mapping[str, Any], has_truth: bool, tracked: bool, problem: s
     cut = unseen and values["truncated"]
     if short and not unseen:
         reasons.append(f"tracking ended at {values['tracked_until']:.3f} s of {values['duration']:.3f} s")
-    if values["saturated"]:
+    if values["saturated"] and not exciting:
         reasons.append(f"saturated commands: {values['saturated']}; the limit is 0")
     if values["drive_saturated"]:
         reasons.append(f"steps in which the drives saturated: {values['drive_saturated']}; the limit is 0")

@@ -183,7 +183,7 @@ def torques_sentence(identification: Identification) -> str:
         f" unexplained before, {after:.2f} mN m after"
     )
     if others := len(used) - int(used.sum()):
-        text += f" ({others} more left out, as where the robot was pushed)"
+        text += f" ({others} more left out, where friction turns round, a belt rings, or the robot was pushed)"
     return text
 
 
