@@ -14,7 +14,10 @@ import synthetic_run as made
 import yaml
 
 from dextar_control import cli
+from dextar_control.campaign import learnt
+from dextar_control.campaign.design import CrossingPoint, Trial
 from dextar_control.campaign.learnt import record
+from dextar_control.campaign.trial import run_trial, sample_points
 from dextar_control.contract.errors import CalibrationError, GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 from dextar_control.identification.dynamics import DynamicFit
@@ -202,6 +205,23 @@ def test_what_a_recording_cannot_tell_is_refused_with_what_to_do(one: Callable[[
     with pytest.raises(CalibrationError, match=words) as refusal:
         identify_recorded(ROBOT, [one()])
     assert "--excite" in str(refusal.value) or "Nothing was written" in str(refusal.value)
+
+
+def test_a_robot_that_learnt_its_passive_friction_crosses_as_planned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(learnt, "_exciting", lambda robot: exciting())
+    point = sample_points(ROBOT, 1, 0, 3)[0]
+    given = trial_of(point, {"passive": 0.01, "identified": 1.0})
+    row = run_trial(ROBOT, given, Rig)
+    assert row["identified"] is True
+    assert row["success"] is True
+    assert row["max_error"] < 0.2 * run_trial(ROBOT, trial_of(point, {"passive": 0.01}), Rig)["max_error"]
+
+
+def trial_of(point: CrossingPoint, perturbation: dict[str, float]) -> Trial:
+    return Trial(
+        index=0, **point._asdict(), direction=1, case="", perturbation=perturbation, law="consistent", estimator="observer",
+        plant="cartesian", seed=1, duration=0.33, dwell=0.2, repeat=1, settings={},
+    )  # fmt: skip
 
 
 def write_bag(file: Path, one: Recorded) -> Path:
