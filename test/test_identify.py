@@ -209,7 +209,7 @@ def test_what_a_recording_cannot_tell_is_refused_with_what_to_do(one: Callable[[
 
 def test_a_robot_that_learnt_its_passive_friction_crosses_as_planned(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(learnt, "_exciting", lambda robot: exciting())
-    point = sample_points(ROBOT, 1, 0, 3)[0]
+    point = sample_points(ROBOT, 4, 0, 3)[0]
     given = trial_of(point, {"passive": 0.01, "identified": 1.0})
     row = run_trial(ROBOT, given, Rig)
     assert row["identified"] is True
