@@ -313,7 +313,7 @@ def _kept(robot: RobotParameters, found: DynamicFit, stiffnesses: Sequence[Stiff
             kept.append(f"{one.name} is not told: it was kept at {scale * found.before[row]:.4f} {unit}.")
     if together:
         kept.append(
-            "Single masses and inertias are not told, only the combinations above; what these ask for was shared out evenly among"
+            "Single masses and inertias are not told, only combinations of them; what these ask for was shared out evenly among"
             f" {', '.join(together)}."
         )
     for side, leg, told in zip(SIDES, robot.legs, stiffnesses, strict=True):

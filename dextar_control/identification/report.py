@@ -192,7 +192,7 @@ def render_identification(identification: Identification, predictions: Sequence[
     fit, names = identification.fit, ", ".join(motion.recorded.path.name for motion in identification.motions)
     none = np.zeros(len(fit.rest))
     script, figures = components([
-        residuals(MNM * rest[:, joint], none, fit.used, f"{side} torque left over {when} (mN m)", "instant")
+        residuals(MNM * rest[:, joint], none, fit.used, f"{side}, {when} (mN m)", "instant")
         for joint, side in enumerate(SIDES) for when, rest in (("before", fit.rest_before), ("after", fit.rest))
     ], wrap_script=False)  # fmt: skip
     checked = [
