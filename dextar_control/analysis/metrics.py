@@ -27,7 +27,7 @@ class Metrics:
     """A run's numbers: m, N m, s, Hz; nan where the bag does not tell.
 
     Each can be computed again from the bag alone. The *tracked ticks* are the stamps that both ``criterion`` (in phase TRACK
-    or CROSSING) and ``controller_state`` (with a time) have, of the last trajectory: those whose start, stamp less time, is
+    or CROSSING, or where there is none of these APPROACH) and ``controller_state`` (with a time) have, of the last trajectory: those whose start, stamp less time, is
     within 1 ms of the last one's. Time zero is the median of their starts.
 
     Attributes:
