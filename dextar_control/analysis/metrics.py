@@ -27,8 +27,8 @@ class Metrics:
     """A run's numbers: m, N m, s, Hz; nan where the bag does not tell.
 
     Each can be computed again from the bag alone. The *tracked ticks* are the stamps that both ``criterion`` (in phase TRACK
-    or CROSSING, or where there is none of these APPROACH) and ``controller_state`` (with a time) have, of the last trajectory: those whose start, stamp less time, is
-    within 1 ms of the last one's. Time zero is the median of their starts.
+    or CROSSING, or APPROACH where there is none of these) and ``controller_state`` (with a time) have, of the last trajectory:
+    those whose start, stamp less time, is within 1 ms of the last one's. Time zero is the median of their starts.
 
     Attributes:
         law, estimator, phase, reason: of the controller; its last phase and why it is there.

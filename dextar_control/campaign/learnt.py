@@ -63,7 +63,9 @@ def record(robot: RobotParameters, plan: Plan, rig: Any) -> Recorded:
 def learnt(
     robot: RobotParameters, rig: Callable[[], Any], *, calibrated: bool, identified: bool
 ) -> tuple[RobotParameters, dict[str, bool]]:
-    """The description after one recorded tour and one exciting motion, and which of the two told enough.
+    """The description after one recorded tour and one exciting motion, and whether each fit was told enough.
+
+    Where the end effector is seen, the exciting motion calibrates too: it is whole, also where a tour ends at its first crossing.
 
     Args:
         robot: as it is drawn, in the working mode of the recordings.
@@ -71,14 +73,18 @@ def learnt(
         calibrated, identified: by which of the two.
     """
     found, told = robot, dict[str, bool]()
-    if calibrated:
+    tour = record(robot, _tour(robot), rig()) if calibrated else None
+    seen = tour is not None and tour.poses is not None
+    exciting = record(robot, _exciting(robot), rig()) if identified or seen else None
+    if tour is not None:
         try:
-            found, told["calibrated"] = calibrate_recorded(robot, [record(robot, _tour(robot), rig())]).after, True
+            motions = [tour, exciting] if exciting is not None else [tour]
+            found, told["calibrated"] = calibrate_recorded(robot, motions).after, True
         except CalibrationError:
             told["calibrated"] = False
-    if identified:
+    if identified and exciting is not None:
         try:
-            found, told["identified"] = identify_recorded(found, [record(robot, _exciting(robot), rig())]).after, True
+            found, told["identified"] = identify_recorded(found, [exciting]).after, True
         except CalibrationError:
             told["identified"] = False
     return found, told

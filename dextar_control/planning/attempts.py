@@ -116,7 +116,7 @@ def weightless(model: Model, trajectory: Trajectory) -> bool:
     for x in (trajectory.at(0.0).x, trajectory.at(trajectory.duration).x):
         at = model.place(x).q_a, x
         still, there, back = (model.wrenches(*at, x_dot, rest) for x_dot in (rest, motion, -motion))
-        if still.w_b.any() or still.w_d.any() or (there.w_d != back.w_d).any():
+        if still.w_b.any() or still.w_d.any() or (there.w_b != back.w_b).any() or (there.w_d != back.w_d).any():
             return False
     return True
 
