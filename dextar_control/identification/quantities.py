@@ -91,4 +91,4 @@ def common_robot(runs: Sequence[Run], numbers_of: Callable[[RobotParameters], Ar
 
 def rms_of(values: Array) -> float:
     """Root of the mean square of those that are numbers; nan of none."""
-    return float(np.sqrt(np.nanmean(np.square(values)))) if values.size else np.nan
+    return float(np.sqrt(np.nanmean(np.square(values)))) if np.isfinite(values).any() else np.nan
