@@ -65,26 +65,20 @@ def learnt(
 ) -> tuple[RobotParameters, dict[str, bool]]:
     """The description after one recorded tour and one exciting motion, and whether each fit was told enough.
 
-    Where the end effector is seen, the exciting motion calibrates too: it is whole, also where a tour ends at its first crossing.
-
     Args:
         robot: as it is drawn, in the working mode of the recordings.
         rig: makes the rig that records.
         calibrated, identified: by which of the two.
     """
     found, told = robot, dict[str, bool]()
-    tour = record(robot, _tour(robot), rig()) if calibrated else None
-    seen = tour is not None and tour.poses is not None
-    exciting = record(robot, _exciting(robot), rig()) if identified or seen else None
-    if tour is not None:
+    if calibrated:
         try:
-            motions = [tour, exciting] if exciting is not None else [tour]
-            found, told["calibrated"] = calibrate_recorded(robot, motions).after, True
+            found, told["calibrated"] = calibrate_recorded(robot, [record(robot, _tour(robot), rig())]).after, True
         except CalibrationError:
             told["calibrated"] = False
-    if identified and exciting is not None:
+    if identified:
         try:
-            found, told["identified"] = identify_recorded(found, [exciting]).after, True
+            found, told["identified"] = identify_recorded(found, [record(robot, _exciting(robot), rig())]).after, True
         except CalibrationError:
             told["identified"] = False
     return found, told
