@@ -17,6 +17,7 @@ from dextar_control.commands import (
     demo,
     export,
     faults,
+    identify,
     recover,
     replay,
 )
@@ -31,6 +32,7 @@ COMMANDS = {
     "export": export,
     "recover": recover,
     "calibrate": calibrate,
+    "identify": identify,
     "campaign": campaign,
     "faults": faults,
     "check-rig": check_rig,

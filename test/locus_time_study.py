@@ -54,7 +54,7 @@ def main() -> None:
 def ends_well(robot: RobotParameters, plan: Plan, built: RobotParameters) -> bool:
     loop, rig = ControlLoop(robot, default_settings(), -1), Rig(built, plant="cartesian")
     try:
-        return bool(_judge(loop, _drive(loop, plan, plan.certificate, rig, None), False)["success"])
+        return bool(_judge(loop, _drive(loop, plan, rig, None), False)["success"])
     finally:
         rig.close()
 

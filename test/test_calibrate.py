@@ -104,7 +104,9 @@ def run_of(
         seen = x[::10] + noise * np.random.default_rng(5).standard_normal((len(x[::10]), 2))
         poses = SimpleNamespace(stamps=stamps[::10], x=seen)
     states = SimpleNamespace(stamps=stamps, position=readings)
-    return SimpleNamespace(path=Path("run.mcap"), states=states, robot=robot, poses=poses)
+    none = SimpleNamespace(stamps=stamps[:0], effort=np.zeros((0, 2)))
+    return SimpleNamespace(path=Path("run.mcap"), states=states, robot=robot, poses=poses, commands=none, criterion=none,
+                           parameters={})  # fmt: skip
 
 
 def test_the_folds_are_the_crossings_and_say_nothing_against_the_true_robot() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 import types
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.settings import Estimation
-from dextar_control.ros.launch_arguments import ARGUMENTS, check_nodes, misspelt, read
+from dextar_control.ros.launch_arguments import ARGUMENTS, changes, check_nodes, misspelt, read
 
 LAUNCH_FILE = Path(__file__).resolve().parents[1] / "launch" / "crossing.launch.py"
 PLAIN = {name: argument.default for name, argument in ARGUMENTS.items()} | {
@@ -191,6 +192,13 @@ def test_the_arguments_are_checked_before_anything_is_compiled(monkeypatch: pyte
     context = context_of(discovery_range="subnet", tuor="3")
     assert [entity.named["msg"] for entity in check(context)] == misspelt(["tuor"])
     assert context.launch_configurations["discovery_range"] == "SUBNET"
+
+
+def test_the_identification_is_launched_as_a_crossing_is_with_an_exciting_motion() -> None:
+    text = (LAUNCH_FILE.parent / "identify.launch.py").read_text(encoding="utf-8")
+    assert LAUNCH_FILE.name in text
+    (told,) = re.findall(r'EXCITE = "(\d+)"', text)
+    assert changes(read(PLAIN | {"excite": told}))["trajectory_server"] == {"autostart": True, "excite": float(told)}
 
 
 def test_only_what_was_given_overrides_the_parameter_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

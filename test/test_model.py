@@ -237,6 +237,23 @@ def test_friction_opposes_the_joints(robot: RobotParameters) -> None:
     np.testing.assert_allclose(found.tau - smooth.tau, found.friction, atol=1e-14)
 
 
+def test_friction_of_elbows_and_pin_takes_what_power_they_turn_against(robot: RobotParameters) -> None:
+    torques = {"left.passive_coulomb_friction": 0.01, "right.passive_viscous_friction": 2e-3, "pin_coulomb_friction": 0.02}
+    rough, smooth = Model.of(robot.replace(**torques)), Model.of(robot)
+
+    def joints(x: Array) -> Array:
+        q_a = smooth.inverse_geometric_model(x)
+        return np.array(smooth.mechanism.tree_joints(ca.DM(q_a), ca.DM(x), smooth.mechanism.named(ca.DM(smooth.p)))).ravel()
+
+    for q_a, x, x_dot, x_ddot in states(rough, 20, 15, 0.2):
+        rates = (joints(x + 1e-6 * x_dot) - joints(x - 1e-6 * x_dot)) / 2e-6
+        pin, speed = rates[2] + rates[3] - rates[0] - rates[1], robot.coulomb_speed
+        lost = 0.01 * rates[1] * np.tanh(rates[1] / speed) + 2e-3 * rates[3] ** 2 + 0.02 * pin * np.tanh(pin / speed)
+        found, free = rough.wrenches(q_a, x, x_dot, x_ddot), smooth.wrenches(q_a, x, x_dot, x_ddot)
+        q_a_dot = smooth.state(q_a, x, x_dot).q_a_dot
+        assert (found.tau - free.tau) @ q_a_dot == pytest.approx(lost, rel=1e-6, abs=1e-9)
+
+
 def test_the_mock_ups_wrenches_are_the_published_lumped_ones() -> None:
     model = Model(mechanism_named("five_bar"), flatten(load_robot(config_file("mockup.yaml"))))
     x, x_dot, x_ddot = np.array([0.01, 0.12]), np.array([0.2, 0.1]), np.array([3.0, -2.0])

@@ -22,7 +22,7 @@ from dextar_control.planning.bench import answer, random_requests
 from dextar_control.planning.candidate import layouts
 from dextar_control.planning.certificate import Certificate, measure
 from dextar_control.planning.checks import certify
-from dextar_control.planning.locus import MIN_END_S, WORKING_MODES, Family, LocusPoint, locus_point, sample_locus
+from dextar_control.planning.locus import MIN_END_S, WORKING_MODES, Family, LocusPoint, locus_point, nearest_point, sample_locus
 from dextar_control.planning.model import planning_model
 from dextar_control.planning.planner import (
     Criterion,
@@ -472,3 +472,14 @@ def test_a_slow_trip_that_may_stay_longer_near_the_locus_takes_less_torque(robot
     assert calm.crossings[0].near_time > rushed.crossings[0].near_time
     with pytest.raises(TrajectoryError, match=r"locus_time = 0.0 s; it must lie in 0.005 to 5.0 s"):
         plan_through(at, place, 1, 2.0, locus_time=0.0)
+
+
+def test_a_robot_whose_passive_joints_rub_comes_back_by_a_way_of_its_own(robot: RobotParameters) -> None:
+    rough = robot.replace(
+        working_mode=(-1, -1), pin_coulomb_friction=0.01,
+        **{f"{side}.passive_coulomb_friction": 0.01 for side in ("left", "right")},
+    )  # fmt: skip
+    plan = plan_return_trip_through(rough, nearest_point(rough, np.array([-0.03235, -0.00801])), 1, 0.33, 0.1)
+    assert plan.certificate.residuals.max() < 1e-9
+    there, back = (plan.trajectory.at(plan.certificate.crossing_times[row]) for row in (0, 1))
+    assert np.abs(there.x_ddot - back.x_ddot).max() > 0.1  # friction turns round with the motion, and what the criterion asks for

@@ -27,6 +27,7 @@ def _values(**changes: object) -> dict[str, object]:
     [
         ({"tour": 3, "point": [0.0, 0.08]}, r"point = \[0.0, 0.08\] and tour = 3 are given; one may be"),
         ({"tour": 3, "tour_points": [0.0, 0.08]}, r"tour = 3 and tour_points = \[0.0, 0.08\] are given; one may be"),
+        ({"tour": 3, "excite": 10.0}, r"tour = 3 and excite = 10.0 are given; one may be"),
         ({"direction": 1}, "direction = 1 is given without a point; it must be 0"),
         ({"tour_points": [0.0, 0.08, 0.1]}, "tour_points has 3 numbers; it must be pairs of x and y"),
         ({"duration": 0.01}, "duration = 0.01 s; it must be 0 or >= 0.02"),
@@ -48,6 +49,14 @@ def test_a_trip_through_a_point_crosses_there_and_leads_away_from_a_unless_told(
     plan = Task.from_values(_values(point=[0.0, STRETCHED], direction=direction)).plan(robot)
     np.testing.assert_allclose(plan.certificate.crossing_points, [[0.0, STRETCHED]] * 2, atol=1e-9)
     assert plan.certificate.crossing_signs[0] == (direction or -1)  # A lies at s > 0
+
+
+def test_an_exciting_motion_begins_and_ends_in_a_and_crosses_nothing(robot: RobotParameters) -> None:
+    values = _values(excite=3.0)
+    plan = Task.from_values(values).plan(robot)
+    for time in (0.0, plan.certificate.duration):
+        np.testing.assert_allclose(plan.trajectory.at(time).x, values["task.start"], atol=1e-12)
+    assert not plan.certificate.crossings
 
 
 def test_a_tour_of_given_points_begins_in_a(robot: RobotParameters) -> None:

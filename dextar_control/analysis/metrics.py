@@ -28,8 +28,8 @@ class Metrics:
     """A run's numbers: m, N m, s, Hz; nan where the bag does not tell.
 
     Each can be computed again from the bag alone. The *tracked ticks* are the stamps that both ``criterion`` (in phase TRACK
-    or CROSSING) and ``controller_state`` (with a time) have, of the last trajectory: those whose start, stamp less time, is
-    within 1 ms of the last one's. Time zero is the median of their starts.
+    or CROSSING, or APPROACH where there is none of these) and ``controller_state`` (with a time) have, of the last trajectory:
+    those whose start, stamp less time, is within 1 ms of the last one's. Time zero is the median of their starts.
 
     Attributes:
         law, estimator, phase, reason: of the controller; its last phase and why it is there.
@@ -194,7 +194,10 @@ def compute_metrics(run: Run) -> Metrics:
         "clock_steps": run.clock_steps,
         "lost": {topic: _add(count.get("lost"), count.get("dropped")) for topic, count in run.losses.items()},
     }
-    verdict: Verdict = judge(values, has_truth=run.truth is not None, tracked=track is not None, problem=problem)
+    exciting = bool(run.parameters.get("trajectory_server", {}).get("excite"))
+    verdict: Verdict = judge(
+        values, has_truth=run.truth is not None, tracked=track is not None, problem=problem, exciting=exciting
+    )
     return Metrics(**values, success=verdict.success, reasons=verdict.reasons)
 
 

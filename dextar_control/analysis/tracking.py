@@ -69,9 +69,10 @@ def plan_of(run: Run) -> Certificate | None:
 
 @once
 def tracked(run: Run) -> Tracked | None:
-    """The last tracked trajectory; None when none was."""
+    """The last tracked trajectory, with crossings where any has some; None when none was."""
     criterion, control = run.criterion, run.control
-    busy = criterion.stamps[np.isin(criterion.phase, (Phase.TRACK, Phase.CROSSING))]
+    crossing = np.isin(criterion.phase, (Phase.TRACK, Phase.CROSSING))
+    busy = criterion.stamps[crossing if crossing.any() else criterion.phase == Phase.APPROACH]
     stamps, rows, _ = np.intersect1d(control.stamps, busy, assume_unique=True, return_indices=True)
     known = np.isfinite(control.time[rows])
     stamps, rows = stamps[known], rows[known]

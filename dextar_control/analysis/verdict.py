@@ -22,7 +22,9 @@ class Verdict(NamedTuple):
     reasons: list[str]
 
 
-def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem: str = "") -> Verdict:
+def judge(
+    values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem: str = "", exciting: bool = False
+) -> Verdict:
     """The verdict on a run.
 
     Args:
@@ -30,8 +32,10 @@ def judge(values: Mapping[str, Any], *, has_truth: bool, tracked: bool, problem:
         has_truth: the bag holds the true motion.
         tracked: a trajectory was tracked.
         problem: why the plan could not be computed.
+        exciting: the motion was to tell masses and friction: it has no crossing, and how far off it was, or that torques
+            were at their limit, says nothing against it.
     """
-    verdict = _judge(values, has_truth, tracked, problem)
+    verdict = _judge(values, has_truth, tracked, problem, exciting)
     late = late_in_words(values)
     return verdict._replace(reasons=[late, *verdict.reasons]) if late and verdict.success is False else verdict
 
@@ -60,7 +64,7 @@ def late_in_words(values: Mapping[str, Any]) -> str:
     )
 
 
-def _judge(values: Mapping[str, Any], has_truth: bool, tracked: bool, problem: str) -> Verdict:
+def _judge(values: Mapping[str, Any], has_truth: bool, tracked: bool, problem: str, exciting: bool) -> Verdict:
     reasons: list[str] = []
     stopped = values["phase"] in ("SAFE_STOP", "FAULT")
     if stopped:
@@ -78,7 +82,7 @@ def _judge(values: Mapping[str, Any], has_truth: bool, tracked: bool, problem: s
     cut = unseen and values["truncated"]
     if short and not unseen:
         reasons.append(f"tracking ended at {values['tracked_until']:.3f} s of {values['duration']:.3f} s")
-    if values["saturated"]:
+    if values["saturated"] and not exciting:
         reasons.append(f"saturated commands: {values['saturated']}; the limit is 0")
     if values["drive_saturated"]:
         reasons.append(f"steps in which the drives saturated: {values['drive_saturated']}; the limit is 0")
@@ -89,6 +93,8 @@ def _judge(values: Mapping[str, Any], has_truth: bool, tracked: bool, problem: s
         reasons.append(
             f"the bag breaks off at {values['tracked_until']:.3f} s of {values['duration']:.3f} s: what came then is not known"
         )
+    if exciting and not values["crossings"]:
+        return Verdict(None if reasons and not broken else not broken, reasons)
     for index, crossing in enumerate(values["crossings"], start=1):
         if crossing.crossed is False:
             reasons.append(

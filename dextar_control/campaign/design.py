@@ -138,7 +138,8 @@ def version() -> str:
         return "unknown"
 
 
-NUMBERS = "contract", "symbols", "mechanisms", "model", "planning", "estimation", "control"  # rooms that a row comes from
+NUMBERS = "contract", "symbols", "mechanisms", "model", "planning", "estimation", "control", "identification"
+"""Rooms that a row comes from."""
 
 
 def code_digest(rig: str, trial: str) -> str:

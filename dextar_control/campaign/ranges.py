@@ -44,6 +44,8 @@ PERTURBATIONS = {
     "torque_step": Range(0.0, 1.0, "to whole multiples of which torques are rounded, N m"),
     "passive": Range(0.0, 1.0, "Coulomb friction of both elbows and of the pin between the distal links of the true robot, N m"),
     "passive_modelled": Range(0.0, 2.0, "share of that friction which the controller's model has"),
+    "calibrated": Range(0.0, 1.0, "1: the controller's geometry is that of one recorded tour, by poses where there are some"),
+    "identified": Range(0.0, 1.0, "1: the controller's masses, friction and gravity are those of one recorded exciting motion"),
     "tilt": Range(0.0, 1.6, "of the robot's plane against the horizontal, unknown to the controller, any way round, rad"),
     "payload": Range(0.0, 10.0, "mass at the end effector that the controller does not know, kg"),
     "payload_time": Range(0.0, 100.0, "at which it is taken up, s"),

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import math
 import time
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from dextar_control.campaign.learnt import learnt
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.contract.settings import Estimation, Law, default_settings
@@ -20,7 +22,7 @@ from dextar_control.control.verdicts import Verdict
 from dextar_control.estimation.estimate import Pose
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import clear_times
-from dextar_control.planning.locus import locus_point, sample_locus
+from dextar_control.planning.locus import locus_point, nearest_point, sample_locus
 from dextar_control.planning.planner import Criterion, Plan, plan_return_trip_through
 from dextar_control.symbols.types import Array
 
@@ -127,12 +129,19 @@ def _friction_and_belt(
 
 
 def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
-    """The trial's trip, by what the controller knows of the robot; those of one process that ask for the same share one.
+    """The trip of a trial whose robot learns nothing first, by what the controller knows of it.
+
+    Those of one process that ask for the same share one.
 
     Raises:
         DextarError: there is none.
     """
     robot = known(robot.replace(working_mode=trial.working_mode), trial.perturbation)
+    return _plan_for(robot, trial)
+
+
+def _plan_for(robot: RobotParameters, trial: Trial) -> Plan:
+    """The trip that is planned for a robot as it is known."""
     criterion = Criterion.ZERO_WRENCH if trial.law == "multi_model" else Criterion.RECIPROCAL
     return _planned(robot, trial.point, trial.direction, trial.duration, trial.dwell, trial.repeat, criterion)
 
@@ -155,51 +164,60 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: Callable[..., Any]) -> 
         rig: makes the rig: ``rig(robot, **options)`` with reset_joints, read, write, truth, strike, close.
     """
     begin = time.perf_counter()
-    try:
-        plan = plan_trial(robot, trial)
-    except DextarError as error:
-        return {"planned": False, "plan_problem": str(error), "success": False, "reason": f"not planned: {error}"}
-    planning = time.perf_counter() - begin
-    begin, begin_cpu = time.perf_counter(), time.process_time()
     perturbation = dict(trial.perturbation)
     generator, sides = np.random.default_rng(trial.seed), np.random.default_rng([trial.seed, 1])
-    robot = robot.replace(working_mode=trial.working_mode)
-    built = build(robot, perturbation, generator, sides)
+    drawn, mode = robot, {"working_mode": trial.working_mode}
+    built = build(robot.replace(**mode), perturbation, generator, sides)
+    options = _rig_options(perturbation)
+    robot, told = known(drawn.replace(**mode), perturbation), dict[str, bool]()
+    try:
+        if perturbation.get("calibrated") or perturbation.get("identified"):
+            recorder = partial(rig, built.replace(working_mode=drawn.working_mode), plant=trial.plant, seed=trial.seed, **options)
+            robot, told = learnt(known(drawn, perturbation), recorder, calibrated=bool(perturbation.get("calibrated")),
+                                 identified=bool(perturbation.get("identified")))  # fmt: skip
+            robot = robot.replace(**mode)
+            x, y = nearest_point(robot, np.array(trial.point)).x.tolist()
+            trial = dataclasses.replace(trial, point=(x, y))
+        plan = _plan_for(robot, trial)
+    except DextarError as error:
+        return told | {"planned": False, "plan_problem": str(error), "success": False, "reason": f"not planned: {error}"}
+    planning = time.perf_counter() - begin
+    begin, begin_cpu = time.perf_counter(), time.process_time()
     loop = ControlLoop(
-        known(robot, perturbation),
-        default_settings(**{"law": trial.law, "estimator": trial.estimator, **trial.settings}),
-        -trial.direction,
+        robot, default_settings(**{"law": trial.law, "estimator": trial.estimator, **trial.settings}), -trial.direction
     )
-    options: dict[str, Any] = {name: perturbation[name] for name in RIG_OPTIONS if name in perturbation}
-    if "encoder_resolution" in perturbation:
-        options["encoder_resolution"] = int(perturbation["encoder_resolution"])
-    if "cogging_periods" in perturbation:
-        options["cogging_periods"] = int(perturbation["cogging_periods"])
-    if perturbation.get("coulomb_speed"):
-        options["friction"] = "smooth"
-    if perturbation.get("link_encoder"):
-        options["encoder_at"] = "link"
     plant = rig(built, plant=trial.plant, seed=trial.seed, **options)
     gc.disable()  # a row makes no cycles, and its log is long
     try:
-        # What the planner certified is certified anew only for another model of the robot.
-        certificate = plan.certificate if loop.robot == robot else loop.check(plan.trajectory)
         strike = _strike_of(loop, plan, perturbation, generator, sides)
-        log = _drive(loop, plan, certificate, plant, strike)
+        log = _drive(loop, plan, plant, strike)
         saturated_drives = plant.saturated
     except DextarError as error:
-        return {"planned": True, "success": False, "reason": str(error), "wall_time": time.perf_counter() - begin}
+        return told | {"planned": True, "success": False, "reason": str(error), "wall_time": time.perf_counter() - begin}
     finally:
         plant.close()
         gc.enable()
     row = _judge(loop, log, bool(perturbation.get("bounce")))
-    return row | {
+    return row | told | {
         "saturated_drives": saturated_drives,
         "planning_time": planning,
         "simulated_time": len(log.time) * plant.period,
         "wall_time": time.perf_counter() - begin,
         "cpu_time": time.process_time() - begin_cpu,
     }
+
+
+def _rig_options(perturbation: Mapping[str, float]) -> dict[str, Any]:
+    """Of the rig, by its own names."""
+    options: dict[str, Any] = {name: perturbation[name] for name in RIG_OPTIONS if name in perturbation}
+    for name in ("encoder_resolution", "cogging_periods"):
+        if name in perturbation:
+            options[name] = int(perturbation[name])
+    if perturbation.get("coulomb_speed"):
+        options["friction"] = "smooth"
+    if perturbation.get("link_encoder"):
+        options["encoder_at"] = "link"
+    return options
 
 
 class Strike(NamedTuple):
@@ -255,8 +273,8 @@ def _strike_of(
     return Strike(moment, -(1.0 + generator.uniform(*RESTITUTION)) * (mass @ turned))
 
 
-def _drive(loop: ControlLoop, plan: Plan, certificate: Certificate, rig: Any, strike: Strike | None) -> Log:
-    start = plan.trajectory.at(0.0).x
+def _drive(loop: ControlLoop, plan: Plan, rig: Any, strike: Strike | None) -> Log:
+    start, certificate = plan.trajectory.at(0.0).x, plan.certificate
     place = loop.model.place(start)
     rig.reset_joints(place.q_a, round(np.sign(place.s[0])))
     loop.schedule(plan.trajectory, certificate)

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from dextar_control.commands import EXIT_FAILED
+from dextar_control.commands.pdf import add_pdf, write_pdf
 
 if TYPE_CHECKING:
     from dextar_control.analysis.metrics import Metrics
     from dextar_control.analysis.run import Run
     from dextar_control.contract.robot import RobotParameters
+    from dextar_control.identification.quantities import Quantity
 
 
 class Shown(NamedTuple):
@@ -25,6 +28,65 @@ class Shown(NamedTuple):
 
     stage: Callable[[str], None]
     read: Callable[[int, int], None]
+
+
+class Found(NamedTuple):
+    """What a command found that fits a robot's numbers to bags: a sentence, the numbers, lines below them, files written."""
+
+    sentence: str
+    quantities: Sequence[Quantity]
+    lines: Sequence[str]
+    files: Sequence[str]
+
+
+def add_fit(parser: argparse.ArgumentParser, page: str) -> None:
+    """Arguments of such a command, which writes a page."""
+    parser.add_argument("bag", type=Path, nargs="+", help="an .mcap file, or the run's folder; several are taken together")
+    parser.add_argument("--check", type=Path, action="append", default=[], metavar="BAG",
+                        help="a bag that is not used, to see how the numbers explain it (repeatable)")  # fmt: skip
+    add_robot(parser)
+    add_pdf(parser, page)
+    parser.add_argument("--output", type=Path, metavar="DIR", help="where the results go (default: beside the first bag)")
+
+
+def run_fit(
+    arguments: argparse.Namespace, name: str,
+    find: Callable[[Sequence[Run], Sequence[Run], Path, Callable[[str], None]], Found],
+) -> int:
+    """Read the bags, fit, write and tell; the exit code.
+
+    Args:
+        name: of the command.
+        find: of (bags that serve, bags that check, folder for the results, to tell what is done) what is found.
+    """
+    from dextar_control.analysis.load import load_run
+    from dextar_control.contract.errors import CalibrationError
+    from dextar_control.contract.terminal import Terminal, say, spoken_warnings
+    from dextar_control.identification.report import summary
+
+    console, robot = Terminal(), given_robot(arguments)
+    with spoken_warnings(name), shown_progress() as shown:
+        runs = []
+        for bag in (*arguments.bag, *arguments.check):
+            shown.stage(f"reading {bag}")
+            runs.append(load_run(bag, arguments.namespace, shown.read, robot))
+        twice = [run.path for row, run in enumerate(runs) if run.path.resolve() in [one.path.resolve() for one in runs[:row]]]
+        if twice:
+            say(f"dextar {name}: {twice[0]} is given twice; each bag may serve once, and --check takes one that does not")
+            return EXIT_FAILED
+        folder = arguments.output or runs[0].path.parent
+        try:
+            found = find(runs[: len(arguments.bag)], runs[len(arguments.bag) :], folder, shown.stage)
+            pages = [folder / name for name in found.files if name.endswith(".html")]
+            printed = [write_pdf(page).name for page in pages] if arguments.pdf else []
+        except CalibrationError as error:
+            say(f"dextar {name}: {error}")
+            return EXIT_FAILED
+    console.print(summary(found.sentence, found.quantities))
+    for line in found.lines:
+        console.print(line, soft_wrap=True)
+    console.print(f"{folder}: {' '.join((*found.files, *printed))}", soft_wrap=True)
+    return exit_code_of(*runs)
 
 
 def add_robot(parser: argparse.ArgumentParser) -> None:

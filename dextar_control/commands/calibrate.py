@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from dextar_control.commands import EXIT_FAILED
-from dextar_control.commands.bags import add_robot, exit_code_of, given_robot, shown_progress
-from dextar_control.commands.pdf import add_pdf, write_pdf
+from dextar_control.commands.bags import Found, add_fit, run_fit
+
+if TYPE_CHECKING:
+    from dextar_control.analysis.run import Run
 
 SUMMARY = "the robot's own lengths, motor axes and encoder offsets from recorded crossings"
 DESCRIPTION = (
@@ -22,46 +25,19 @@ DESCRIPTION = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
-    parser.add_argument("bag", type=Path, nargs="+", help="an .mcap file, or the run's folder; several are taken together")
-    parser.add_argument("--check", type=Path, action="append", default=[], metavar="BAG",
-                        help="a bag that is not used, to see how the numbers explain it (repeatable)")  # fmt: skip
+    add_fit(parser, "calibration.html")
     parser.add_argument("--no-pose", action="store_true", help="leave external poses out, by the encoders alone")
-    add_robot(parser)
-    add_pdf(parser, "calibration.html")
-    parser.add_argument("--output", type=Path, metavar="DIR", help="where the results go (default: beside the first bag)")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """The exit code."""
-    from dextar_control.analysis.load import load_run
-    from dextar_control.contract.errors import CalibrationError
-    from dextar_control.contract.terminal import Terminal, say, spoken_warnings
     from dextar_control.identification.calibration import calibrate, predict
-    from dextar_control.identification.report import PAGE_FILE, ROBOT_FILE, predicted, summary, write_calibration
+    from dextar_control.identification.report import PAGE_FILE, ROBOT_FILE, predicted, sentence, write_calibration
 
-    console, robot = Terminal(), given_robot(arguments)
-    with spoken_warnings("calibrate"), shown_progress() as shown:
-        runs = []
-        for bag in (*arguments.bag, *arguments.check):
-            shown.stage(f"reading {bag}")
-            runs.append(load_run(bag, arguments.namespace, shown.read, robot))
-        twice = [run.path for row, run in enumerate(runs) if run.path.resolve() in [one.path.resolve() for one in runs[:row]]]
-        if twice:
-            say(f"dextar calibrate: {twice[0]} is given twice; each bag may serve once, and --check takes one that does not")
-            return EXIT_FAILED
-        used, unused = runs[: len(arguments.bag)], runs[len(arguments.bag) :]
-        folder = arguments.output or used[0].path.parent
-        try:
-            found = calibrate(used, poses=not arguments.no_pose, progress=shown.stage)
-            predictions = [predict(found, other) for other in unused]
-            shown.stage(f"writing to {folder}")
-            write_calibration(found, predictions, folder)
-            written = [ROBOT_FILE, PAGE_FILE, *([write_pdf(folder / PAGE_FILE).name] if arguments.pdf else [])]
-        except CalibrationError as error:
-            say(f"dextar calibrate: {error}")
-            return EXIT_FAILED
-    console.print(summary(found))
-    for line in (*found.kept, *map(predicted, predictions)):
-        console.print(line, soft_wrap=True)
-    console.print(f"{folder}: {' '.join(written)}", soft_wrap=True)
-    return exit_code_of(*runs)
+    def find(used: Sequence[Run], unused: Sequence[Run], folder: Path, stage: Callable[[str], None]) -> Found:
+        found = calibrate(used, poses=not arguments.no_pose, progress=stage)
+        predictions = [predict(found, other) for other in unused]
+        write_calibration(found, predictions, folder)
+        return Found(sentence(found), found.quantities, [*found.kept, *map(predicted, predictions)], (ROBOT_FILE, PAGE_FILE))
+
+    return run_fit(arguments, "calibrate", find)

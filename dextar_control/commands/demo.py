@@ -12,6 +12,7 @@ DESCRIPTION = (
     " the run was a success, 1 when it was not, 2 for a wrong argument."
 )
 LAWS = ("consistent", "projected", "classic", "multi_model", "joint_space")
+EXCITE = 20.0  # s
 ESTIMATORS = ("observer", "dgm", "plain", "external")
 
 
@@ -26,6 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--tour", type=int, metavar="N", help="cross at N points spread over the locus, one after the other")
     where.add_argument("--point", type=float, nargs=2, metavar=("X", "Y"), help="return trip through this point of the locus, m")
+    where.add_argument("--excite", type=float, nargs="?", const=EXCITE, metavar="S",
+                       help=f"a motion that tells masses and friction to dextar identify, about S long, s (default: {EXCITE:g})")
     parser.add_argument("--lockstep", action="store_true", help="each simulated step waits for its command: deterministic")
     parser.add_argument("--duration", type=float, metavar="S", help="of one way, s (default: config/crossing.yaml)")
     parser.add_argument("--repeat", type=int, metavar="N", help="return trips, or laps of a tour (default: config/crossing.yaml)")

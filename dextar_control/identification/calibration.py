@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -11,10 +11,12 @@ import numpy as np
 
 from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import CalibrationError
-from dextar_control.contract.robot import RobotParameters, flatten, robot_text
+from dextar_control.contract.robot import RobotParameters
 from dextar_control.identification.fit import EVERY, Direction, Fit, Places, directions_of, fit
 from dextar_control.identification.folds import Fold, find_folds, touch
 from dextar_control.identification.linkage import NAMES, PER_TURN, Linkage, described, numbers_of
+from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, in_words, rms_of
+from dextar_control.identification.recorded import Recorded, recorded_of
 from dextar_control.mechanisms.five_bar_locus import SIDES
 from dextar_control.symbols.types import Array
 
@@ -28,12 +30,10 @@ SUSPICIOUS = 1e-3  # rad, of an encoder's error once a turn that is said where n
 LEAST_USED = 2.0 / 3.0  # of the folds
 POSE_GAP = 5e-3  # s between two joint states, beyond which no reading is known between them
 FEWEST_PLACES = 50
-UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}  # in which people read them
 RECORD = (
     "record crossings spread over the locus: dextar demo --lockstep --tour 12 (on a rig the task tour:=12), also in other"
     " working modes; several bags are taken together"
 )
-Progress = Callable[[str], None]
 
 
 class Recording(NamedTuple):
@@ -52,22 +52,6 @@ class Recording(NamedTuple):
     places: Places | None
     extremes: Array
     spans: Array
-
-
-class Quantity(NamedTuple):
-    """One number, before and after.
-
-    Attributes:
-        name, unit: of the description.
-        before, after: m or rad.
-        deviation: standard; 0 of a number that was kept.
-    """
-
-    name: str
-    unit: str
-    before: float
-    after: float
-    deviation: float
 
 
 class Prediction(NamedTuple):
@@ -116,37 +100,25 @@ class Calibration:
         before, after = numbers_of(self.before), self.fit.numbers
         deviations = np.sqrt(np.maximum(np.diag(self.fit.covariance), 0.0))
         return [
-            Quantity(one.name, one.unit, *(float(row[NAMES.index(one.name)]) for row in (before, after, deviations)))
-            for one in EVERY
+            Quantity(one.name, one.unit, float(before[row]), float(after[row]), float(deviations[row]))
+            for one in EVERY for row in [NAMES.index(one.name)]
         ]
 
 
-def recording_of(linkage: Linkage, robot: RobotParameters, run: Run, bag: int = 0) -> Recording:
-    """What a bag says by its encoders, and by a camera if there was one.
-
-    Raises:
-        CalibrationError: it has no two states of both joints.
-    """
-    seconds = (run.states.stamps - run.states.stamps[0]) * 1e-9
-    known = np.isfinite(run.states.position).all(axis=1)
-    time, readings = seconds[known], run.states.position[known]
-    if len(time) < 2:
-        raise CalibrationError(f"{run.path}: {len(time)} joint states have both angles; {RECORD}")
-    numbers = numbers_of(robot)
+def recording_of(linkage: Linkage, robot: RobotParameters, recorded: Recorded, bag: int = 0) -> Recording:
+    """What a motion says by its encoders, and by a camera if there was one."""
+    time, readings, numbers = recorded.time, recorded.readings, numbers_of(robot)
     distance = np.hypot(*linkage.elbows(numbers, readings).between.T)
     places = None
-    if run.poses is not None:
-        seen = (run.poses.stamps - run.states.stamps[0]) * 1e-9
+    if recorded.poses is not None:
+        seen, x = recorded.poses
         after = np.clip(np.searchsorted(time, seen), 1, len(time) - 1)
         good = (time[after] - time[after - 1] <= POSE_GAP) & (seen >= time[0]) & (seen <= time[-1])
         if good.sum() >= FEWEST_PLACES:
-            places = Places(
-                np.column_stack([np.interp(seen[good], time, column) for column in readings.T]), run.poses.x[good]
-            )
-    return Recording(
-        run.path, find_folds(linkage, numbers, run.robot.working_mode if run.robot else robot.working_mode, time, readings, bag),
-        places, np.array([distance.min(), distance.max()]), np.ptp(readings, axis=0),
-    )  # fmt: skip
+            places = Places(np.column_stack([np.interp(seen[good], time, column) for column in readings.T]), x[good])
+    folds = find_folds(linkage, numbers, recorded.working_mode, time, readings, bag)
+    extremes = np.array([distance.min(), distance.max()])
+    return Recording(recorded.path, folds, places, extremes, np.ptp(readings, axis=0))
 
 
 def calibrate(runs: Sequence[Run], *, poses: bool = True, progress: Progress = lambda stage: None) -> Calibration:
@@ -160,10 +132,21 @@ def calibrate(runs: Sequence[Run], *, poses: bool = True, progress: Progress = l
     Raises:
         CalibrationError: the recordings cannot tell what is looked for, contradict each other or the description.
     """
-    robot = _common_robot(runs)
+    robot = common_robot(runs, numbers_of, "geometry")
+    return calibrate_recorded(robot, [recorded_of(run, robot, RECORD) for run in runs], poses=poses, progress=progress)
+
+
+def calibrate_recorded(
+    robot: RobotParameters, motions: Sequence[Recorded], *, poses: bool = True, progress: Progress = lambda stage: None
+) -> Calibration:
+    """The same of what was recorded, wherever it comes from.
+
+    Raises:
+        CalibrationError: as ``calibrate``.
+    """
     linkage, numbers = Linkage(), numbers_of(robot)
     progress("looking for folds of the joints' motion")
-    recordings = [recording_of(linkage, robot, run, bag) for bag, run in enumerate(runs)]
+    recordings = [recording_of(linkage, robot, motion, bag) for bag, motion in enumerate(motions)]
     folds = [fold for recording in recordings for fold in recording.folds]
     seen = [recording.places for recording in recordings if recording.places is not None] if poses else []
     places = Places(*(np.concatenate(parts) for parts in zip(*seen, strict=True))) if seen else None
@@ -187,57 +170,24 @@ def predict(calibration: Calibration, run: Run) -> Prediction:
         CalibrationError: it has no fold.
     """
     linkage = Linkage()
-    recording = recording_of(linkage, calibration.before, run)
+    recording = recording_of(linkage, calibration.before, recorded_of(run, calibration.before, RECORD))
     if not recording.folds:
         raise CalibrationError(f"{run.path} cannot check: {_no_fold(calibration.before, recording)}")
     numbers = numbers_of(calibration.before), numbers_of(calibration.after)
     gaps = np.array([[touch(linkage, row, fold).gap for fold in recording.folds] for row in numbers])
     counts = np.abs(gaps[1]) <= np.maximum(MOST_GAP * 3.0, 3.0 * np.nanmedian(np.abs(gaps[1])))
-    places = [_rms(linkage.closures(row, *recording.places).gaps) if recording.places else np.nan for row in numbers]
-    return Prediction(run.path, len(recording.folds), *(_rms(row[counts]) for row in gaps), *places)
+    places = [rms_of(linkage.closures(row, *recording.places).gaps) if recording.places else np.nan for row in numbers]
+    return Prediction(run.path, len(recording.folds), *(rms_of(row[counts]) for row in gaps), *places)
 
 
-def write_robot(calibration: Calibration, file: Path) -> None:
-    """The description with what was found, as every node takes it; what is known of each number stands on top.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    flat = {key: value for key, value in flatten(calibration.after).items() if key != "base_distance"}
-    lines = [
+def robot_lines(calibration: Calibration) -> list[str]:
+    """What is known of the description's numbers."""
+    return [
         f"The robot '{calibration.after.name}', its geometry calibrated by {int(calibration.fit.used.sum())} crossings of"
         f" {', '.join(str(recording.path) for recording in calibration.recordings)}.",
         *map(in_words, calibration.quantities),
         *calibration.kept,
     ]
-    file.write_text("".join(f"# {' '.join(line.split())}\n" for line in lines) + robot_text(flat), encoding="utf-8")
-
-
-def in_words(quantity: Quantity) -> str:
-    """Name, change and standard deviation."""
-    unit, scale = UNITS[quantity.unit]
-    now = f"{quantity.name} {scale * quantity.after:.4f} {unit}"
-    if quantity.deviation == 0.0:
-        return f"{now}, kept"
-    return f"{now} +- {scale * quantity.deviation:.4f}, was {scale * quantity.before:.4f}"
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.nanmean(np.square(values)))) if values.size else np.nan
-
-
-def _common_robot(runs: Sequence[Run]) -> RobotParameters:
-    robots = []
-    for run in runs:
-        if run.robot is None:
-            raise CalibrationError(f"{run.path} does not say which robot it is of; give its description with --robot")
-        robots.append(run.robot)
-    for run, robot in zip(runs[1:], robots[1:], strict=True):
-        if not np.array_equal(numbers_of(robot), numbers_of(robots[0])):
-            raise CalibrationError(
-                f"{run.path} was recorded with another geometry of the robot than {runs[0].path}; calibrate by bags of one"
-            )
-    return robots[0]
 
 
 def _no_fold(robot: RobotParameters, recording: Recording) -> str:
@@ -332,7 +282,7 @@ def _check_explained(found: Fit, gaps: Array) -> None:
         CalibrationError: none does.
     """
     used, count = int(found.used.sum()), len(gaps)
-    rms = _rms(gaps[found.used])
+    rms = rms_of(gaps[found.used])
     none_spare = not found.places and used <= len(found.directions)
     if count and (used < LEAST_USED * count or rms > MOST_GAP or none_spare):
         raise CalibrationError(

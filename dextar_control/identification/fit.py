@@ -28,6 +28,7 @@ PLACE_FLOOR = 5e-6  # m, of a place beside its noise: clocks, interpolation
 MEDIAN = 1.4826  # standard deviations of a normal distribution in the median of its absolute values
 FEWEST_FOLDED = 2  # folds with folded links that tell the difference of the distal lengths
 ENCODER_ERRORS = (0.0, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3)  # rad, of the errors once a turn among which the likeliest is taken
+SEEN_ERROR = 3e-4  # rad, of such errors that is looked for where places of the end effector tell them
 UNMODELLED = (0.0, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4)  # m, beside the samples' scatter, likewise
 BOUND = 1e-9  # of the largest singular value, below which a direction is not seen at all
 ONE = {"m": 1e-4, "rad": 1e-3}  # that counts as one of each unit
@@ -231,8 +232,9 @@ def fit(
             used = problem.valid & (np.abs(problem.gaps) <= LARGEST * spreads)
             weights = used / np.hypot(problem.deviations, unmodelled)
             hold = np.zeros(len(wanted))
-            if encoder_error:
-                hold = np.concatenate([hold, np.full(len(ECCENTRICITY), ONE["rad"] / encoder_error)])
+            allowed = encoder_error if places is None else max(encoder_error, SEEN_ERROR)
+            if allowed:
+                hold = np.concatenate([hold, np.full(len(ECCENTRICITY), ONE["rad"] / allowed)])
         step, covariance = problem.step(weights, moved, hold)
         moved = moved + step
         problem.at(numbers + problem.along @ moved)

@@ -1,4 +1,4 @@
-"""A calibration in files and in words: the robot's file, a page, a table for a terminal."""
+"""A calibration or an identification in files and in words: the robot's file, a page, a table for a terminal."""
 
 from __future__ import annotations
 
@@ -14,10 +14,24 @@ from dextar_control.analysis.page import Cell, Column, number, render
 from dextar_control.analysis.web_figures import residuals
 from dextar_control.analysis.words import counted
 from dextar_control.contract.errors import CalibrationError
-from dextar_control.identification.calibration import UNITS, Calibration, Prediction, Quantity, write_robot
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.identification.calibration import Calibration, Prediction, robot_lines
+from dextar_control.identification.identification import Identification, TorquePrediction, identified_lines
+from dextar_control.identification.quantities import UNITS, Quantity, rms_of, write_robot
+from dextar_control.mechanisms.five_bar_locus import SIDES
 
 ROBOT_FILE, PAGE_FILE = "calibrated.yaml", "calibration.html"
-MM, UM = 1e3, 1e6
+IDENTIFIED_FILE, IDENTIFICATION_FILE = "identified.yaml", "identification.html"
+MM, UM, MNM = 1e3, 1e6, 1e3
+TORQUES = (
+    "What of the commanded torques masses, friction and gravity do not explain, where the joints turn, clear of the locus."
+    " Crosses lie more than four deviations off and do not count."
+)
+OBSERVATION = (
+    "At a crossing the distal links are aligned: the elbows are as far apart as the distal lengths' sum (stretched) or difference"
+    " (folded). The gap is what the encoders say of that distance less what the lengths say. A crossing that does not count lies"
+    " more than four deviations off: the robot turned or bounced off before it touched the locus, or was disturbed."
+)
 
 
 def write_calibration(calibration: Calibration, predictions: Sequence[Prediction], folder: Path) -> None:
@@ -26,23 +40,39 @@ def write_calibration(calibration: Calibration, predictions: Sequence[Prediction
     Raises:
         CalibrationError: they cannot be written.
     """
+    page = render_calibration(calibration, predictions)
+    write_results(calibration.after, robot_lines(calibration), page, folder / ROBOT_FILE, folder / PAGE_FILE)
+
+
+def write_results(robot: RobotParameters, lines: Sequence[str], page: str, robot_file: Path, page_file: Path) -> None:
+    """Write a description and its page.
+
+    Raises:
+        CalibrationError: they cannot be written.
+    """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_robot(calibration, folder / ROBOT_FILE)
-        page = render_calibration(calibration, predictions)
-        (folder / PAGE_FILE).write_text(page, encoding="utf-8", errors="replace")
+        robot_file.parent.mkdir(parents=True, exist_ok=True)
+        write_robot(robot, lines, robot_file)
+        page_file.write_text(page, encoding="utf-8", errors="replace")
     except OSError as error:
-        raise CalibrationError(f"cannot write the calibration to {folder}: {error.strerror or error}") from error
+        raise CalibrationError(f"cannot write the results to {robot_file.parent}: {error.strerror or error}") from error
 
 
-def summary(calibration: Calibration) -> Table:
+def summary(title: str, quantities: Sequence[Quantity]) -> Table:
     """What was found, for a terminal."""
-    table = Table(title=sentence(calibration), title_justify="left")
+    table = Table(title=title, title_justify="left")
     for name in ("", "before", "after", "+-", ""):
         table.add_column(name, justify="left" if not name else "right")
-    for quantity in calibration.quantities:
-        table.add_row(*_row(quantity))
+    for quantity in quantities:
+        table.add_row(*quantity.cells)
     return table
+
+
+def quantity_table(quantities: Sequence[Quantity]) -> tuple[list[Column], list[list[Cell]]]:
+    """The same for the page."""
+    columns = [Column("quantity", text=True), Column("before"), Column("after"), Column("standard deviation"),
+               Column("unit", text=True)]  # fmt: skip
+    return columns, [[Cell(text) for text in quantity.cells] for quantity in quantities]
 
 
 def predicted(prediction: Prediction) -> str:
@@ -74,12 +104,6 @@ def sentence(calibration: Calibration) -> str:
     return text
 
 
-def _row(quantity: Quantity) -> list[str]:
-    unit, scale = UNITS[quantity.unit]
-    sure = f"{scale * quantity.deviation:.4f}" if quantity.deviation else "kept"
-    return [quantity.name, f"{scale * quantity.before:.4f}", f"{scale * quantity.after:.4f}", sure, unit]
-
-
 def render_calibration(calibration: Calibration, predictions: Sequence[Prediction]) -> str:
     """The page."""
     fit, folds = calibration.fit, calibration.folds
@@ -103,18 +127,18 @@ def render_calibration(calibration: Calibration, predictions: Sequence[Predictio
         "title": f"{calibration.after.name}: geometry calibrated",
         "heading": f"{calibration.after.name}: geometry by {', '.join(one.path.name for one in calibration.recordings)}",
         "sentence": sentence(calibration),
-        "quantities": (
-            [Column("quantity", text=True), Column("before"), Column("after"), Column("standard deviation"),
-             Column("unit", text=True)],
-            [[Cell(text) for text in _row(quantity)] for quantity in calibration.quantities],
-        ),
+        "verdict": "Calibrated.",
+        "quantities": quantity_table(calibration.quantities),
         "kept": calibration.kept,
+        "told": "What was looked for, with standard deviations by the scatter of the recordings.",
         "directions": calibration.kept and [
             f"{direction.name}: ± {UNITS[direction.unit][1] * deviation:.4f} {UNITS[direction.unit][0]}"
             for direction, deviation in zip(fit.directions, fit.deviations, strict=True)
         ],
         "figures": figures,
-        "folds": (
+        "observed": "Crossing by crossing",
+        "observation": OBSERVATION,
+        "observations": (
             [Column("crossing"), Column("bag", text=True), Column("time", "s"), Column("links", text=True), Column("x", "mm"),
              Column("y", "mm"), Column("gap before", "µm"), Column("gap after", "µm"), Column("its deviation", "µm"),
              Column("counts", text=True)],
@@ -127,4 +151,72 @@ def render_calibration(calibration: Calibration, predictions: Sequence[Predictio
         ),
         "footer": f"Made by dextar calibrate. {ROBOT_FILE} beside this page is a robot file for every node.",
     }  # fmt: skip
-    return render("calibration.html", script, **values)
+    return render("identification.html", script, **values)
+
+
+def write_identification(identification: Identification, predictions: Sequence[TorquePrediction], folder: Path) -> None:
+    """Write the robot's file and the page.
+
+    Raises:
+        CalibrationError: they cannot be written.
+    """
+    page = render_identification(identification, predictions)
+    write_results(identification.after, identified_lines(identification), page, folder / IDENTIFIED_FILE,
+                  folder / IDENTIFICATION_FILE)  # fmt: skip
+
+
+def torques_predicted(prediction: TorquePrediction) -> str:
+    """What the numbers are worth on a bag that did not serve."""
+    return (
+        f"{prediction.path}, not used: of torques of {MNM * prediction.torque:.1f} mN m RMS {MNM * prediction.before:.2f} mN m"
+        f" were unexplained before, {MNM * prediction.after:.2f} mN m after"
+    )
+
+
+def torques_sentence(identification: Identification) -> str:
+    """How well the torques are explained."""
+    fit = identification.fit
+    used = fit.used
+    before, after, torque = (MNM * rms_of(rows[used]) for rows in (fit.rest_before, fit.rest, fit.torque))
+    text = (
+        f"{counted(int(used.sum()), 'instant')} with torques of {torque:.1f} mN m RMS, of which {before:.2f} mN m were"
+        f" unexplained before, {after:.2f} mN m after"
+    )
+    if others := len(used) - int(used.sum()):
+        text += f" ({others} more left out, where friction turns round, a belt rings, or the robot was pushed)"
+    return text
+
+
+def render_identification(identification: Identification, predictions: Sequence[TorquePrediction]) -> str:
+    """The page."""
+    fit, names = identification.fit, ", ".join(motion.recorded.path.name for motion in identification.motions)
+    none = np.zeros(len(fit.rest))
+    script, figures = components([
+        residuals(MNM * rest[:, joint], none, fit.used, f"{side}, {when} (mN m)", "instant")
+        for joint, side in enumerate(SIDES) for when, rest in (("before", fit.rest_before), ("after", fit.rest))
+    ], wrap_script=False)  # fmt: skip
+    checked = [
+        [Cell(str(one.path)), Cell(str(one.instants)),
+         *(Cell(number(MNM * value, ".2f")) for value in (one.torque, one.before, one.after))] for one in predictions
+    ]  # fmt: skip
+    return render(
+        "identification.html", script,
+        title=f"{identification.after.name}: masses and friction identified",
+        heading=f"{identification.after.name}: masses and friction by {names}",
+        verdict="Identified.",
+        sentence=torques_sentence(identification),
+        quantities=quantity_table(identification.quantities),
+        kept=identification.kept,
+        told="What the torques see together (base parameters), with standard deviations by the scatter of the recordings.",
+        directions=identification.told,
+        observed="Instant by instant",
+        observation=TORQUES,
+        figures=figures,
+        observations=None,
+        predictions=(
+            [Column("bag", text=True), Column("instants"), Column("RMS torque", "mN m"), Column("unexplained before", "mN m"),
+             Column("after", "mN m")],
+            checked,
+        ),
+        footer=f"Made by dextar identify. {IDENTIFIED_FILE} beside this page is a robot file for every node.",
+    )  # fmt: skip

@@ -1,12 +1,24 @@
 """Mechanisms: the only place that knows a length, an elbow or a working mode."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from dextar_control.contract.errors import ParameterError
-from dextar_control.mechanisms.five_bar import FiveBar
+from dextar_control.mechanisms.five_bar import FiveBar, RubbingFiveBar
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.three_rrr import ThreeRRR
 
 MECHANISMS: dict[str, Mechanism] = {mechanism.name: mechanism for mechanism in (FiveBar(), ThreeRRR())}
 """Those that a robot's file can name."""
+
+
+RUBBING_FIVE_BAR = RubbingFiveBar()
+
+
+def five_bar_of(values: Mapping[str, Any]) -> Mechanism:
+    """The five-bar of these values: with friction of its passive joints where there is some."""
+    rubs = any(values.get(parameter.name) for parameter in RUBBING_FIVE_BAR.passive)
+    return RUBBING_FIVE_BAR if rubs else MECHANISMS["five_bar"]
 
 
 def mechanism_named(name: str) -> Mechanism:

@@ -21,14 +21,14 @@ from dextar_control.mechanisms.planar import (
     leg_joints,
     leg_links,
     leg_parameters,
-    motor_friction,
     nearest_two_link_angle,
     rod,
+    rubbing,
     two_link_angle,
 )
 from dextar_control.symbols.types import Array, Symbol
 
-PASSIVE = (*(f"{side}.passive_" for side in SIDES), "pin_")
+PASSIVE = ("passive_viscous_friction", "N m s/rad"), ("passive_coulomb_friction", "N m")
 
 
 class FiveBar(FiveBarLocus):
@@ -40,10 +40,6 @@ class FiveBar(FiveBarLocus):
     parameters = (
         *(Parameter(f"{side}.axis", "m", "of the motor", size=2) for side in SIDES),
         *(number for side in SIDES for number in leg_parameters(side)),
-        *(number for place in PASSIVE for number in (
-            Parameter(f"{place}viscous_friction", "N m s/rad", "of the joint without a motor", 0.0),
-            Parameter(f"{place}coulomb_friction", "N m", "of the joint without a motor", 0.0),
-        )),
         Parameter("end_effector_mass", "kg", "point mass at the end effector", 0.0),
         Parameter("gravity", "m/s^2", "in the robot's plane", size=2),
         Parameter("coulomb_speed", "rad/s", "over which Coulomb friction changes sign", above=0.0),
@@ -178,16 +174,28 @@ class FiveBar(FiveBarLocus):
 
     def friction(self, q_a_dot: Symbol, p: Any) -> Symbol:
         """Of the motors."""
-        return motor_friction(q_a_dot, [getattr(p, side) for side in SIDES], p.coulomb_speed)
+        return friction(q_a_dot, [getattr(p, side) for side in SIDES], p.coulomb_speed)
+
+
+class RubbingFiveBar(FiveBar):
+    """The same with friction of elbows and pin, whose smoothed change of sign costs each tick some time."""
+
+    passive = (
+        *(Parameter(f"{side}.{name}", unit, "of the elbow", 0.0) for side in SIDES for name, unit in PASSIVE),
+        Parameter("pin_viscous_friction", "N m s/rad", "between the distal links", 0.0),
+        Parameter("pin_coulomb_friction", "N m", "between the distal links", 0.0),
+    )
+    parameters = (*FiveBar.parameters, *passive)
 
     def passive_friction(self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any) -> tuple[Symbol, Symbol]:
-        """Of the elbows and of the pin between the distal links."""
-        turning = []  # of the distal links, rad/s
+        """Of the left elbow, the right one and the pin."""
+        turning = []
         for leg, side in enumerate(SIDES):
             P = self.elbow(leg, q_a[leg], p)
             r, r_dot = x - P, x_dot - ca.jtimes(P, q_a, q_a_dot)
             turning.append((r[0] * r_dot[1] - r[1] * r_dot[0]) / getattr(p, side).distal_length ** 2)
-        rates = ca.vertcat(*(turning[leg] - q_a_dot[leg] for leg in range(2)), turning[1] - turning[0])
-        viscous = [*(getattr(p, side).passive_viscous_friction for side in SIDES), p.pin_viscous_friction]
-        coulomb = [*(getattr(p, side).passive_coulomb_friction for side in SIDES), p.pin_coulomb_friction]
-        return rates, friction(rates, viscous, coulomb, p.coulomb_speed)
+        left, right = turning
+        rates = ca.vertcat(left - q_a_dot[0], right - q_a_dot[1], right - left)
+        viscous = ca.vertcat(p.left.passive_viscous_friction, p.right.passive_viscous_friction, p.pin_viscous_friction)
+        coulomb = ca.vertcat(p.left.passive_coulomb_friction, p.right.passive_coulomb_friction, p.pin_coulomb_friction)
+        return rates, rubbing(rates, viscous, coulomb, p.coulomb_speed)

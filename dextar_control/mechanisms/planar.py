@@ -34,14 +34,16 @@ def leg_parameters(leg: str) -> tuple[Parameter, ...]:
     )
 
 
-def friction(rates: Symbol, viscous: Sequence[Symbol], coulomb: Sequence[Symbol], coulomb_speed: Symbol) -> Symbol:
-    """Viscous and smoothed Coulomb friction (k,), N m, of joints, opposing their rates (k,), rad/s."""
-    return ca.vertcat(*viscous) * rates + ca.vertcat(*coulomb) * ca.tanh(rates / coulomb_speed)
+def friction(q_a_dot: Symbol, legs: Sequence[Any], coulomb_speed: Symbol) -> Symbol:
+    """Viscous and smoothed Coulomb friction (n,), N m, of the legs' motors, opposing q_a_dot (n,), rad/s."""
+    viscous = ca.vertcat(*(leg.viscous_friction for leg in legs))
+    coulomb = ca.vertcat(*(leg.coulomb_friction for leg in legs))
+    return rubbing(q_a_dot, viscous, coulomb, coulomb_speed)
 
 
-def motor_friction(q_a_dot: Symbol, legs: Sequence[Any], coulomb_speed: Symbol) -> Symbol:
-    """That of the legs' motors (n,), N m."""
-    return friction(q_a_dot, [leg.viscous_friction for leg in legs], [leg.coulomb_friction for leg in legs], coulomb_speed)
+def rubbing(rates: Symbol, viscous: Symbol, coulomb: Symbol, speed: Symbol) -> Symbol:
+    """Viscous and smoothed Coulomb friction (m,), N m, that opposes rates (m,), rad/s."""
+    return viscous * rates + coulomb * ca.tanh(rates / speed)
 
 
 def direction(angle: Symbol | float) -> Symbol:

@@ -15,10 +15,10 @@ from dextar_control.mechanisms.bodies import Bodies, Link, Pin
 from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter
 from dextar_control.mechanisms.planar import (
     direction,
+    friction,
     leg_joints,
     leg_links,
     leg_parameters,
-    motor_friction,
     nearest_two_link_angle,
     rod,
     two_link_angle,
@@ -140,4 +140,4 @@ class ThreeRRR(Mechanism):
 
     def friction(self, q_a_dot: Symbol, p: Any) -> Symbol:
         """Of the motors."""
-        return motor_friction(q_a_dot, [getattr(p, name) for name in LEGS], p.coulomb_speed)
+        return friction(q_a_dot, [getattr(p, name) for name in LEGS], p.coulomb_speed)

@@ -11,7 +11,7 @@ import numpy as np
 
 from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.contract.robot import RobotParameters, flatten
-from dextar_control.mechanisms import mechanism_named
+from dextar_control.mechanisms import five_bar_of
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.equations import Equations, equations
 from dextar_control.model.robot import AnyRobot
@@ -60,7 +60,8 @@ class Model:
     def of(cls: type[AnyModel], robot: AnyRobot) -> AnyModel:
         """That of a robot's description."""
         if isinstance(robot, RobotParameters):
-            return cls(mechanism_named("five_bar"), flatten(robot))
+            flat = flatten(robot)
+            return cls(five_bar_of(flat), flat)
         return cls(robot.mechanism, robot.numbers)
 
     def _bound(self, name: str) -> Any:

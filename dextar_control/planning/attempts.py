@@ -108,13 +108,14 @@ class Best:
 
 
 def scalable(model: Model, trajectory: Trajectory) -> bool:
-    """Whether a trajectory's time may be scaled, and reversed: there is no weight, and joints without a motor do not rub.
+    """Whether a trajectory's time may be scaled, and reversed.
 
-    Without, the robot needs no torque at rest where it starts and ends, and the same wrenches there for a speed and its opposite.
+    The robot needs no torque at rest where it starts and ends, and its passive joints do not rub.
     """
-    rest, x_dot = np.zeros(model.n), trajectory.at(0.5 * trajectory.duration).x_dot
+    rest, motion = np.zeros(model.n), np.ones(model.n)
     for x in (trajectory.at(0.0).x, trajectory.at(trajectory.duration).x):
-        still, there, back = (model.wrenches(model.place(x).q_a, x, speed, rest) for speed in (rest, x_dot, -x_dot))
+        at = model.place(x).q_a, x
+        still, there, back = (model.wrenches(*at, x_dot, rest) for x_dot in (rest, motion, -motion))
         if still.w_b.any() or still.w_d.any() or (there.w_b != back.w_b).any() or (there.w_d != back.w_d).any():
             return False
     return True

@@ -199,7 +199,7 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
         given["plant"] |= CAMERA
     if arguments.law == "multi_model":
         given["trajectory_server"]["criterion"] = "zero_wrench"
-    for name in ("duration", "repeat", "tour", "point"):
+    for name in ("duration", "repeat", "tour", "excite", "point"):
         if getattr(arguments, name) is not None:
             given["trajectory_server"][name] = getattr(arguments, name)
     values = {node: [assignment(*item) for item in own.items()] for node, own in given.items()}

@@ -50,6 +50,8 @@ ARGUMENTS = {
     "estimator": Argument("", "of the platform state; external needs poses, of a camera or the plant's pose_rate; empty:"
                           " params_file's", "word", tuple(estimator.name.lower() for estimator in Estimation)),
     "tour": Argument("", "crossings spread over the locus; empty: params_file's", "number"),
+    "excite": Argument("", "about how long a motion is that tells dextar identify masses and friction, s; empty: params_file's",
+                       "number"),
     "lockstep": Argument("false", "each simulated step waits for its command: repeatable, not in real time"),
     "duration": Argument("", "of one way, s; empty: params_file's", "number"),
     "window": Argument("false", "PyBullet's own window"),
@@ -103,7 +105,7 @@ def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         "markers": {},
     }
     for name, arguments in (
-        ("controller", ("law", "estimator")), ("trajectory_server", ("tour", "duration")), ("recorder", ("output",))
+        ("controller", ("law", "estimator")), ("trajectory_server", ("tour", "excite", "duration")), ("recorder", ("output",))
     ):  # fmt: skip
         own[name] |= {argument: values[argument] for argument in arguments if values[argument] != ""}
     if values["law"] == "multi_model":

@@ -12,6 +12,7 @@ from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.node import Parameter
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.excitation import plan_excitation
 from dextar_control.planning.locus import locus_point
 from dextar_control.planning.planner import Criterion, Plan, plan_crossing, plan_return_trip, plan_return_trip_through
 from dextar_control.planning.regular import side_of
@@ -31,6 +32,8 @@ PARAMETERS = (
     Parameter("tour", "crossings spread over the locus instead; 0 is off", 0, 1000, live=True),
     Parameter("tour_points", "x, y of each point of a tour instead; [] is off", unit="m", live=True),
     Parameter("tour_seed", "of the spread", 0, 2**31 - 1, live=True),
+    Parameter("excite", "of a motion that tells masses and friction (dextar identify) instead; 0 is off", 0.0, 300.0, unit="s",
+              live=True),
     Parameter("duration", "of one way; 0 leaves it to the planner", 0.0, 60.0, unit="s", live=True),
     Parameter("dwell", "at rest before, between and after", 0.01, 60.0, unit="s", live=True),
     Parameter("repeat", "return trips, or laps of the tour", 1, 1000, live=True),
@@ -42,7 +45,7 @@ PARAMETERS = (
 
 @dataclass(frozen=True)
 class Task:
-    """What to plan: a trip A -> B -> A, a return trip through ``point``, or a tour.
+    """What to plan: a trip A -> B -> A, a return trip through ``point``, a tour, or an exciting motion.
 
     Attributes:
         start, goal: A and B, m.
@@ -50,6 +53,7 @@ class Task:
         direction: sign of s after ``point``; 0 leads away from the side of A.
         tour: how many crossings are spread over the locus.
         tour_points: of a tour, m.
+        excite: about how long an exciting motion is, s; 0 is none.
         duration: of one way, s; None leaves it to the planner.
         locus_time: s; see ``plan_crossing``.
     """
@@ -61,6 +65,7 @@ class Task:
     tour: int
     tour_points: tuple[tuple[float, float], ...]
     tour_seed: int
+    excite: float
     duration: float | None
     dwell: float
     repeat: int
@@ -74,9 +79,11 @@ class Task:
         Raises:
             ParameterError: they ask for several things at once, or contradict each other.
         """
-        asked = [f"{name} = {values[name]}" for name in ("point", "tour", "tour_points") if values[name]]
+        asked = [f"{name} = {values[name]}" for name in ("point", "tour", "tour_points", "excite") if values[name]]
         if len(asked) > 1:
-            raise ParameterError(f"{' and '.join(asked)} are given; one may be (point: [], tour: 0, tour_points: [] are off)")
+            raise ParameterError(
+                f"{' and '.join(asked)} are given; one may be (point: [], tour: 0, tour_points: [], excite: 0 are off)"
+            )
         if values["direction"] and not values["point"]:
             raise ParameterError(f"direction = {values['direction']} is given without a point; it must be 0")
         if len(values["tour_points"]) % 2:
@@ -88,17 +95,19 @@ class Task:
             start=_pair(values["task.start"]), goal=_pair(values["task.goal"]),
             point=_pair(values["point"]) if values["point"] else None, direction=values["direction"],
             tour=values["tour"], tour_points=tuple(zip(numbers[::2], numbers[1::2], strict=True)),
-            tour_seed=values["tour_seed"], duration=values["duration"] or None, dwell=values["dwell"],
+            tour_seed=values["tour_seed"], excite=values["excite"], duration=values["duration"] or None, dwell=values["dwell"],
             repeat=values["repeat"], locus_time=values["locus_time"], criterion=Criterion[values["criterion"].upper()],
         )  # fmt: skip
 
     def plan(self, robot: RobotParameters, progress: Progress = silent) -> Plan:
-        """The certified plan; a tour begins in A, a trip through a point where the planner lets it begin.
+        """The certified plan; a tour or an exciting motion begins in A, a trip through a point where the planner lets it begin.
 
         Raises:
             DextarError: there is none within the limits; names the limit and what would do.
         """
         start = np.array(self.start)
+        if self.excite:
+            return plan_excitation(robot, start, self.excite, self.dwell, progress)
         if self.tour or self.tour_points:
             points = self.tour or [np.array(point) for point in self.tour_points]
             return plan_tour(

@@ -1,0 +1,325 @@
+"""From recordings to a robot's own masses and friction: what they tell, what they do not, and whether one robot explains them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dextar_control.analysis.run import Run
+from dextar_control.contract.errors import CalibrationError, ParameterError
+from dextar_control.contract.robot import RobotParameters, flatten
+from dextar_control.identification.dynamics import ALONE, DynamicFit, fit_dynamics, rest_of, rows_of
+from dextar_control.identification.motion import EXCITE, LEAST_RATE, LEAST_S, Motion, motion_of
+from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, in_words, rms_of
+from dextar_control.identification.recorded import Recorded, recorded_of
+from dextar_control.identification.transmission import Stiffness, stiffnesses_of
+from dextar_control.mechanisms import RUBBING_FIVE_BAR
+from dextar_control.mechanisms.five_bar_locus import SIDES
+
+LEAST_SPAN = 0.05  # rad, that each joint has to move
+LEAST_INSTANTS = 50  # that tell something
+LEAST_TURNING = 0.05  # share of them at which a joint turns one way
+BODIES = 5  # combinations of masses and inertias that a five-bar's torques see without gravity
+WIDEST = {"coulomb_friction": 5e-3, "viscous_friction": 5e-3}  # N m, N m s/rad of a motor: deviation beyond which it is not told
+WIDEST_GRAVITY = 1.0  # m/s^2
+MOST_REST = 0.35  # of a joint's torque, RMS, that may stay unexplained
+LEAST_USED = 0.25  # of the instants: where friction turns round, or a belt rings, the others scatter more
+MOST_FACTOR = 3.0  # of a combination of masses or inertias, over and under the description
+WEIGHT = 9.81  # m/s^2
+STRIBECK_SPEED, STRIBECK_SURE, STRIBECK_LEAST = 0.3, 5.0, 2e-3  # rad/s; standard deviations and N m from which on it shows
+
+
+class TorquePrediction(NamedTuple):
+    """How numbers explain the torques of a recording that did not serve to find them.
+
+    Attributes:
+        path: of the bag.
+        instants: how many tell something.
+        torque: RMS of the commanded torques, N m.
+        before, after: RMS of their rest by the description and by what was found, N m.
+    """
+
+    path: Path
+    instants: int
+    torque: float
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What recordings tell of a robot's masses, friction and gravity.
+
+    Attributes:
+        before, after: the descriptions.
+        motions: that served.
+        fit: what was found.
+        stiffnesses: of the transmissions, as far as they are told.
+        kept: in words, what the recordings do not tell.
+        told: in words, the combinations that they do.
+    """
+
+    before: RobotParameters
+    after: RobotParameters
+    motions: list[Motion]
+    fit: DynamicFit
+    stiffnesses: list[Stiffness | None]
+    kept: list[str]
+    told: list[str]
+
+    @property
+    def quantities(self) -> list[Quantity]:
+        """The description's masses and friction, number by number."""
+        fit, found = self.fit, []
+        for one, before, after, deviation, prior in zip(
+            fit.unknowns, fit.before, fit.numbers, fit.deviations, fit.prior, strict=True
+        ):
+            alone = deviation <= ALONE * prior
+            kept = not alone and not any(term.factors[fit.unknowns.index(one)] for term in fit.combinations)
+            note = "" if alone or kept else "in combination"
+            found.append(Quantity(one.name, one.unit, float(before), float(after), 0.0 if kept else float(deviation), note))
+        for side, leg, told in zip(SIDES, self.before.legs, self.stiffnesses, strict=True):
+            value, sure = (leg.transmission_stiffness, 0.0) if told is None else told
+            found.append(Quantity(f"{side}.transmission_stiffness", "N m/rad", leg.transmission_stiffness, value, sure))
+        return found
+
+
+def identify(runs: Sequence[Run], *, progress: Progress = lambda stage: None) -> Identification:
+    """A robot's masses, friction and gravity from recorded runs of it.
+
+    Args:
+        runs: with torques, of one robot, whose description each of them has.
+        progress: told what is being done.
+
+    Raises:
+        CalibrationError: the recordings cannot tell what is looked for, contradict each other or the description.
+    """
+    robot = common_robot(runs, lambda one: RUBBING_FIVE_BAR.values(flatten(one)), "description")
+    return identify_recorded(robot, [recorded_of(run, robot, EXCITE) for run in runs], progress=progress)
+
+
+def identify_recorded(
+    robot: RobotParameters, recordings: Sequence[Recorded], *, progress: Progress = lambda stage: None
+) -> Identification:
+    """The same of what was recorded, wherever it comes from.
+
+    Raises:
+        CalibrationError: as ``identify``.
+    """
+    for recorded in recordings:
+        if not np.isfinite(recorded.torque).any():
+            raise CalibrationError(
+                f"{recorded.path} has no torque: no joint_commands with an effort, which tells masses and friction; {EXCITE}"
+            )
+    progress("looking for stretches that tell something")
+    motions = [motion_of(robot, recorded) for recorded in recordings]
+    _check_motion(motions)
+    progress(f"fitting to {sum(len(motion.tells) for motion in motions)} instants")
+    found = fit_dynamics(robot, motions)
+    _check_explained(motions, found)
+    _check_told(motions, found)
+    _check_bounds(robot, found)
+    stiffnesses = stiffnesses_of(robot, motions)
+    changes: dict[str, Any] = {one.name: float(value) for one, value in zip(found.unknowns, found.numbers, strict=True)}
+    changes["gravity"] = changes.pop("gravity.x"), changes.pop("gravity.y")
+    changes |= {f"{side}.transmission_stiffness": told.value
+                for side, told in zip(SIDES, stiffnesses, strict=True) if told is not None}  # fmt: skip
+    try:
+        after = robot.replace(**changes)
+    except ParameterError as error:
+        raise CalibrationError(f"{_names(motions)} lead to no robot: {error}. Nothing was written") from error
+    return Identification(robot, after, motions, found, stiffnesses, _kept(robot, found, stiffnesses), _told(found))
+
+
+def predict_torques(identification: Identification, run: Run) -> TorquePrediction:
+    """How a recording that did not serve is explained before and after.
+
+    Raises:
+        CalibrationError: it tells nothing.
+    """
+    motion = motion_of(identification.before, recorded_of(run, identification.before, EXCITE))
+    if not len(motion.tells):
+        raise CalibrationError(f"{run.path} cannot check: {_too_little([motion])}")
+    rests = []
+    for robot in (identification.before, identification.after):
+        rows = rows_of(RUBBING_FIVE_BAR.values(flatten(robot)), motion)
+        rests.append(rest_of(rows, rows.gap))
+    counts = np.abs(rests[1]).max(axis=1) <= 5.0 * np.median(np.abs(rests[1]).max(axis=1))
+    return TorquePrediction(
+        run.path, int(counts.sum()), rms_of(motion.filtered(motion.tau)[counts]), *(rms_of(rest[counts]) for rest in rests)
+    )
+
+
+def identified_lines(identification: Identification) -> list[str]:
+    """What is known of the description's numbers, for its file."""
+    return [
+        f"The robot '{identification.after.name}', its masses and friction identified by {_names(identification.motions)}.",
+        *map(in_words, identification.quantities),
+        *identification.told,
+        *identification.kept,
+    ]
+
+
+def _names(motions: Sequence[Motion]) -> str:
+    return ", ".join(str(motion.recorded.path) for motion in motions)
+
+
+def _too_little(motions: Sequence[Motion]) -> str:
+    count = sum(len(motion.tells) for motion in motions)
+    return (
+        f"too little motion: {count} instants tell something of masses and friction, {LEAST_INSTANTS} are the least (each joint"
+        f" faster than {LEAST_RATE} rad/s, |s| above {LEAST_S}, under a torque); {EXCITE}"
+    )
+
+
+def _check_motion(motions: Sequence[Motion]) -> None:
+    """Enough of a motion, both ways.
+
+    Raises:
+        CalibrationError: there is not; says which joint lacks what.
+    """
+    spans = np.max([motion.spans for motion in motions], axis=0)
+    joint = int(spans.argmin())
+    if spans[joint] < LEAST_SPAN:
+        raise CalibrationError(
+            f"{_names(motions)}: too little motion: the {SIDES[joint]} encoder moves by {spans[joint]:.4f} rad; for"
+            f" {SIDES[joint]}.coulomb_friction and {SIDES[joint]}.rotor_inertia {LEAST_SPAN} rad are the least; {EXCITE}"
+        )
+    rates = np.concatenate([motion.rates for motion in motions])
+    if len(rates) < LEAST_INSTANTS:
+        raise CalibrationError(f"{_names(motions)}: {_too_little(motions)}")
+    for side, own in zip(SIDES, rates.T, strict=True):
+        share = float(np.mean(own > 0.0))
+        if not LEAST_TURNING <= share <= 1.0 - LEAST_TURNING:
+            raise CalibrationError(
+                f"{_names(motions)}: one direction only: the {side} joint turns {'forwards' if share > 0.5 else 'backwards'} in"
+                f" {max(share, 1.0 - share):.0%} of the motion, so that gravity hides {side}.coulomb_friction; {EXCITE}"
+            )
+
+
+def _check_told(motions: Sequence[Motion], found: DynamicFit) -> None:
+    """The torques tell the bodies, the motors' friction and gravity.
+
+    Raises:
+        CalibrationError: they do not; says which number lacks what.
+    """
+    limits = {f"{side}.{name}": widest for side in SIDES for name, widest in WIDEST.items()}
+    limits |= {"gravity.x": WIDEST_GRAVITY, "gravity.y": WIDEST_GRAVITY}
+    units = {one.name: UNITS[one.unit] for one in found.unknowns}
+    vague = []
+    for name, widest in limits.items():
+        (unit, scale), deviation = units[name], found.value(name)[1]
+        if not deviation <= widest:
+            vague.append(f"{name} to +-{scale * deviation:.2g} {unit} ({scale * widest:g} {unit} are needed)")
+    bodies = sum(one.unit.startswith("kg") for one in found.combinations)
+    if bodies < BODIES:
+        vague.append(f"{bodies} combinations of masses and inertias ({BODIES} are needed)")
+    if vague:
+        raise CalibrationError(
+            f"{_names(motions)}: the motion tells {'; '.join(vague)}: it is too slow, too short or always the same; {EXCITE}"
+        )
+
+
+def _check_explained(motions: Sequence[Motion], found: DynamicFit) -> None:
+    """The numbers explain the torques.
+
+    Raises:
+        CalibrationError: they do not.
+    """
+    used = float(found.used.mean())
+    shares = [rms_of(rest) / max(rms_of(torque), 1e-9)
+              for rest, torque in zip(found.rest.T, found.torque.T, strict=True)]  # fmt: skip
+    if max(shares) > MOST_REST or used < LEAST_USED:
+        joint = int(np.argmax(shares))
+        raise CalibrationError(
+            f"no masses and friction explain {_names(motions)}: {max(shares):.0%} of the {SIDES[joint]} torque are left over"
+            f" ({MOST_REST:.0%} at most) and {used:.0%} of the instants agree ({LEAST_USED:.0%} at least): torques that are not"
+            " those of the motors, another geometry (dextar calibrate) or pushes look like this. Nothing was written"
+        )
+
+
+def _check_bounds(robot: RobotParameters, found: DynamicFit) -> None:
+    """The result is the described robot, somewhat changed.
+
+    Raises:
+        CalibrationError: it is another one.
+    """
+
+    def fail(what: str, limit: str) -> CalibrationError:
+        return CalibrationError(f"the recordings put {what}; {limit}: correct the description first. Nothing was written")
+
+    for sum_of in found.combinations:
+        unit, scale = UNITS[sum_of.unit]
+        size = float(np.abs(sum_of.factors) @ found.before) * (MOST_FACTOR - 1.0)
+        most = size / MOST_FACTOR if sum_of.after < sum_of.before else size
+        if sum_of.unit.startswith("kg") and not abs(sum_of.after - sum_of.before) <= max(most, 3.0 * sum_of.deviation):
+            raise fail(f"{sum_of.name} at {scale * sum_of.after:.4g} {unit}, described as {scale * sum_of.before:.4g}",
+                       f"within a factor of {MOST_FACTOR:g} it can be this robot")  # fmt: skip
+    for one, value in zip(found.unknowns, found.numbers, strict=True):
+        if one.unit == "N m" and value > robot.max_torque:
+            raise fail(f"{one.name} at {value:.3g} N m", f"the motors give {robot.max_torque:g} N m")
+    pull = float(np.hypot(found.value("gravity.x")[0], found.value("gravity.y")[0]))
+    if pull > 1.05 * WEIGHT:
+        raise fail(f"gravity at {pull:.2f} m/s^2", f"{WEIGHT} m/s^2 is the most")
+
+
+def _told(found: DynamicFit) -> list[str]:
+    """The combinations that are told, and what else is worth a line."""
+    lines = []
+    for one in found.combinations:
+        unit, scale = UNITS[one.unit]
+        if np.count_nonzero(one.factors) > 1:
+            now, wide, was = (f"{scale * number:.4f}" for number in (one.after, one.deviation, one.before))
+            lines.append(f"{one.name}: {now} +- {wide} {unit}, was {was}")
+    (x, x_sure), (y, y_sure) = found.value("gravity.x"), found.value("gravity.y")
+    pull, pull_sure = float(np.hypot(x, y)), max(x_sure, y_sure)
+    if pull > 3.0 * pull_sure:
+        tilt = np.degrees(np.arcsin(min(pull / WEIGHT, 1.0)))
+        lines.append(
+            f"The robot is tilted by {tilt:.2f} deg +- {np.degrees(pull_sure / WEIGHT):.2f}, downhill at"
+            f" {np.degrees(np.arctan2(y, x)):.0f} deg of its frame."
+        )
+    late = [f"{1e3 * value:.2f} +- {1e3 * sure:.2f}" for value, sure in zip(found.delay, found.delay_deviation, strict=True)]
+    lines.append(f"The drives answer {', '.join(late)} ms late, which is allowed for; no robot file says it.")
+    for side, rates, rest in zip(SIDES, found.rates.T, found.rest.T, strict=True):
+        shape = np.sign(rates) * np.exp(-np.abs(rates) / STRIBECK_SPEED)
+        shape, left = shape[found.used], rest[found.used]
+        size = float(shape @ left / (shape @ shape))
+        sure = float((left - size * shape).std() / np.sqrt(shape @ shape))
+        if size > max(STRIBECK_SURE * sure, STRIBECK_LEAST):
+            lines.append(
+                f"The {side} joint rubs more when slow, by {1e3 * size:.1f} +- {1e3 * sure:.1f} mN m at rest (Stribeck, over"
+                f" {STRIBECK_SPEED:g} rad/s); no robot file says it."
+            )
+    lines += [f"{name} would be less than it can be, and was kept at its least: not all that acts is modelled."
+              for name in found.bound]  # fmt: skip
+    return lines
+
+
+def _kept(robot: RobotParameters, found: DynamicFit, stiffnesses: Sequence[Stiffness | None]) -> list[str]:
+    """What the recordings leave open, in words."""
+    kept, together = [], []
+    for row, one in enumerate(found.unknowns):
+        if found.deviations[row] <= ALONE * found.prior[row]:
+            continue
+        unit, scale = UNITS[one.unit]
+        if any(combination.factors[row] for combination in found.combinations):
+            together.append(one.name)
+        else:
+            kept.append(f"{one.name} is not told: it was kept at {scale * found.before[row]:.4f} {unit}.")
+    if together:
+        kept.append(
+            "Single masses and inertias are not told, only combinations of them; what these ask for was shared out evenly among"
+            f" {', '.join(together)}."
+        )
+    for side, leg, told in zip(SIDES, robot.legs, stiffnesses, strict=True):
+        if told is None:
+            kept.append(
+                f"{side}.transmission_stiffness is not told without encoders at the motor and external poses that show the link"
+                f" lag behind: it was kept at {leg.transmission_stiffness:g} N m/rad."
+            )
+    return kept

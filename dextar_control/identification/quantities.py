@@ -1,0 +1,94 @@
+"""What calibration and identification share: numbers before and after, in words and in a robot's file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from dextar_control.analysis.run import Run
+from dextar_control.contract.errors import CalibrationError
+from dextar_control.contract.robot import RobotParameters, flatten, robot_text
+from dextar_control.symbols.types import Array
+
+UNITS = {
+    "m": ("mm", 1e3), "rad": ("mrad", 1e3), "kg": ("g", 1e3), "kg m^2": ("kg mm^2", 1e6), "N m": ("mN m", 1e3),
+    "N m s/rad": ("mN m s/rad", 1e3), "m/s^2": ("m/s^2", 1.0), "N m/rad": ("N m/rad", 1.0),
+}  # fmt: skip
+"""In which people read them."""
+Progress = Callable[[str], None]
+
+
+class Quantity(NamedTuple):
+    """One number, before and after.
+
+    Attributes:
+        name, unit: of the description.
+        before, after: in that unit.
+        deviation: standard; 0 of a number that was kept.
+        note: what else is to be said of it.
+    """
+
+    name: str
+    unit: str
+    before: float
+    after: float
+    deviation: float
+    note: str = ""
+
+    @property
+    def cells(self) -> list[str]:
+        """Name, before, after, standard deviation and unit, as people read them."""
+        unit, scale = UNITS[self.unit]
+        sure = f"{scale * self.deviation:.4f}" if self.deviation else "kept"
+        return [self.name, f"{scale * self.before:.4f}", f"{scale * self.after:.4f}", self.note or sure, unit]
+
+
+def in_words(quantity: Quantity) -> str:
+    """Name, change and standard deviation."""
+    unit, scale = UNITS[quantity.unit]
+    now = f"{quantity.name} {scale * quantity.after:.4f} {unit}"
+    if quantity.deviation == 0.0:
+        return f"{now}, kept"
+    sure = quantity.note or f"+- {scale * quantity.deviation:.4f}"
+    return f"{now} {sure}, was {scale * quantity.before:.4f}"
+
+
+def write_robot(robot: RobotParameters, lines: Iterable[str], file: Path) -> None:
+    """A description as every node takes it; what is known of its numbers stands on top.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    flat = {key: value for key, value in flatten(robot).items() if key != "base_distance"}
+    file.write_text("".join(f"# {' '.join(line.split())}\n" for line in lines) + robot_text(flat), encoding="utf-8")
+
+
+def common_robot(runs: Sequence[Run], numbers_of: Callable[[RobotParameters], Array], what: str) -> RobotParameters:
+    """The description that all runs have.
+
+    Args:
+        numbers_of: those in which they have to agree.
+        what: these are, in words.
+
+    Raises:
+        CalibrationError: one has none, or another one.
+    """
+    robots = []
+    for run in runs:
+        if run.robot is None:
+            raise CalibrationError(f"{run.path} does not say which robot it is of; give its description with --robot")
+        robots.append(run.robot)
+    for run, robot in zip(runs[1:], robots[1:], strict=True):
+        if not np.array_equal(numbers_of(robot), numbers_of(robots[0])):
+            raise CalibrationError(
+                f"{run.path} was recorded with another {what} of the robot than {runs[0].path}; take bags of one together"
+            )
+    return robots[0]
+
+
+def rms_of(values: Array) -> float:
+    """Root of the mean square of those that are numbers; nan of none."""
+    return float(np.sqrt(np.nanmean(np.square(values)))) if np.isfinite(values).any() else np.nan

@@ -1,0 +1,74 @@
+"""What calibration and identification take of a bag, or of a control loop without one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from dextar_control.analysis.run import Run
+from dextar_control.contract.errors import CalibrationError
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.symbols.types import Array
+
+STALE = 0.02  # s, age of a command or a belief that still counts
+
+
+class Recorded(NamedTuple):
+    """A motion as its encoders, its controller and perhaps a camera told it.
+
+    Attributes:
+        path: of the bag.
+        working_mode: of the legs.
+        time: (m,) s, rising.
+        readings: (m, n) of the encoders, rad.
+        torque: (m, n) commanded at each, until the next, N m; nan where there is none.
+        side: (m,) sign of s that the controller believed; 0 where it did not know.
+        poses: times (k,), s, and positions (k, n), m, of the end effector; None where it was not seen.
+    """
+
+    path: Path
+    working_mode: tuple[int, int]
+    time: Array
+    readings: Array
+    torque: Array
+    side: Array
+    poses: tuple[Array, Array] | None = None
+
+
+def recorded_of(run: Run, robot: RobotParameters, record: str) -> Recorded:
+    """That of a bag.
+
+    Args:
+        robot: as described, where the bag does not say.
+        record: what to record, in words.
+
+    Raises:
+        CalibrationError: it has no two states of both joints.
+    """
+    stamps = run.states.stamps
+    known = np.isfinite(run.states.position).all(axis=1)
+    if known.sum() < 2:
+        raise CalibrationError(f"{run.path}: {int(known.sum())} joint states have both angles; {record}")
+    given = np.isfinite(run.commands.effort).all(axis=1)
+    torque = _held(run.commands.stamps[given], run.commands.effort[given], stamps)
+    if len(run.criterion.stamps):
+        side = np.nan_to_num(_held(run.criterion.stamps, run.criterion.assembly_mode[:, None], stamps)[:, 0])
+    else:
+        side = np.full(len(stamps), float(run.parameters.get("controller", {}).get("assembly_mode", 1)))
+    return Recorded(
+        run.path, (run.robot or robot).working_mode, ((stamps - stamps[0]) * 1e-9)[known], run.states.position[known],
+        torque[known], side[known],
+        None if run.poses is None else ((run.poses.stamps - stamps[0]) * 1e-9, run.poses.x),
+    )  # fmt: skip
+
+
+def _held(stamps: Any, values: Array, at: Any) -> Array:
+    """Values (k, c) at stamps (k,), ns, held until the next one, at other stamps (m,); nan where older than STALE."""
+    if not len(stamps):
+        return np.full((len(at), values.shape[1]), np.nan)
+    rows = np.searchsorted(stamps, at, side="right") - 1
+    found = values[np.maximum(rows, 0)].astype(np.float64)
+    found[(rows < 0) | (at - stamps[np.maximum(rows, 0)] > STALE * 1e9)] = np.nan
+    return found
