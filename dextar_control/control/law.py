@@ -46,6 +46,8 @@ from dextar_control.symbols.singular import nearest, singular_vectors
 from dextar_control.symbols.smooth import HUGE, is_finite, over, smooth_step
 from dextar_control.symbols.types import Symbol
 
+TWIST_DAMPING = 0.35  # damping ratio that the law adds to a rotor on its transmission
+
 GAINS = (
     Field("K_p", "1/s^2", "of the error"),
     Field("K_d", "1/s", "of its rate"),
@@ -103,6 +105,17 @@ def joint_feedback(planned: Equations, a: Symbol, weight: Symbol) -> Symbol:
     return strong + J.v_weak @ (weight * over(J.u_weak.T @ a, J.sigma_weak))
 
 
+def twist_damping(inertia: Symbol, stiffness: Symbol, dt: Symbol) -> Symbol:
+    """Torque of the motors (n,) per rate of twist, N m s/rad: 0 where rigid, and less where it swings too fast for the clock.
+
+    The feedback is at the links, the motors are not: between them it excites what the transmission damps too little itself.
+    """
+    soft = stiffness > 0.0
+    spring = ca.if_else(soft, stiffness, 0.0)
+    pace = spring * dt**2 / ca.if_else(soft, inertia, 1.0)  # squared natural frequency times the period
+    return 2.0 * TWIST_DAMPING * ca.sqrt(inertia * spring) / (1.0 + pace**2)
+
+
 def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
     """One tick of a law: (p, gains, reference, estimate, integral, limit, dt) -> output, integral_next."""
     n = mechanism.n
@@ -141,6 +154,9 @@ def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
         tau, weight = e.inverse_dynamics, ca.SX(1.0)  # Eq. 4
     tau = tau + gains["friction_compensation"] * mechanism.friction(ref["q_a_dot"], p)
     tau = tau - gains["disturbance_compensation"] * hat["d"]
+    if transmission := mechanism.transmission(p):
+        inertia, stiffness, _ = transmission
+        tau = tau - twist_damping(inertia, stiffness, dt) * hat["twist_dot"]
     size = ca.fabs(tau)
     tau = ca.if_else(size < HUGE, ca.if_else(size <= limit, tau, limit * ca.sign(tau)), ca.SX.nan(n))
     found = {

@@ -22,4 +22,5 @@ ESTIMATE = (
     Field("confidence", "1", "in the assembly mode, 0.5 to 1"),
     Field("s", "1", "singularity measure"),
     Field("d", "N m", "torques that act on the joints and that the model lacks", "n"),
+    Field("twist_dot", "rad/s", "of the transmissions: motors less joints", "n"),
 )

@@ -40,6 +40,10 @@ class FiveBar(FiveBarLocus):
     parameters = (
         *(Parameter(f"{side}.axis", "m", "of the motor", size=2) for side in SIDES),
         *(number for side in SIDES for number in leg_parameters(side)),
+        *(number for side in SIDES for number in (
+            Parameter(f"{side}.transmission_stiffness", "N m/rad", "between rotor and proximal link; 0 is rigid", 0.0),
+            Parameter(f"{side}.transmission_damping", "N m s/rad", "beside it", 0.0),
+        )),
         *(number for place in PASSIVE for number in (
             Parameter(f"{place}viscous_friction", "N m s/rad", "of the joint without a motor", 0.0),
             Parameter(f"{place}coulomb_friction", "N m", "of the joint without a motor", 0.0),
@@ -179,6 +183,13 @@ class FiveBar(FiveBarLocus):
     def friction(self, q_a_dot: Symbol, p: Any) -> Symbol:
         """Of the motors."""
         return motor_friction(q_a_dot, [getattr(p, side) for side in SIDES], p.coulomb_speed)
+
+    def transmission(self, p: Any) -> tuple[Symbol, Symbol, Symbol]:
+        """Of the motors."""
+        legs = [getattr(p, side) for side in SIDES]
+        inertia, stiffness, damping = ([getattr(leg, name) for leg in legs] for name in (
+            "rotor_inertia", "transmission_stiffness", "transmission_damping"))
+        return ca.vertcat(*inertia), ca.vertcat(*stiffness), ca.vertcat(*damping)
 
     def passive_friction(self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any) -> tuple[Symbol, Symbol]:
         """Of the elbows and of the pin between the distal links."""
