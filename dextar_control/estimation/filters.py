@@ -112,19 +112,21 @@ class _Filters:
 
         b changes with the configuration: it walks as the joints move and stands still with them. A walk in time would let a
         robot that is held drift away, for at rest the joints cannot tell x from b. The covariance takes x_ddot for
-        independent of the state but d, which over a sample it nearly is. The torque's noise acts through M^-1 J_inv^T: not along
+        independent of the state but d, which over a sample it nearly is. d moves rotors and links as one: what shakes it would else
+        shake the twist, which shakes d. The torque's noise acts through M^-1 J_inv^T: not along
         t_s on the locus. Near it d stays as it is: a force along t_s would take a torque there that grows as 1/s, of the
         other sign behind the locus.
         """
         n, x, x_dot = self.n, state["x"], state["x_dot"]
         e = self.at(x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * state["x_ddot"], tau + state["d"])
-        M, x_ddot, twist, twist_dot = e.M, e.forward_dynamics, state["twist"], state["twist_dot"]
+        G = ca.solve(e.M, e.J_inv.T)  # x_ddot per torque
+        x_ddot, twist, twist_dot = e.forward_dynamics, state["twist"], state["twist_dot"]
         if transmission := transmission_over(self.mechanism.transmission(self.p), dt):
             held_back, rotors = transmission.held_back(twist, twist_dot, tau)
-            M = M - e.J_inv.T @ ca.diag(rotors) @ e.J_inv
-            x_ddot = ca.solve(M, e.J_inv.T @ (e.tau - e.friction - held_back + rotors * e.drift) - e.h)
+            links = e.M - e.J_inv.T @ ca.diag(rotors) @ e.J_inv
+            x_ddot = ca.solve(links, e.J_inv.T @ (tau - e.friction - held_back + rotors * e.drift) - e.h)
             twist, twist_dot = transmission.after(twist, twist_dot, tau, e.J_inv @ x_ddot + e.drift)
-        G = ca.solve(M, e.J_inv.T)  # x_ddot per torque
+            x_ddot += G @ state["d"]
         F = ca.SX.eye(4 * n)
         F[:n, n : 2 * n] = dt * ca.SX.eye(n)
         F[:n, 3 * n :], F[n : 2 * n, 3 * n :] = 0.5 * dt**2 * G, dt * G
