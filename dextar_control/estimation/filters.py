@@ -112,8 +112,8 @@ class _Filters:
 
         b changes with the configuration: it walks as the joints move and stands still with them. A walk in time would let a
         robot that is held drift away, for at rest the joints cannot tell x from b. The covariance takes x_ddot for
-        independent of the state but d, which over a sample it nearly is. d moves rotors and links as one: what shakes it would else
-        shake the twist, which shakes d. The torque's noise acts through M^-1 J_inv^T: not along
+        independent of the state but d, which over a sample it nearly is. d moves rotors and links as one: what shakes it would
+        else shake the twist, which shakes d. The torque's noise acts through M^-1 J_inv^T: not along
         t_s on the locus. Near it d stays as it is: a force along t_s would take a torque there that grows as 1/s, of the
         other sign behind the locus.
         """
