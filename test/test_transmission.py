@@ -62,7 +62,8 @@ def test_a_rigid_transmission_holds_nothing_back() -> None:
 @pytest.mark.parametrize(("steps", "bound"), HELD)
 def test_the_observer_predicts_the_twist_of_the_plant(robot: RobotParameters, steps: int, bound: float) -> None:
     robot = soft(robot, STIFFNESS)
-    plant, estimator = CartesianPlant(robot, substeps=SUBSTEPS), ObserverEstimator(Model.of(robot), default_settings(), robot.min_type1_distance)
+    plant = CartesianPlant(robot, substeps=SUBSTEPS)
+    estimator = ObserverEstimator(Model.of(robot), default_settings(), robot.min_type1_distance)
     plant.reset(AT)
     observer = estimator.observer
     observer.begin(AT, 1e-3)
@@ -93,7 +94,7 @@ def run(robot: RobotParameters, place: CrossingPoint, **perturbation: float) -> 
     return run_trial(robot, trial, Rig)
 
 
-@pytest.mark.parametrize("belt", [30.0, 100.0, 500.0])
+@pytest.mark.parametrize("belt", [30.0, 500.0])
 def test_a_belt_of_the_robot_file_is_crossed_with_as_if_there_was_none(
     robot: RobotParameters, place: CrossingPoint, belt: float
 ) -> None:

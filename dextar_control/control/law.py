@@ -36,6 +36,7 @@ import casadi as ca
 
 from dextar_control.contract.settings import Law
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
+from dextar_control.estimation.transmission import LEAST_INERTIA
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
@@ -110,10 +111,8 @@ def twist_damping(inertia: Symbol, stiffness: Symbol, dt: Symbol) -> Symbol:
 
     The feedback is at the links, the motors are not: between them it excites what the transmission damps too little itself.
     """
-    soft = stiffness > 0.0
-    spring = ca.if_else(soft, stiffness, 0.0)
-    pace = spring * dt**2 / ca.if_else(soft, inertia, 1.0)  # squared natural frequency times the period
-    return 2.0 * TWIST_DAMPING * ca.sqrt(inertia * spring) / (1.0 + pace**2)
+    pace = stiffness * dt**2 / ca.fmax(inertia, LEAST_INERTIA)  # squared natural frequency times the period
+    return 2.0 * TWIST_DAMPING * ca.sqrt(inertia * stiffness) / (1.0 + pace**2)
 
 
 def law_of(mechanism: Mechanism, law: Law) -> ca.Function:

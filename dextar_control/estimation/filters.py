@@ -18,7 +18,7 @@ from functools import lru_cache
 import casadi as ca
 
 from dextar_control.estimation.records import ESTIMATE
-from dextar_control.estimation.transmission import transmission_over
+from dextar_control.estimation.transmission import LEAST_STIFFNESS, transmission_over
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
@@ -198,7 +198,7 @@ class _Filters:
     def least_variance(self, noise: dict[str, Symbol]) -> Symbol:
         """Of the samples (n,), rad^2: of the encoder, and of a twist by torques that are not known."""
         numbers = self.mechanism.transmission(self.p)
-        softness = 0.0 if numbers is None else ca.if_else(numbers[1] > 0.0, 1.0 / numbers[1], 0.0)
+        softness = 0.0 if numbers is None else (numbers[1] > 0.0) / ca.fmax(numbers[1], LEAST_STIFFNESS)
         return noise["encoder"] ** 2 + (TWISTED * noise["torque"] * softness) ** 2
 
     def position(self, state: dict[str, Symbol], x_meas: Symbol) -> tuple[Symbol, Symbol]:

@@ -14,14 +14,14 @@ import casadi as ca
 from dextar_control.symbols.types import Symbol
 
 DAMPING = 0.03, 0.9  # least and largest damping ratio of rotor and transmission: none rings for ever, and all swing
-LEAST_INERTIA = 1e-7  # kg m^2 of a rotor
+LEAST_INERTIA, LEAST_STIFFNESS = 1e-7, 1.0  # kg m^2 of a rotor, N m/rad of a transmission that is not rigid
 
 
 class Transmission(NamedTuple):
     """What one sample makes of the twists (n,), linear in them, in their rates and in the drive (torque / inertia - q_a_ddot)."""
 
     inertia: Symbol  # kg m^2, of the rotors
-    twist: tuple[Symbol, Symbol, Symbol]  # next twist per twist, rate and drive; 0 where rigid
+    twist: tuple[Symbol, Symbol, Symbol]  # next twist per twist, rate and drive; nothing drives a rigid one
     rate: tuple[Symbol, Symbol, Symbol]  # next rate per the same
     dt: Symbol
 
@@ -43,15 +43,12 @@ def transmission_over(numbers: tuple[Symbol, Symbol, Symbol] | None, dt: Symbol)
     if numbers is None:
         return None
     inertia, stiffness, damping = numbers
-    soft, moved = stiffness > 0.0, ca.fmax(inertia, LEAST_INERTIA)
-    square = ca.if_else(soft, stiffness, 1.0) / moved
+    moved = ca.fmax(inertia, LEAST_INERTIA)
+    square = ca.fmax(stiffness, LEAST_STIFFNESS) / moved
     natural = ca.sqrt(square)
     decay = ca.fmin(ca.fmax(0.5 * damping / moved, DAMPING[0] * natural), DAMPING[1] * natural)
     swing = ca.sqrt(square - decay**2)
     left = ca.exp(-decay * dt)
     C, S = left * ca.cos(swing * dt), left * ca.sin(swing * dt) / swing
-    twist = C + decay * S, S, (1.0 - C - decay * S) / square
-    per_twist, per_rate, per_drive = (ca.if_else(soft, gain, rigid) for gain, rigid in (
-        (-square * S, 0.0), (C - decay * S, 1.0), (S, 0.0)))
-    a, b, c = (ca.if_else(soft, gain, 0.0) for gain in twist)
-    return Transmission(inertia, (a, b, c), (per_twist, per_rate, per_drive), dt)
+    soft, same = stiffness > 0.0, C + decay * S
+    return Transmission(inertia, (same, S, soft * (1.0 - same) / square), (-square * S, C - decay * S, soft * S), dt)
