@@ -13,7 +13,6 @@ from dextar_control.campaign.design import CrossingPoint, Trial
 from dextar_control.campaign.trial import run_trial, sample_points
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
-from dextar_control.estimation.belief import Belief
 from dextar_control.estimation.observing import ObserverEstimator
 from dextar_control.estimation.transmission import transmission_over
 from dextar_control.model.model import Model
@@ -108,13 +107,9 @@ def test_a_bounce_behind_a_belt_of_the_robot_file_is_called_so(robot: RobotParam
     assert row["recognised"] and row["missed_bounces"] == 0 and not row["held_wrong"]
 
 
-def test_a_model_that_fitted_badly_before_makes_a_test_unsure() -> None:
-    """The same samples, for a model that fitted the joints as it was told to before and for one that backlash defeats."""
-    odds = []
-    for known in (0.3, 100.0):
-        belief = Belief(mode=1.0, testing=True, misfit_known=known)
-        for _ in range(100):
-            belief.weigh(9.0, 0.0, 0.6, 0.0, 2)
-        odds.append(belief.log_odds)
-    assert odds[0] < -default_settings().passage_log_odds
-    assert abs(odds[1]) < 0.1 * default_settings().passage_log_odds
+def test_backlash_is_not_called_a_bounce_and_a_bounce_with_backlash_is(robot: RobotParameters, place: CrossingPoint) -> None:
+    """The samples of a test count as the less the worse they fitted the model before."""
+    row = run(robot, place, backlash=2e-3)
+    assert row["success"] and row["crossed"] == 2, row["reason"]
+    row = run(robot, place, backlash=2e-3, bounce=1.0)
+    assert row["recognised"] and row["missed_bounces"] == 0 and not row["held_wrong"]

@@ -86,8 +86,7 @@ class Belief:
         The noise that the filters were told is right but for a factor, which each estimates from its own innovations: of N
         samples of a size the log-likelihood ratio is N size / 2 times the logarithm of the ratio of the sums of their squares,
         and the difference of the spreads. So a model that fits badly on both sides gives no side an advantage; where both fit
-        alike the log-odds vanish, and where even the better one fits worse than it was told, or one did while the mode was known
-        (backlash, a belt that is not in the robot's file), they shrink by that factor.
+        alike the log-odds vanish, and where even the better one fits worse than it was told they shrink by that factor.
         CORRELATED and CONTRAST were chosen on simulated robots.
 
         Args:
@@ -103,7 +102,7 @@ class Belief:
         z = min(max((worse / better - CONTRAST[0]) / (CONTRAST[1] - CONTRAST[0]), 0.0), 1.0)
         contrast = z * z * z * (10.0 + z * (6.0 * z - 15.0))
         fit = 0.5 * size * self.samples * math.log(self.misfit_image / self.misfit_same)
-        misfit = max(1.0, better / (size * self.samples), self.misfit_known)
+        misfit = max(1.0, better / (size * self.samples))
         self.log_odds = self.seen + self.before + contrast * (fit + self.ratio) / (CORRELATED * misfit)
 
     def fit(self, misfit: float, dt: float) -> None:

@@ -41,7 +41,8 @@ class ObserverEstimator:
         noise.shock_gate, noise.shock_speed = settings.shock_gate**2, settings.shock_speed
         test.take(noise)
         test.disturbance_near = 1.0
-        test.encoder, test.torque = settings.passage_encoder_deviation, settings.passage_torque_deviation
+        self.observer.test_encoder = test.encoder = settings.passage_encoder_deviation
+        test.torque = settings.passage_torque_deviation
         test.acceleration = settings.passage_acceleration_deviation
         self.observer.most_lacking = settings.passage_disturbance
         self.observer.passage = Passage(settings.passage_armed, settings.passage_begin, settings.passage_log_odds)
