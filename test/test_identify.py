@@ -23,7 +23,7 @@ from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 from dextar_control.identification.dynamics import DynamicFit
 from dextar_control.identification.identification import Identification, identify_recorded
 from dextar_control.identification.recorded import Recorded
-from dextar_control.mechanisms import RUBBING_FIVE_BAR, mechanism_named
+from dextar_control.mechanisms import DETAILED_FIVE_BAR, mechanism_named
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.regressor import regressors, sizes_of, unknowns_of
 from dextar_control.planning.certificate import Plan
@@ -64,7 +64,7 @@ def identified() -> Identification:
 
 
 def true_numbers(robot: RobotParameters, found: DynamicFit) -> np.ndarray:
-    return RUBBING_FIVE_BAR.values(flatten(robot))[[one.row for one in found.unknowns]]
+    return DETAILED_FIVE_BAR.values(flatten(robot))[[one.row for one in found.unknowns]]
 
 
 def test_the_exciting_motion_keeps_clear_and_comes_back() -> None:
@@ -83,11 +83,11 @@ def test_the_exciting_motion_keeps_clear_and_comes_back() -> None:
 def test_the_exciting_motion_is_the_same_each_time_and_tells_more_than_a_line() -> None:
     short = plan_excitation(ROBOT, START, 5.0, 0.2)
     np.testing.assert_array_equal(short.trajectory.coefficients, plan_excitation(ROBOT, START, 5.0, 0.2).trajectory.coefficients)
-    p = RUBBING_FIVE_BAR.values(flatten(ROBOT))
+    p = DETAILED_FIVE_BAR.values(flatten(ROBOT))
 
     def information(way: Trajectory) -> float:
-        slopes = regressors(RUBBING_FIVE_BAR).batch("planned")(p, *way.table(np.linspace(0.0, way.duration, 1000))).torque_slopes
-        rows = (slopes * sizes_of(RUBBING_FIVE_BAR, p) / 0.005).reshape(-1, slopes.shape[2])
+        slopes = regressors(DETAILED_FIVE_BAR).batch("planned")(p, *way.table(np.linspace(0.0, way.duration, 1000))).torque_slopes
+        rows = (slopes * sizes_of(DETAILED_FIVE_BAR, p) / 0.005).reshape(-1, slopes.shape[2])
         return float(np.linalg.slogdet(np.eye(rows.shape[1]) + rows.T @ rows)[1])
 
     line = straight(START, START + [0.03, 0.02], 0.4)
@@ -100,7 +100,7 @@ def test_an_exciting_motion_needs_room(start: tuple[float, float], error: type[E
         plan_excitation(ROBOT, np.array(start), 5.0, 0.2)
 
 
-@pytest.mark.parametrize("mechanism", [RUBBING_FIVE_BAR, mechanism_named("three_rrr")], ids=lambda one: one.name)
+@pytest.mark.parametrize("mechanism", [DETAILED_FIVE_BAR, mechanism_named("three_rrr")], ids=lambda one: one.name)
 def test_the_equation_is_linear_in_what_is_looked_for(mechanism: Mechanism) -> None:
     names = [one.name for one in unknowns_of(mechanism)]
     assert not any("length" in name or "center" in name or "speed" in name for name in names)

@@ -36,6 +36,7 @@ import casadi as ca
 
 from dextar_control.contract.settings import Law
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
+from dextar_control.estimation.transmission import LEAST_INERTIA
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
@@ -45,6 +46,8 @@ from dextar_control.symbols.record import Field, Layout
 from dextar_control.symbols.singular import nearest, singular_vectors
 from dextar_control.symbols.smooth import HUGE, is_finite, over, smooth_step
 from dextar_control.symbols.types import Symbol
+
+TWIST_DAMPING = 0.35  # damping ratio that the law adds to a rotor on its transmission
 
 GAINS = (
     Field("K_p", "1/s^2", "of the error"),
@@ -104,6 +107,15 @@ def joint_feedback(planned: Equations, a: Symbol, weight: Symbol) -> Symbol:
     return strong + J.v_weak @ (weight * over(J.u_weak.T @ a, J.sigma_weak))
 
 
+def twist_damping(inertia: Symbol, stiffness: Symbol, dt: Symbol) -> Symbol:
+    """Torque of the motors (n,) per rate of twist, N m s/rad: 0 where rigid, and less where it swings too fast for the clock.
+
+    The feedback is at the links, the motors are not: between them it excites what the transmission damps too little itself.
+    """
+    pace = stiffness * dt**2 / ca.fmax(inertia, LEAST_INERTIA)  # squared natural frequency times the period
+    return 2.0 * TWIST_DAMPING * ca.sqrt(inertia * stiffness) / (1.0 + pace**2)
+
+
 def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
     """One tick of a law: (p, gains, reference, estimate, integral, limit, dt) -> output, integral_next."""
     n = mechanism.n
@@ -142,6 +154,9 @@ def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
         tau, weight = e.inverse_dynamics, ca.SX(1.0)  # Eq. 4
     tau = tau + gains["friction_compensation"] * mechanism.friction(ref["q_a_dot"], p)
     tau = tau - gains["disturbance_compensation"] * hat["d"]
+    if transmission := mechanism.transmission(p):
+        inertia, stiffness, _ = transmission
+        tau = tau - twist_damping(inertia, stiffness, dt) * hat["twist_dot"]
     size = ca.fabs(tau)
     tau = ca.if_else(size < HUGE, ca.if_else(size <= limit, tau, limit * ca.sign(tau)), ca.SX.nan(n))
     found = {

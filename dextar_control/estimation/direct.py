@@ -76,8 +76,8 @@ def direct_of(mechanism: Mechanism) -> Library:
     def estimate(joint: dict[str, Symbol], x: Symbol, x_dot: Symbol) -> Symbol:
         s = equations.at(vector, joint["q"], x, x_dot).s
         return estimates.join({"x": x, "x_dot": x_dot, "q_a": joint["q"], "q_a_dot": joint["q_dot"], "assembly_mode": mode,
-                               "confidence": before["confidence"], "s": s, "d": resting, "b": resting, "innovation": resting,
-                               "innovation_square": ca.SX(0.0)})
+                               "confidence": before["confidence"], "s": s, "d": resting, "b": resting, "twist_dot": resting,
+                               "innovation": resting, "innovation_square": ca.SX(0.0)})
 
     followed = track_joints(memory, q_meas, ref["q_a"], ref["q_a_dot"], dt, bandwidth)
     trust = smooth_step(ca.fabs(ref["s"]), zone, zone + width) * smooth_step(outside, 0.0, returning)

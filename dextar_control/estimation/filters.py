@@ -2,7 +2,8 @@
 
 State (x, x_dot, b, d). Process: x_ddot by the forward dynamics under the torque that was commanded and d, which is
 regular on the locus; near it the input torques do not act along t_s, so the filter coasts there.
-Measurement: q_a = inverse geometric model(x) + b, regular as well; along t_s it says nothing on the locus.
+Measurement: q_a = inverse geometric model(x) + b, regular as well; along t_s it says nothing on the locus. Where the transmission
+is compliant its twist comes to it, which follows from the torque (``estimation.transmission``).
 b (n,) is what a wrong geometry adds to the joint angles: without it a tenth of a millimetre is taken for
 motion along t_s, amplified by 1/s. Where the weak direction of J_inv does not see x it sees b.
 d (n,) is what acts on the joints and the model lacks: friction, tilt, a payload, wrong masses. Friction turns round with
@@ -17,6 +18,7 @@ from functools import lru_cache
 import casadi as ca
 
 from dextar_control.estimation.records import ESTIMATE
+from dextar_control.estimation.transmission import LEAST_STIFFNESS, transmission_over
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
@@ -34,6 +36,7 @@ UNSURE_BIAS = 2.0  # of its b, that x makes up for in the joints, over that of t
 KEPT = 0.05, 0.3  # |s| between which what is seen begins to correct d
 CLEAR = 0.2, 0.4  # |s| between which the scatter of the samples begins to count
 JUMP = 4.0  # times the variance of a sample as it was known, beyond which one jump of the innovation counts for no more
+TWISTED = 3.0  # times the twist by the torque of the process noise, that counts as noise of a sample
 SCATTER = 0.02, 0.3  # s over which the scatter of the samples is averaged, where it rises and where it falls
 BLIND = 0.02  # s before a position in which at most a blow near the locus may have gone unseen
 
@@ -46,6 +49,8 @@ FILTER = (
     Field("innovation", "rad", "of the last sample", "n"),
     Field("innovation_square", "1", "of the last sample, normalised by its covariance"),
     Field("scatter", "rad^2", "of the samples about a smooth motion: mean squared step of the innovation, halved", "n"),
+    Field("twist", "rad", "of the transmissions: motors less joints", "n"),
+    Field("twist_dot", "rad/s", "its rate", "n"),
     Field("covariance", "SI", "of (x, x_dot, b, d)", "4n", "4n"),
 )
 NOISE = (
@@ -99,8 +104,8 @@ class _Filters:
             ca.horzcat(zero, zero, zero, noise["disturbance"] ** 2 * one),
         )
         rest = ca.SX.zeros(self.n)
-        return {"x": x, "x_dot": rest, "b": rest, "d": rest, "x_ddot": rest, "innovation": rest,
-                "innovation_square": ca.SX(0.0), "scatter": rest, "covariance": covariance}
+        return {"x": x, "x_dot": rest, "b": rest, "d": rest, "x_ddot": rest, "innovation": rest, "innovation_square": ca.SX(0.0),
+                "scatter": rest, "twist": rest, "twist_dot": rest, "covariance": covariance}
 
     def predict(
         self, noise: dict[str, Symbol], state: dict[str, Symbol], tau: Symbol, dt: Symbol, *, test: bool = False
@@ -109,13 +114,20 @@ class _Filters:
 
         b changes with the configuration: it walks as the joints move and stands still with them. A walk in time would let a
         robot that is held drift away, for at rest the joints cannot tell x from b. The covariance takes x_ddot for
-        independent of the state but d, which over a sample it nearly is. The torque's noise acts through M^-1 J_inv^T: not along
-        t_s on the locus. The d of a filter of the test may turn round with its joint, as friction does.
+        independent of the state but d, which over a sample it nearly is. d moves rotors and links as one: what shakes it would
+        else shake the twist, which shakes d. The torque's noise acts through M^-1 J_inv^T: not along t_s on the locus. The d of a
+        filter of the test may turn round with its joint, as friction does.
         """
         n, x, x_dot = self.n, state["x"], state["x_dot"]
         e = self.at(x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * state["x_ddot"], tau + state["d"])
-        x_ddot = e.forward_dynamics
         G = ca.solve(e.M, e.J_inv.T)  # x_ddot per torque
+        x_ddot, twist, twist_dot = e.forward_dynamics, state["twist"], state["twist_dot"]
+        if transmission := transmission_over(self.mechanism.transmission(self.p), dt):
+            held_back, rotors = transmission.held_back(twist, twist_dot, tau)
+            links = e.M - e.J_inv.T @ ca.diag(rotors) @ e.J_inv
+            x_ddot = ca.solve(links, e.J_inv.T @ (tau - e.friction - held_back + rotors * e.drift) - e.h)
+            twist, twist_dot = transmission.after(twist, twist_dot, tau, e.J_inv @ x_ddot + e.drift)
+            x_ddot += G @ state["d"]
         F = ca.SX.eye(4 * n)
         F[:n, n : 2 * n] = dt * ca.SX.eye(n)
         F[:n, 3 * n :], F[n : 2 * n, 3 * n :] = 0.5 * dt**2 * G, dt * G
@@ -128,7 +140,7 @@ class _Filters:
             walk += 2.0 * turned * noise["disturbance_turn"] ** 2
         P[3 * n :, 3 * n :] += ca.diag(walk)
         return state | {"x": x + dt * (x_dot + 0.5 * dt * x_ddot), "x_dot": x_dot + dt * x_ddot, "x_ddot": x_ddot,
-                        "covariance": _symmetric(P)}
+                        "twist": twist, "twist_dot": twist_dot, "covariance": _symmetric(P)}
 
     def shocked(self, noise: dict[str, Symbol], state: dict[str, Symbol], dt: Symbol, struck: Symbol) -> dict[str, Symbol]:
         """Where ``struck`` is 1, a blow somewhere in the last dt: x_dot is up to shock_speed off, and x what came of it."""
@@ -140,7 +152,7 @@ class _Filters:
         """(innovation (n,), rad, of the active joints on any turn, and their Jacobian (n, 4n))."""
         e = self.at(state["x"], ca.SX.zeros(self.n))
         H = ca.horzcat(e.J_inv, ca.SX(self.n, self.n), ca.SX.eye(self.n), ca.SX(self.n, self.n))
-        return wrapped(q_meas - e.q_a - state["b"]), H
+        return wrapped(q_meas - e.q_a - state["b"] - state["twist"]), H
 
     def update(
         self, state: dict[str, Symbol], innovation: Symbol, H: Symbol, variance: Symbol, parts: Sequence[Sequence[int]],
@@ -174,8 +186,9 @@ class _Filters:
         the locus.
         """
         innovation, H = self.innovation(state, q_meas)
-        variance = noise["encoder"] ** 2 + noise["scatter_gain"] * state["scatter"]
-        _, S = _gain_parts(state["covariance"], H, noise["encoder"] ** 2 + state["scatter"])
+        least = self.least_variance(noise)
+        variance = least + noise["scatter_gain"] * state["scatter"]
+        _, S = _gain_parts(state["covariance"], H, least + state["scatter"])
         struck = ca.if_else(ca.dot(innovation, ca.solve(S, innovation)) > noise["shock_gate"], 1.0, 0.0)
         near = ca.fabs(self.at(state["x"], ca.SX.zeros(self.n)).s)
         counts = smooth_step(near, *CLEAR) * (1.0 - struck)
@@ -192,7 +205,13 @@ class _Filters:
         self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
         """Take the active joints (n,), rad; see ``update`` for what is returned, with a part for each block."""
-        return self.update(state, *self.innovation(state, q_meas), noise["encoder"] ** 2, [rows for rows, _ in self.blocks])
+        return self.update(state, *self.innovation(state, q_meas), self.least_variance(noise), [rows for rows, _ in self.blocks])
+
+    def least_variance(self, noise: dict[str, Symbol]) -> Symbol:
+        """Of the samples (n,), rad^2: of the encoder, and of a twist by torques that are not known."""
+        numbers = self.mechanism.transmission(self.p)
+        softness = 0.0 if numbers is None else (numbers[1] > 0.0) / ca.fmax(numbers[1], LEAST_STIFFNESS)
+        return noise["encoder"] ** 2 + (TWISTED * noise["torque"] * softness) ** 2
 
     def position(self, state: dict[str, Symbol], x_meas: Symbol) -> tuple[Symbol, Symbol]:
         """(innovation (n,), m, of an external position, and its Jacobian (n, 4n))."""
@@ -263,8 +282,8 @@ class _Filters:
                             "folded": folded[block], "square": square[block], "spread": spread[block]})
             for block, slope in enumerate(ca.vertsplit(slopes))
         ]
-        now = {"x": state["x"], "x_dot": state["x_dot"], "q_a": e.q_a + state["b"], "q_a_dot": e.q_a_dot, "s": e.s}
-        now |= {name: state[name] for name in ("d", "b", "innovation", "innovation_square")}
+        now = {name: state[name] for name in ("x", "x_dot", "d", "b", "twist_dot", "innovation", "innovation_square")}
+        now |= {"q_a": e.q_a + state["b"] + state["twist"], "q_a_dot": e.q_a_dot, "s": e.s}
         return {"told": ca.vertcat(*told), "estimate_next": self.estimate.join(estimate | now)}
 
 

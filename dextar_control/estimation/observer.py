@@ -69,6 +69,7 @@ class Observer:
         main: the filter that serves.
         same: from the main one's state, told of less noise; while there is no test it tells how well the model fits.
         noise: that the main filter is told of; test_noise: that the others are.
+        test_encoder: standard deviation of a sample that those are told of where the model fits, rad.
         most_lacking: torque at a joint that the model may lack, N m; a test allows for what it lacked while the side was known.
         sides: of the blocks of A_r, mostly one, whose belief, told and image are the observer's.
         modes: (assembly mode, confidence in it) of each block as ``tell_side`` was last called.
@@ -85,7 +86,7 @@ class Observer:
         self.estimate.s = math.nan
         self.passage = Passage(0.0, 0.0, 0.0)
         self._finite = True
-        self.most_lacking, self._lacking = 0.0, [0.0] * model.n
+        self.test_encoder, self.most_lacking, self._lacking = 0.0, 0.0, [0.0] * model.n
         self._p, self._library = model.p, filters_of(model.mechanism)
         self._model = model
         self._rows = [len(rows) for rows in model.blocks]
@@ -269,12 +270,14 @@ class Observer:
     def _compare_with_main(self) -> None:
         """The filter that tells how well the model fits starts from the main one.
 
-        In a test it and the image allow for as much torque as the model lacked while the side was known.
+        In a test it and the image allow for as much torque as the model lacked while the side was known, and take the samples for
+        as much worse as they fitted the model worse then (backlash, a belt that is not in the robot's file).
         """
-        lacking = self.most_lacking
-        if any(side.belief.testing for side in self.sides):
+        noise, lacking, misfit = self.test_noise, self.most_lacking, 1.0
+        if known := [side.belief.misfit_known for side in self.sides if side.belief.testing]:
             lacking = min(max(LEAST_LACKING, *map(abs, self._lacking)), lacking)
-        noise = self.test_noise
+            misfit = max(misfit, *known)
+        noise.encoder = self.test_encoder * math.sqrt(misfit)
         noise.disturbance = noise.disturbance_turn = lacking
         noise.disturbance_walk = WALK * lacking
         self.same.take(self.main)

@@ -40,10 +40,12 @@ class ObserverEstimator:
         noise.disturbance, noise.disturbance_walk = settings.disturbance_deviation, settings.disturbance_walk
         noise.shock_gate, noise.shock_speed = settings.shock_gate**2, settings.shock_speed
         allowed = test.disturbance, test.disturbance_turn, test.disturbance_walk  # of a test that may be going on
+        worse = test.encoder / self.observer.test_encoder if self.observer.test_encoder else 1.0
         test.take(noise)
         test.disturbance, test.disturbance_turn, test.disturbance_walk = allowed
-        test.encoder, test.torque = settings.passage_encoder_deviation, settings.passage_torque_deviation
-        test.bias = settings.passage_bias_deviation
+        test.encoder = settings.passage_encoder_deviation * worse
+        self.observer.test_encoder = settings.passage_encoder_deviation
+        test.torque, test.bias = settings.passage_torque_deviation, settings.passage_bias_deviation
         test.acceleration = settings.passage_acceleration_deviation
         self.observer.most_lacking = settings.passage_disturbance
         self.observer.passage = Passage(settings.passage_armed, settings.passage_begin, settings.passage_log_odds)

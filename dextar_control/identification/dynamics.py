@@ -19,7 +19,7 @@ from scipy.optimize import lsq_linear
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.identification.fit import MEDIAN
 from dextar_control.identification.motion import BLOCK, Motion
-from dextar_control.mechanisms import RUBBING_FIVE_BAR
+from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.regressor import Unknown, regressors, sizes_of, unknowns_of
 from dextar_control.symbols.types import Array
 
@@ -108,7 +108,7 @@ class _Rows(NamedTuple):
 
 def rows_of(p: Array, motion: Motion) -> _Rows:
     """The equation along a motion for some numbers."""
-    found = regressors(RUBBING_FIVE_BAR).batch("gap")(p, motion.q_a, motion.x, motion.x_dot, motion.x_ddot, motion.tau)
+    found = regressors(DETAILED_FIVE_BAR).batch("gap")(p, motion.q_a, motion.x, motion.x_dot, motion.x_ddot, motion.tau)
     late = np.einsum("mji,mj->mi", found.J_inv, motion.tau_dot)
     parts = (found.gap, found.slopes, found.J_inv, found.inertia, late)
     return _Rows(*(motion.filtered(part) for part in parts))
@@ -126,10 +126,10 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFi
         robot: as described, where the search begins.
         motions: of it, at least one of which has instants.
     """
-    p = RUBBING_FIVE_BAR.values(flatten(robot))
-    unknowns, sizes = unknowns_of(RUBBING_FIVE_BAR), sizes_of(RUBBING_FIVE_BAR, p)
+    p = DETAILED_FIVE_BAR.values(flatten(robot))
+    unknowns, sizes = unknowns_of(DETAILED_FIVE_BAR), sizes_of(DETAILED_FIVE_BAR, p)
     columns, k, count = [one.row for one in unknowns], len(unknowns), len(motions)
-    before, turn_over = p[columns], RUBBING_FIVE_BAR.rows_of("coulomb_speed")
+    before, turn_over = p[columns], DETAILED_FIVE_BAR.rows_of("coulomb_speed")
     which = np.concatenate([np.full(len(motion.tells), row) for row, motion in enumerate(motions)])
     time = np.concatenate([motion.time[motion.tells] for motion in motions])
     blocks = np.unique(np.stack([which, np.floor(time / BLOCK).astype(np.int64)]), axis=1, return_inverse=True)[1].ravel()

@@ -17,7 +17,7 @@ from dextar_control.identification.motion import EXCITE, LEAST_RATE, LEAST_S, Mo
 from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, in_words, rms_of
 from dextar_control.identification.recorded import Recorded, recorded_of
 from dextar_control.identification.transmission import Stiffness, stiffnesses_of
-from dextar_control.mechanisms import RUBBING_FIVE_BAR
+from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.mechanisms.five_bar_locus import SIDES
 
 LEAST_SPAN = 0.05  # rad, that each joint has to move
@@ -98,7 +98,7 @@ def identify(runs: Sequence[Run], *, progress: Progress = lambda stage: None) ->
     Raises:
         CalibrationError: the recordings cannot tell what is looked for, contradict each other or the description.
     """
-    robot = common_robot(runs, lambda one: RUBBING_FIVE_BAR.values(flatten(one)), "description")
+    robot = common_robot(runs, lambda one: DETAILED_FIVE_BAR.values(flatten(one)), "description")
     return identify_recorded(robot, [recorded_of(run, robot, EXCITE) for run in runs], progress=progress)
 
 
@@ -146,7 +146,7 @@ def predict_torques(identification: Identification, run: Run) -> TorquePredictio
         raise CalibrationError(f"{run.path} cannot check: {_too_little([motion])}")
     rests = []
     for robot in (identification.before, identification.after):
-        rows = rows_of(RUBBING_FIVE_BAR.values(flatten(robot)), motion)
+        rows = rows_of(DETAILED_FIVE_BAR.values(flatten(robot)), motion)
         rests.append(rest_of(rows, rows.gap))
     counts = np.abs(rests[1]).max(axis=1) <= 5.0 * np.median(np.abs(rests[1]).max(axis=1))
     return TorquePrediction(

@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.identification.recorded import Recorded
-from dextar_control.mechanisms import RUBBING_FIVE_BAR
+from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.model import library_of
 from dextar_control.model.regressor import regressors
 from dextar_control.symbols.types import Array
@@ -74,8 +74,8 @@ class Motion:
 
 def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
     """What of a recorded motion tells something; it may be empty."""
-    p = RUBBING_FIVE_BAR.values(flatten(robot) | {"working_mode": recorded.working_mode})
-    library, made = library_of(RUBBING_FIVE_BAR), regressors(RUBBING_FIVE_BAR)
+    p = DETAILED_FIVE_BAR.values(flatten(robot) | {"working_mode": recorded.working_mode})
+    library, made = library_of(DETAILED_FIVE_BAR), regressors(DETAILED_FIVE_BAR)
     direct, moving = (partial(one, p) for one in (library.batch("direct_geometric_model"), made.batch("motion")))
     period = float(np.median(np.diff(recorded.time)))
     smooth, parallel = (butter(ORDER, min(cutoff, 0.4 / period), fs=1.0 / period, output="sos") for cutoff in (CUTOFF, PARALLEL))

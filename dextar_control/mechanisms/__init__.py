@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.mechanisms.five_bar import FiveBar, RubbingFiveBar
+from dextar_control.mechanisms.five_bar import DetailedFiveBar, FiveBar
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.three_rrr import ThreeRRR
 
@@ -12,13 +12,13 @@ MECHANISMS: dict[str, Mechanism] = {mechanism.name: mechanism for mechanism in (
 """Those that a robot's file can name."""
 
 
-RUBBING_FIVE_BAR = RubbingFiveBar()
+DETAILED_FIVE_BAR = DetailedFiveBar()
 
 
 def five_bar_of(values: Mapping[str, Any]) -> Mechanism:
-    """The five-bar of these values: with friction of its passive joints where there is some."""
-    rubs = any(values.get(parameter.name) for parameter in RUBBING_FIVE_BAR.passive)
-    return RUBBING_FIVE_BAR if rubs else MECHANISMS["five_bar"]
+    """The five-bar of these values: with friction of its passive joints and elastic transmissions where there is some."""
+    detailed = any(values.get(parameter.name) for parameter in DETAILED_FIVE_BAR.detail)
+    return DETAILED_FIVE_BAR if detailed else MECHANISMS["five_bar"]
 
 
 def mechanism_named(name: str) -> Mechanism:

@@ -177,15 +177,24 @@ class FiveBar(FiveBarLocus):
         return friction(q_a_dot, [getattr(p, side) for side in SIDES], p.coulomb_speed)
 
 
-class RubbingFiveBar(FiveBar):
-    """The same with friction of elbows and pin, whose smoothed change of sign costs each tick some time."""
+class DetailedFiveBar(FiveBar):
+    """The same with friction of elbows and pin and elastic transmissions, which cost each tick some time."""
 
-    passive = (
+    detail = (
         *(Parameter(f"{side}.{name}", unit, "of the elbow", 0.0) for side in SIDES for name, unit in PASSIVE),
         Parameter("pin_viscous_friction", "N m s/rad", "between the distal links", 0.0),
         Parameter("pin_coulomb_friction", "N m", "between the distal links", 0.0),
+        *(Parameter(f"{side}.transmission_stiffness", "N m/rad", "of rotor and proximal link; 0 is rigid", 0.0) for side in SIDES),
+        *(Parameter(f"{side}.transmission_damping", "N m s/rad", "beside it", 0.0) for side in SIDES),
     )
-    parameters = (*FiveBar.parameters, *passive)
+    parameters = (*FiveBar.parameters, *detail)
+
+    def transmission(self, p: Any) -> tuple[Symbol, Symbol, Symbol]:
+        """Of the motors."""
+        legs = [getattr(p, side) for side in SIDES]
+        inertia, stiffness, damping = ([getattr(leg, name) for leg in legs] for name in (
+            "rotor_inertia", "transmission_stiffness", "transmission_damping"))
+        return ca.vertcat(*inertia), ca.vertcat(*stiffness), ca.vertcat(*damping)
 
     def passive_friction(self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any) -> tuple[Symbol, Symbol]:
         """Of the left elbow, the right one and the pin."""

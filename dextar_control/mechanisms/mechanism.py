@@ -211,6 +211,13 @@ class Mechanism(ABC):
         """
         return ca.SX(0, 1), ca.SX(0, 1)
 
+    def transmission(self, p: Any) -> tuple[Symbol, Symbol, Symbol] | None:
+        """(rotor inertia, kg m^2, stiffness, N m/rad, 0 where rigid, damping, N m s/rad), (n,) each, between motors and joints.
+
+        None where all are rigid.
+        """
+        return None
+
     def symbols(self) -> tuple[Symbol, Any]:
         """(all parameters as one vector, the same by their dotted names)."""
         vector = ca.SX.sym("p", sum(parameter.size for parameter in self.parameters))

@@ -139,8 +139,6 @@ def equations(mechanism: Mechanism) -> Equations:
         return rate - ca.gradient(L, position) + ca.jacobian(rates, velocity).T @ opposing
 
     w_b, w_d = euler_lagrange(q_a, v), euler_lagrange(x, x_dot)  # Eq. 3
-    rates, rubbing = mechanism.passive_friction(q_a, x, v, x_dot, p)
-    w_b, w_d = (w + ca.jacobian(rates, speed).T @ rubbing for w, speed in ((w_b, v), (w_d, x_dot)))
     M_a, M_x = ca.jacobian(w_b, a), ca.jacobian(w_d, x_ddot)  # Eq. 10
     M_ax = ca.jacobian(w_b, x_ddot)  # Eq. 10, cross terms
     at_rest = ca.vertcat(a, x_ddot), ca.SX.zeros(2 * n)

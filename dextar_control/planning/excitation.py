@@ -15,7 +15,7 @@ import numpy as np
 
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.contract.robot import RobotParameters, flatten
-from dextar_control.mechanisms import RUBBING_FIVE_BAR
+from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.regressor import regressors, sizes_of
 from dextar_control.planning.certificate import PLAN_RESIDUAL, Plan, measure
 from dextar_control.planning.checks import beyond_range, certify
@@ -111,9 +111,9 @@ class _Search:
 
     def __init__(self, robot: RobotParameters, start: Array, sign: float) -> None:
         self._robot, self._start, self._sign = robot, start, sign
-        self._p = RUBBING_FIVE_BAR.values(flatten(robot))
-        self._slopes = partial(regressors(RUBBING_FIVE_BAR).batch("planned"), self._p)
-        self._sizes = sizes_of(RUBBING_FIVE_BAR, self._p)
+        self._p = DETAILED_FIVE_BAR.values(flatten(robot))
+        self._slopes = partial(regressors(DETAILED_FIVE_BAR).batch("planned"), self._p)
+        self._sizes = sizes_of(DETAILED_FIVE_BAR, self._p)
         self._phases = 2.0 * np.pi * np.arange(SAMPLES + 1) / SAMPLES
         self._harmonics = np.arange(1, HARMONICS + 1)
 
