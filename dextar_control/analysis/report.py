@@ -92,7 +92,8 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
         ("saturated commands", saturated(metrics)),
         (
             "loop rate (system clock)",
-            f"{_number(metrics.loop_rate, '.0f')} Hz median, {_number(metrics.mean_rate, '.0f')} Hz mean",
+            f"{_number(metrics.loop_rate, '.0f')} Hz median, {_number(metrics.mean_rate, '.0f')} Hz mean"
+            f"{_pace(metrics)}",
         ),
         ("states without command", f"{metrics.missed} of {metrics.states}"),
         ("steps without it in time", _late(metrics)),
@@ -136,7 +137,15 @@ def _verdicts(metrics: Metrics) -> str:
     return text
 
 
+def _pace(metrics: Metrics) -> str:
+    """How fast a simulation that waits for its commands ran."""
+    factor = metrics.mean_rate * metrics.timing.stamp_period
+    return f"; {factor:.2f} × real time" if metrics.timing.lockstep and math.isfinite(factor) else ""
+
+
 def _late(metrics: Metrics) -> str:
+    if metrics.timing.lockstep:
+        return "none: each step waited for it"
     if metrics.late_ticks is None:
         return "not counted"
     share = f" ({metrics.late_ticks / metrics.plant_steps:.0%})" if metrics.plant_steps else ""

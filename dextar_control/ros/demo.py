@@ -153,7 +153,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
     ros_arguments = _node_arguments(values, files)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain = choose_domain()
-    mode = "lockstep" if arguments.lockstep else "real time"
+    mode = "real time" if arguments.real_time else "as fast as possible" if arguments.pace == 0.0 else "each step waits for its command"
     chosen = "".join(f"{name} {getattr(arguments, name)}, " for name in ("law", "estimator") if getattr(arguments, name))
     said = f"{chosen}{mode}, ROS_DOMAIN_ID={domain}, into {folder}"
     console.print(said, soft_wrap=True)
@@ -188,9 +188,10 @@ def run_demo(arguments: argparse.Namespace) -> int:
 def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     """NAME:=VALUE of each node."""
     given: dict[str, dict[str, Any]] = {name: {} for name in MODULES}
-    given["plant"] |= {"mode": "lockstep" if arguments.lockstep else "realtime", "start_paused": True}
+    given["plant"] |= {"mode": "realtime" if arguments.real_time else "lockstep", "start_paused": True}
+    given["plant"] |= {} if arguments.pace is None else {"real_time_factor": arguments.pace}
     given["plant"] |= {"window": True} if arguments.window else {}
-    given["controller"] |= {"lockstep": arguments.lockstep}
+    given["controller"] |= {"lockstep": not arguments.real_time}
     given["trajectory_server"] |= {"autostart": True}
     for name in ("law", "estimator"):
         if getattr(arguments, name) is not None:
