@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 import sys
 from collections import Counter
@@ -148,23 +147,6 @@ def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoS
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
     )
-
-
-class WithInfo:
-    """A subscription's callback that wants the MessageInfo too, for both kinds of executor.
-
-    rclpy's events executor (7.1) hands message and info over as one tuple, the others as two arguments.
-    """
-
-    __signature__ = inspect.signature(lambda message, info: None)  # noqa: ARG005  by which rclpy tells what is wanted
-
-    def __init__(self, take: Callable[[bytes, Mapping[str, int]], None]) -> None:
-        self._take = take
-
-    def __call__(self, *given: Any) -> None:
-        """One message."""
-        message, info = given if len(given) == 2 else given[0]
-        self._take(message, info)
 
 
 class DextarNode(Node):

@@ -19,8 +19,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS, from_time
 from dextar_control.contract.errors import DextarError, ParameterError, StateError
-from dextar_control.contract.node import Parameter, WithInfo, qos, run_node
+from dextar_control.contract.node import Parameter, qos, run_node
+from dextar_control.contract.scheduling import precise_timers
 from dextar_control.contract.settings import Estimation, Law, Settings
+from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import LIMP, Phase, Tick
@@ -124,6 +126,7 @@ PARAMETERS = (
 
 SWITCH_INTERVAL = 2e-4  # s until the thread that checks a trajectory lets the control thread go on
 WATCH_PERIOD = 0.01  # s
+MOST_AT_ONCE = 10  # states that are answered before what else is due
 SERVED_PER_WATCH = 2  # requests: 200 a second are plenty for an operator; the longest, all parameters at once, costs about 1 ms
 DIAGNOSTICS_PERIOD = 0.2  # s
 TELL_PERIOD = 1.0  # s between two lines about the external pose
@@ -164,11 +167,11 @@ class ControllerNode(ManagedNode):
         self._begun = -1
         self._pose_note = ""
         self._pose_told = -math.inf
+        self._states: Any = None
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_timer(WATCH_PERIOD, self._watch, clock=self.steady_clock)
-        self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
+        self._watched = self._diagnosed = 0.0
         sys.setswitchinterval(SWITCH_INTERVAL)
         if self.values["autostart"]:
             for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
@@ -191,10 +194,9 @@ class ControllerNode(ManagedNode):
         self._poses = ExternalPoseReader(self) if loop.settings.estimator is Estimation.EXTERNAL else None
         if self._poses is not None:
             self._closers.append(self._poses.close)
-        states = self.create_subscription(
-            JointState, JOINT_STATES.name, WithInfo(self._hear), qos(JOINT_STATES, reliable=self._lockstep), raw=True
-        )
-        self._closers.append(lambda: self.destroy_subscription(states))
+        profile = qos(JOINT_STATES, reliable=self._lockstep)
+        self._states = self.create_polled_subscription(JointState, JOINT_STATES.name, profile, raw=True)
+        self._closers.append(self._close_states)
         self._automatic = values["enabled"] and not self._latched[0]  # after a fault somebody has to ask
         self._enabling = "waiting" if self._automatic else "off"
         self._loop = loop
@@ -244,6 +246,10 @@ class ControllerNode(ManagedNode):
         while self._closers:
             self._closers.pop()()
 
+    def _close_states(self) -> None:
+        self.destroy_subscription(self._states)
+        self._states = None
+
     def on_transition(self) -> None:
         """Tell it."""
         self._diagnose()
@@ -277,6 +283,31 @@ class ControllerNode(ManagedNode):
         """The steady clock, s; None in lockstep, where states may come at any pace."""
         return None if self._lockstep else time.perf_counter()
 
+    def turn(self, executor: Any) -> None:
+        """The states that have come, or come soon, and what is due besides: that is done when they are answered.
+
+        No executor serves the states: its callbacks, and timers that fire when the next state comes, would make its answer late.
+        """
+        left = max(0.0, self._watched + WATCH_PERIOD - time.perf_counter())
+        if self._states is None:
+            executor.spin_once(timeout_sec=left)
+        else:
+            self.wait_for(self._states, left)
+            take = self._states.handle.take_message
+            for _ in range(MOST_AT_ONCE):
+                if (taken := take(JointState, True)) is None:
+                    break
+                self._hear(*taken)
+        now = time.perf_counter()
+        if now - self._watched < WATCH_PERIOD:
+            return
+        self._watched = now
+        self._watch()
+        if now - self._diagnosed >= DIAGNOSTICS_PERIOD:
+            self._diagnosed = now
+            self._diagnose()
+            executor.spin_once(timeout_sec=0.0)
+
     def _hear(self, raw: bytes, info: Mapping[str, int]) -> None:
         """A state, and what the middleware tells of it: its publisher's number, and when it was sent."""
         self._stream.hear(info.get("publication_sequence_number"), time.perf_counter())
@@ -293,8 +324,10 @@ class ControllerNode(ManagedNode):
             if stamp == self._stamp and self._outputs.answered:
                 self._repeat(stamp)
                 return
-            self._check_gap(loop, stamp)
             limit, arrival = self.values["state_timeout"], None if self._lockstep else begin
+            gap = (stamp - self._stamp) / NANOSECONDS if self._stamp >= 0 else 0.0
+            if gap > limit and loop.phase not in (Phase.IDLE, Phase.FAULT):
+                loop.fault(f"no state for {1e3 * gap:.1f} ms; the limit is {1e3 * limit:.1f} ms")
             self._stream.take(stamp, limit, arrival)
             if self._automatic and self._stream.healthy_for(limit, arrival) >= self.values["healthy_time"]:
                 self._enable_itself()
@@ -303,10 +336,13 @@ class ControllerNode(ManagedNode):
         except DextarError as error:
             self._refuse(loop, error)
             return
+        self._outputs.command(stamp, tau.tolist())
+        assert loop.tick is not None
+        self._outputs.tell(stamp, loop.tick, self._verdict(loop, loop.tick))
+        if self._stamp >= 0:
+            self._statistics.spaced(gap, self._period)
         self._stamp = stamp
         self._stalled = False
-        assert loop.tick is not None
-        self._outputs.answer(stamp, tau, loop.tick, self._verdict(loop, loop.tick))
         if (loop.phase, loop.reason) != self._said:
             self._say(answered=True)
         self._statistics.arrived(stamp, begin, self._published)
@@ -344,14 +380,6 @@ class ControllerNode(ManagedNode):
         while self._begun + 1 < len(passed) and passed[self._begun + 1].planned_time <= begun:
             self._begun += 1
         return float(passed[self._begun].verdict) if self._begun >= 0 else 0.0
-
-    def _check_gap(self, loop: ControlLoop, stamp: int) -> None:
-        if self._stamp < 0:
-            return
-        gap = (stamp - self._stamp) / NANOSECONDS
-        self._statistics.spaced(gap, self._period)
-        if gap > self.values["state_timeout"] and loop.phase not in (Phase.IDLE, Phase.FAULT):
-            loop.fault(f"no state for {1e3 * gap:.1f} ms; the limit is {1e3 * self.values['state_timeout']:.1f} ms")
 
     def _refuse(self, loop: ControlLoop, error: DextarError) -> None:
         """No torque for a state that cannot be used; a broken first state or a bad number is a fault."""
@@ -602,9 +630,16 @@ def _check_mode(values: Mapping[str, Any]) -> None:
         raise ParameterError("parameter 'assembly_mode' = 0; it must be +1 or -1")
 
 
+def spin(node: ControllerNode, executor: Any, stop: StopSignal) -> None:
+    """The node's own loop, until a signal."""
+    precise_timers()
+    while not stop and not node.finished:
+        node.turn(executor)
+
+
 def main(args: list[str] | None = None) -> int:
     """Console entry."""
-    return run_node(ControllerNode, args)
+    return run_node(ControllerNode, args, spin)
 
 
 if __name__ == "__main__":
