@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import rclpy
@@ -334,6 +336,13 @@ def make_executor(kind: str = "events") -> Any:
     return rclpy.executors.SingleThreadedExecutor()
 
 
+def prepare_middleware() -> None:
+    """Name ``config/fastdds.xml`` to Fast DDS, unless the user has a file of profiles; other middleware does not read it."""
+    names = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+    if not any(os.environ.get(name) for name in names) and not Path("DEFAULT_FASTRTPS_PROFILES.xml").exists():
+        os.environ[names[0]] = str(resources.config_file(resources.MIDDLEWARE_FILE))
+
+
 def run_node(
     make: Callable[[], Any],
     args: list[str] | None = None,
@@ -355,6 +364,7 @@ def run_node(
         words = sys.argv[1:] if args is None else args
         if (code := _answer(make, words)) is not None:
             return code
+        prepare_middleware()
         rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
         stop.starting = False
