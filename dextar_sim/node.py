@@ -384,7 +384,8 @@ class PlantNode(DextarNode):
         if self.lockstep:  # at the pace of the answers
             waits = time.monotonic() - self._published_at
             told = self.counts["commands_received"] > 0 and not self.paused and not self.answered and waits > REPEAT_AFTER
-            return f"for {waits:.1f} s no command has answered the state of {self._published} ns: simulated time waits" if told else ""
+            words = f"for {waits:.1f} s no command has answered the state of {self._published} ns: simulated time waits"
+            return words if told else ""
         ran = after.ran - before.ran
         return "; ".join(keeping_pace(after.steps - before.steps, after.late - before.late, ran, self.period_ns))
 

@@ -12,7 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     parser.add_argument("--demos", type=int, metavar="N", help="run N demos instead: how many succeed, how long each takes, and"
                         " whether their joint states are alike; what stands behind -- goes to dextar demo")  # fmt: skip
-    parser.add_argument("--busy", type=int, default=0, metavar="N", help="processes that keep cores busy beside them (default: 0)")
+    parser.add_argument("--busy", type=int, default=0, metavar="N", help="processes that keep cores busy beside them")
     parser.add_argument("demo", nargs="*", metavar="ARGUMENT", help="of dextar demo, behind --")
     parser.add_argument("--seconds", type=_seconds, default=5.0, metavar="S",
                         help="of each DDS measurement (default: %(default)s)")  # fmt: skip

@@ -85,8 +85,10 @@ class CdrTemplate:
         edges = [0, *(edge for offset, size in moving for edge in (offset, offset + size)), len(raw)]
         self._still = [slice(start, stop) for start, stop in zip(edges[::2], edges[1::2], strict=True) if stop > start]
         self._fixed = tuple(raw[part] for part in self._still)
-        slots = sorted([*((part.start, f"{part.stop - part.start}s", -1) for part in self._still), *((at, "iI", -2) for at, _ in clocks),
-                        *((at, f"{size}d", first) for at, first, size in runs)])  # fmt: skip
+        slots = sorted([
+            *((part.start, f"{part.stop - part.start}s", -1) for part in self._still),
+            *((at, "iI", -2) for at, _ in clocks), *((at, f"{size}d", first) for at, first, size in runs),
+        ])  # fmt: skip
         self._whole = struct.Struct("<" + "".join(code for _, code, _ in slots))
         fixed: list[int] = []
         clock: list[int] = []

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
 import os
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
@@ -97,14 +99,18 @@ def bench_nodes(seconds: float) -> dict[str, float]:
     return {name: (end[1][name] - begin[1][name]) / (1.0e-3 * (end[0] - begin[0])) for name in MODULES}
 
 
-def fingerprint(bag: Path) -> str:
-    """Of the joint states in a bag, all bytes in order."""
+def fingerprint(folder: Path) -> str:
+    """Of the joint states in a demo's bag from the first one to the trip's end, all bytes in order; after it one stops some time."""
     from mcap.reader import make_reader
 
     found, name = hashlib.sha256(), f"/{JOINT_STATES.name}"
-    with bag.open("rb") as stream:
+    metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    end = (metrics["start_stamp"] or 0) + 1.0e9 * (metrics["tracked_until"] or 0.0)
+    with (folder / "run.mcap").open("rb") as stream:
         for _, _, message in make_reader(stream).iter_messages(topics=[name], log_time_order=False):
-            found.update(message.data)
+            seconds, nanoseconds = struct.unpack_from("<iI", message.data, 4)
+            if 1_000_000_000 * seconds + nanoseconds <= end:
+                found.update(message.data)
     return found.hexdigest()[:16]
 
 
@@ -131,7 +137,7 @@ def bench_demos(count: int, busy: int, arguments: list[str]) -> int:
                     if VERDICT in line:
                         verdict, told = time.monotonic() - begin, line.strip(" │\n").removeprefix(VERDICT).strip(" │")
                 code = demo.wait(timeout=SPENT_TIMEOUT)
-            states = fingerprint(output / "latest" / "run.mcap")
+            states = fingerprint(output / "latest")
             kinds.add(states)
             successes += code == 0
             print(f"{number}: exit code {code}, verdict after {verdict:.1f} s, end after {time.monotonic() - begin:.1f} s,"

@@ -399,7 +399,7 @@ class ControllerNode(ManagedNode):
         loop = self._loop
         assert loop is not None
         if loop.phase in LATCHED and self._said[0] is not loop.phase:
-            loop.reason = "; ".join([loop.reason, *self._what_disturbed(loop)])
+            loop.reason = "; ".join([*self._lateness(loop), loop.reason, *self._second_rig(loop)])
         before, self._said = self._said, (loop.phase, loop.reason)
         if not answered and loop.phase in LIMP:
             self._outputs.release()
@@ -443,12 +443,14 @@ class ControllerNode(ManagedNode):
         """Whether two publishers send joint states: there are two, and another's state came lately. A silent one does no harm."""
         return bool(self._rivals) and self._stream.mixed(time.perf_counter())
 
-    def _what_disturbed(self, loop: ControlLoop) -> list[str]:
-        """What else was wrong when the loop let go, and may be why: a second rig, or in real time commands that came too late."""
-        told = [self._rivals] if self._contested and self._rivals not in loop.reason else []
-        if loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep:
-            told.append(self._statistics.lateness(self._period))
-        return [text for text in told if text]
+    def _second_rig(self, loop: ControlLoop) -> list[str]:
+        """What else was wrong when the loop let go, and may be why."""
+        return [self._rivals] if self._contested and self._rivals not in loop.reason else []
+
+    def _lateness(self, loop: ControlLoop) -> list[str]:
+        """That a watch tripped while commands came too late, in real time: then that is told before what the watch saw."""
+        watched = loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep
+        return [text for text in (self._statistics.lateness(self._period) if watched else "",) if text]
 
     def _next_step(self) -> str:
         """What to call for a robot that is held."""

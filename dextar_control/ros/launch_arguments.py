@@ -108,7 +108,8 @@ def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         "markers": {},
     }
     for name, arguments in (
-        ("plant", ("real_time_factor",)), ("controller", ("law", "estimator")), ("trajectory_server", ("tour", "duration")), ("recorder", ("output",))
+        ("plant", ("real_time_factor",)),
+        ("controller", ("law", "estimator")), ("trajectory_server", ("tour", "duration")), ("recorder", ("output",))
     ):  # fmt: skip
         own[name] |= {argument: values[argument] for argument in arguments if values[argument] != ""}
     if values["law"] == "multi_model":
