@@ -10,7 +10,7 @@ import gc
 import time
 from typing import Any, Protocol
 
-from dextar_control.contract.scheduling import precise_timers
+from dextar_control.contract.scheduling import ask_kernel, precise_timers
 
 _IDLE_WAIT = 0.05
 
@@ -255,9 +255,10 @@ def _serve(executor: Any) -> None:
         executor.spin_once(timeout_sec=0.0)
 
 
-def spin(node: Paced, executor: Any, stop: Any) -> None:
+def spin(node: Any, executor: Any, stop: Any) -> None:
     """The node's own loop, until a signal."""
     precise_timers()
+    ask_kernel(node.values, node.get_logger().warning)
     gc.collect()
     gc.freeze()
     while not stop and not node.finished:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dextar_control.contract.node import Parameter
+from dextar_control.contract.node import SCHEDULING, Parameter
 
 PARAMETERS = (
+    *SCHEDULING,
     Parameter("mode", "realtime runs on at the steady clock's pace as a rig does, lockstep waits for each command",
               choices=("realtime", "lockstep")),
     Parameter("real_time_factor", "pace in lockstep, simulated over real time: a machine that cannot keep it up is slower; 0 is "

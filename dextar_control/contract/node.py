@@ -65,6 +65,14 @@ class Parameter:
         return self.description if self.unit in ("", "1") else f"{self.description} [{self.unit}]"
 
 
+SCHEDULING = (
+    Parameter("thread_priority", "of all threads under SCHED_FIFO; 0 is the usual scheduling", 0, 99, unit="1"),
+    Parameter("cpu_affinity", "processors that the threads run on; [] is any", 0, 4095, unit="1"),
+    Parameter("lock_memory", "keep the process's memory out of the swap"),
+)
+"""Of nodes with a loop that must be on time, named as ros2_control's; see ``scheduling.ask_kernel``."""
+
+
 def check_value(spec: Parameter, value: Any, default: Any) -> Any:
     """The value in the type of its default.
 

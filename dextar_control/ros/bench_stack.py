@@ -100,7 +100,7 @@ def bench_nodes(seconds: float) -> dict[str, float]:
 
 
 def fingerprint(folder: Path) -> str:
-    """Of the joint states in a demo's bag from the first one to the trip's end, all bytes in order; after it one stops some time."""
+    """Of the joint states in a demo's bag up to the end of its trip, all bytes in order; when it stops after that is chance."""
     from mcap.reader import make_reader
 
     found, name = hashlib.sha256(), f"/{JOINT_STATES.name}"

@@ -19,8 +19,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS, from_time
 from dextar_control.contract.errors import DextarError, ParameterError, StateError
-from dextar_control.contract.node import Parameter, qos, run_node
-from dextar_control.contract.scheduling import precise_timers
+from dextar_control.contract.node import SCHEDULING, Parameter, qos, run_node
+from dextar_control.contract.scheduling import ask_kernel, precise_timers
 from dextar_control.contract.settings import Estimation, Law, Settings
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
@@ -41,6 +41,7 @@ LAWS = tuple(law.name.lower() for law in Law)
 ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
 
 PARAMETERS = (
+    *SCHEDULING,
     Parameter("law", "multipliers near the locus", choices=LAWS),
     Parameter("estimator", "of the platform state and the assembly mode", choices=ESTIMATORS),
     Parameter("autostart", "configure and activate at the node's start; false waits for the lifecycle services"),
@@ -635,6 +636,7 @@ def _check_mode(values: Mapping[str, Any]) -> None:
 def spin(node: ControllerNode, executor: Any, stop: StopSignal) -> None:
     """The node's own loop, until a signal."""
     precise_timers()
+    ask_kernel(node.values, node.get_logger().warning)
     while not stop and not node.finished:
         node.turn(executor)
 
