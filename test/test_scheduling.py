@@ -40,6 +40,7 @@ def test_the_threads_that_there_are_run_on_the_processors_that_were_asked_for() 
 
 def test_each_wish_that_is_not_permitted_costs_one_warning_and_nothing_else() -> None:
     _, affinity, priority, memory = ask(UNPRIVILEGED, thread_priority=50, cpu_affinity=[4095.0], lock_memory=True)
+    assert ask(cpu_affinity=[-1.0])[1].startswith("cpu_affinity [-1] cannot be had: negative CPU number; processors here: ")
     assert affinity.startswith("cpu_affinity [4095] cannot be had: Invalid argument; processors here: ")
     assert priority.startswith("thread_priority 50 (SCHED_FIFO) cannot be had: Operation not permitted; give the user rtprio")
     assert memory.startswith("lock_memory cannot be had: ")

@@ -67,7 +67,7 @@ class Parameter:
 
 SCHEDULING = (
     Parameter("thread_priority", "of all threads under SCHED_FIFO; 0 is the usual scheduling", 0, 99, unit="1"),
-    Parameter("cpu_affinity", "processors that the threads run on; [] is any", 0, 4095, unit="1"),
+    Parameter("cpu_affinity", "processors that the threads run on; [] is any", unit="1"),
     Parameter("lock_memory", "keep the process's memory out of the swap"),
 )
 """Of nodes with a loop that must be on time, named as ros2_control's; see ``scheduling.ask_kernel``."""

@@ -33,9 +33,9 @@ def ask_kernel(values: Mapping[str, Any], warn: Callable[[str], object]) -> None
         try:
             for thread in threads:
                 os.sched_setaffinity(thread, processors)
-        except OSError as error:
+        except (OSError, ValueError, OverflowError) as error:  # Python itself refuses a negative one
             there = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
-            warn(f"cpu_affinity {processors} cannot be had: {error.strerror}; processors here: {there}")
+            warn(f"cpu_affinity {processors} cannot be had: {getattr(error, 'strerror', None) or error}; processors here: {there}")
     if priority:
         try:
             for thread in threads:
