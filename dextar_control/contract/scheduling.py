@@ -35,7 +35,8 @@ def ask_kernel(values: Mapping[str, Any], warn: Callable[[str], object]) -> None
                 os.sched_setaffinity(thread, processors)
         except (OSError, ValueError, OverflowError) as error:  # Python itself refuses a negative one
             there = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
-            warn(f"cpu_affinity {processors} cannot be had: {getattr(error, 'strerror', None) or error}; processors here: {there}")
+            why = getattr(error, "strerror", None) or error
+            warn(f"cpu_affinity {processors} cannot be had: {why}; processors here: {there}")
     if priority:
         try:
             for thread in threads:
