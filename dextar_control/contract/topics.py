@@ -189,7 +189,7 @@ ROBOT_DESCRIPTION = Topic(
     unit="SI, in the text", stamp="none", joints=SIM_JOINT_NAMES,
 )  # fmt: skip
 CLOCK = Topic(
-    "clock", "rosgraph_msgs/msg/Clock", "plant", 10, False, 100.0,
+    "clock", "rosgraph_msgs/msg/Clock", "plant", STREAM_DEPTH, False, 100.0,
     "simulated time, that of the states' stamps, for nodes with use_sim_time; in lockstep only",
     unit="s", stamp="none", switch="plant.clock_rate",
 )  # fmt: skip
