@@ -10,6 +10,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
 
@@ -61,6 +62,7 @@ class StateWriter:
         self._true = CdrTemplate(lambda stamp, values: joint_state(stamp, SIM_JOINT_NAMES, values), 12)
         self._platform = CdrTemplate(end_effector, 4)
         self._pose = CdrTemplate(external_pose, 2)
+        self._clock = CdrTemplate(lambda stamp, _: Clock(clock=stamp), 0)
 
     def measured(self, stamp: int, q_a: np.ndarray, q_a_dot: np.ndarray, torque: np.ndarray) -> bytes:
         """``joint_states``: encoder position (rad) and velocity (rad/s), applied torque (N m), each (2,)."""
@@ -78,6 +80,11 @@ class StateWriter:
     def external_pose(self, stamp: int, x: Sequence[float]) -> bytes:
         """``external_pose``: measured end effector position (m), shape (2,), at the stamp (ns) when it was true."""
         return self._pose.pack(stamp, x)
+
+
+    def clock(self, stamp: int) -> bytes:
+        """``clock``: simulated time, ns."""
+        return self._clock.pack(stamp, ())
 
 
 def read_efforts(raw: bytes) -> tuple[float, float]:

@@ -21,14 +21,16 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS
 from dextar_control.contract.errors import ParameterError, StateError
-from dextar_control.contract.node import DextarNode, WithInfo, qos, run_node
+from dextar_control.contract.node import DextarNode, qos, run_node
 from dextar_control.contract.topics import (
+    CLOCK,
     EFFORT_COMMANDS,
     EXTERNAL_POSE,
     JOINT_COMMANDS,
@@ -54,7 +56,6 @@ COMMANDER_PERIOD = 0.1
 class Reported(NamedTuple):
     """What stood in a report, from which the next one counts."""
 
-    time: float  # s, steady
     ran: int  # ns, steady, without the pauses
     steps: int
     late: int
@@ -82,6 +83,8 @@ class PlantNode(DextarNode):
         period = values["task.sample_period"]
         self.period_ns = round(period * NANOSECONDS)
         self.lockstep = values["mode"] == "lockstep"
+        pace = values["real_time_factor"] if self.lockstep else 1.0
+        self.paced = pace > 0.0
         self._arrays = values["command_interface"] == "effort_array"
         if self._arrays and self.lockstep:
             raise ParameterError("parameter 'command_interface' = 'effort_array'; in mode lockstep it must be joint_state: "
@@ -104,7 +107,7 @@ class PlantNode(DextarNode):
         self._delay: CommandDelay[Command] = CommandDelay(round(values["command_delay"] / period))
         self._command_timeout = round(values["command_timeout"] * NANOSECONDS)
         self._hold = CommandHold(self._command_timeout, max_torque)
-        self.schedule = Schedule(self.period_ns)
+        self.schedule = Schedule(round(self.period_ns / pace) if self.paced else self.period_ns)
         self._writer, self._reader = StateWriter(), CommandReader()
         self._index = -1
         self._since = 0
@@ -116,7 +119,7 @@ class PlantNode(DextarNode):
         self._sample: list[tuple[Any, bytes]] | None = None
         self._sent: list[tuple[Any, bytes]] = []
         self._pose: bytes | None = None
-        self._sent_at = 0.0
+        self._sent_at = self._published_at = 0.0
         self.answered = False
         self._commanded = False
         self._budget: int | None = 0 if values["start_paused"] else None
@@ -124,7 +127,7 @@ class PlantNode(DextarNode):
             ("commands_received", "commands_refused", "late_ticks", "late_commands", "repeated_states", "acknowledgements"), 0
         )
         self._max_loop_gap = 0.0
-        self._reported = Reported(time.monotonic(), 0, 0, 0, 0)
+        self._reported = Reported(0, 0, 0, 0)
         self._warned_at = -1.0
         self._states = self.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
         self._true_platform = self.create_publisher(Odometry, SIM_END_EFFECTOR.name, qos(SIM_END_EFFECTOR))
@@ -132,10 +135,14 @@ class PlantNode(DextarNode):
         self._poses = self.create_publisher(PoseStamped, EXTERNAL_POSE.name, qos(EXTERNAL_POSE)) if values["pose_rate"] else None
         self._description = self.create_publisher(String, ROBOT_DESCRIPTION.name, qos(ROBOT_DESCRIPTION))
         self._description.publish(String(data=urdf_of(self.robot)))
+        rate = values["clock_rate"] if self.lockstep else 0.0
+        self._time = self.create_publisher(Clock, CLOCK.name, qos(CLOCK)) if rate else None
+        self._told_each = max(1, round(1.0 / (rate * period))) if rate else 0
         topic, kind = (EFFORT_COMMANDS, Float64MultiArray) if self._arrays else (JOINT_COMMANDS, JointState)
         self._command_name = topic.name
         profile = qos(topic, reliable=self.lockstep)
-        self._commands = self.create_subscription(kind, topic.name, WithInfo(self._on_command), profile, raw=True)
+        self._commands = self.create_polled_subscription(kind, topic.name, profile, raw=True)
+        self._command_type = kind
         self._speakers = Speakers(lambda: int(self.count_publishers(self._commands.topic_name)), lossless=self.lockstep)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
@@ -143,7 +150,8 @@ class PlantNode(DextarNode):
         self.create_timer(1.0, self.report, clock=self.steady_clock)
         self.create_timer(COMMANDER_PERIOD, self._count_commanders, clock=self.steady_clock)
         # A process's first log line costs tens of ms: not in the middle of a run.
-        self.get_logger().info(f"{self.robot.name}, {values['mode']}, {1.0 / period:g} Hz")
+        told = "as fast as possible" if not self.paced else f"at {pace:g} x real time" if self.lockstep else ""
+        self.get_logger().info(", ".join(filter(None, (self.robot.name, values["mode"], told, f"{1.0 / period:g} Hz"))))
 
     @property
     def paused(self) -> bool:
@@ -209,11 +217,13 @@ class PlantNode(DextarNode):
         self._sent, self._sample = self._sample, None
         self._published = self._told
         self.answered = self._commanded = False
-        self._sent_at = time.monotonic()
+        self._sent_at = self._published_at = time.monotonic()
         if self._poses is not None and self._pose is not None:
             self._poses.publish(self._pose)
         for publisher, raw in self._sent:
             publisher.publish(raw)
+        if self._time is not None and self._index % self._told_each == 0:
+            self._time.publish(self._writer.clock(self._stamp()))
         if self._budget:
             self._budget -= 1
 
@@ -226,6 +236,16 @@ class PlantNode(DextarNode):
         self._sent_at = time.monotonic()
         for publisher, raw in self._sent:
             publisher.publish(raw)
+
+    def listen(self) -> None:
+        """Take the commands that have come; about 1 us when there is none."""
+        take = self._commands.handle.take_message
+        while (taken := take(self._command_type, True)) is not None:
+            self._on_command(*taken)
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until a command comes, at most for so long."""
+        self.wait_for(self._commands, seconds)
 
     def _on_command(self, raw: bytes, info: Mapping[str, int]) -> None:
         try:
@@ -330,8 +350,8 @@ class PlantNode(DextarNode):
         """Counters since the start on ``/diagnostics``; the real-time factor, and what is judged, since the last report."""
         before, counts = self._reported, self.counts
         steps, late, refused = max(self._index, 0), counts["late_ticks"], counts["commands_refused"]
-        self._reported = after = Reported(time.monotonic(), self._ran() or 0, steps, late, refused)
-        factor = (steps - before.steps) * 1.0e-9 * self.period_ns / max(after.time - before.time, 1.0e-9)
+        self._reported = after = Reported(self.schedule.ran(time.monotonic_ns()), steps, late, refused)
+        factor = (steps - before.steps) * self.period_ns / max(after.ran - before.ran, 1) if after.ran > before.ran else 0.0
         commanders, taken = self._speakers.count, self._speakers.clear(time.monotonic_ns())
         message = self._trouble(before, after)
         level = DiagnosticStatus.WARN if message else DiagnosticStatus.OK
@@ -362,13 +382,19 @@ class PlantNode(DextarNode):
         if after.refused > before.refused:
             return f"commands on {self._command_name} were refused"
         if self.lockstep:  # at the pace of the answers
-            return ""
+            waits = time.monotonic() - self._published_at
+            told = self.counts["commands_received"] > 0 and not self.paused and not self.answered and waits > REPEAT_AFTER
+            words = f"for {waits:.1f} s no command has answered the state of {self._published} ns: simulated time waits"
+            return words if told else ""
         ran = after.ran - before.ran
         return "; ".join(keeping_pace(after.steps - before.steps, after.late - before.late, ran, self.period_ns))
 
     def close(self) -> None:
-        """The last report, then PyBullet."""
+        """The last report, the pace that was kept, then PyBullet."""
         self.report()
+        ran, simulated = 1.0e-9 * self.schedule.ran(time.monotonic_ns()), 1.0e-9 * self.period_ns * max(self._index, 0)
+        if simulated and ran:
+            self.get_logger().info(f"simulated {simulated:.3f} s in {ran:.3f} s: {simulated / ran:.2f} x real time")
         self.plant.close()
 
 

@@ -1,4 +1,4 @@
-"""Keeping step: with the commander in lockstep, with the steady clock in real time.
+"""Keeping step: with the commander in lockstep, with the steady clock unless that is as fast as possible.
 
 Deadlines lie one period apart on the steady clock. What is late is made up for by shorter periods, so that simulated
 time keeps up with the clock; only a machine that was away for longer than ``MOST_BEHIND`` loses that time.
@@ -10,6 +10,8 @@ import gc
 import time
 from typing import Any, Protocol
 
+from dextar_control.contract.scheduling import ask_kernel, precise_timers
+
 _IDLE_WAIT = 0.05
 
 SHORTEST = 0.75
@@ -18,6 +20,12 @@ PATIENT = 0.95
 """The same while the command for the last sample is awaited: making up must not make commands late."""
 JITTER = 0.25
 """Share of the period by which a sample may miss its deadline and not move the next one."""
+EARLY = 2.0e-5
+"""s by which a sample may be out before its deadline: no sleep is as short."""
+SERVED_EACH = 0.01
+"""s after which timers and services are served where the loop does not sleep."""
+SERVED_AT_ONCE = 4
+"""Of them."""
 MOST_BEHIND = 50_000_000
 """ns up to which lateness is made up for."""
 
@@ -53,9 +61,16 @@ def keeping_pace(steps: int, late: int, ran: int, period: int) -> list[str]:
 
 
 class Paced(Protocol):
-    """What the loops need of the plant node."""
+    """What the loop needs of the plant node.
+
+    Attributes:
+        lockstep: each step waits for its command.
+        paced: samples are due at the steady clock's times; always without lockstep.
+        answered: the command for the published state is here.
+    """
 
     lockstep: bool
+    paced: bool
     answered: bool
     period_ns: int
     schedule: Schedule
@@ -75,6 +90,12 @@ class Paced(Protocol):
 
     def begin(self) -> None:
         """Prepare the first state."""
+
+    def listen(self) -> None:
+        """Take the commands that have come."""
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until a command comes, at most for so long."""
 
     def advance(self) -> None:
         """Compute the next state."""
@@ -119,6 +140,7 @@ class Schedule:
         self.behind = 0
         self.slip = 0
         self._work = 0.0
+        self._served = 0
 
     def start(self, now: int, wait: int) -> None:
         """Run again; the first sample is due in ``wait`` ns."""
@@ -149,6 +171,13 @@ class Schedule:
         reserve = min(self._work, 0.6e-9 * self._period)
         return max(0.0, self.left(now, awaited) - reserve)
 
+    def serve(self, now: int) -> bool:
+        """Whether it is time for what else there is to do, as once each ``SERVED_EACH``."""
+        if now - self._served < 1.0e9 * SERVED_EACH:
+            return False
+        self._served = now
+        return True
+
     def worked(self, duration: int) -> None:
         """Take one measured duration of the work, ns, into the running mean."""
         self._work += 0.05 * (1.0e-9 * duration - self._work)
@@ -167,51 +196,76 @@ class Schedule:
         self._last = deadline if missed <= JITTER * self._period else now
 
 
-def lockstep_cycle(node: Paced, executor: Any) -> None:
-    """Publish the state that is due, take its answer, compute the next one."""
-    node.publish()
-    executor.spin_once(timeout_sec=0.0 if node.answered else _IDLE_WAIT)
-    if node.sample_ready or node.paused:
-        return
-    if node.answered:
-        node.advance()
-    else:
-        node.repeat_unanswered()
+def cycle(node: Paced, executor: Any) -> None:
+    """One sample: its command, the physics, and at its deadline the state; or some of the waiting for that command.
 
-
-def realtime_cycle(node: Paced, executor: Any) -> None:
-    """Physics as soon as the answer is there or time presses, then the state at its deadline."""
+    The commands are looked for when they are needed, which spares a waking for each. Without lockstep the physics go on when
+    time presses; in lockstep only under the command that answers the state, however late the sample becomes.
+    """
     schedule = node.schedule
     if not schedule.running:
         schedule.start(time.monotonic_ns(), 0 if node.sample_ready else node.period_ns)
-    pressing = node.sample_ready
     while not node.sample_ready:
         if node.paused:
             return
-        if node.answered or pressing:
+        node.listen()
+        if node.paced and (left := schedule.left_to_work(time.monotonic_ns(), node.awaited)) > 0.0:
+            _pass(node, executor, left)
+        elif node.answered or not node.lockstep:
             begun = time.monotonic_ns()
             node.advance()
             schedule.worked(time.monotonic_ns() - begun)
         else:
-            left = schedule.left_to_work(time.monotonic_ns(), node.awaited)
+            _await_command(node, executor)
+            return
+    if node.paced:
+        while (left := schedule.left(time.monotonic_ns(), node.awaited)) > EARLY and not node.paused:
             executor.spin_once(timeout_sec=left)
-            pressing = left <= 0.0
-    while (left := schedule.left(time.monotonic_ns(), node.awaited)) > 0.0:
-        executor.spin_once(timeout_sec=left)
-    if not node.paused:
+    elif schedule.serve(time.monotonic_ns()):
+        _serve(executor)
+    if node.paused:
+        return
+    if node.paced:
         schedule.met(time.monotonic_ns(), node.awaited)
-        node.publish()
+    node.publish()
 
 
-def spin(node: Paced, executor: Any, stop: Any) -> None:
+def _pass(node: Paced, executor: Any, left: float) -> None:
+    """Some of the time until the work begins; a sample that makes lateness up waits for its command, to begin with it."""
+    soonest = node.schedule.left_to_work(time.monotonic_ns(), False)
+    if soonest > 0.0:
+        executor.spin_once(timeout_sec=soonest)
+    else:
+        node.wait(left)
+
+
+def _await_command(node: Paced, executor: Any) -> None:
+    """In lockstep, a step's command."""
+    node.wait(SERVED_EACH)
+    if node.schedule.serve(time.monotonic_ns()):
+        _serve(executor)
+    node.listen()
+    if not node.answered:
+        node.repeat_unanswered()
+
+
+def _serve(executor: Any) -> None:
+    """Timers and services, where no time that has to pass is spent on them."""
+    for _ in range(SERVED_AT_ONCE):
+        executor.spin_once(timeout_sec=0.0)
+
+
+def spin(node: Any, executor: Any, stop: Any) -> None:
     """The node's own loop, until a signal."""
-    cycle = lockstep_cycle if node.lockstep else realtime_cycle
+    precise_timers()
+    ask_kernel(node.values, node.get_logger().warning)
     gc.collect()
     gc.freeze()
     while not stop and not node.finished:
         if node.paused:
             node.schedule.stop(time.monotonic_ns())
             executor.spin_once(timeout_sec=_IDLE_WAIT)
+            node.listen()
         else:
             node.begin()
             cycle(node, executor)

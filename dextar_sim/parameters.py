@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from dextar_control.contract.node import Parameter
+from dextar_control.contract.node import SCHEDULING, Parameter
 
 PARAMETERS = (
-    Parameter("mode", "realtime follows the steady clock, lockstep waits for each command", choices=("realtime", "lockstep")),
+    *SCHEDULING,
+    Parameter("mode", "realtime runs on at the steady clock's pace as a rig does, lockstep waits for each command",
+              choices=("realtime", "lockstep")),
+    Parameter("real_time_factor", "pace in lockstep, simulated over real time: a machine that cannot keep it up is slower; 0 is "
+              "as fast as possible", minimum=0.0, maximum=100.0, unit="1"),
+    Parameter("clock_rate", "of the topic clock in lockstep, in simulated time; 0 is none",
+              minimum=0.0, maximum=1.0e4, unit="Hz"),
     Parameter("command_interface", "joint_state reads joint_commands, effort_array (real time only) reads effort_commands",
               choices=("joint_state", "effort_array")),
     Parameter("substeps", "physics steps in one sample period", minimum=1, maximum=1000),

@@ -10,7 +10,7 @@ from sensor_msgs.msg import JointState
 
 from dextar_control.contract.cdr import from_time
 from dextar_control.contract.node import run_node
-from dextar_control.ros.controller_node import ControllerNode
+from dextar_control.ros.controller_node import ControllerNode, spin
 
 
 class BadController(ControllerNode):
@@ -22,8 +22,8 @@ class BadController(ControllerNode):
 
     def _refuse(self, loop: Any, error: Exception) -> None:
         stamp = from_time(deserialize_message(self._raw, JointState).header.stamp)
-        self._outputs._command(stamp, [0.05, -0.05])
+        self._outputs.command(stamp, [0.05, -0.05])
 
 
 if __name__ == "__main__":
-    sys.exit(run_node(BadController))
+    sys.exit(run_node(BadController, spin=spin))

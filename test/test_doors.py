@@ -28,7 +28,7 @@ ALLOWED_OUTSIDE = {
                                 "pyarrow", "imageio_ffmpeg"},
 }
 ROS = {"rclpy", "builtin_interfaces", "rcl_interfaces", "sensor_msgs", "trajectory_msgs", "nav_msgs", "geometry_msgs",
-       "std_msgs", "std_srvs", "diagnostic_msgs", "lifecycle_msgs", "visualization_msgs"}  # fmt: skip
+       "std_msgs", "std_srvs", "diagnostic_msgs", "lifecycle_msgs", "rosgraph_msgs", "visualization_msgs"}  # fmt: skip
 
 
 def _rooms(*names: str) -> set[str]:

@@ -109,7 +109,7 @@ def test_every_number_that_measures_something_has_a_unit(kind: Any) -> None:
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.NAME)
 def test_the_contract_says_what_a_node_publishes_reads_and_offers(kind: Any) -> None:
     wanted = {
-        "plant": ["pose_rate:=100.0", "start_paused:=true"], "recorder": ["record_from_start:=false"],
+        "plant": ["pose_rate:=100.0", "start_paused:=true", "mode:=lockstep"], "recorder": ["record_from_start:=false"],
         "controller": ["publish_effort_array:=true", "estimator:=external"],
     }.get(kind.NAME, [])  # fmt: skip
     rclpy.init(args=["--ros-args", *(part for value in wanted for part in ("-p", value))],

@@ -25,13 +25,13 @@ PLAIN = {name: argument.default for name, argument in ARGUMENTS.items()} | {
 def test_without_arguments_the_parameter_files_decide() -> None:
     values = read(PLAIN)
     assert [values[name] for name in ("law", "estimator", "tour", "duration", "output")] == [""] * 5
-    assert (values["plant"], values["lockstep"], values["namespace"]) == (True, False, "/")
+    assert (values["plant"], values["real_time"], values["namespace"]) == (True, False, "/")
 
 
 @pytest.mark.parametrize("word", ["true", "True", "TRUE", "1", "yes", "On", " true "])
 @pytest.mark.parametrize(("other", "value"), [("false", True), ("False", False), ("0", False), ("no", False), ("OFF", False)])
 def test_a_switch_takes_every_common_word(word: str, other: str, value: bool) -> None:
-    assert read(PLAIN | {"lockstep": word})["lockstep"] is True
+    assert read(PLAIN | {"real_time": word})["real_time"] is True
     if not value:
         assert read(PLAIN | {"record": other})["record"] is False
 
@@ -46,7 +46,9 @@ def test_values_have_the_type_of_the_parameter_they_become() -> None:
 @pytest.mark.parametrize(
     ("name", "text", "limit"),
     [
-        ("lockstep", "maybe", "true or false"),
+        ("real_time", "maybe", "true or false"),
+        ("real_time_factor", "slow", "a number"),
+        ("real_time_factor", "-1", ">= 0"),
         ("record", "", "true or false"),
         ("law", "clasic", "consistent"),
         ("estimator", "kalman", "observer"),
@@ -205,14 +207,18 @@ def test_only_what_was_given_overrides_the_parameter_files(monkeypatch: pytest.M
     module = loaded(monkeypatch, tmp_path)
     nodes = {node.named["name"]: node.named["parameters"][2] for node in module.nodes(context_of())}
     assert nodes == {
-        "plant": {"mode": "realtime", "window": False}, "controller": {"lockstep": False, "autostart": True},
+        "plant": {"mode": "lockstep", "window": False}, "controller": {"lockstep": True, "autostart": True},
         "trajectory_server": {"autostart": True}, "recorder": {},
     }  # fmt: skip
-    given = {"lockstep": "True", "markers": "1", "plant": "No", "tour": "6", "law": "multi_model", "duration": "2",
+    paced = module.nodes(context_of(real_time="yes", real_time_factor="0.5"))
+    nodes = {node.named["name"]: node.named["parameters"][2] for node in paced}
+    assert nodes["plant"] == {"mode": "realtime", "window": False, "real_time_factor": 0.5}
+    assert nodes["controller"] == {"lockstep": False, "autostart": True}
+    given = {"markers": "1", "plant": "No", "tour": "6", "law": "multi_model", "duration": "2",
              "output": "a: b #1.mcap", "estimator": Estimation.PLAIN.name.lower()}  # fmt: skip
     nodes = {node.named["name"]: node.named["parameters"][2] for node in module.nodes(context_of(**given))}
     assert set(nodes) == {"controller", "trajectory_server", "recorder", "markers"}
-    assert nodes["controller"] == {"lockstep": True, "autostart": True, "law": "multi_model", "estimator": "plain"}
+    assert nodes["controller"] == {"lockstep": False, "autostart": True, "law": "multi_model", "estimator": "plain"}  # a rig's
     assert nodes["trajectory_server"] == {"autostart": True, "tour": 6, "duration": 2.0, "criterion": "zero_wrench"}
     output = nodes["recorder"]["output"]
     assert (output.given, output.named) == (("a: b #1.mcap",), {"value_type": str})

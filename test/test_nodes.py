@@ -13,7 +13,7 @@ import yaml
 from rosbags.typesys import Stores, get_typestore
 
 from dextar_control.analysis.load import load_run
-from dextar_control.contract.topics import EXTERNAL_POSE, TOPICS
+from dextar_control.contract.topics import CLOCK, EXTERNAL_POSE, TOPICS
 
 FOLDED = (0.09**2 - 0.059**2) ** 0.5 - 0.09  # m, y on the axis where both elbows meet above and the distal links hang down
 ROOT = Path(__file__).resolve().parents[1]
@@ -61,7 +61,7 @@ def test_rosbags_reads_every_contract_topic(demo: tuple[Path, subprocess.Complet
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
-    present = [topic for topic in TOPICS if not topic.optional or topic is EXTERNAL_POSE]
+    present = [topic for topic in TOPICS if not topic.optional or topic in (CLOCK, EXTERNAL_POSE)]
     wanted = {topic.name if topic.name.startswith("/") else f"/{topic.name}": topic.type for topic in present}
     typestore = get_typestore(Stores.ROS2_JAZZY)
     with (demo[0] / "run.mcap").open("rb") as file:

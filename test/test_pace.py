@@ -131,6 +131,7 @@ class MadeUp:
     """A clock, an executor whose waits let it go on, and a rig that keeps when it published."""
 
     lockstep = finished = paused = False
+    paced = True
     answered = sample_ready = False
     awaited = property(lambda self: not self.answered)
     period_ns = PERIOD
@@ -141,13 +142,21 @@ class MadeUp:
         self.published: list[int] = []
         self.stalls: dict[int, int] = {}
         self.answers = True
+        self.takes = PERIOD // 10  # from a state to its command
+        self.waited = 0
 
     def monotonic_ns(self) -> int:
         return self.now
 
     def spin_once(self, timeout_sec: float) -> None:
         self.now += min(1 + int(1.0e9 * timeout_sec), PERIOD // 10)
-        self.answered = self.answers
+
+    def listen(self) -> None:
+        self.answered = self.answers and bool(self.published) and self.now >= self.published[-1] + self.takes
+
+    def wait(self, seconds: float) -> None:
+        self.waited += 1
+        self.spin_once(seconds)
 
     def begin(self) -> None:
         self.sample_ready = True
@@ -174,11 +183,32 @@ def test_the_rigs_clock_keeps_up_with_the_steady_one(monkeypatch: Any, stall: in
     rig.stalls = {100: stall}
     rig.begin()
     for _ in range(1400):
-        pace.realtime_cycle(rig, rig)
+        pace.cycle(rig, rig)
     assert rig.published[-1] - rig.published[0] == pytest.approx(1399 * PERIOD, abs=PERIOD // 100)
     gaps = [after - before for before, after in zip(rig.published, rig.published[1:], strict=False)]
     assert min(gaps) >= closest - PERIOD // 1000
     assert rig.schedule.overruns == bool(stall)
+
+
+@pytest.mark.parametrize(("factor", "takes", "rate"), [(1.0, 0.3, 1.0), (0.5, 0.3, 2.0), (1.0, 3.0, 3.1), (0.0, 0.3, 0.42)])
+def test_in_lockstep_each_step_waits_for_its_command_and_the_clock_sets_the_pace(
+    monkeypatch: Any, factor: float, takes: float, rate: float
+) -> None:
+    """Slower than the clock where the answers are slow; then nothing is left out, and nothing is overtaken."""
+    rig = MadeUp()
+    monkeypatch.setattr(pace, "time", rig)
+    rig.lockstep, rig.paced, rig.takes = True, factor > 0.0, round(takes * PERIOD)
+    rig.schedule = Schedule(round(PERIOD / factor) if factor else PERIOD)
+    answered = []
+    monkeypatch.setattr(rig, "advance", lambda advance=rig.advance: (answered.append(rig.answered), advance()))
+    monkeypatch.setattr(rig, "repeat_unanswered", lambda: None)
+    rig.begin()
+    while len(rig.published) < 300:
+        pace.cycle(rig, rig)
+    assert answered == [True] * 299
+    gaps = [after - before for before, after in zip(rig.published, rig.published[1:], strict=False)]
+    assert sum(gaps) / len(gaps) == pytest.approx(rate * PERIOD, rel=0.05)
+    assert min(gaps) >= rig.takes
 
 
 SECOND = 1_000_000_000

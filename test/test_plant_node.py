@@ -77,6 +77,7 @@ class Commander:
             self.node.create_subscription(kind, topic.name, take, qos(topic))
         self.node.create_subscription(JointState, JOINT_STATES.name, self._on_state, qos(JOINT_STATES))
         self.executor.add_node(self.node)
+        parameters = {"real_time_factor": "0.0", **parameters}
         flags = [flag for name, value in parameters.items() for flag in ("-p", f"{name}:={value}")]
         self.process = subprocess.Popen(
             [sys.executable, "-m", "dextar_sim.node", "--ros-args", *flags],
@@ -542,6 +543,11 @@ def test_a_slow_plant_warns_with_the_numbers_since_the_last_report_and_not_in_lo
     assert told == []
     waiting.report()
     assert DiagnosticStatus.OK in told[-1] or "publishers" in told[-1][1]  # of the first one's states
+    waiting.counts["commands_received"] = 1
+    waiting._published_at = time.monotonic() - 7.0
+    waiting.too_many_publishers = lambda topic: ""  # type: ignore[method-assign]
+    waiting.report()
+    assert "for 7.0 s no command has answered the state of" in told[-1][1]
 
 
 def test_a_second_plant_is_seen_by_the_first(plant: Any) -> None:

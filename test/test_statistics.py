@@ -86,9 +86,9 @@ EVEN = np.full(300, PERIOD)
         (np.full(300, -40e-3), EVEN, ""),  # or behind
         (np.full(300, 1e9), EVEN, ""),  # or one of its own
         (np.tile([0.3e-3] * 19 + [2e-3], 15), EVEN, ""),  # one in twenty
-        (np.tile([0.5e-3, 10.5e-3], 150), EVEN, "100 of the last 200 answers were late by more than a period of 1 ms, by 10.0"),
-        (np.r_[np.full(250, 0.5e-3), [15.5e-3], np.full(49, 0.5e-3)], EVEN, "1 of the last 200 answers were late by more"),
-        (np.full(300, 1e9), np.tile([PERIOD] * 4 + [3.5 * PERIOD], 60), "40 of the last 200 states were late by more"),
+        (np.tile([0.5e-3, 10.5e-3], 150), EVEN, "100 of the last 200 answers (50%) were late by more than"),
+        (np.r_[np.full(250, 0.5e-3), [15.5e-3], np.full(49, 0.5e-3)], EVEN, "1 of the last 200 answers (0%) were late by more"),
+        (np.full(300, 1e9), np.tile([PERIOD] * 4 + [3.5 * PERIOD], 60), "40 of the last 200 states (20%) were late by more"),
         (np.r_[np.full(100, 50e-3), np.full(200, 0.5e-3)], EVEN, ""),  # long over
     ],
 )  # fmt: skip

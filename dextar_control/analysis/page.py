@@ -27,7 +27,7 @@ from dextar_control.analysis.timing import Spread, lockstep, periods, round_trip
 from dextar_control.analysis.tracking import tracked
 from dextar_control.analysis.verdict import in_words, unreadable_lines
 from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band, residuals
-from dextar_control.analysis.words import counted
+from dextar_control.analysis.words import counted, saturated
 from dextar_control.contract.topics import TOPICS
 from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 
@@ -160,13 +160,6 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
     sentence = "; ".join(parts)
     sentence = f"{sentence[:1].upper()}{sentence[1:]}." if parts else ""
     return {"kind": kind, "word": word, "sentence": sentence, "reasons": reasons}
-
-
-def saturated(metrics: Metrics) -> str:
-    """How many commands were, or why that is not known."""
-    if math.isnan(metrics.peak_torque):
-        return "no command while tracking"
-    return str(metrics.saturated) if metrics.robot or metrics.saturated else "unknown without a limit"
 
 
 def _tiles(metrics: Metrics) -> list[dict[str, str]]:

@@ -10,13 +10,10 @@ from rich.table import Table
 
 from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.crossings import crossed_in_words
-from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.load import load_run
 from dextar_control.analysis.metrics import Metrics, compute_metrics
-from dextar_control.analysis.page import render_report, saturated
-from dextar_control.analysis.paper_figure import COLUMN, write_paper
 from dextar_control.analysis.verdict import damage_lines
-from dextar_control.analysis.words import counted
+from dextar_control.analysis.words import counted, saturated
 from dextar_control.bags.records import Progress
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters
@@ -29,11 +26,12 @@ def analyze(
     path: str | Path,
     output_dir: str | Path | None = None,
     formats: Sequence[str] = (),
-    width: float = COLUMN,
+    width: float | None = None,
     progress: Callable[[str], None] = lambda stage: None,
     namespace: str | None = None,
     reading: Progress | None = None,
     robot: RobotParameters | None = None,
+    judged: Callable[[Metrics], object] = lambda metrics: None,
 ) -> Metrics:
     """Write ``metrics.json``, ``figure.png`` and ``report.html`` of a bag, next to it or into a folder.
 
@@ -41,11 +39,12 @@ def analyze(
         path: of the bag.
         output_dir: the folder; made where it does not exist.
         formats: of a figure for a paper, ``paper.<format>``: png, svg, pdf.
-        width: of that figure, mm.
+        width: of that figure, mm; a column of a two-column page when None.
         progress: told what is being done.
         namespace: of the robot, where a bag of another recorder holds several.
         reading: told the bytes read and those there are.
         robot: of a bag that does not say it.
+        judged: told the metrics, before anything is drawn.
 
     Raises:
         BagError: the bag cannot be read, or the results cannot be written.
@@ -54,6 +53,11 @@ def analyze(
     run = load_run(path, namespace, reading, robot)
     progress("computing the metrics")
     metrics = compute_metrics(run)
+    judged(metrics)
+    from dextar_control.analysis.figure import draw_run  # here: what draws takes longer to load than a bag to judge
+    from dextar_control.analysis.page import render_report
+    from dextar_control.analysis.paper_figure import COLUMN, write_paper
+
     folder = Path(output_dir) if output_dir is not None else run.path.parent
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -64,7 +68,7 @@ def analyze(
         (folder / "report.html").write_text(render_report(run, metrics), encoding="utf-8", errors="replace")
         if formats:
             progress("drawing the figure for a paper")
-            write_paper(run, metrics, folder, list(formats), width)
+            write_paper(run, metrics, folder, list(formats), width or COLUMN)
     except OSError as error:
         raise BagError(f"cannot write the analysis to {folder}: {error.strerror or error}") from error
     return metrics
@@ -92,7 +96,8 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
         ("saturated commands", saturated(metrics)),
         (
             "loop rate (system clock)",
-            f"{_number(metrics.loop_rate, '.0f')} Hz median, {_number(metrics.mean_rate, '.0f')} Hz mean",
+            f"{_number(metrics.loop_rate, '.0f')} Hz median, {_number(metrics.mean_rate, '.0f')} Hz mean"
+            f"{_pace(metrics)}",
         ),
         ("states without command", f"{metrics.missed} of {metrics.states}"),
         ("steps without it in time", _late(metrics)),
@@ -136,7 +141,15 @@ def _verdicts(metrics: Metrics) -> str:
     return text
 
 
+def _pace(metrics: Metrics) -> str:
+    """How fast a simulation that waits for its commands ran."""
+    factor = metrics.mean_rate * metrics.timing.stamp_period
+    return f"; {factor:.2f} × real time" if metrics.timing.lockstep and math.isfinite(factor) else ""
+
+
 def _late(metrics: Metrics) -> str:
+    if metrics.timing.lockstep:
+        return "none: each step waited for it"
     if metrics.late_ticks is None:
         return "not counted"
     share = f" ({metrics.late_ticks / metrics.plant_steps:.0%})" if metrics.plant_steps else ""

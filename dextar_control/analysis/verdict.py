@@ -57,10 +57,12 @@ def late_in_words(values: Mapping[str, Any]) -> str:
     if timing.lockstep or not share >= MOST_LATE:
         return ""
     trip, period = 1e3 * timing.round_trip.median, 1e3 * timing.stamp_period
-    took = f"; from a state to its command it took {trip:.1f} ms (median), and a step is {period:.1f} ms" if trip > 0.0 else ""
+    worst = 1e3 * timing.round_trip.maximum
+    took = f"; from a state to its command it took {trip:.1f} ms (median), {worst:.1f} ms at worst, and a step is {period:.1f} ms"
     return (
-        f"commands came too late: {share:.0%} of the steps had none in time (below {MOST_LATE:.0%} a run can do without){took}."
-        " The machine was too busy for real time: free it, or let each simulated step wait for its command (--lockstep)"
+        f"commands came too late: {share:.0%} of the steps had none in time (below {MOST_LATE:.0%} a run can do"
+        f" without){took if trip > 0.0 else ''}. The machine was too busy for real time: free it, or let each simulated step"
+        " wait for its command, as the demo does without --real-time"
     )
 
 

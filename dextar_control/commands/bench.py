@@ -10,6 +10,10 @@ DESCRIPTION = "Measures on this machine, now; every figure stands beside somethi
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
+    parser.add_argument("--demos", type=int, metavar="N", help="run N demos instead: how many succeed, how long each takes, and"
+                        " whether their joint states are alike; what stands behind -- goes to dextar demo")  # fmt: skip
+    parser.add_argument("--busy", type=int, default=0, metavar="N", help="processes that keep cores busy beside them")
+    parser.add_argument("demo", nargs="*", metavar="ARGUMENT", help="of dextar demo, behind --")
     parser.add_argument("--seconds", type=_seconds, default=5.0, metavar="S",
                         help="of each DDS measurement (default: %(default)s)")  # fmt: skip
 
@@ -23,6 +27,10 @@ def _seconds(text: str) -> float:
 
 def run(arguments: argparse.Namespace) -> int:
     """The exit code."""
+    if arguments.demos is not None:
+        from dextar_control.ros.bench_stack import bench_demos
+
+        return bench_demos(arguments.demos, arguments.busy, arguments.demo)
     from dextar_control.ros.bench import run_bench
 
     return run_bench(arguments.seconds)

@@ -29,7 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--point", type=float, nargs=2, metavar=("X", "Y"), help="return trip through this point of the locus, m")
     where.add_argument("--excite", type=float, nargs="?", const=EXCITE, metavar="S",
                        help=f"a motion that tells masses and friction to dextar identify, about S long, s (default: {EXCITE:g})")
-    parser.add_argument("--lockstep", action="store_true", help="each simulated step waits for its command: deterministic")
+    pace = parser.add_mutually_exclusive_group()
+    pace.add_argument("--real-time", action="store_true",
+                      help="as a rig: the plant runs on whether or not a command came (default: each simulated step waits for its"
+                      " command, so that a busy machine is slower and never wrong)")  # fmt: skip
+    pace.add_argument("--real-time-factor", type=float, metavar="F", dest="pace",
+                      help="pace of steps that wait, simulated over real time; 0 is as fast as possible (default:"
+                      " config/crossing.yaml, 1)")  # fmt: skip
+    pace.add_argument("--lockstep", action="store_const", const=0.0, dest="pace", help="short for --real-time-factor 0")
     parser.add_argument("--duration", type=float, metavar="S", help="of one way, s (default: config/crossing.yaml)")
     parser.add_argument("--repeat", type=int, metavar="N", help="return trips, or laps of a tour (default: config/crossing.yaml)")
     parser.add_argument("--robot", type=Path, metavar="FILE", help="robot description (default: config/dextar.yaml)")

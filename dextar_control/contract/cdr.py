@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
+from operator import itemgetter
 from typing import Any
 
 from builtin_interfaces.msg import Duration, Time
@@ -44,6 +45,13 @@ def canonical(message: Any) -> bytes:
     return bytes(types().serialize_cdr(read_message(raw, name), name))
 
 
+def _chosen(places: Sequence[int]) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
+    """Takes a tuple's elements at these places, also of fewer than two, as a tuple."""
+    if len(places) > 1:
+        return itemgetter(*places)
+    return lambda found: tuple(found[place] for place in places)
+
+
 class CdrTemplate:
     """A message of fixed layout: pack and unpack its stamp and float64 values.
 
@@ -76,7 +84,27 @@ class CdrTemplate:
         moving = sorted([*clocks, *((offset, 8 * size) for offset, _, size in runs)])
         edges = [0, *(edge for offset, size in moving for edge in (offset, offset + size)), len(raw)]
         self._still = [slice(start, stop) for start, stop in zip(edges[::2], edges[1::2], strict=True) if stop > start]
-        self._fixed = [raw[part] for part in self._still]
+        self._fixed = tuple(raw[part] for part in self._still)
+        slots = sorted([
+            *((part.start, f"{part.stop - part.start}s", -1) for part in self._still),
+            *((at, "iI", -2) for at, _ in clocks), *((at, f"{size}d", first) for at, first, size in runs),
+        ])  # fmt: skip
+        self._whole = struct.Struct("<" + "".join(code for _, code, _ in slots))
+        fixed: list[int] = []
+        clock: list[int] = []
+        numbers: dict[int, int] = {}
+        index = 0
+        for offset, code, first in slots:
+            size = 1 if first == -1 else 2 if first == -2 else int(code[:-1])
+            if first == -1:
+                fixed.append(index)
+            elif offset == self._stamp_offset:
+                clock = [index, index + 1]
+            elif first >= 0:
+                numbers |= {first + k: index + k for k in range(size)}
+            index += size
+        self._fixed_of, self._stamp_of = _chosen(fixed), _chosen(clock)
+        self._values_of = _chosen([numbers[k] for k in range(len(sentinels))])
         self._buffer = bytearray(raw)
         self._length = len(raw)
 
@@ -98,16 +126,13 @@ class CdrTemplate:
         """
         if len(raw) != self._length:
             return None
-        for part, fixed in zip(self._still, self._fixed, strict=True):
-            if raw[part] != fixed:
-                return None
-        seconds, nanoseconds = struct.unpack_from("<iI", raw, self._stamp_offset)
-        values: list[float] = []
-        for offset, _, _, layout in self._runs:
-            values.extend(layout.unpack_from(raw, offset))
-        return seconds * NANOSECONDS + nanoseconds, values
+        found = self._whole.unpack(raw)
+        if self._fixed_of(found) != self._fixed:
+            return None
+        seconds, nanoseconds = self._stamp_of(found)
+        return seconds * NANOSECONDS + nanoseconds, list(self._values_of(found))
 
     def learn(self, raw: bytes) -> None:
         """Take the undefined bytes of a publisher whose message was checked to have this layout."""
         if len(raw) == self._length:
-            self._fixed = [raw[part] for part in self._still]
+            self._fixed = tuple(raw[part] for part in self._still)

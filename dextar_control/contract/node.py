@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import inspect
+import os
 import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -61,6 +63,14 @@ class Parameter:
     def measured(self) -> str:
         """The description with its unit, as ``ros2 param describe`` shows it."""
         return self.description if self.unit in ("", "1") else f"{self.description} [{self.unit}]"
+
+
+SCHEDULING = (
+    Parameter("thread_priority", "of all threads under SCHED_FIFO; 0 is the usual scheduling", 0, 99, unit="1"),
+    Parameter("cpu_affinity", "processors that the threads run on; [] is any", unit="1"),
+    Parameter("lock_memory", "keep the process's memory out of the swap"),
+)
+"""Of nodes with a loop that must be on time, named as ros2_control's; see ``scheduling.ask_kernel``."""
 
 
 def check_value(spec: Parameter, value: Any, default: Any) -> Any:
@@ -149,23 +159,6 @@ def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoS
     )
 
 
-class WithInfo:
-    """A subscription's callback that wants the MessageInfo too, for both kinds of executor.
-
-    rclpy's events executor (7.1) hands message and info over as one tuple, the others as two arguments.
-    """
-
-    __signature__ = inspect.signature(lambda message, info: None)  # noqa: ARG005  by which rclpy tells what is wanted
-
-    def __init__(self, take: Callable[[bytes, Mapping[str, int]], None]) -> None:
-        self._take = take
-
-    def __call__(self, *given: Any) -> None:
-        """One message."""
-        message, info = given if len(given) == 2 else given[0]
-        self._take(message, info)
-
-
 class DextarNode(Node):
     """A node with checked parameters, a diagnostics publisher and an exit code.
 
@@ -189,6 +182,7 @@ class DextarNode(Node):
     def __init__(self, *, served: bool = True, **options: Any) -> None:
         name, robot = self.NAME, self.ROBOT
         self._polled: set[int] = set()
+        self._waits: Any = None
         self._served_by_executor = served
         super().__init__(name, **options)
         self.exit_code = 0
@@ -246,6 +240,15 @@ class DextarNode(Node):
         service = self.create_service(service_type, name, lambda _, response: response)
         self._polled.add(id(service))
         return service
+
+    def wait_for(self, subscription: Any, seconds: float) -> None:
+        """Sleep until a polled subscription holds a message, at most for so long; about 0.02 ms of processor time."""
+        if self._waits is None:
+            self._waits = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, self.context.handle)
+        with subscription.handle:
+            self._waits.clear_entities()
+            self._waits.add_subscription(subscription.handle)
+            self._waits.wait(max(0, round(1.0e9 * seconds)))
 
     def destroy_subscription(self, subscription: Any) -> bool:
         """Also of a polled one; another may get its identity."""
@@ -341,6 +344,13 @@ def make_executor(kind: str = "events") -> Any:
     return rclpy.executors.SingleThreadedExecutor()
 
 
+def prepare_middleware() -> None:
+    """Name ``config/fastdds.xml`` to Fast DDS, unless the user has a file of profiles; other middleware does not read it."""
+    names = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+    if not any(os.environ.get(name) for name in names) and not Path("DEFAULT_FASTRTPS_PROFILES.xml").exists():
+        os.environ[names[0]] = str(resources.config_file(resources.MIDDLEWARE_FILE))
+
+
 def run_node(
     make: Callable[[], Any],
     args: list[str] | None = None,
@@ -362,6 +372,7 @@ def run_node(
         words = sys.argv[1:] if args is None else args
         if (code := _answer(make, words)) is not None:
             return code
+        prepare_middleware()
         rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
         stop.starting = False

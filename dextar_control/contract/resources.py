@@ -12,6 +12,7 @@ from dextar_control.contract.yaml_text import load_parameters, parameters_of
 
 NODES_FILE = "crossing.yaml"
 ROBOT_FILE = "dextar.yaml"
+MIDDLEWARE_FILE = "fastdds.xml"
 
 
 def share_folder() -> Path:

@@ -191,6 +191,11 @@ ROBOT_DESCRIPTION = Topic(
     "URDF of both legs with joints q11, q12, q21, q22, as robot_state_publisher and RViz read it; the loop is not closed in it",
     unit="SI, in the text", stamp="none", joints=SIM_JOINT_NAMES,
 )  # fmt: skip
+CLOCK = Topic(
+    "clock", "rosgraph_msgs/msg/Clock", "plant", STREAM_DEPTH, False, 100.0,
+    "simulated time, that of the states' stamps, for nodes with use_sim_time; in lockstep only",
+    unit="s", stamp="none", switch="plant.clock_rate",
+)  # fmt: skip
 MARKERS = Topic(
     "markers", "visualization_msgs/msg/MarkerArray", "markers", 10, False, 25.0,
     "linkage, end effector, reference, trail, t_s and text at the rate of the display; base, locus, path and crossings once a"
@@ -204,12 +209,12 @@ DIAGNOSTICS = Topic(
 
 TOPICS = (
     JOINT_STATES, JOINT_COMMANDS, EFFORT_COMMANDS, EXTERNAL_POSE, TRAJECTORY, CONTROLLER_STATE, CRITERION,
-    SIM_END_EFFECTOR, SIM_JOINT_STATES, ROBOT_DESCRIPTION, MARKERS,
+    SIM_END_EFFECTOR, SIM_JOINT_STATES, ROBOT_DESCRIPTION, CLOCK, MARKERS,
     DIAGNOSTICS,
 )  # fmt: skip
 
 NODES = {
-    "plant": Ends((JOINT_STATES, EXTERNAL_POSE, SIM_END_EFFECTOR, SIM_JOINT_STATES, ROBOT_DESCRIPTION, DIAGNOSTICS),
+    "plant": Ends((JOINT_STATES, EXTERNAL_POSE, SIM_END_EFFECTOR, SIM_JOINT_STATES, ROBOT_DESCRIPTION, CLOCK, DIAGNOSTICS),
                   (JOINT_COMMANDS, EFFORT_COMMANDS)),
     "controller": Ends((JOINT_COMMANDS, EFFORT_COMMANDS, CONTROLLER_STATE, CRITERION, DIAGNOSTICS),
                        (JOINT_STATES, EXTERNAL_POSE, TRAJECTORY)),

@@ -184,7 +184,7 @@ class DetailedFiveBar(FiveBar):
         *(Parameter(f"{side}.{name}", unit, "of the elbow", 0.0) for side in SIDES for name, unit in PASSIVE),
         Parameter("pin_viscous_friction", "N m s/rad", "between the distal links", 0.0),
         Parameter("pin_coulomb_friction", "N m", "between the distal links", 0.0),
-        *(Parameter(f"{side}.transmission_stiffness", "N m/rad", "of rotor and proximal link; 0 is rigid", 0.0) for side in SIDES),
+        *(Parameter(f"{side}.transmission_stiffness", "N m/rad", "behind the rotor; 0 is rigid", 0.0) for side in SIDES),
         *(Parameter(f"{side}.transmission_damping", "N m s/rad", "beside it", 0.0) for side in SIDES),
     )
     parameters = (*FiveBar.parameters, *detail)

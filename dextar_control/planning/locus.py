@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.contract.robot import RobotParameters
@@ -175,6 +174,8 @@ def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> Locu
     Raises:
         GeometryError: the working mode has no locus that far from Type 1, or none was found from there.
     """
+    from scipy.optimize import minimize_scalar  # here: it takes longer to load than all else
+
     x = np.asarray(x, dtype=np.float64)
     if x.shape != (planning_model(robot).n,) or not np.isfinite(x).all():
         raise GeometryError(f"place {np.round(x, 6).tolist()}; it must be {planning_model(robot).n} finite numbers, m")

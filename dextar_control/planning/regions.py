@@ -11,9 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.checks import beyond_range
@@ -42,6 +39,8 @@ class Regions(NamedTuple):
 @lru_cache(maxsize=32)
 def make_regions(robot: RobotParameters) -> Regions:
     """The regions of the robot's working mode."""
+    from scipy.ndimage import label  # here: it takes longer to load than all else
+
     low, high = planning_model(robot).workspace
     nx, ny = (np.ceil(np.maximum(high - low, SPACING) / SPACING).astype(int) + 1).tolist()
     grid = np.indices((nx, ny)).reshape(2, -1).T
@@ -97,6 +96,9 @@ def find_way(
     Returns:
         The way and the index of its first place after the change of sides (0 when it makes none), or None.
     """
+    from scipy.sparse import csr_matrix  # here: it takes longer to load than all else
+    from scipy.sparse.csgraph import dijkstra
+
     begin, end = cell_of(regions, start, start_sign), cell_of(regions, goal, goal_sign)
     if begin is None or end is None:
         return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import PPoly, make_interp_spline
 
 from dextar_control.contract.errors import GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters
@@ -63,6 +62,8 @@ def straight(start: Array, goal: Array, speed: float) -> Trajectory:
 
 def spline(places: Array, speed: float) -> Trajectory:
     """Rest to rest, zero jerk at both ends, through places (n, 2), slower where it starts and ends; four at least."""
+    from scipy.interpolate import PPoly, make_interp_spline  # here: it takes longer to load than all else
+
     reached = lengths_along(places)
     share = reached / reached[-1]
     # the time law 10 t^3 - 15 t^4 + 6 t^5, inverted on a table, spreads the places as a motion from rest to rest does

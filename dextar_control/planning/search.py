@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.model.robot import AnyRobot
@@ -157,6 +156,8 @@ def coefficients_over(half: Array, span: float) -> Array:
 
 def descend(problem: Problem, guess: Record) -> tuple[float, Record]:
     """The cost and the variables to which descents from a guess lead."""
+    from scipy.optimize import minimize  # here: it takes longer to load than all else
+
     z = guess.copy()
     cost = np.inf
 

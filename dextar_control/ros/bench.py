@@ -27,6 +27,7 @@ from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import plan_return_trip
+from dextar_control.ros.bench_stack import bench_imports, bench_nodes
 from dextar_control.ros.domain import own_domain
 from dextar_control.ros.echo import STAMP
 from dextar_control.ros.messages import joint_states_template
@@ -169,6 +170,10 @@ def run_bench(seconds: float) -> int:
     with console.working("round trip over DDS"):
         trips = bench_round_trip(seconds)
         row("state -> command", trips["controller"], "bare echo", trips["echo"])
+    with console.working("processor time of the nodes"):
+        cores = bench_nodes(seconds)
+    with console.working("imports"):
+        imports = bench_imports()
     with console.working("plant step"):
         answer = subprocess.run(
             [sys.executable, "-m", "dextar_sim.bench"], check=True, capture_output=True, text=True, stdin=subprocess.DEVNULL
@@ -181,4 +186,7 @@ def run_bench(seconds: float) -> int:
         f"states unanswered within their period: controller {trips['controller'][2]}, echo {trips['echo'][2]}"
         f" of about {seconds * RATE:.0f} each"
     )
+    told = ", ".join(f"{name} {share:.3f}" for name, share in cores.items())
+    console.print(f"cores at 1 kHz in real time: {told}, together {sum(cores.values()):.3f}")
+    console.print(", ".join(f"{name} {time:.2f} s" for name, time in imports.items()))
     return 0

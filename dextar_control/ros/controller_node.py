@@ -19,8 +19,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS, from_time
 from dextar_control.contract.errors import DextarError, ParameterError, StateError
-from dextar_control.contract.node import Parameter, WithInfo, qos, run_node
+from dextar_control.contract.node import SCHEDULING, Parameter, qos, run_node
+from dextar_control.contract.scheduling import ask_kernel, precise_timers
 from dextar_control.contract.settings import Estimation, Law, Settings
+from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import LIMP, Phase, Tick
@@ -39,6 +41,7 @@ LAWS = tuple(law.name.lower() for law in Law)
 ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
 
 PARAMETERS = (
+    *SCHEDULING,
     Parameter("law", "multipliers near the locus", choices=LAWS),
     Parameter("estimator", "of the platform state and the assembly mode", choices=ESTIMATORS),
     Parameter("autostart", "configure and activate at the node's start; false waits for the lifecycle services"),
@@ -131,6 +134,7 @@ PARAMETERS = (
 
 SWITCH_INTERVAL = 2e-4  # s until the thread that checks a trajectory lets the control thread go on
 WATCH_PERIOD = 0.01  # s
+MOST_AT_ONCE = 10  # states that are answered before what else is due
 SERVED_PER_WATCH = 2  # requests: 200 a second are plenty for an operator; the longest, all parameters at once, costs about 1 ms
 DIAGNOSTICS_PERIOD = 0.2  # s
 TELL_PERIOD = 1.0  # s between two lines about the external pose
@@ -171,11 +175,11 @@ class ControllerNode(ManagedNode):
         self._begun = -1
         self._pose_note = ""
         self._pose_told = -math.inf
+        self._states: Any = None
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
-        self.create_timer(WATCH_PERIOD, self._watch, clock=self.steady_clock)
-        self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
+        self._watched = self._diagnosed = 0.0
         sys.setswitchinterval(SWITCH_INTERVAL)
         if self.values["autostart"]:
             for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
@@ -198,10 +202,9 @@ class ControllerNode(ManagedNode):
         self._poses = ExternalPoseReader(self) if loop.settings.estimator is Estimation.EXTERNAL else None
         if self._poses is not None:
             self._closers.append(self._poses.close)
-        states = self.create_subscription(
-            JointState, JOINT_STATES.name, WithInfo(self._hear), qos(JOINT_STATES, reliable=self._lockstep), raw=True
-        )
-        self._closers.append(lambda: self.destroy_subscription(states))
+        profile = qos(JOINT_STATES, reliable=self._lockstep)
+        self._states = self.create_polled_subscription(JointState, JOINT_STATES.name, profile, raw=True)
+        self._closers.append(self._close_states)
         self._automatic = values["enabled"] and not self._latched[0]  # after a fault somebody has to ask
         self._enabling = "waiting" if self._automatic else "off"
         self._loop = loop
@@ -251,6 +254,10 @@ class ControllerNode(ManagedNode):
         while self._closers:
             self._closers.pop()()
 
+    def _close_states(self) -> None:
+        self.destroy_subscription(self._states)
+        self._states = None
+
     def on_transition(self) -> None:
         """Tell it."""
         self._diagnose()
@@ -284,6 +291,31 @@ class ControllerNode(ManagedNode):
         """The steady clock, s; None in lockstep, where states may come at any pace."""
         return None if self._lockstep else time.perf_counter()
 
+    def turn(self, executor: Any) -> None:
+        """The states that have come, or come soon, and what is due besides: that is done when they are answered.
+
+        No executor serves the states: its callbacks, and timers that fire when the next state comes, would make its answer late.
+        """
+        left = max(0.0, self._watched + WATCH_PERIOD - time.perf_counter())
+        if self._states is None:
+            executor.spin_once(timeout_sec=left)
+        else:
+            self.wait_for(self._states, left)
+            take = self._states.handle.take_message
+            for _ in range(MOST_AT_ONCE):
+                if (taken := take(JointState, True)) is None:
+                    break
+                self._hear(*taken)
+        now = time.perf_counter()
+        if now - self._watched < WATCH_PERIOD:
+            return
+        self._watched = now
+        self._watch()
+        if now - self._diagnosed >= DIAGNOSTICS_PERIOD:
+            self._diagnosed = now
+            self._diagnose()
+            executor.spin_once(timeout_sec=0.0)
+
     def _hear(self, raw: bytes, info: Mapping[str, int]) -> None:
         """A state, and what the middleware tells of it: its publisher's number, and when it was sent."""
         self._stream.hear(info.get("publication_sequence_number"), time.perf_counter())
@@ -300,8 +332,10 @@ class ControllerNode(ManagedNode):
             if stamp == self._stamp and self._outputs.answered:
                 self._repeat(stamp)
                 return
-            self._check_gap(loop, stamp)
             limit, arrival = self.values["state_timeout"], None if self._lockstep else begin
+            gap = (stamp - self._stamp) / NANOSECONDS if self._stamp >= 0 else 0.0
+            if gap > limit and loop.phase not in (Phase.IDLE, Phase.FAULT):
+                loop.fault(f"no state for {1e3 * gap:.1f} ms; the limit is {1e3 * limit:.1f} ms")
             self._stream.take(stamp, limit, arrival)
             if self._automatic and self._stream.healthy_for(limit, arrival) >= self.values["healthy_time"]:
                 self._enable_itself()
@@ -310,10 +344,13 @@ class ControllerNode(ManagedNode):
         except DextarError as error:
             self._refuse(loop, error)
             return
+        self._outputs.command(stamp, tau.tolist())
+        assert loop.tick is not None
+        self._outputs.tell(stamp, loop.tick, self._verdict(loop, loop.tick))
+        if self._stamp >= 0:
+            self._statistics.spaced(gap, self._period)
         self._stamp = stamp
         self._stalled = False
-        assert loop.tick is not None
-        self._outputs.answer(stamp, tau, loop.tick, self._verdict(loop, loop.tick))
         if (loop.phase, loop.reason) != self._said:
             self._say(answered=True)
         self._statistics.arrived(stamp, begin, self._published)
@@ -352,14 +389,6 @@ class ControllerNode(ManagedNode):
             self._begun += 1
         return float(passed[self._begun].verdict) if self._begun >= 0 else 0.0
 
-    def _check_gap(self, loop: ControlLoop, stamp: int) -> None:
-        if self._stamp < 0:
-            return
-        gap = (stamp - self._stamp) / NANOSECONDS
-        self._statistics.spaced(gap, self._period)
-        if gap > self.values["state_timeout"] and loop.phase not in (Phase.IDLE, Phase.FAULT):
-            loop.fault(f"no state for {1e3 * gap:.1f} ms; the limit is {1e3 * self.values['state_timeout']:.1f} ms")
-
     def _refuse(self, loop: ControlLoop, error: DextarError) -> None:
         """No torque for a state that cannot be used; a broken first state or a bad number is a fault."""
         self._statistics.counts["refused_states"] += 1
@@ -378,7 +407,7 @@ class ControllerNode(ManagedNode):
         loop = self._loop
         assert loop is not None
         if loop.phase in LATCHED and self._said[0] is not loop.phase:
-            loop.reason = "; ".join([loop.reason, *self._what_disturbed(loop)])
+            loop.reason = "; ".join([*self._lateness(loop), loop.reason, *self._second_rig(loop)])
         before, self._said = self._said, (loop.phase, loop.reason)
         if not answered and loop.phase in LIMP:
             self._outputs.release()
@@ -422,12 +451,14 @@ class ControllerNode(ManagedNode):
         """Whether two publishers send joint states: there are two, and another's state came lately. A silent one does no harm."""
         return bool(self._rivals) and self._stream.mixed(time.perf_counter())
 
-    def _what_disturbed(self, loop: ControlLoop) -> list[str]:
-        """What else was wrong when the loop let go, and may be why: a second rig, or in real time commands that came too late."""
-        told = [self._rivals] if self._contested and self._rivals not in loop.reason else []
-        if loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep:
-            told.append(self._statistics.lateness(self._period))
-        return [text for text in told if text]
+    def _second_rig(self, loop: ControlLoop) -> list[str]:
+        """What else was wrong when the loop let go, and may be why."""
+        return [self._rivals] if self._contested and self._rivals not in loop.reason else []
+
+    def _lateness(self, loop: ControlLoop) -> list[str]:
+        """That a watch tripped while commands came too late, in real time: then that is told before what the watch saw."""
+        watched = loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep
+        return [text for text in (self._statistics.lateness(self._period) if watched else "",) if text]
 
     def _next_step(self) -> str:
         """What to call for a robot that is held."""
@@ -609,9 +640,17 @@ def _check_mode(values: Mapping[str, Any]) -> None:
         raise ParameterError("parameter 'assembly_mode' = 0; it must be +1 or -1")
 
 
+def spin(node: ControllerNode, executor: Any, stop: StopSignal) -> None:
+    """The node's own loop, until a signal."""
+    precise_timers()
+    ask_kernel(node.values, node.get_logger().warning)
+    while not stop and not node.finished:
+        node.turn(executor)
+
+
 def main(args: list[str] | None = None) -> int:
     """Console entry."""
-    return run_node(ControllerNode, args)
+    return run_node(ControllerNode, args, spin)
 
 
 if __name__ == "__main__":

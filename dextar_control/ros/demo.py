@@ -138,8 +138,6 @@ class _Processes:
 
 def run_demo(arguments: argparse.Namespace) -> int:
     """Run the demo of parsed arguments (see ``dextar demo --help``); the exit code."""
-    from dextar_control.analysis.report import analyze, summary_table
-
     console = Terminal()
     files = _parameter_files(arguments)
     robot = load_robot(files[0])
@@ -153,7 +151,8 @@ def run_demo(arguments: argparse.Namespace) -> int:
     ros_arguments = _node_arguments(values, files)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     domain = choose_domain()
-    mode = "lockstep" if arguments.lockstep else "real time"
+    waiting = "as fast as possible" if arguments.pace == 0.0 else "each step waits for its command"
+    mode = "real time" if arguments.real_time else waiting
     chosen = "".join(f"{name} {getattr(arguments, name)}, " for name in ("law", "estimator") if getattr(arguments, name))
     said = f"{chosen}{mode}, ROS_DOMAIN_ID={domain}, into {folder}"
     console.print(said, soft_wrap=True)
@@ -163,6 +162,8 @@ def run_demo(arguments: argparse.Namespace) -> int:
         stack.callback(processes.stop_all)
         for name in MODULES:
             processes.start(name, ros_arguments[name])
+        from dextar_control.analysis.report import analyze, summary_table  # here: while the nodes load
+
         _wait_until_ready(console, monitor, processes)
         _link_latest(folder)
         try:
@@ -175,10 +176,9 @@ def run_demo(arguments: argparse.Namespace) -> int:
                 troubles.append(processes.describe_end(name, code))
     try:
         with spoken_warnings("demo"):
-            metrics = analyze(folder / "run.mcap")
+            metrics = analyze(folder / "run.mcap", judged=lambda metrics: console.print(summary_table(metrics)))
     except BagError as error:
         raise BagError("; ".join([*troubles, str(error)])) from error
-    console.print(summary_table(metrics))
     for line in dict.fromkeys(troubles):
         console.print(line, style="bold")
     console.print(f"{folder}: plan.png run.mcap metrics.json figure.png report.html", soft_wrap=True)
@@ -188,9 +188,10 @@ def run_demo(arguments: argparse.Namespace) -> int:
 def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     """NAME:=VALUE of each node."""
     given: dict[str, dict[str, Any]] = {name: {} for name in MODULES}
-    given["plant"] |= {"mode": "lockstep" if arguments.lockstep else "realtime", "start_paused": True}
+    given["plant"] |= {"mode": "realtime" if arguments.real_time else "lockstep", "start_paused": True}
+    given["plant"] |= {} if arguments.pace is None else {"real_time_factor": arguments.pace}
     given["plant"] |= {"window": True} if arguments.window else {}
-    given["controller"] |= {"lockstep": arguments.lockstep}
+    given["controller"] |= {"lockstep": not arguments.real_time}
     given["trajectory_server"] |= {"autostart": True}
     for name in ("law", "estimator"):
         if getattr(arguments, name) is not None:

@@ -21,6 +21,7 @@ from dextar_control.ros.start_check import check_start
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 """In any case; launch's own conditions take the first two of each."""
 TASK = {spec.name: spec for spec in task.PARAMETERS}
+PACE = Parameter("real_time_factor", "of the plant, which says its own upper limit", 0.0)
 
 
 class Argument(NamedTuple):
@@ -52,7 +53,10 @@ ARGUMENTS = {
     "tour": Argument("", "crossings spread over the locus; empty: params_file's", "number"),
     "excite": Argument("", "about how long a motion is that tells dextar identify masses and friction, s; empty: params_file's",
                        "number"),
-    "lockstep": Argument("false", "each simulated step waits for its command: repeatable, not in real time"),
+    "real_time": Argument("false", "the plant runs on whether or not a command came, as a rig does; false: each simulated step"
+                          " waits for its command"),
+    "real_time_factor": Argument("", "pace of the simulation where its steps wait; 0 is as fast as possible; empty:"
+                                 " params_file's", "number"),
     "duration": Argument("", "of one way, s; empty: params_file's", "number"),
     "window": Argument("false", "PyBullet's own window"),
     "record": Argument("true", "start the recorder"),
@@ -97,14 +101,16 @@ def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     Args:
         values: from ``read``.
     """
+    lockstep = values["plant"] and not values["real_time"]  # a rig waits for nobody
     own: dict[str, dict[str, Any]] = {
-        "plant": {"mode": "lockstep" if values["lockstep"] else "realtime", "window": values["window"]},
-        "controller": {"lockstep": values["lockstep"], "autostart": values["activate"]},
+        "plant": {"mode": "lockstep" if lockstep else "realtime", "window": values["window"]},
+        "controller": {"lockstep": lockstep, "autostart": values["activate"]},
         "trajectory_server": {"autostart": values["autostart"]},
         "recorder": {},
         "markers": {},
     }
     for name, arguments in (
+        ("plant", ("real_time_factor",)),
         ("controller", ("law", "estimator")), ("trajectory_server", ("tour", "excite", "duration")), ("recorder", ("output",))
     ):  # fmt: skip
         own[name] |= {argument: values[argument] for argument in arguments if values[argument] != ""}
@@ -167,19 +173,20 @@ def _value(name: str, argument: Argument, text: str) -> Any:
             raise fail(f"one of {', '.join(argument.choices)}")
         return words[plain.lower()]
     if kind == "number":
-        return _number(TASK[name], plain, fail)
+        return _number(TASK.get(name, PACE), plain, fail)
     if Path(plain).suffix != ".mcap":
         raise fail("a name that ends in .mcap")
     return plain
 
 
 def _number(spec: Parameter, text: str, fail: Callable[[str], ParameterError]) -> Any:
+    node = "plant" if spec is PACE else "trajectory_server"
     try:
         number = float(text)
     except ValueError:
         raise fail("a number") from None
     try:
-        return check_value(spec, number, node_defaults("trajectory_server")[spec.name])
+        return check_value(spec, number, node_defaults(node)[spec.name])
     except ParameterError as error:
         raise fail(str(error).rpartition("it must be ")[2]) from error
 

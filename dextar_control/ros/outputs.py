@@ -6,7 +6,6 @@ import struct
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
@@ -32,7 +31,7 @@ class EffortArray:
 
 
 class Outputs:
-    """The publishers of one configured controller; all of a tick in one burst, commands first.
+    """The publishers of one configured controller; of a tick the command first.
 
     Args:
         node: that publishes.
@@ -61,9 +60,13 @@ class Outputs:
         """Whether there is a command to repeat."""
         return bool(self._last[0])
 
-    def answer(self, stamp: int, tau: np.ndarray, tick: Tick, verdict: float) -> None:
-        """Everything about one tick; stamp of the state, ns."""
-        self._command(stamp, tau.tolist())
+    def command(self, stamp: int, torque: Sequence[float]) -> None:
+        """The command (2), N m, that answers a state; its stamp, ns."""
+        self.stamp = stamp
+        self._send(self._commands_out.pack(stamp, torque), self._array_out.pack(torque) if self._array_out is not None else b"")
+
+    def tell(self, stamp: int, tick: Tick, verdict: float) -> None:
+        """What was thought of the state that was answered."""
         reference, estimate, output = tick.reference, tick.estimate, tick.output
         told = (reference.x, reference.x_dot, reference.x_ddot, estimate.x, estimate.x_dot, output.error, output.error_dot,
                 output.u, output.force)
@@ -81,15 +84,11 @@ class Outputs:
     def release(self) -> None:
         """No torque, in answer to the last state once more; nothing before the first."""
         if self.stamp >= 0:
-            self._command(self.stamp, [0.0, 0.0])
+            self.command(self.stamp, [0.0, 0.0])
 
     def forget(self) -> None:
         """As before the first state."""
         self._last, self.stamp = (b"", b""), -1
-
-    def _command(self, stamp: int, tau: list[float]) -> None:
-        self.stamp = stamp
-        self._send(self._commands_out.pack(stamp, tau), self._array_out.pack(tau) if self._array_out is not None else b"")
 
     def _send(self, command: bytes, array: bytes) -> None:
         self._last = (command, array)

@@ -112,8 +112,8 @@ class Statistics:
         for numbers, what in ((delays, "answers"), (gaps, "states")):
             late, worst = sum(number > period for number in numbers), max(numbers, default=0.0)
             if late > MOST_LATE * len(numbers) or worst > LONG * period:
-                told.append(f"{late} of the last {len(numbers)} {what} were late by more than a period of {1e3 * period:g} ms,"
-                            f" by {1e3 * worst:.1f} ms at most")  # fmt: skip
+                told.append(f"{late} of the last {len(numbers)} {what} ({late / len(numbers):.0%}) were late by more than a"
+                            f" period of {1e3 * period:g} ms, by {1e3 * worst:.1f} ms at most")  # fmt: skip
         return f"commands came too late: {'; '.join(told)}" if told else ""
 
     def missed_lately(self) -> list[str]:

@@ -115,7 +115,8 @@ class Session:
         common = ["--params-file", str(config_file(ROBOT_FILE)), "--params-file", str(config_file(NODES_FILE))]
         trip = self.config.trip
         values = {
-            "plant": [assignment("mode", self.request.clock), assignment("start_paused", True), *self.request.plant],
+            "plant": [assignment("mode", self.request.clock), assignment("real_time_factor", 0.0),
+                      assignment("start_paused", True), *self.request.plant],
             "controller": [assignment("lockstep", self.lockstep)],
             "trajectory_server": [assignment("duration", trip.duration), assignment("dwell", trip.dwell)],
             "recorder": [assignment("reliable", self.lockstep)],
