@@ -107,7 +107,7 @@ class Service:
 
 
 # A reliable writer can repair a reader that was away for as long as its history reaches.
-STREAM_DEPTH = 1000
+STREAM_DEPTH = 5000
 PLATFORM_NAMES = ("x", "y")
 CRITERION_NAMES = (
     "residual", "s", "sigma_min", "projection_weight", "assembly_mode", "phase", "mode_confidence", "verdict", "torque_limit",
