@@ -15,12 +15,13 @@ import synthetic_run as made
 import yaml
 
 from dextar_control import cli
+from dextar_control.campaign import learnt
 from dextar_control.analysis.load import load_run
 from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
-from dextar_control.identification.calibration import Calibration, calibrate, predict
+from dextar_control.identification.calibration import Calibration, calibrate, calibrate_recorded, predict
 from dextar_control.identification.fit import Fit, fit
 from dextar_control.identification.folds import Fold, find_folds
 from dextar_control.identification.linkage import NAMES, Linkage, described, numbers_of
@@ -231,6 +232,50 @@ def test_a_bag_that_did_not_serve_is_predicted() -> None:
     assert other.folds == 12
     assert other.before > 50e-6
     assert other.after < 3e-6
+
+
+def behind_belts(numbers: np.ndarray, stiffness: float, known: float) -> Calibration:
+    """By a tour of a robot with its encoders at the motors, of whose belts the description knows ``known``, N m/rad."""
+    belts = {f"{side}.transmission_stiffness": stiffness for side in ("left", "right")}
+    belts |= {f"{side}.transmission_damping": 0.017 for side in ("left", "right")}
+    rig = Rig(described(ROBOT, numbers).replace(**belts), plant="cartesian", pose_rate=100.0, pose_noise=2e-4)
+    described_so = ROBOT.replace(**belts | {f"{side}.transmission_stiffness": known for side in ("left", "right")})
+    recorded = learnt.record(described_so, tour(), rig)
+    return calibrate_recorded(described_so, [recorded], poses=known == 0.0)
+
+
+def test_belts_of_the_file_are_taken_off_the_encoders() -> None:
+    numbers = wrong(np.random.default_rng(13))
+    found = behind_belts(numbers, 150.0, 150.0)
+    assert np.abs(found.fit.numbers - as_kept(numbers))[LENGTHS].max() <= 30e-6
+    assert "the transmissions were kept as 150 N m/rad and 150 N m/rad" in " ".join(found.kept)
+
+
+def test_belts_that_no_file_knows_show_in_poses() -> None:
+    numbers = wrong(np.random.default_rng(14))
+    found = behind_belts(numbers, 150.0, 0.0)
+    rows = [*LENGTHS, *OFFSETS]
+    assert np.abs(found.fit.numbers - numbers)[LENGTHS].max() <= 80e-6
+    assert (np.abs(found.fit.numbers - numbers)[rows] <= 3.5 * deviations(found.fit)[rows]).all()
+    told = [one for one in found.quantities if one.unit == "N m/rad"]
+    assert told
+    assert all(abs(one.after - 150.0) <= 4.0 * one.deviation for one in told)
+    assert "rigid" in " ".join(calibrated(wrong(np.random.default_rng(14))).kept)
+
+
+def test_a_tour_that_ends_early_is_made_up_for_the_other_way_round() -> None:
+    numbers, signs = NOMINAL.copy(), [-1, 1, 1, 1, 1, 1, -1, -1]  # this one turns at its first crossing
+    numbers[LENGTHS] += 5e-4 * np.array(signs)
+    built, rigs = described(ROBOT, numbers), list[Rig]()
+
+    def rig() -> Rig:
+        rigs.append(Rig(built, plant="cartesian", pose_rate=100.0, pose_noise=2e-4))
+        return rigs[-1]
+
+    found, told = learnt.learnt(ROBOT, rig, calibrated=True, identified=False)
+    assert told == {"calibrated": True}
+    assert len(rigs) == 2
+    assert np.abs(numbers_of(found) - numbers)[LENGTHS].max() <= 60e-6
 
 
 def short() -> np.ndarray:

@@ -26,6 +26,7 @@ def tour(robot: RobotParameters) -> Plan:
 
 def test_a_tour_crosses_at_its_points_in_order_and_nowhere_else(robot: RobotParameters, tour: Plan) -> None:
     points = spread_points(robot, 6, 3)
+    assert [point.x.tolist() for point in spread_points(robot, -6, 3)] == [point.x.tolist() for point in points[::-1]]
     crossings = tour.certificate.crossings
     for row, crossing in enumerate(crossings):
         np.testing.assert_allclose(crossing.x, points[row % 6].x, atol=AT_POINT)

@@ -34,7 +34,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (("--duration", "nan"), "trajectory_server: parameter 'duration' = nan; it must be finite"),
         (("--duration", "0.001"), "trajectory_server: duration = 0.001 s; it must be 0 or >= 0.02"),
         (("--repeat", "0"), "trajectory_server: parameter 'repeat' = 0; it must be >= 1"),
-        (("--tour", "-3"), "trajectory_server: parameter 'tour' = -3; it must be >= 0"),
+        (("--tour", "-1001"), "trajectory_server: parameter 'tour' = -1001; it must be >= -1000"),
         (("--tour", "1001"), "trajectory_server: parameter 'tour' = 1001; it must be <= 1000"),
         (("-p", "trajectory_server.dwell:=0"), "trajectory_server: parameter 'dwell' = 0; it must be >= 0.01"),
         (("--tour", "2", "-p", "trajectory_server.point:=[0.0, 0.08]"), "are given; one may be"),

@@ -20,7 +20,7 @@ from dextar_control.planning.certificate import Plan
 from dextar_control.planning.excitation import plan_excitation
 from dextar_control.planning.tour import plan_tour
 
-CROSSINGS = 12  # of the tour
+CROSSINGS, TOURS = 12, 3  # of a tour; at most
 START = np.array([-0.025, 0.115])  # m, of the exciting motion: the A of every trip
 EXCITE, DWELL = 20.0, 0.2  # s
 Options = tuple[tuple[str, Any], ...]
@@ -63,7 +63,7 @@ def record(robot: RobotParameters, plan: Plan, rig: Any) -> Recorded:
 def learnt(
     robot: RobotParameters, rig: Callable[[], Any], *, calibrated: bool, identified: bool
 ) -> tuple[RobotParameters, dict[str, bool]]:
-    """The description after one recorded tour and one exciting motion, and whether each fit was told enough.
+    """The description after a recorded tour and an exciting motion, and whether each fit was told enough.
 
     Args:
         robot: as it is drawn, in the working mode of the recordings.
@@ -72,10 +72,7 @@ def learnt(
     """
     found, told = robot, dict[str, bool]()
     if calibrated:
-        try:
-            found, told["calibrated"] = calibrate_recorded(robot, [record(robot, _tour(robot), rig())]).after, True
-        except CalibrationError:
-            told["calibrated"] = False
+        found, told["calibrated"] = _calibrated(robot, rig)
     if identified:
         try:
             found, told["identified"] = identify_recorded(found, [record(robot, _exciting(robot), rig())]).after, True
@@ -84,9 +81,28 @@ def learnt(
     return found, told
 
 
+def _calibrated(robot: RobotParameters, rig: Callable[[], Any]) -> tuple[RobotParameters, bool]:
+    """The calibrated description, and whether there is one.
+
+    Where a tour ended too early to tell anything another one goes the other way round, and both are taken together; where it told
+    all but the difference of the distal lengths another one is recorded with what it told.
+    """
+    told, motions = False, list[Recorded]()
+    for _ in range(TOURS):
+        motions.append(record(robot, _tour(robot, CROSSINGS * (-1) ** len(motions)), rig()))
+        try:
+            calibration = calibrate_recorded(robot, motions)
+        except CalibrationError:
+            continue
+        robot, told, motions = calibration.after, True, []
+        if calibration.folded_told:
+            break
+    return robot, told
+
+
 @lru_cache(maxsize=4)
-def _tour(robot: RobotParameters) -> Plan:
-    return plan_tour(robot, CROSSINGS)
+def _tour(robot: RobotParameters, crossings: int = CROSSINGS) -> Plan:
+    return plan_tour(robot, crossings)
 
 
 @lru_cache(maxsize=4)

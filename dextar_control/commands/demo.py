@@ -25,7 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--estimator", choices=ESTIMATORS, help="of the platform state (default: config/crossing.yaml)")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--tour", type=int, metavar="N", help="cross at N points spread over the locus, one after the other")
+    where.add_argument("--tour", type=int, metavar="N", help="cross at N points spread over the locus, one after the other;"
+                       " -N the other way round")
     where.add_argument("--point", type=float, nargs=2, metavar=("X", "Y"), help="return trip through this point of the locus, m")
     where.add_argument("--excite", type=float, nargs="?", const=EXCITE, metavar="S",
                        help=f"a motion that tells masses and friction to dextar identify, about S long, s (default: {EXCITE:g})")

@@ -8,15 +8,18 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 
 from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.identification.fit import EVERY, Direction, Fit, Places, directions_of, fit
 from dextar_control.identification.folds import Fold, find_folds, touch
-from dextar_control.identification.linkage import NAMES, PER_TURN, Linkage, described, numbers_of
+from dextar_control.identification.linkage import COMPLIANCE, NAMES, PER_TURN, Linkage, described, numbers_of
+from dextar_control.identification.motion import CUTOFF
 from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, in_words, rms_of
 from dextar_control.identification.recorded import Recorded, recorded_of
+from dextar_control.identification.transmission import SURE
 from dextar_control.mechanisms.five_bar_locus import SIDES
 from dextar_control.symbols.types import Array
 
@@ -32,7 +35,7 @@ POSE_GAP = 5e-3  # s between two joint states, beyond which no reading is known 
 FEWEST_PLACES = 50
 RECORD = (
     "record crossings spread over the locus: dextar demo --lockstep --tour 12 (on a rig the task tour:=12), also in other"
-    " working modes; several bags are taken together"
+    " working modes, and where a tour ends early the other way round (--tour -12); several bags are taken together"
 )
 
 
@@ -99,24 +102,51 @@ class Calibration:
         """The description's geometry, number by number."""
         before, after = numbers_of(self.before), self.fit.numbers
         deviations = np.sqrt(np.maximum(np.diag(self.fit.covariance), 0.0))
-        return [
+        geometry = [
             Quantity(one.name, one.unit, float(before[row]), float(after[row]), float(deviations[row]))
             for one in EVERY for row in [NAMES.index(one.name)]
         ]
+        pairs = zip(SIDES, self.before.legs, self.after.legs, strict=True)
+        return geometry + [
+            Quantity(f"{side}.transmission_stiffness", "N m/rad", was.transmission_stiffness, value,
+                     float(deviations[NAMES.index(f"{side}.{COMPLIANCE}")]) * value**2)
+            for side, was, now in pairs for value in [now.transmission_stiffness] if value != was.transmission_stiffness
+        ]
+
+    @property
+    def folded_told(self) -> bool:
+        """The difference of the distal lengths is told."""
+        return any(one.name.endswith("left.distal_length") for one in self.fit.directions)
+
+
+def passed_on(robot: RobotParameters, recorded: Recorded) -> Array:
+    """(m, 2) torque that the transmissions pass on to the links, N m: the motors' less what turns their rotors.
+
+    Friction of the motors is not taken off; where no torque is known it is 0.
+    """
+    period = float(np.median(np.diff(recorded.time)))
+    smooth = butter(2, min(CUTOFF, 0.4 / period), fs=1.0 / period, output="sos")
+    readings, torque = (sosfiltfilt(smooth, rows, axis=0) for rows in (recorded.readings, np.nan_to_num(recorded.torque)))
+    rates = np.gradient(readings, recorded.time, axis=0)
+    inertia = np.array([leg.rotor_inertia for leg in robot.legs])
+    passed = torque - inertia * np.gradient(rates, recorded.time, axis=0)
+    return np.where(np.isfinite(recorded.torque), passed, 0.0)
 
 
 def recording_of(linkage: Linkage, robot: RobotParameters, recorded: Recorded, bag: int = 0) -> Recording:
     """What a motion says by its encoders, and by a camera if there was one."""
     time, readings, numbers = recorded.time, recorded.readings, numbers_of(robot)
-    distance = np.hypot(*linkage.elbows(numbers, readings).between.T)
+    passed = passed_on(robot, recorded)
+    distance = np.hypot(*linkage.elbows(numbers, readings, passed).between.T)
     places = None
     if recorded.poses is not None:
         seen, x = recorded.poses
         after = np.clip(np.searchsorted(time, seen), 1, len(time) - 1)
         good = (time[after] - time[after - 1] <= POSE_GAP) & (seen >= time[0]) & (seen <= time[-1])
         if good.sum() >= FEWEST_PLACES:
-            places = Places(np.column_stack([np.interp(seen[good], time, column) for column in readings.T]), x[good])
-    folds = find_folds(linkage, numbers, recorded.working_mode, time, readings, bag)
+            columns = np.column_stack([np.interp(seen[good], time, column) for column in np.hstack([readings, passed]).T])
+            places = Places(columns[:, :2], columns[:, 2:], x[good])
+    folds = find_folds(linkage, numbers, recorded.working_mode, time, readings, bag, passed)
     extremes = np.array([distance.min(), distance.max()])
     return Recording(recorded.path, folds, places, extremes, np.ptp(readings, axis=0))
 
@@ -154,13 +184,13 @@ def calibrate_recorded(
     _check_enough(recordings, folds, wanted, places)
     progress(f"fitting {len(wanted)} quantities to {len(folds)} folds")
     found = fit(linkage, numbers, folds, places, wanted)
-    centred = np.where([name.endswith(PER_TURN) for name in NAMES], 0.0, found.numbers)
-    before, after = (np.array([touch(linkage, row, fold).gap for fold in folds]) for row in (numbers, centred))
+    plain = _plain(numbers, found)
+    before, after = (np.array([touch(linkage, row, fold).gap for fold in folds]) for row in (numbers, plain))
     _check_places(found)
     _check_explained(found, after)
     _check_told(found)
     _check_bounds(robot, found)
-    return Calibration(robot, described(robot, found.numbers), recordings, folds, before, after, found, _kept(numbers, wanted))
+    return Calibration(robot, described(robot, plain), recordings, folds, before, after, found, _kept(numbers, wanted))
 
 
 def predict(calibration: Calibration, run: Run) -> Prediction:
@@ -312,6 +342,17 @@ def _check_bounds(robot: RobotParameters, found: Fit) -> None:
             )
 
 
+def _plain(numbers: Array, found: Fit) -> Array:
+    """(16,) as a description has them: encoders without an error once a turn, transmissions' compliances where they are told."""
+    deviations, plain = np.sqrt(np.diag(found.covariance)), found.numbers.copy()
+    for row, name in enumerate(NAMES):
+        if name.endswith(PER_TURN):
+            plain[row] = 0.0
+        elif name.endswith(COMPLIANCE) and not plain[row] > SURE * deviations[row] > 0.0:
+            plain[row] = numbers[row]
+    return plain
+
+
 def _kept(numbers: Array, wanted: Sequence[Direction]) -> list[str]:
     """What these quantities leave open, in words."""
     if len(wanted) == len(EVERY):
@@ -319,11 +360,14 @@ def _kept(numbers: Array, wanted: Sequence[Direction]) -> list[str]:
     value = dict(zip(NAMES, numbers, strict=True))
     middle = [500.0 * (value[f"left.axis.{axis}"] + value[f"right.axis.{axis}"]) for axis in "xy"]
     lengths = [1e3 * value[f"{side}.distal_length"] for side in SIDES]
+    stiffness = " and ".join(f"{1.0 / c:g} N m/rad" if (c := value[f"{side}.{COMPLIANCE}"]) else "rigid" for side in SIDES)
     kept = [
         f"The scale is not seen without an external pose: the distal lengths' sum was kept at {sum(lengths):.4f} mm.",
         f"Where the robot stands is not seen: the middle of its motor axes was kept at ({middle[0]:.4f}, {middle[1]:.4f}) mm.",
         "How it is turned is not seen: the mean of the encoder offsets was kept at"
         f" {500.0 * sum(value[f'{side}.encoder_offset'] for side in SIDES):.4f} mrad.",
+        f"How far links lag behind their motors is not seen without an external pose: the transmissions were kept as {stiffness}."
+        " If encoders sit at the motors, before belts, the robot file needs their stiffness, or these numbers bear its lag.",
     ]
     if not any(direction.name.endswith("left.distal_length") for direction in wanted):
         kept.append(

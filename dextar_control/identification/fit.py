@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.identification.folds import Fold, Touch, touch
-from dextar_control.identification.linkage import NAMES, PER_TURN, Linkage
+from dextar_control.identification.linkage import COMPLIANCE, NAMES, PER_TURN, Linkage
 from dextar_control.mechanisms.five_bar_locus import SIDES, Family
 from dextar_control.symbols.types import Array
 
@@ -31,7 +31,8 @@ ENCODER_ERRORS = (0.0, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3)  # rad, of the errors once 
 SEEN_ERROR = 3e-4  # rad, of such errors that is looked for where places of the end effector tell them
 UNMODELLED = (0.0, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4)  # m, beside the samples' scatter, likewise
 BOUND = 1e-9  # of the largest singular value, below which a direction is not seen at all
-ONE = {"m": 1e-4, "rad": 1e-3}  # that counts as one of each unit
+ONE = {"m": 1e-4, "rad": 1e-3, "rad/(N m)": 1e-2}  # that counts as one of each unit
+SEEN_COMPLIANCE = 3e-2  # rad/(N m), standard deviation of a transmission's that is looked for where places tell it
 
 
 class Direction(NamedTuple):
@@ -40,7 +41,7 @@ class Direction(NamedTuple):
     Attributes:
         name: of the quantity.
         unit: m or rad.
-        change: (14,) of the numbers where the quantity changes by one.
+        change: (16,) of the numbers where the quantity changes by one.
     """
 
     name: str
@@ -53,15 +54,16 @@ def _direction(name: str, unit: str, changes: dict[str, float]) -> Direction:
 
 
 def _single(name: str) -> Direction:
-    return _direction(name, "rad" if "encoder" in name else "m", {name: 1.0})
+    unit = "rad/(N m)" if name.endswith(COMPLIANCE) else "rad" if "encoder" in name else "m"
+    return _direction(name, unit, {name: 1.0})
 
 
 def _difference(name: str, unit: str, quantity: str) -> Direction:
     return _direction(name, unit, {f"left.{quantity}": -0.5, f"right.{quantity}": 0.5})
 
 
-ECCENTRICITY = tuple(_single(name) for name in NAMES if name.endswith(PER_TURN))
-EVERY = tuple(_single(name) for name in NAMES if not name.endswith(PER_TURN))
+ENCODERS = tuple(_single(name) for name in NAMES if name.endswith((*PER_TURN, COMPLIANCE)))
+EVERY = tuple(_single(name) for name in NAMES if not name.endswith((*PER_TURN, COMPLIANCE)))
 BY_STRETCHED = (
     *(_single(f"{side}.proximal_length") for side in SIDES),
     *(_difference(f"right.axis - left.axis, {axis}", "m", f"axis.{axis}") for axis in "xy"),
@@ -75,10 +77,12 @@ class Places(NamedTuple):
 
     Attributes:
         readings: (m, 2) of the encoders then, rad.
+        passed: (m, 2) on to the links, N m.
         x: (m, 2) in the robot's frame, m.
     """
 
     readings: Array
+    passed: Array
     x: Array
 
 
@@ -87,14 +91,15 @@ class Fit:
     """What was found.
 
     Attributes:
-        numbers: (14,) in the order of ``NAMES``.
-        covariance: (14, 14) of them; zero where they are kept.
+        numbers: (16,) in the order of ``NAMES``.
+        covariance: (16, 16) of them; zero where they are kept.
         directions: that were looked for.
         deviations: per direction, standard; inf where the recordings do not tell it.
         touches: of the folds.
         spreads: per fold, standard deviation of its gap with all that is not modelled, m.
         used: per fold, whether it counts.
-        encoder_error: standard deviation of the encoders' error once a turn that was allowed for, rad.
+        encoder_error: standard deviation of the encoders' error once a turn, or by a tenth of a N m passed on, that was allowed
+            for, rad.
         unmodelled: standard deviation of the folds' gaps beside it and their samples' scatter, m.
         place_noise: standard deviation of a seen coordinate, m; nan without places.
         places: how many count.
@@ -131,8 +136,8 @@ class _Problem:
 
     def __init__(self, linkage: Linkage, folds: Sequence[Fold], places: Places | None, wanted: tuple[Direction, ...]) -> None:
         self.linkage, self.folds, self.places = linkage, folds, places
-        self.scales = np.array([ONE[direction.unit] for direction in (*wanted, *ECCENTRICITY)])
-        self.along = np.column_stack([direction.change for direction in (*wanted, *ECCENTRICITY)]) * self.scales
+        self.scales = np.array([ONE[direction.unit] for direction in (*wanted, *ENCODERS)])
+        self.along = np.column_stack([direction.change for direction in (*wanted, *ENCODERS)]) * self.scales
         self.place_noise, self.count = PLACE_NOISE, len(wanted)
 
     def at(self, numbers: Array) -> None:
@@ -146,7 +151,7 @@ class _Problem:
         self.kept = np.zeros(0, dtype=bool)
         if self.places is None:
             return
-        found = self.linkage.closures(numbers, self.places.readings, self.places.x)
+        found = self.linkage.closures(numbers, *self.places)
         noise = self.place_noise**2 * found.rods @ found.rods.transpose(0, 2, 1) + PLACE_FLOOR**2 * np.eye(2)
         whiten = np.linalg.inv(np.linalg.cholesky(noise))
         residuals = np.einsum("mij,mj->mi", whiten, found.gaps)
@@ -207,7 +212,7 @@ def fit(
 
     Args:
         linkage: its functions.
-        numbers: (14,) of the description, where the search begins; what is not looked for stays.
+        numbers: (16,) of the description, where the search begins; what is not looked for stays.
         folds: of the recordings.
         places: of the end effector.
         directions: to look for; ``directions_of`` when None.
@@ -234,7 +239,8 @@ def fit(
             hold = np.zeros(len(wanted))
             allowed = encoder_error if places is None else max(encoder_error, SEEN_ERROR)
             if allowed:
-                hold = np.concatenate([hold, np.full(len(ECCENTRICITY), ONE["rad"] / allowed)])
+                loose = allowed / ONE["rad"], (SEEN_COMPLIANCE / ONE["rad/(N m)"] if places else allowed / ONE["rad"])
+                hold = np.concatenate([hold, [1.0 / loose[one.unit != "rad"] for one in ENCODERS]])
         step, covariance = problem.step(weights, moved, hold)
         moved = moved + step
         problem.at(numbers + problem.along @ moved)

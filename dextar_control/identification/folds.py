@@ -34,6 +34,7 @@ class Fold(NamedTuple):
         time: of the window's middle, on the recording's clock, s.
         instants: (n,) of the samples, -1 to 1 in the window.
         readings: (n, 2) of the encoders, rad.
+        passed: (n, 2) on to the links, N m.
         smoother: (DEGREE + 1, n) from samples to coefficients of the polynomials.
         working_mode: of the legs.
     """
@@ -43,6 +44,7 @@ class Fold(NamedTuple):
     time: float
     instants: Array
     readings: Array
+    passed: Array
     smoother: Array
     working_mode: tuple[int, int]
 
@@ -52,7 +54,7 @@ class Touch(NamedTuple):
 
     Attributes:
         gap: the elbows' distance along the links less that of aligned links, m; nan where the joints do not turn back.
-        gradient: (14,) of the gap by the numbers.
+        gradient: (16,) of the gap by the numbers.
         deviation: standard, of the gap by the samples' own scatter, m.
         x: (2,) of the end effector, m.
     """
@@ -67,19 +69,22 @@ NONE = Touch(np.nan, np.zeros(len(NAMES)), np.nan, np.full(2, np.nan))
 
 
 def find_folds(
-    linkage: Linkage, numbers: Array, working_mode: tuple[int, int], time: Array, readings: Array, bag: int = 0
-) -> list[Fold]:
+    linkage: Linkage, numbers: Array, working_mode: tuple[int, int], time: Array, readings: Array, bag: int = 0,
+    passed: Array | None = None,
+) -> list[Fold]:  # fmt: skip
     """The folds of a recording, in order of time.
 
     Args:
         linkage: its functions.
-        numbers: (14,) of the description.
+        numbers: (16,) of the description.
         working_mode: of the legs.
         time: (n,) rising, s.
         readings: (n, 2) of the encoders, rad.
         bag: number of the recording.
+        passed: (n, 2) on to the links, N m; none when None.
     """
-    distance = np.hypot(*linkage.elbows(numbers, readings).between.T)
+    passed = np.zeros_like(readings) if passed is None else passed
+    distance = np.hypot(*linkage.elbows(numbers, readings, passed).between.T)
     left, right = numbers[list(DISTAL)]
     total = float(left + right)
     found = []
@@ -94,7 +99,7 @@ def find_folds(
             middle, half = 0.5 * (time[last] + time[first]), 0.5 * (time[last] - time[first])
             instants = (time[rows] - middle) / half
             smoother = np.asarray(np.linalg.pinv(_powers(instants)), dtype=np.float64)
-            found.append(Fold(bag, family, float(middle), instants, readings[rows], smoother, working_mode))
+            found.append(Fold(bag, family, float(middle), instants, readings[rows], passed[rows], smoother, working_mode))
     return sorted(found, key=lambda fold: fold.time)
 
 
@@ -113,8 +118,8 @@ def _powers(instants: Array) -> Array:
 
 
 def touch(linkage: Linkage, numbers: Array, fold: Fold) -> Touch:
-    """What a fold says of these numbers (14,)."""
-    elbows = linkage.elbows(numbers, fold.readings)
+    """What a fold says of these numbers (16,)."""
+    elbows = linkage.elbows(numbers, fold.readings, fold.passed)
     coefficients = fold.smoother @ elbows.between
     slopes = coefficients[1:] * np.arange(1, DEGREE + 1)[:, None]
     bends = slopes[1:] * np.arange(1, DEGREE)[:, None]

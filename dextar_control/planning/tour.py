@@ -50,14 +50,17 @@ Wish = LocusPoint | Array | tuple[LocusPoint | Array, int]
 def spread_points(robot: RobotParameters, count: int, seed: int = 0) -> list[LocusPoint]:
     """``count`` crossable points spread over the locus of the robot's working mode, between the same two regions.
 
-    They are ordered so that each is followed by its nearest neighbour, from the leftmost on.
+    They are ordered so that each is followed by its nearest neighbour, from the leftmost on; the other way round where count is
+    negative.
 
     Raises:
-        ParameterError: count < 1.
+        ParameterError: count is 0.
         GeometryError: there are not that many.
     """
-    if count < 1:
-        raise ParameterError(f"tour = {count} points; it must be >= 1")
+    if count == 0:
+        raise ParameterError("tour = 0 points; it must be >= 1, or <= -1 for the other way round")
+    if count < 0:
+        return spread_points(robot, -count, seed)[::-1]
     regions = make_regions(robot)
     for sampled in range(count, MOST_SAMPLED * count + 1, max(1, count // 2)):
         points = sample_locus(robot, sampled, seed, working_modes=(robot.working_mode,))
@@ -189,7 +192,7 @@ def plan_tour(
     Args:
         robot: whose working mode the points belong to.
         points: locus points, or positions (2,), m, each alone or with its direction (the sign of s after it); or how
-            many, to have them spread over the locus.
+            many, to have them spread over the locus (see ``spread_points``).
         repeat: laps.
         seed: of the spread.
         start: (2,) m where it starts; chosen when None.

@@ -29,7 +29,8 @@ PARAMETERS = (
     Parameter("task.goal", "B, of the trip A -> B -> A", size=2, unit="m", live=True),
     Parameter("point", "of the locus through which a return trip leads instead; [] is off", size=2, unit="m", live=True),
     Parameter("direction", "sign of s after that point; 0 leads away from the side of A", -1, 1, live=True),
-    Parameter("tour", "crossings spread over the locus instead; 0 is off", 0, 1000, live=True),
+    Parameter("tour", "crossings spread over the locus instead, the other way round where negative; 0 is off", -1000, 1000,
+              live=True),
     Parameter("tour_points", "x, y of each point of a tour instead; [] is off", unit="m", live=True),
     Parameter("tour_seed", "of the spread", 0, 2**31 - 1, live=True),
     Parameter("excite", "of a motion that tells masses and friction (dextar identify) instead; 0 is off", 0.0, 300.0, unit="s",
@@ -51,7 +52,7 @@ class Task:
         start, goal: A and B, m.
         point: of the locus, m; None without.
         direction: sign of s after ``point``; 0 leads away from the side of A.
-        tour: how many crossings are spread over the locus.
+        tour: how many crossings are spread over the locus; the other way round where negative.
         tour_points: of a tour, m.
         excite: about how long an exciting motion is, s; 0 is none.
         duration: of one way, s; None leaves it to the planner.
