@@ -18,6 +18,7 @@ from dextar_control.contract.errors import ParameterError
 ROOT = Path(__file__).resolve().parents[1]
 CAMPAIGNS = sorted((ROOT / "config").glob("campaign*.yaml")) + [ROOT / "config" / "rig.yaml"]
 SMALL = ROOT / "config" / "campaign_small.yaml"
+SWEEP = {"title": "belt", "number": "belt", "levels": [150, 50]}
 
 
 def changed(**changes: Any) -> dict[str, Any]:
@@ -83,6 +84,9 @@ def test_the_big_campaign_is_as_large_as_the_claims() -> None:
         ({"cases__bounced__estimators": ["dgn"]}, "case bounced: unknown estimator 'dgn'"),
         ({"cases__bounced__judged": ["consistent"]}, "case bounced: unknown combination 'consistent'"),
         ({"cases": {}}, "cases: it must have at least one of cases or sweeps"),
+        ({"sweeps": {"belt": SWEEP | {"levels": [50, 50]}}}, "sweeps.belt.levels: level 50 stands there 2 times"),
+        ({"sweeps": {"belt": SWEEP | {"levels": [float("nan")]}}}, "sweeps.belt.levels.0: nan is not valid"),
+        ({"sweeps": {"belt": SWEEP | {"scale": 0.0}}}, "sweeps.belt.scale: 0.0 is not valid"),
         ({"default__plant": None}, "default.plant: it is missing"),
     ],
     ids=str,

@@ -83,6 +83,7 @@ def test_the_exciting_motion_keeps_clear_and_comes_back() -> None:
 def test_the_exciting_motion_is_the_same_each_time_and_tells_more_than_a_line() -> None:
     short = plan_excitation(ROBOT, START, 5.0, 0.2)
     np.testing.assert_array_equal(short.trajectory.coefficients, plan_excitation(ROBOT, START, 5.0, 0.2).trajectory.coefficients)
+    assert 0.0 < plan_excitation(ROBOT, START, 0.1, 0.0).trajectory.duration < 2.0  # of less than a loop one is left
     p = DETAILED_FIVE_BAR.values(flatten(ROBOT))
 
     def information(way: Trajectory) -> float:

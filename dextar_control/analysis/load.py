@@ -98,7 +98,13 @@ def load_run(
     except BagError as error:
         text = str(error) if str(bag.path) in str(error) else f"{bag.path}: {error}"
         raise BagError(f"{text} ({bag.damage})" if bag.damage else text) from error
-    return run if robot is None or run.robot is not None else replace(run, robot=robot)
+    if robot is None or run.robot == robot:
+        return run
+    if run.robot is None:
+        return replace(run, robot=robot)
+    told = f"{bag.path} says which robot it is of, and that counts: another description is for bags that do not"
+    warnings.warn(told, stacklevel=2)
+    return run
 
 
 def _table_of(record: dict[str, str], key: str, kind: type) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from dextar_control.campaign.ranges import BARS, PERTURBATIONS, Range
 from dextar_control.contract.settings import Settings
@@ -99,10 +99,10 @@ class Sweep(_Section):
 
     title: str
     number: str
-    levels: list[float] = Field(min_length=1)
+    levels: list[FiniteFloat] = Field(min_length=1)
     unit: str = ""
-    scale: float = 1.0
-    asked: float | None = None
+    scale: float = Field(default=1.0, gt=0.0, allow_inf_nan=False)
+    asked: FiniteFloat | None = None
     perturbation: Numbers = {}
     settings: Numbers = {}
     duration: float | None = Field(default=None, gt=0.0, le=60.0, allow_inf_nan=False)
@@ -112,6 +112,12 @@ class Sweep(_Section):
     def _known_number(cls, number: str) -> str:
         _known(number, PERTURBATIONS, "perturbation")
         return number
+
+    @field_validator("levels")
+    @classmethod
+    def _levels_once(cls, levels: list[float]) -> list[float]:
+        _each_once([f"{level:g}" for level in levels], "level")
+        return levels
 
     def shown(self, level: float) -> str:
         """A level as it is drawn, to three digits."""

@@ -136,7 +136,7 @@ def settled(node: str, specs: Sequence[Parameter], overrides: Mapping[str, Any],
     for key in overrides:
         others = key.startswith("qos_overrides.") or (key.startswith("robot.") and not robot)
         if key not in known and not others:
-            raise ParameterError(f"unknown parameter '{key}' for node {node}; known are: {', '.join(names)}")
+            raise ParameterError(f"unknown parameter '{key}' for node {node}; known are: {', '.join([*names, *described])}")
     for name in names:
         if name not in defaults:
             raise ParameterError(f"config/{resources.NODES_FILE} has no '{name}' for node {node}")

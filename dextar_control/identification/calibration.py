@@ -33,6 +33,7 @@ SUSPICIOUS = 1e-3  # rad, of an encoder's error once a turn that is said where n
 LEAST_USED = 2.0 / 3.0  # of the folds
 POSE_GAP = 5e-3  # s between two joint states, beyond which no reading is known between them
 FEWEST_PLACES = 50
+UNLIKE = "turns before the locus, encoders that slip, play, links that bend, or a bag of another robot look like this"
 RECORD = (
     "record crossings spread over the locus: dextar demo --lockstep --tour 12 (on a rig the task tour:=12), also in other"
     " working modes, and where a tour ends early the other way round (--tour -12); several bags are taken together"
@@ -318,9 +319,8 @@ def _check_explained(found: Fit, gaps: Array) -> None:
         raise CalibrationError(
             f"no geometry explains the recordings: {used} of {count} crossings agree"
             f"{f', with gaps of {1e6 * rms:.0f} um RMS' if used else ''}; {LEAST_USED:.0%} have to, with {1e6 * MOST_GAP:.0f} um"
-            " at most:"
-            f" {_encoders(found) or 'encoders that slip, play, links that bend, or a bag of another robot look like this'}."
-            " Nothing was written"
+            f" at most: {_encoders(found) or UNLIKE}."
+            f" Nothing was written{f'; {RECORD}' if not used else ''}"
         )
 
 

@@ -283,7 +283,10 @@ def _told(found: DynamicFit) -> list[str]:
             f"The robot is tilted by {tilt:.2f} deg +- {np.degrees(pull_sure / WEIGHT):.2f}, downhill at"
             f" {np.degrees(np.arctan2(y, x)):.0f} deg of its frame."
         )
-    late = [f"{1e3 * value:.2f} +- {1e3 * sure:.2f}" for value, sure in zip(found.delay, found.delay_deviation, strict=True)]
+    late = [
+        f"{round(1e3 * value, 2) + 0.0:.2f} +- {1e3 * sure:.2f}"  # 0.00 without a sign
+        for value, sure in zip(found.delay, found.delay_deviation, strict=True)
+    ]
     lines.append(f"The drives answer {', '.join(late)} ms late, which is allowed for; no robot file says it.")
     for side, rates, rest in zip(SIDES, found.rates.T, found.rest.T, strict=True):
         shape = np.sign(rates) * np.exp(-np.abs(rates) / STRIBECK_SPEED)

@@ -28,7 +28,7 @@ LEAST_S = 0.2  # |s| from which on encoders tell where the platform is, and how 
 LEAST_RATE = 0.1  # rad/s of each joint, below which friction has no sure sign
 GAP = 3.5  # periods without a state that end a stretch
 SHORTEST = 0.3  # s of a stretch
-EXCITE = "record dextar demo --lockstep --excite (on a rig the task excite:=10)"
+EXCITE = "record dextar demo --lockstep --excite (on a rig the task excite:=20)"
 
 
 @dataclass(frozen=True)

@@ -43,13 +43,18 @@ class Quantity(NamedTuple):
         """Name, before, after, standard deviation and unit, as people read them."""
         unit, scale = UNITS[self.unit]
         sure = f"{scale * self.deviation:.4f}" if self.deviation else "kept"
-        return [self.name, f"{scale * self.before:.4f}", f"{scale * self.after:.4f}", self.note or sure, unit]
+        return [self.name, f"{scale * self.before:.4f}", _rounded(scale * self.after), self.note or sure, unit]
+
+
+def _rounded(number: float) -> str:
+    """Without a sign where it rounds to zero."""
+    return f"{round(number, 4) + 0.0:.4f}"
 
 
 def in_words(quantity: Quantity) -> str:
     """Name, change and standard deviation."""
     unit, scale = UNITS[quantity.unit]
-    now = f"{quantity.name} {scale * quantity.after:.4f} {unit}"
+    now = f"{quantity.name} {_rounded(scale * quantity.after)} {unit}"
     if quantity.deviation == 0.0:
         return f"{now}, kept"
     sure = quantity.note or f"+- {scale * quantity.deviation:.4f}"

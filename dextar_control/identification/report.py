@@ -13,7 +13,7 @@ from rich.table import Table
 from dextar_control.analysis.page import Cell, Column, number, render
 from dextar_control.analysis.web_figures import residuals
 from dextar_control.analysis.words import counted
-from dextar_control.contract.errors import CalibrationError
+from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.identification.calibration import Calibration, Prediction, robot_lines
 from dextar_control.identification.identification import Identification, TorquePrediction, identified_lines
@@ -38,7 +38,7 @@ def write_calibration(calibration: Calibration, predictions: Sequence[Prediction
     """Write the robot's file and the page.
 
     Raises:
-        CalibrationError: they cannot be written.
+        BagError: they cannot be written.
     """
     page = render_calibration(calibration, predictions)
     write_results(calibration.after, robot_lines(calibration), page, folder / ROBOT_FILE, folder / PAGE_FILE)
@@ -48,14 +48,14 @@ def write_results(robot: RobotParameters, lines: Sequence[str], page: str, robot
     """Write a description and its page.
 
     Raises:
-        CalibrationError: they cannot be written.
+        BagError: they cannot be written.
     """
     try:
         robot_file.parent.mkdir(parents=True, exist_ok=True)
         write_robot(robot, lines, robot_file)
         page_file.write_text(page, encoding="utf-8", errors="replace")
     except OSError as error:
-        raise CalibrationError(f"cannot write the results to {robot_file.parent}: {error.strerror or error}") from error
+        raise BagError(f"cannot write the results to {robot_file.parent}: {error.strerror or error}") from error
 
 
 def summary(title: str, quantities: Sequence[Quantity]) -> Table:
@@ -158,7 +158,7 @@ def write_identification(identification: Identification, predictions: Sequence[T
     """Write the robot's file and the page.
 
     Raises:
-        CalibrationError: they cannot be written.
+        BagError: they cannot be written.
     """
     page = render_identification(identification, predictions)
     write_results(identification.after, identified_lines(identification), page, folder / IDENTIFIED_FILE,

@@ -85,7 +85,8 @@ def plan_excitation(
     if not found:
         raise TrajectoryError(f"there is no room for an exciting motion about {in_words(start)}; give another task.start")
     chosen, total = list[Shape](), np.eye(len(found[0].information))
-    while sum(shape.period for shape in chosen) < duration - 0.5 * LEAST_PERIOD and len(chosen) < len(found):
+    least = max(duration - 0.5 * LEAST_PERIOD, np.finfo(float).tiny)  # one loop is the shortest motion
+    while sum(shape.period for shape in chosen) < least and len(chosen) < len(found):
         worths = [-np.inf if any(shape is one for one in chosen) else _worth(total, shape) for shape in found]
         chosen.append(found[int(np.argmax(worths))])
         total = total + chosen[-1].information

@@ -327,7 +327,8 @@ def _unhealthy(monitor: _Monitor) -> str:
     """Why the controller still waits to enable itself; empty when it does not."""
     if monitor.get("controller", "enabling") != "waiting":
         return ""
-    return f": healthy states for {monitor.get('controller', 'healthy')} s only; {monitor.get('controller', 'last_trouble')}"
+    healthy = f": healthy states for {monitor.get('controller', 'healthy')} s only"
+    return "; ".join(filter(None, (healthy, monitor.get("controller", "last_trouble"))))
 
 
 def _follow(console: Terminal, monitor: _Monitor, processes: _Processes) -> None:
