@@ -179,7 +179,7 @@ def test_a_reader_that_has_enough_does_not_make_a_run_a_failure() -> None:
 def test_the_demo_tells_what_the_analysis_warns_of_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def analyze(_: Path) -> SimpleNamespace:
+    def analyze(_: Path, judged: object) -> SimpleNamespace:
         for _ in range(2):
             warnings.warn("the bag breaks off", stacklevel=1)
         return SimpleNamespace(success=True)
