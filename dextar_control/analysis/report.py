@@ -20,6 +20,7 @@ from dextar_control.contract.robot import RobotParameters
 
 RESOLUTION = 150  # dots per inch
 NOTHING = "nothing recorded"
+BEYOND_BRIEF = ("estimated error", "peak near the locus", "steps without it in time")
 
 
 def analyze(
@@ -80,6 +81,16 @@ def summary_table(metrics: Metrics) -> Table:
     table = Table(show_header=False, title=title, title_justify="left")
     for name, value in summary_lines(metrics):
         table.add_row(name, value)
+    return table
+
+
+def brief_table(metrics: Metrics) -> Table:
+    """What a summary says to somebody who wants to know whether it went well, and why not if it did not."""
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    unusual = {"saturated commands": "0", "states without command": f"0 of {metrics.states}", "lost in recording": "none"}
+    for name, value in summary_lines(metrics):
+        if name not in BEYOND_BRIEF and value != unusual.get(name):
+            table.add_row(name, value)
     return table
 
 
