@@ -179,7 +179,7 @@ def test_a_reader_that_has_enough_does_not_make_a_run_a_failure() -> None:
 def test_the_demo_tells_what_the_analysis_warns_of_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def analyze(_: Path) -> SimpleNamespace:
+    def analyze(_: Path, judged: object) -> SimpleNamespace:
         for _ in range(2):
             warnings.warn("the bag breaks off", stacklevel=1)
         return SimpleNamespace(success=True)
@@ -189,6 +189,5 @@ def test_the_demo_tells_what_the_analysis_warns_of_in_one_line(
     monkeypatch.setattr(demo, "_monitor", lambda: contextlib.nullcontext(SimpleNamespace(resume=lambda: None)))
     monkeypatch.setattr(demo._Processes, "start", lambda *_: None)
     monkeypatch.setattr(report, "analyze", analyze)
-    monkeypatch.setattr(report, "brief_table", lambda _: "")
     assert cli.main(["demo", "--output", str(tmp_path)]) == 0
     assert capsys.readouterr().err == "dextar demo: the bag breaks off\n"

@@ -25,7 +25,6 @@ from rclpy.signals import SignalHandlerOptions
 from rich.progress import BarColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool
 
-from dextar_control import executables
 from dextar_control.contract import signals
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.node import qos
@@ -35,6 +34,7 @@ from dextar_control.contract.terminal import Steps, Terminal, TextColumn, spoken
 from dextar_control.contract.topics import DIAGNOSTICS
 from dextar_control.contract.yaml_text import assignment, load_parameters, parse_value
 from dextar_control.control.prepare import prepare
+from dextar_control.executables import EXECUTABLES
 from dextar_control.model.model import Model
 from dextar_control.ros.domain import choose_domain
 from dextar_control.ros.start_check import check_start
@@ -91,7 +91,7 @@ def _be_node(name: str, arguments: list[str], log: Path) -> None:
         os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), stream)
     signals.install(signal.SIG_DFL)
     sys.argv = [name, "--ros-args", *arguments]
-    sys.exit(getattr(executables, name)())
+    sys.exit(EXECUTABLES[name]())
 
 
 class _Processes:
