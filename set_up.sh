@@ -85,7 +85,9 @@ index_of_pip() {
 
 # Install the package with extras, "[a,b]" or nothing.
 install() {
-    local pip=("$BIN/python" -m pip --disable-pip-version-check --no-input --retries 2) constraint=() uv="" said=""
+    local pip=("$BIN/python" -m pip --disable-pip-version-check --no-input --retries 2) constraint=() uv="" said="" again=()
+    [ ! -e .venv/installing ] || again=(--reinstall) # it was interrupted, and what it was copying may be half there
+    said=$(touch .venv/installing 2>&1) || explain
     if [ "$kind" = jazzy ]; then
         constraint=(--constraint .venv/constraints.txt)
     elif ! uv=$(command -v uv) && [ ! -x $BIN/uv ] && ! said=$("${pip[@]}" install uv 2>&1) && grep -qE "$FULL|$UNREACHABLE" <<<"$said"; then
@@ -96,13 +98,14 @@ install() {
     if [ -n "$uv" ]; then
         echo "installing $what, by uv"
         index_of_pip
-        said=$("$uv" pip install --python $BIN/python --editable ".$1" 2>&1) && return
+        said=$("$uv" pip install "${again[@]}" --python $BIN/python --editable ".$1" 2>&1) && rm .venv/installing && return
         ! grep -qE "$FULL" <<<"$said" || explain
         grep -qE "$UNREACHABLE" <<<"$said" || echo "uv says: $(grep -m1 -E 'error|×|╰' <<<"$said" | cut -c1-200); so pip tries"
     else
         echo "installing $what, by pip: some minutes"
     fi
-    said=$("${pip[@]}" install "${constraint[@]}" --editable ".$1" 2>&1) || explain
+    said=$("${pip[@]}" install "${again[@]/--re/--force-re}" "${constraint[@]}" --editable ".$1" 2>&1) || explain
+    rm .venv/installing
 }
 
 # Two kinds of environment: on top of a sourced Jazzy installation, or with ROS 2 from wheels.
