@@ -1,11 +1,16 @@
 """Builds the package for pip and, as ament_python, for colcon. The version stands in package.xml."""
 
+import sys
 from glob import glob
 from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 manifest = ElementTree.parse("package.xml").getroot()
+NODES = "plant", "controller", "trajectory_server", "recorder", "markers", "warmup"
+OF_COLCON = bool({"install", "develop"} & set(sys.argv))
+"""colcon calls this file so, and puts executables where ros2 run looks, lib/dextar; pip puts them on the PATH, where names as
+plain as these are not ours: there they are dextar plant, dextar controller and so on."""
 
 
 def text(tag: str) -> str:
@@ -24,7 +29,9 @@ setup(
     maintainer=maintainer.text,
     maintainer_email=maintainer.get("email"),
     packages=find_packages(include=["dextar_control", "dextar_control.*", "dextar_sim", "dextar_sim.*"]),
-    package_data={"dextar_control.analysis": ["templates/*.html"]},
+    package_data={
+        "dextar_control": ["py.typed"], "dextar_sim": ["py.typed"], "dextar_control.analysis": ["templates/*.html"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
         (f"share/{name}", ["package.xml"]),
@@ -48,13 +55,13 @@ setup(
         "zstandard",
         "rosbags",
         "pydantic>=2",
-        "distributed",
-        "pyarrow",
         # PyBullet's own wheels end at CPython 3.11; the fork is the same module with wheels for later ones.
         'pybullet; python_version < "3.12"',
         'pybullet-arm64; python_version >= "3.12"',
     ],
     extras_require={
+        "campaign": ["distributed", "pyarrow"],
+        "export": ["pyarrow"],  # Parquet; the other formats need nothing
         "video": ["imageio-ffmpeg"],  # MP4 where no ffmpeg is installed
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "test": ["pytest", "hypothesis", "mcap-ros2-support", "colcon-common-extensions", "colcon-ros"],
@@ -62,9 +69,6 @@ setup(
         "lint": ["ruff", "mypy", "types-PyYAML"],
     },
     entry_points={
-        "console_scripts": [
-            f"{name} = dextar_control.executables:{name}"
-            for name in ("dextar", "plant", "controller", "trajectory_server", "recorder", "markers", "warmup")
-        ],
+        "console_scripts": [f"{name} = dextar_control.executables:{name}" for name in ("dextar", *(NODES if OF_COLCON else ()))]
     },
 )

@@ -23,6 +23,7 @@ from dextar_control.commands import (
 )
 from dextar_control.contract.caches import prepare_environment
 from dextar_control.contract.signals import run_command
+from dextar_control.executables import EXECUTABLES
 
 COMMANDS = {
     "demo": demo,
@@ -40,11 +41,14 @@ COMMANDS = {
 }
 
 
+NODES = ", ".join(EXECUTABLES)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="dextar",
         description="Drive a five-bar parallel robot through its Type 2 singularities, record the run and analyse it.",
-        epilog="start with: dextar demo",
+        epilog=f"start with: dextar demo. Each node alone, as ros2 run dextar NODE: dextar NODE --help, NODE one of {NODES}",
     )
     parsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, command in COMMANDS.items():

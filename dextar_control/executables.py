@@ -1,4 +1,4 @@
-"""The package's executables, as ``ros2 run dextar NAME`` and pip's scripts start them; each loads its module when it is called.
+"""The package's executables, as ``ros2 run dextar NAME`` and ``dextar NAME`` start them; each loads its module when it is called.
 
 Loading takes seconds, and a Ctrl-C in them ends the process without a traceback; what is loaded then takes the signals itself.
 Once it has ended, further signals change nothing: a launcher repeats the Ctrl-C that the terminal has sent already, and the
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import signal
+import sys
 from collections.abc import Callable
 
 from dextar_control.contract import signals
@@ -55,6 +56,13 @@ def warmup() -> int:
     return _run("dextar_control.control.prepare", signals.killed)
 
 
+EXECUTABLES = {run.__name__: run for run in (plant, controller, trajectory_server, recorder, markers, warmup)}
+
+
 def dextar() -> int:
-    """The command ``dextar``."""
-    return _run("dextar_control.cli", signals.killed)
+    """The command ``dextar``; ``dextar plant ...`` is what ``ros2 run dextar plant ...`` is."""
+    run = EXECUTABLES.get(sys.argv[1]) if len(sys.argv) > 1 else None
+    if run is None:
+        return _run("dextar_control.cli", signals.killed)
+    sys.argv[:2] = [f"dextar {sys.argv[1]}"]
+    return run()

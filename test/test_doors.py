@@ -51,7 +51,7 @@ DOORS = {  # each room, and those that it may import beside itself and the contr
     "dextar_control.campaign": _rooms("analysis", "identification", *MATHEMATICS),
     "dextar_control.faults": _rooms(*MATHEMATICS),
     "dextar_control.security": set(),
-    "dextar_control.ros": _rooms("analysis", "bags", "rig_check", "faults", *MATHEMATICS),
+    "dextar_control.ros": _rooms("executables", "analysis", "bags", "rig_check", "faults", *MATHEMATICS),
     "dextar_control.commands": _rooms("analysis", "campaign", "identification", "ros"),
     "dextar_sim": _rooms("symbols", "mechanisms"),
 }

@@ -14,17 +14,15 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
+import dextar_control
+from dextar_control import executables
+
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 EXECUTABLES = {"dextar", "plant", "controller", "trajectory_server", "recorder", "markers", "warmup"}
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
 PARAMETER_FILES = [path for path in CONFIGS if not path.name.startswith(("campaign", "faults", "frontier", "rig"))]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
-
-
-def entry_points() -> dict[str, importlib.metadata.EntryPoint]:
-    points = importlib.metadata.distribution("dextar").entry_points
-    return {point.name: point for point in points if point.group == "console_scripts"}
 
 
 def test_package_xml_is_a_valid_ament_python_manifest():
@@ -48,7 +46,7 @@ def test_package_xml_setup_py_and_the_installation_agree_on_the_version():
     assert importlib.metadata.version("dextar") == version
 
 
-ROSDEP = {  # the rosdep key that brings a requirement of setup.py; None: there is no such key, and pip brings it
+ROSDEP = {  # the rosdep key that brings a requirement of setup.py
     "numpy": "python3-numpy",
     "scipy": "python3-scipy",
     "casadi": "casadi-pip",
@@ -61,11 +59,10 @@ ROSDEP = {  # the rosdep key that brings a requirement of setup.py; None: there 
     "zstandard": "mcap-ros2-support",
     "rosbags": "python3-rosbags-pip",
     "pydantic": "python3-pydantic",
-    "distributed": None,
-    "pyarrow": None,
     "pybullet": "python3-pybullet-pip",
     "pybullet-arm64": "python3-pybullet-pip",  # the same module
 }
+OF_CAMPAIGNS = {"distributed", "pyarrow"}  # the extra campaign; rosdep has no keys for them
 ROSDEP_TEST = {
     "pytest": "python3-pytest",
     "hypothesis": "python3-hypothesis",
@@ -81,24 +78,22 @@ def of_package_xml(tag: str) -> set[str]:
     return {name for name in names if name.startswith("python3-") or name in ("mcap-ros2-support", "casadi-pip")}
 
 
-def of_setup_py() -> tuple[set[str], set[str]]:
-    """Names of what setup.py requires, and of what its tests do."""
+def of_setup_py() -> tuple[set[str], ...]:
+    """Names of what setup.py requires, and of what its tests and campaigns do."""
     call = next(node for node in ast.walk(ast.parse((ROOT / "setup.py").read_text(encoding="utf-8")))
                 if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setup")  # fmt: skip
     given = {word.arg: word.value for word in call.keywords}
     required, extras = ast.literal_eval(given["install_requires"]), ast.literal_eval(given["extras_require"])
-    names = [{re.split(r"[<>=;\[ ]", text)[0] for text in texts} for texts in (required, extras["test"])]
-    return names[0], names[1]
+    return tuple({re.split(r"[<>=;\[ ]", text)[0] for text in texts} for texts in (required, extras["test"], extras["campaign"]))
 
 
 def test_package_xml_and_setup_py_name_the_same_requirements():
-    required, tested = of_setup_py()
-    assert required == set(ROSDEP) and tested == set(ROSDEP_TEST)
-    assert of_package_xml("exec_depend") == {key for key in ROSDEP.values() if key}
+    required, tested, campaigning = of_setup_py()
+    assert required == set(ROSDEP) and tested == set(ROSDEP_TEST) and campaigning == OF_CAMPAIGNS
+    assert of_package_xml("exec_depend") == set(ROSDEP.values())
     assert of_package_xml("test_depend") == set(ROSDEP_TEST.values()) - of_package_xml("exec_depend")
     remark = " ".join((ROOT / "package.xml").read_text(encoding="utf-8").split())
-    without = " ".join(sorted(name for name, key in ROSDEP.items() if key is None))
-    assert f"pip install {without}" in remark
+    assert f"pip install {' '.join(sorted(OF_CAMPAIGNS))}" in remark
 
 
 def test_package_xml_names_every_ros_package_that_is_imported():
@@ -115,14 +110,43 @@ def test_package_xml_names_every_ros_package_that_is_imported():
     assert found <= declared, found - declared
 
 
-def test_there_is_one_console_script_for_each_node_and_the_command():
-    assert set(entry_points()) == EXECUTABLES
+def scripts(*command: str) -> set[str]:
+    """Executables that setup.py names to who calls it so."""
+    code = ("import runpy, setuptools, sys;"
+            " setuptools.setup = lambda **k: print(*k['entry_points']['console_scripts'], sep='\\n');"
+            f" sys.argv = {['setup.py', *command]}; runpy.run_path('setup.py')")  # fmt: skip
+    answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    points = [importlib.metadata.EntryPoint(*line.split(" = "), "console_scripts") for line in answer.stdout.splitlines()]
+    assert all(callable(getattr(importlib.import_module(point.module), point.attr)) for point in points)
+    return {point.name for point in points}
 
 
-@pytest.mark.parametrize("name", sorted(EXECUTABLES))
-def test_console_script_leads_to_a_function(name):
-    point = entry_points()[name]
-    assert callable(getattr(importlib.import_module(point.module), point.attr))
+@pytest.mark.parametrize("command", ["install", "develop"])
+def test_colcon_gets_an_executable_for_each_node_and_the_command(command):
+    assert scripts("egg_info", command) == EXECUTABLES
+
+
+@pytest.mark.parametrize("command", ["bdist_wheel", "editable_wheel", "dist_info"])
+def test_pip_puts_nothing_but_the_command_on_the_path(command):
+    assert scripts(command) == {"dextar"}
+
+
+@pytest.mark.parametrize("name", sorted(EXECUTABLES - {"dextar"}))
+def test_the_command_runs_each_node(name, monkeypatch):
+    ran = []
+    monkeypatch.setitem(executables.EXECUTABLES, name, lambda: ran.append(sys.argv) or 0)
+    monkeypatch.setattr(sys, "argv", ["dextar", name, "--ros-args", "-r", "a:=b"])
+    assert executables.dextar() == 0
+    assert ran == [[f"dextar {name}", "--ros-args", "-r", "a:=b"]]
+
+
+def test_the_package_offers_a_few_names_and_loads_them_when_they_are_used():
+    code = ("import sys, dextar_control as d; print('numpy' in sys.modules);"
+            " print(*(getattr(d, name).__name__ for name in d.__all__))")  # fmt: skip
+    said = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert said == ["False", " ".join(dextar_control.__all__)]
+    assert set(dextar_control.__all__) <= set(dir(dextar_control))
+    assert (ROOT / "dextar_control" / "py.typed").exists() and (ROOT / "dextar_sim" / "py.typed").exists()
 
 
 @pytest.mark.parametrize("path", PARAMETER_FILES, ids=lambda path: path.name)

@@ -20,6 +20,8 @@ from dextar_control.contract.robot import RobotParameters
 
 RESOLUTION = 150  # dots per inch
 NOTHING = "nothing recorded"
+BEYOND_BRIEF = "estimated error", "peak near the locus"
+WAITED = "none: each step waited for it"
 
 
 def analyze(
@@ -80,6 +82,17 @@ def summary_table(metrics: Metrics) -> Table:
     table = Table(show_header=False, title=title, title_justify="left")
     for name, value in summary_lines(metrics):
         table.add_row(name, value)
+    return table
+
+
+def brief_table(metrics: Metrics) -> Table:
+    """What a summary says to somebody who wants to know whether it went well, and why not if it did not."""
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    usual = {"saturated commands": "0", "states without command": f"0 of {metrics.states}", "steps without it in time": WAITED,
+             "lost in recording": "none"}  # fmt: skip
+    for name, value in summary_lines(metrics):
+        if name not in BEYOND_BRIEF and value != usual.get(name):
+            table.add_row(name, value)
     return table
 
 
@@ -149,7 +162,7 @@ def _pace(metrics: Metrics) -> str:
 
 def _late(metrics: Metrics) -> str:
     if metrics.timing.lockstep:
-        return "none: each step waited for it"
+        return WAITED
     if metrics.late_ticks is None:
         return "not counted"
     share = f" ({metrics.late_ticks / metrics.plant_steps:.0%})" if metrics.plant_steps else ""

@@ -20,7 +20,7 @@ from dextar_control.analysis.geometry import singularity_measure
 from dextar_control.analysis.run import Joints, Run, Stamps
 from dextar_control.analysis.timing import phase_name
 from dextar_control.analysis.tracking import tracked
-from dextar_control.contract.errors import BagError, ParameterError
+from dextar_control.contract.errors import BagError, ParameterError, lacking
 from dextar_control.contract.robot import JOINT_NAMES, flatten
 from dextar_control.contract.topics import PHASES
 from dextar_control.control.verdicts import Verdict
@@ -161,8 +161,7 @@ def check_formats(formats: list[str]) -> None:
         try:
             import pyarrow.parquet  # noqa: F401
         except ImportError as error:
-            text = "parquet needs the package pyarrow, which cannot be imported: install it by pip, or give --format csv"
-            raise ParameterError(f"{text} ({error})") from error
+            raise lacking("parquet (and csv does not)", "export", error) from error
 
 
 def export(

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from dextar_control.commands.pdf import add_pdf, write_pdf
-from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.errors import lacking
 
 SUMMARY = "run crossing points x directions x cases x laws x estimators x seeds in parallel, and judge them"
 DESCRIPTION = (
@@ -39,5 +39,5 @@ def run(arguments: argparse.Namespace) -> int:
     except ImportError as error:
         if str(error.name).startswith("dextar"):
             raise
-        raise ParameterError(f"a campaign needs the packages named in setup.py, installed by pip: {error}") from error
+        raise lacking("a campaign", "campaign", error) from error
     return run_command(arguments, printed=write_pdf)

@@ -33,3 +33,15 @@ class CampaignError(DextarError):
 
 class CalibrationError(DextarError):
     """Recordings do not tell what was asked of them, or contradict it."""
+
+
+def lacking(what: str, extra: str, error: ImportError) -> ParameterError:
+    """What needs a library that is installed only where it is asked for.
+
+    Args:
+        what: needs it.
+        extra: of setup.py, that brings it.
+        error: of its import.
+    """
+    how = f"install it by make setup EXTRAS={extra}, or pip install '.[{extra}]', in the source folder"
+    return ParameterError(f"{what} needs the package {error.name or extra}, which cannot be imported: {how} ({error})")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -33,6 +35,7 @@ from dextar_control.contract.topics import DIAGNOSTICS, Topic
 from dextar_control.contract.yaml_text import check_parameter_files
 
 EXIT_USAGE = 2
+LAST_SAMPLES = 1.0  # s given to readers that want every sample, when a node ends
 COMPLAINT_PERIOD = 1.0  # s between two lines about services that failed
 
 
@@ -382,6 +385,7 @@ def run_node(
             (spin or _spin)(node, executor, stop)
         finally:
             node.close()
+            _wait_for_readers(node)
             executor.remove_node(node)
             executor.shutdown()
         return int(node.exit_code)
@@ -401,6 +405,13 @@ def run_node(
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _wait_for_readers(node: Node) -> None:
+    """Let readers that want every sample, as the recorder, have the last ones: what is under way goes with the publisher."""
+    deadline = time.monotonic() + LAST_SAMPLES
+    for publisher in node.publishers:
+        publisher.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
 
 
 def _answer(make: Callable[[], Any], words: list[str]) -> int | None:

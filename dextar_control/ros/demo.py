@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import ctypes
+import gc
+import importlib
+import multiprocessing
 import os
 import signal
-import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
@@ -22,6 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from rich.progress import BarColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool
 
+from dextar_control.contract import signals
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.node import qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
@@ -29,22 +33,21 @@ from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, spoken_warnings
 from dextar_control.contract.topics import DIAGNOSTICS
 from dextar_control.contract.yaml_text import assignment, load_parameters, parse_value
+from dextar_control.control.prepare import prepare
+from dextar_control.executables import EXECUTABLES
+from dextar_control.model.model import Model
 from dextar_control.ros.domain import choose_domain
 from dextar_control.ros.start_check import check_start
 from dextar_control.ros.task import Task
 
-MODULES = {
-    "recorder": "dextar_control.ros.recorder_node",
-    "plant": "dextar_sim.node",
-    "controller": "dextar_control.ros.controller_node",
-    "trajectory_server": "dextar_control.ros.trajectory_server",
-}
+NODES = "recorder", "plant", "controller", "trajectory_server"
 CAMERA = {"pose_rate": 100.0, "pose_delay": 0.02, "pose_noise": 0.0002}  # of the plant, where the estimator wants one: Hz, s, m
 PR_SET_PDEATHSIG = 1  # of Linux' prctl
 STARTING = "starting the nodes"
 START_TIMEOUT = 120.0  # s, on a busy machine
 RUN_TIMEOUT = 20.0  # s beyond 20 times the trip's duration
 STOP_TIMEOUT = 15.0  # s until a node that does not end is killed
+LOADING_NICE = 10
 LINGER = 0.2  # s of holding after the trip
 
 
@@ -80,29 +83,36 @@ class _Monitor(Node):
             raise DemoError("the plant did not resume")
 
 
-def _end_with_parent() -> None:
-    """Have the kernel send SIGTERM to this process when the demo dies, however it dies."""
+def _be_node(name: str, arguments: list[str], log: Path) -> None:
+    """What a node's own process does; the kernel sends it SIGTERM when the demo dies, however it dies."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    os.setsid()
+    for stream in (1, 2):
+        os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), stream)
+    signals.install(signal.SIG_DFL)
+    sys.argv = [name, "--ros-args", *arguments]
+    sys.exit(EXECUTABLES[name]())
 
 
 class _Processes:
-    """The nodes' processes, their logs, and their end."""
+    """The nodes' processes, their logs, and their end.
+
+    They are forked: what all of them need is loaded once. So no thread may run here yet, and no ROS.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._fork = multiprocessing.get_context("fork")
+        self._processes: dict[str, Any] = {}
 
     def start(self, name: str, arguments: list[str]) -> None:
-        with (self._folder / f"{name}.log").open("wb") as log:
-            self._processes[name] = subprocess.Popen(
-                [sys.executable, "-m", MODULES[name], "--ros-args", *arguments],
-                stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, start_new_session=True,
-                preexec_fn=_end_with_parent,
-            )  # fmt: skip
+        process = self._fork.Process(target=_be_node, args=(name, arguments, self._folder / f"{name}.log"), name=name)
+        process.start()
+        self._processes[name] = process
 
     def check(self) -> None:
         for name, process in self._processes.items():
-            code = process.poll()
+            code = process.exitcode
             if code is not None:
                 raise DemoError(self.describe_end(name, code))
 
@@ -117,23 +127,31 @@ class _Processes:
         telling = [line for line in lines if "error" in line.lower()]
         return (telling or lines or ["nothing"])[-1]
 
-    def stop(self, name: str) -> int:
-        """End one node with SIGINT; SIGKILL when it does not. Its exit code."""
+    def interrupt(self, name: str) -> None:
+        """Ask one node to end, without waiting for it."""
+        process = self._processes.get(name)
+        if process is not None and process.exitcode is None:
+            os.kill(process.pid, signal.SIGINT)
+
+    def stop(self, name: str) -> dict[str, int]:
+        """End one node with SIGINT; SIGKILL when it does not. Its exit code, if it runs."""
+        self.interrupt(name)
         process = self._processes.pop(name, None)
         if process is None:
-            return 0
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-            try:
-                process.wait(timeout=STOP_TIMEOUT)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-        return process.returncode
+            return {}
+        process.join(STOP_TIMEOUT)
+        if process.exitcode is None:
+            process.kill()
+            process.join()
+        return {name: process.exitcode}
+
+    def stop_loop(self) -> dict[str, int]:
+        """Controller first, recorder last: it keeps what the others say at their end."""
+        return {**self.stop("controller"), **self.stop("plant"), **self.stop("recorder")}
 
     def stop_all(self) -> dict[str, int]:
-        """Commander first, recorder last: it keeps what the others say at their end."""
-        return {name: self.stop(name) for name in ("trajectory_server", "controller", "plant", "recorder")}
+        """Commander before all others; it may still draw when they have ended."""
+        return {**self.stop("trajectory_server"), **self.stop_loop()}
 
 
 def run_demo(arguments: argparse.Namespace) -> int:
@@ -156,38 +174,52 @@ def run_demo(arguments: argparse.Namespace) -> int:
     chosen = "".join(f"{name} {getattr(arguments, name)}, " for name in ("law", "estimator") if getattr(arguments, name))
     said = f"{chosen}{mode}, ROS_DOMAIN_ID={domain}, into {folder}"
     console.print(said, soft_wrap=True)
+    prepare(Model.of(robot).mechanism)
+    gc.freeze()
     troubles: list[str] = []
-    with _monitor() as monitor, contextlib.ExitStack() as stack:
-        processes = _Processes(folder)
+    processes = _Processes(folder)
+    with contextlib.ExitStack() as stack:
         stack.callback(processes.stop_all)
-        for name in MODULES:
+        for name in NODES:
             processes.start(name, ros_arguments[name])
-        from dextar_control.analysis.report import analyze, summary_table  # here: while the nodes load
+        with _monitor() as monitor:
+            _wait_until_ready(console, monitor, processes)
+            _link_latest(folder)
+            if not arguments.real_time:  # there what else is done could make commands late
+                threading.Thread(target=_load_analysis, daemon=True).start()
+            try:
+                monitor.resume()
+                _follow(console, monitor, processes)
+            except DemoError as error:
+                troubles.append(str(error))
+            processes.interrupt("trajectory_server")
+            ended = processes.stop_loop()
+        from dextar_control.analysis.report import analyze, brief_table
 
-        _wait_until_ready(console, monitor, processes)
-        _link_latest(folder)
         try:
-            monitor.resume()
-            _follow(console, monitor, processes)
-        except DemoError as error:
-            troubles.append(str(error))
-        for name, code in processes.stop_all().items():
-            if code:
-                troubles.append(processes.describe_end(name, code))
-    try:
-        with spoken_warnings("demo"):
-            metrics = analyze(folder / "run.mcap", judged=lambda metrics: console.print(summary_table(metrics)))
-    except BagError as error:
-        raise BagError("; ".join([*troubles, str(error)])) from error
+            with spoken_warnings("demo"):
+                metrics = analyze(folder / "run.mcap", judged=lambda metrics: console.print(brief_table(metrics)))
+        except BagError as error:
+            raise BagError("; ".join([*troubles, str(error)])) from error
+        ended |= processes.stop("trajectory_server")
+    troubles += [processes.describe_end(name, code) for name, code in ended.items() if code]
     for line in dict.fromkeys(troubles):
         console.print(line, style="bold")
     console.print(f"{folder}: plan.png run.mcap metrics.json figure.png report.html", soft_wrap=True)
     return 0 if metrics.success and not troubles else 1
 
 
+def _load_analysis() -> None:
+    """Load what judges and draws the run while the robot moves, behind everything else that wants the processor."""
+    with contextlib.suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOADING_NICE)
+    for module in ("report", "figure", "page"):
+        importlib.import_module(f"dextar_control.analysis.{module}")
+
+
 def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     """NAME:=VALUE of each node."""
-    given: dict[str, dict[str, Any]] = {name: {} for name in MODULES}
+    given: dict[str, dict[str, Any]] = {name: {} for name in NODES}
     given["plant"] |= {"mode": "realtime" if arguments.real_time else "lockstep", "start_paused": True}
     given["plant"] |= {} if arguments.pace is None else {"real_time_factor": arguments.pace}
     given["plant"] |= {"window": True} if arguments.window else {}
@@ -206,8 +238,8 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     values = {node: [assignment(*item) for item in own.items()] for node, own in given.items()}
     for override in arguments.overrides:
         node, dot, rest = override.partition(".")
-        if not dot or node not in MODULES or ":=" not in rest:
-            raise ParameterError(f"-p {override}: expected NODE.NAME:=VALUE with NODE one of {', '.join(MODULES)}")
+        if not dot or node not in NODES or ":=" not in rest:
+            raise ParameterError(f"-p {override}: expected NODE.NAME:=VALUE with NODE one of {', '.join(NODES)}")
         parse_value(rest.partition(":=")[2], f"-p {override}")
         values[node].append(rest)
     return values
@@ -253,7 +285,7 @@ def _node_arguments(values: dict[str, list[str]], files: Sequence[Path]) -> dict
     common = [part for path in files for part in ("--params-file", str(path))]
     return {  # with the node's name: a plain -p counts as /**, which a file's section for the node overrides
         name: [*common, *(part for value in values[name] for part in ("-p", f"{name}:{value}"))]
-        for name in MODULES
+        for name in NODES
     }
 
 

@@ -33,7 +33,7 @@ PARAMETERS = (
     Parameter("approach_speed", "peak speed of the way to the start", 1e-3, 2.0, unit="m/s", live=True),
     Parameter("sample_period", "of the served trajectory's points; longer for a long one", 1e-4, 0.02, unit="s", live=True),
     Parameter("autostart", "serve the trip once it is planned and an active controller holds or waits to be enabled"),
-    Parameter("drawing", "a .png to which each plan is drawn before it runs; empty: none", live=True),
+    Parameter("drawing", "a .png to which each plan is drawn before it runs, autostart's at the end; empty: none", live=True),
 )
 
 FRESH = 2.0  # s, age of the controller's diagnostics that still tells where the robot stands
@@ -88,8 +88,8 @@ class TrajectoryServer(DextarNode):
             (self.create_polled_service(GetPlan, "~/get_plan"), self._on_get_plan),
         ]
         self.create_service(Trigger, "~/stop", self._on_stop)
-        self._worker.submit(self._plan_of(self._task), self._on_first_plan)
         self._waiting = self.values["autostart"]
+        self._worker.submit(self._plan_of(self._task), self._on_first_plan)
         self.create_timer(POLL_PERIOD, self._poll, clock=self.steady_clock)
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
 
@@ -105,8 +105,8 @@ class TrajectoryServer(DextarNode):
         self._worker.poll()
         self._tell_progress()
         if self._waiting and self._planned is not None and not self._why_not():
-            self._waiting = False
             self._worker.submit(self._trip(self._origin()), self._on_autostart)
+            self._waiting = False
 
     def _tell_progress(self) -> None:
         now, stage = time.monotonic(), self._worker.stage
@@ -116,8 +116,8 @@ class TrajectoryServer(DextarNode):
             self._diagnose()
 
     def _plan_of(self, wanted: Task) -> Callable[[], tuple[Task, Plan]]:
-        """A job: the plan of a task, drawn where that is asked for."""
-        drawing = self.values["drawing"]
+        """A job: the plan of a task, drawn where that is asked for and nobody waits."""
+        drawing = "" if self._waiting else self.values["drawing"]
 
         def work() -> tuple[Task, Plan]:
             known = self._planned
@@ -289,9 +289,14 @@ class TrajectoryServer(DextarNode):
         self.publish_diagnostics(level, trouble or state, values)
 
     def close(self) -> None:
-        """A last word; a plan under way is given up."""
+        """A last word; a plan under way is given up. The drawing that nobody waited for is made."""
         self._worker.close()
         self._diagnose()
+        if self.values["autostart"] and self.values["drawing"] and self._planned is not None and self._drawn is None:
+            try:
+                _draw(self.robot, self._planned[1], Path(self.values["drawing"]).expanduser())
+            except TrajectoryError as error:
+                self.get_logger().error(str(error))
 
 
 def served_times(trajectory: Trajectory, certificate: Certificate, period: float) -> Array:
