@@ -16,7 +16,11 @@ CORRELATED = 10.0  # samples over which the innovations hang together: so many c
 DOUBT, DOUBT_TIME = 20.0, 5e-3  # misfit over the known one, averaged over so many s, that begins a test ...
 DOUBT_S = 0.4  # ... where |s| is below this: farther from the locus it is somebody's push, not the other side
 RISE, FORGET = 0.05, 5.0  # s over which the misfit in a known assembly mode is averaged, up and down: a model stays wrong
-CONTRAST = 2.0, 4.0  # how many times worse the less likely filter has to fit before the test begins to count, and fully does
+CONTRAST = 1.2, 1.6  # how many times worse the less likely filter has to fit before the test begins to count, and fully does ...
+STRANGE_CONTRAST = 6.0, 12.0  # ... the same where neither fits as the robot did while its side was known ...
+STRANGE = 1.5, 3.0  # ... which begins, and is so, from this many times that misfit on, of the likelier one
+LEAST_KNOWN = 0.1  # misfit that the robot is taken to have had at least then
+TELLS = 3.0  # log-odds that CORRELATED samples tell at most, whatever they are
 
 
 @dataclass(slots=True)
@@ -86,8 +90,9 @@ class Belief:
         The noise that the filters were told is right but for a factor, which each estimates from its own innovations: of N
         samples of a size the log-likelihood ratio is N size / 2 times the logarithm of the ratio of the sums of their squares,
         and the difference of the spreads. So a model that fits badly on both sides gives no side an advantage; where both fit
-        alike the log-odds vanish, and where even the better one fits worse than it was told they shrink by that factor.
-        CORRELATED and CONTRAST were chosen on simulated robots.
+        alike the log-odds vanish. How different they have to be depends on the likelier one: if it fits as the robot did while
+        its side was known, little is enough; if it fits much worse, the model lacks something, and both may be wrong. One
+        outlier is no proof either: the log-odds change by a limited pace. The constants were chosen on simulated robots.
 
         Args:
             same, image: squared normalised innovations of the two filters.
@@ -99,11 +104,15 @@ class Belief:
         self.misfit_image += image
         self.samples += 1
         better, worse = sorted((self.misfit_same, self.misfit_image))
-        z = min(max((worse / better - CONTRAST[0]) / (CONTRAST[1] - CONTRAST[0]), 0.0), 1.0)
-        contrast = z * z * z * (10.0 + z * (6.0 * z - 15.0))
+        known = min(max(self.misfit_known, LEAST_KNOWN), 0.5 * size)
+        strange = _step(0.5 * better / (self.samples * known), *STRANGE)
+        begin, full = (plain + strange * (other - plain) for plain, other in zip(CONTRAST, STRANGE_CONTRAST, strict=True))
         fit = 0.5 * size * self.samples * math.log(self.misfit_image / self.misfit_same)
         misfit = max(1.0, better / (size * self.samples))
-        self.log_odds = self.seen + self.before + contrast * (fit + self.ratio) / (CORRELATED * misfit)
+        contrast = _step(worse / better, begin, full, smooth=True)
+        found = self.seen + self.before + contrast * (fit + self.ratio) / (CORRELATED * misfit)
+        pace = TELLS / CORRELATED
+        self.log_odds = min(max(found, self.log_odds - pace), self.log_odds + pace)
 
     def fit(self, misfit: float, dt: float) -> None:
         """While the mode is known: how well the model fits, and whether that makes the mode doubtful.
@@ -127,6 +136,12 @@ class Belief:
         if odds >= 0.0:
             return self.mode, 1.0 / (1.0 + math.exp(-odds))
         return -self.mode, 1.0 / (1.0 + math.exp(odds))
+
+
+def _step(value: float, begin: float, end: float, *, smooth: bool = False) -> float:
+    """From 0 at ``begin`` to 1 at ``end``."""
+    z = min(max((value - begin) / (end - begin), 0.0), 1.0)
+    return z * z * z * (10.0 + z * (6.0 * z - 15.0)) if smooth else z
 
 
 def log_odds_of_side(s: float, variance: float) -> float:

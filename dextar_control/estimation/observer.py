@@ -23,6 +23,7 @@ LONG = 0.1  # s of a gap over which nothing is predicted any more
 UNKNOWN = math.nan, math.nan
 LEAST_LACKING = 5e-4  # N m at a joint that a test allows for, however well the model has fitted
 WALK = 0.5  # 1/sqrt(s), of such a torque's random walk over itself
+MOVING = 5e-3  # m/s of the platform on either side, from which on a sample tells something of the side
 LOST = 0.5  # of the least distance to Type 1, below which the working mode is no longer sure
 
 
@@ -262,6 +263,8 @@ class Observer:
         found = side.follow.results
         if not found.type1.item() >= self._sure_type1:  # on its way into another working mode: the test goes on there
             belief.pause()
+            return
+        if max(abs(self.main.x_dot).max(), abs(side.image.x_dot).max()) < MOVING:  # at rest every sample is the same one
             return
         image, spread_image = found.fit.reshape(2, -1)[:, block].tolist()
         if math.isfinite(told.square + image):
