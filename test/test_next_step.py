@@ -13,18 +13,18 @@ from dextar_control.contract.errors import TrajectoryError
 from dextar_control.ros.next_step import next_step
 from dextar_control.ros.trajectory_server import TrajectoryServer
 
-ENABLE = "/left/controller/enable with data true"
+ENABLE = "dextar enable --namespace /left"
 
 
 @pytest.mark.parametrize(
     ("lifecycle", "phase", "enabling", "step"),
     [
         ("active", "HOLD", "done", ""),
-        ("active", "IDLE", "off", f"call {ENABLE}"),
+        ("active", "IDLE", "off", f"type {ENABLE}"),
         ("active", "IDLE", "waiting", "wait until it enables by itself"),
-        ("active", "FAULT", "done", f"call /left/controller/reset, then {ENABLE}"),
-        ("active", "SAFE_STOP", "done", f"once the robot rests call /left/controller/reset, then {ENABLE}"),
-        ("active", "CROSSING", "done", "wait until it holds, or call /left/controller/stop"),
+        ("active", "FAULT", "done", f"type dextar reset --namespace /left, then {ENABLE}"),
+        ("active", "SAFE_STOP", "done", f"once the robot rests type dextar reset --namespace /left, then {ENABLE}"),
+        ("active", "CROSSING", "done", "wait until it holds, or type dextar stop --namespace /left"),
         ("inactive", "", "", "type ros2 lifecycle set /left/controller activate"),
         ("unconfigured", "", "",
          "type ros2 lifecycle set /left/controller configure, then ros2 lifecycle set /left/controller activate"),
@@ -62,9 +62,9 @@ def test_a_start_is_refused_with_phase_reason_and_what_to_call(server: Trajector
     fault = refusal(server, lifecycle="active", phase="FAULT", reason="no state for 21 ms")
     assert fault == (
         "the controller is in phase FAULT (no state for 21 ms); a trip starts from HOLD:"
-        f" call /left/controller/reset, then {ENABLE}"
+        f" type dextar reset --namespace /left, then {ENABLE}"
     )
-    assert refusal(server, lifecycle="active", phase="IDLE", enabling="off").endswith(f"a trip starts from HOLD: call {ENABLE}")
+    assert refusal(server, lifecycle="active", phase="IDLE", enabling="off").endswith(f"a trip starts from HOLD: type {ENABLE}")
     assert refusal(server, lifecycle="inactive").endswith(": type ros2 lifecycle set /left/controller activate")
     assert refusal(server, lifecycle="active", phase="HOLD", x="nan", y="nan").endswith("see that the rig or plant runs")
 
@@ -74,4 +74,4 @@ def test_a_server_that_waits_to_serve_says_for_what(server: TrajectoryServer, mo
     monkeypatch.setattr(server, "publish_diagnostics", lambda level, message, values: seen.append(values["waiting_for"]))
     refusal(server, lifecycle="active", phase="IDLE", enabling="off")
     server._diagnose()
-    assert seen == [f"the controller is in phase IDLE; a trip starts from HOLD: call {ENABLE}"]
+    assert seen == [f"the controller is in phase IDLE; a trip starts from HOLD: type {ENABLE}"]
