@@ -29,11 +29,12 @@ from dextar_control.control.phases import LIMP, Phase, Tick
 from dextar_control.control.stream import StateStream
 from dextar_control.control.verdicts import OPEN_BEFORE, Passed, Verdict
 from dextar_control.ros import messages
-from dextar_control.ros.controller_report import crossing_line, loop_values, trip_line, waiting_for
+from dextar_control.ros.controller_report import loop_values, waiting_for
 from dextar_control.ros.external_pose import ExternalPoseReader
 from dextar_control.ros.lifecycle import ManagedNode
 from dextar_control.ros.next_step import next_step
 from dextar_control.ros.outputs import Outputs
+from dextar_control.ros.progress import crossing_line, trip_line
 from dextar_control.ros.reference import ReferenceReader
 from dextar_control.ros.statistics import Statistics
 

@@ -37,17 +37,6 @@ def loop_values(loop: ControlLoop, begun: int) -> dict[str, object]:
     }  # fmt: skip
 
 
-def crossing_line(index: int, total: int, verdict: str, confidence: str) -> str:
-    """What became of a planned crossing, counted from 0, as the controller's log and ``dextar go`` tell it."""
-    return f"crossing {index + 1} of {total}: {verdict.upper()} (confidence {confidence})"
-
-
-def trip_line(crossed: int, total: int, largest_error: float) -> str:
-    """What became of a trajectory that was tracked; the largest error by the estimate, m."""
-    crossings = f"crossed {crossed} of {total} planned, " if total else ""
-    return f"{crossings}largest error {1e3 * largest_error:.3f} mm"
-
-
 def watched(loop: ControlLoop) -> dict[str, object]:
     """Each watch of the loop with its limit."""
     watches = getattr(loop, "watches", {})

@@ -30,7 +30,7 @@ from dextar_control.contract.terminal import Steps, Terminal, TextColumn, spoken
 from dextar_control.contract.topics import DIAGNOSTICS
 from dextar_control.contract.yaml_text import assignment, load_parameters, parse_value
 from dextar_control.ros.domain import choose_domain
-from dextar_control.ros.operator import crossings, unhealthy
+from dextar_control.ros.progress import crossings, unhealthy
 from dextar_control.ros.start_check import check_start
 from dextar_control.ros.task import Task
 

@@ -24,9 +24,9 @@ from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.node import prepare_middleware, qos
 from dextar_control.contract.signals import EXIT_FAILED, StopSignal, tell
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, plain
-from dextar_control.contract.topics import DIAGNOSTICS
-from dextar_control.ros.controller_report import crossing_line, trip_line
+from dextar_control.contract.topics import DIAGNOSTICS, NODES
 from dextar_control.ros.next_step import next_step, why_not
+from dextar_control.ros.progress import crossing_line, crossings, trip_line, unhealthy
 
 DISCOVERY = 5.0  # s in which a node that runs is heard of
 ANSWER = 10.0  # s in which a service answers that does not plan
@@ -35,7 +35,7 @@ SERVER = 1.0  # s for the trajectory server's part of a stop
 STOPPING = 30.0  # s in which a stop is over
 TICK = 0.05  # s
 MOVING = ("APPROACH", "TRACK", "CROSSING")
-HEAR_ALL = 1.5  # s in which each node has told of itself
+GRAPH = 0.5  # s in which it is known which nodes there are
 OK, ERROR = (str(level[0]) for level in (DiagnosticStatus.OK, DiagnosticStatus.ERROR))
 
 
@@ -108,8 +108,17 @@ class Operator(Node):
             Unreached: one is not there; says what else is and what to do.
         """
         for name in names:
-            if not self.until(partial(self.status.__contains__, name), DISCOVERY):
+            heard = partial(self.status.__contains__, name)
+            if not self.until(heard, DISCOVERY) and not (self.count_nodes(name) and self.until(heard, SILENCE)):
                 raise Unreached(self._missing(name))
+
+    def hear_all(self) -> None:
+        """Wait until each node of the package that is there has told of itself."""
+        since = time.monotonic()
+        self.until(
+            lambda: time.monotonic() > since + GRAPH and all(name in self.status or not self.count_nodes(name) for name in NODES),
+            DISCOVERY, through=True,
+        )  # fmt: skip
 
     def _missing(self, name: str) -> str:
         domain, discovery = os.environ.get("ROS_DOMAIN_ID", "0"), os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
@@ -119,7 +128,7 @@ class Operator(Node):
             return f"{self.full(name)} does not run, but there is one in {', '.join(others)}: choose by --namespace"
         where = f"ROS_DOMAIN_ID {domain}, discovery {discovery}"
         if name in [node for node, _ in nodes]:
-            return f"no word of {self.full(name)} for {DISCOVERY:.0f} s, though it is there ({where}): see its log"
+            return f"no word of {self.full(name)} for {SILENCE:.0f} s, though it is there ({where}): see its log"
         return (
             f"{self.full(name)} does not run ({where}): start the nodes (ros2 launch dextar crossing.launch.py, or each alone),"
             " or set ROS_DOMAIN_ID to theirs; dextar demo starts its own and tells its domain first"
@@ -214,8 +223,7 @@ class Operator(Node):
 
     def bag(self) -> str:
         """The file that a recorder of the robot writes; empty without one."""
-        if self.count_nodes("recorder"):
-            self.until(lambda: "recorder" in self.status, HEAR_ALL, through=True)
+        self.hear_all()
         recorder = self.status.get("recorder", {})
         return recorder.get("bag", "") if recorder.get("recording") == "True" else ""
 
@@ -389,19 +397,6 @@ class Trip:
         return good and not self.trouble
 
 
-def crossings(told: Mapping[str, str]) -> str:
-    """How many of the planned crossings have begun, by the controller's diagnostics."""
-    total = told.get("crossings") or "0"
-    return f"crossing {told.get('begun') or '0'} of {total}" if total != "0" else ""
-
-
-def unhealthy(told: Mapping[str, str]) -> str:
-    """Why the controller still waits to enable itself, by its diagnostics; empty when it does not."""
-    if told.get("enabling") != "waiting":
-        return ""
-    return f": healthy states for {told.get('healthy', '')} s only; {told.get('last_trouble', '')}"
-
-
 def go(arguments: argparse.Namespace) -> int:
     """Start a trip and follow it; the exit code."""
     values, console = task_values(arguments), Terminal()
@@ -460,7 +455,7 @@ def status(arguments: argparse.Namespace) -> int:
     """Print how the robot is; the exit code."""
     with operator(arguments.namespace) as me:
         me.find("controller")
-        me.until(lambda: False, HEAR_ALL)
+        me.hear_all()
         told, nodes = me.controller, me.status
         say(f"controller: {told['lifecycle']}, {me.state()}")
         say(f"law {told['law']}, estimator {told['estimator']}")
