@@ -35,7 +35,7 @@ SERVER = 1.0  # s for the trajectory server's part of a stop
 STOPPING = 30.0  # s in which a stop is over
 TICK = 0.05  # s
 MOVING = ("APPROACH", "TRACK", "CROSSING")
-GRAPH = 0.5  # s in which it is known which nodes there are
+GRAPH = 1.5  # s in which it is known which nodes there are
 OK, ERROR = (str(level[0]) for level in (DiagnosticStatus.OK, DiagnosticStatus.ERROR))
 
 
@@ -112,13 +112,9 @@ class Operator(Node):
             if not self.until(heard, DISCOVERY) and not (self.count_nodes(name) and self.until(heard, SILENCE)):
                 raise Unreached(self._missing(name))
 
-    def hear_all(self) -> None:
-        """Wait until each node of the package that is there has told of itself."""
-        since = time.monotonic()
-        self.until(
-            lambda: time.monotonic() > since + GRAPH and all(name in self.status or not self.count_nodes(name) for name in NODES),
-            DISCOVERY, through=True,
-        )  # fmt: skip
+    def hear(self, *names: str) -> None:
+        """Wait until those of these nodes that are known to be there have told of themselves."""
+        self.until(lambda: all(name in self.status or not self.count_nodes(name) for name in names), DISCOVERY, through=True)
 
     def _missing(self, name: str) -> str:
         domain, discovery = os.environ.get("ROS_DOMAIN_ID", "0"), os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
@@ -223,7 +219,7 @@ class Operator(Node):
 
     def bag(self) -> str:
         """The file that a recorder of the robot writes; empty without one."""
-        self.hear_all()
+        self.hear("recorder")
         recorder = self.status.get("recorder", {})
         return recorder.get("bag", "") if recorder.get("recording") == "True" else ""
 
@@ -455,7 +451,8 @@ def status(arguments: argparse.Namespace) -> int:
     """Print how the robot is; the exit code."""
     with operator(arguments.namespace) as me:
         me.find("controller")
-        me.hear_all()
+        me.until(lambda: False, GRAPH)
+        me.hear(*NODES)
         told, nodes = me.controller, me.status
         say(f"controller: {told['lifecycle']}, {me.state()}")
         say(f"law {told['law']}, estimator {told['estimator']}")
@@ -469,9 +466,7 @@ def status(arguments: argparse.Namespace) -> int:
             say(f"last trip: {crossings(told)}{', ' if crossings(told) else ''}{trip}")
         for name, values in nodes.items():
             if name != "controller" or values["level"] != OK:
-                say(f"{name}: {values['message']}")
-        if planning := nodes.get("trajectory_server", {}).get("planning"):
-            say(f"trajectory_server: planning {planning}")
+                say(f"{name}: {values['message']} {values.get('planning', '')}".rstrip())
         wrong = any(values["level"] == ERROR for values in nodes.values())
     return EXIT_FAILED if wrong else 0
 

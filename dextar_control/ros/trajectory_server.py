@@ -21,10 +21,11 @@ from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import certify
 from dextar_control.planning.planner import PLAN_RESIDUAL, Plan, plan_approach
 from dextar_control.planning.profile import sample_times
+from dextar_control.planning.search import Progress
 from dextar_control.planning.trajectory import Trajectory, join
 from dextar_control.ros import messages, task
 from dextar_control.ros.next_step import command, why_not
-from dextar_control.ros.planning import Done, Worker
+from dextar_control.ros.planning import Done, GivenUp, Worker
 from dextar_control.ros.task import Task, in_words
 from dextar_control.symbols.types import Array
 
@@ -117,7 +118,7 @@ class TrajectoryServer(DextarNode):
             self.get_logger().info(f"planning, {self._worker.fraction:.0%}: {stage}")
             self._diagnose()
 
-    def _plan_of(self, wanted: Task) -> Callable[[], tuple[Task, Plan]]:
+    def _plan_of(self, wanted: Task, progress: Progress | None = None) -> Callable[[], tuple[Task, Plan]]:
         """A job: the plan of a task, drawn where that is asked for."""
         drawing = self.values["drawing"]
 
@@ -127,7 +128,7 @@ class TrajectoryServer(DextarNode):
                 plan = known[1]
             else:
                 begin = time.perf_counter()
-                plan = wanted.plan(self.robot, self._worker.progress)
+                plan = wanted.plan(self.robot, progress or self._worker.progress)
                 self.get_logger().info(f"planned in {time.perf_counter() - begin:.2f} s: {in_words(plan.certificate)}")
             if drawing and self._drawn != (wanted, drawing):
                 _draw(self.robot, plan, Path(drawing).expanduser())
@@ -136,9 +137,9 @@ class TrajectoryServer(DextarNode):
 
         return work
 
-    def _trip(self, origin: Array) -> Callable[[], Served]:
+    def _trip(self, origin: Array, progress: Progress) -> Callable[[], Served]:
         """A job: the planned trip with the way from where the robot stands before it, as a message."""
-        plan_now = self._plan_of(self._task)
+        plan_now = self._plan_of(self._task, progress)
         speed, period = self.values["approach_speed"], self.values["sample_period"]
 
         def work() -> Served:
@@ -156,15 +157,21 @@ class TrajectoryServer(DextarNode):
     def _submit_trip(self, done: Done) -> None:
         """Plan the trip from where the robot stands, for ``done`` to serve it, unless ``~/stop`` is called before."""
         self._starting = starting = object()
+        stopped = GivenUp("the trip is not served: a stop was asked for while it was planned")
+
+        def progress(fraction: float, stage: str) -> None:
+            if self._starting is not starting:
+                raise stopped
+            self._worker.progress(fraction, stage)
 
         def planned(served: Served | None, error: DextarError | None) -> None:
             if self._starting is starting:
                 self._starting = None
                 done(served, error)
             else:
-                done(None, error or TrajectoryError("it is not served: a stop was asked for while it was planned"))
+                done(None, error or stopped)
 
-        self._worker.submit(self._trip(self._origin()), planned)
+        self._worker.submit(self._trip(self._origin(), progress), planned)
 
     def _origin(self) -> Array:
         """Where the robot stands as far as is known, else A."""
