@@ -6,6 +6,7 @@ import argparse
 import io
 import os
 import sys
+from typing import Any
 
 from dextar_control.commands import (
     analyze,
@@ -18,6 +19,7 @@ from dextar_control.commands import (
     export,
     faults,
     identify,
+    operate,
     recover,
     replay,
 )
@@ -25,8 +27,13 @@ from dextar_control.contract.caches import prepare_environment
 from dextar_control.contract.signals import run_command
 from dextar_control.executables import EXECUTABLES
 
-COMMANDS = {
+COMMANDS: dict[str, Any] = {
     "demo": demo,
+    "go": operate.GO,
+    "stop": operate.STOP,
+    "status": operate.STATUS,
+    "enable": operate.ENABLE,
+    "reset": operate.RESET,
     "analyze": analyze,
     "compare": compare,
     "replay": replay,

@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.signals import SignalHandlerOptions
+from rig import PATIENCE
+from std_srvs.srv import Trigger
 
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.ros.next_step import next_step
 from dextar_control.ros.trajectory_server import TrajectoryServer
 
-ENABLE = "/left/controller/enable with data true"
+ENABLE = "dextar enable --namespace /left"
 
 
 @pytest.mark.parametrize(
     ("lifecycle", "phase", "enabling", "step"),
     [
         ("active", "HOLD", "done", ""),
-        ("active", "IDLE", "off", f"call {ENABLE}"),
+        ("active", "IDLE", "off", f"type {ENABLE}"),
         ("active", "IDLE", "waiting", "wait until it enables by itself"),
-        ("active", "FAULT", "done", f"call /left/controller/reset, then {ENABLE}"),
-        ("active", "SAFE_STOP", "done", f"once the robot rests call /left/controller/reset, then {ENABLE}"),
-        ("active", "CROSSING", "done", "wait until it holds, or call /left/controller/stop"),
+        ("active", "FAULT", "done", f"type dextar reset --namespace /left, then {ENABLE}"),
+        ("active", "SAFE_STOP", "done", f"once the robot rests type dextar reset --namespace /left, then {ENABLE}"),
+        ("active", "CROSSING", "done", "wait until it holds, or type dextar stop --namespace /left"),
         ("inactive", "", "", "type ros2 lifecycle set /left/controller activate"),
         ("unconfigured", "", "",
          "type ros2 lifecycle set /left/controller configure, then ros2 lifecycle set /left/controller activate"),
@@ -62,11 +66,35 @@ def test_a_start_is_refused_with_phase_reason_and_what_to_call(server: Trajector
     fault = refusal(server, lifecycle="active", phase="FAULT", reason="no state for 21 ms")
     assert fault == (
         "the controller is in phase FAULT (no state for 21 ms); a trip starts from HOLD:"
-        f" call /left/controller/reset, then {ENABLE}"
+        f" type dextar reset --namespace /left, then {ENABLE}"
     )
-    assert refusal(server, lifecycle="active", phase="IDLE", enabling="off").endswith(f"a trip starts from HOLD: call {ENABLE}")
+    assert refusal(server, lifecycle="active", phase="IDLE", enabling="off").endswith(f"a trip starts from HOLD: type {ENABLE}")
     assert refusal(server, lifecycle="inactive").endswith(": type ros2 lifecycle set /left/controller activate")
     assert refusal(server, lifecycle="active", phase="HOLD", x="nan", y="nan").endswith("see that the rig or plant runs")
+
+
+def test_a_stop_while_a_trip_is_planned_gives_it_up_and_a_second_one_is_refused_meanwhile(
+    server: TrajectoryServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published: list[int] = []
+    monkeypatch.setattr(server._trajectory_publisher, "publish", lambda message: published.append(len(message.points)))
+    monkeypatch.setattr(server, "_waiting", server._waiting)
+    refused = []
+    for stopped in (False, True):
+        answers: list[tuple[object, object]] = []
+        server._submit_trip(lambda served, error, answers=answers: answers.append((served, error)))
+        if stopped:
+            service = SimpleNamespace(send_response=lambda response, _: refused.append(response.message))
+            server._on_start(service, Trigger.Request(), None)
+            assert server._on_stop(Trigger.Request(), Trigger.Response()).success
+        deadline = time.monotonic() + PATIENCE
+        while not answers:
+            server._worker.poll()
+            assert time.monotonic() < deadline
+        ((served, error),) = answers
+        assert (served is None, str(error).startswith("the trip is not served: a stop was asked for")) == (stopped, stopped)
+    assert published == [0]
+    assert refused == ["another trip is being planned and starts then: wait, or type dextar stop --namespace /left"]
 
 
 def test_a_server_that_waits_to_serve_says_for_what(server: TrajectoryServer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,4 +102,4 @@ def test_a_server_that_waits_to_serve_says_for_what(server: TrajectoryServer, mo
     monkeypatch.setattr(server, "publish_diagnostics", lambda level, message, values: seen.append(values["waiting_for"]))
     refusal(server, lifecycle="active", phase="IDLE", enabling="off")
     server._diagnose()
-    assert seen == [f"the controller is in phase IDLE; a trip starts from HOLD: call {ENABLE}"]
+    assert seen == [f"the controller is in phase IDLE; a trip starts from HOLD: type {ENABLE}"]

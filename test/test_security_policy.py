@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -35,6 +36,7 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.ros.check_rig import RigWatch
 from dextar_control.ros.demo import _Monitor
+from dextar_control.ros.operator import Operator
 from dextar_control.security.policy import build_policy, policy_text
 
 POLICY = config_file("sros2/policy.xml")
@@ -218,7 +220,10 @@ def test_commands_and_states_have_one_publisher_each(system: System) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "make"), [("demo", _Monitor), ("check_rig", lambda: RigWatch("", "", "", arrays=False))], ids=["demo", "check_rig"]
+    ("name", "make"),
+    [("demo", _Monitor), ("operator", lambda: Operator("", SimpleNamespace())),
+     ("check_rig", lambda: RigWatch("", "", "", arrays=False))],
+    ids=["demo", "operator", "check_rig"],
 )
 def test_a_commands_own_node_creates_nothing_that_is_not_permitted(
     system: System, grants: list[Grant], name: str, make: Callable[[], Node]

@@ -292,7 +292,7 @@ def test_a_second_server_of_trajectories_is_told(rig: Rig) -> None:
 
 
 def test_a_refusal_says_what_to_call_next(rig: Rig, q_a: np.ndarray, trip: Plan) -> None:
-    calls = "call /controller/reset, then /controller/enable with data true"
+    calls = "type dextar reset, then dextar enable"
     rig.hold((k * MS for k in range(HEALTHY + 5)), q_a)
     rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
     assert rig.controller("next_step") == ""
@@ -309,7 +309,7 @@ def test_a_refusal_says_what_to_call_next(rig: Rig, q_a: np.ndarray, trip: Plan)
     assert _reset(rig).success
     nothing = _reset(rig)  # nothing is latched any more
     assert (nothing.success, nothing.message) == (True, "phase IDLE")
-    rig.until(lambda: rig.controller("next_step") == "call /controller/enable with data true", "no next step")
+    rig.until(lambda: rig.controller("next_step") == "type dextar enable", "no next step")
     assert _enable(rig).success
     refused = _reset(rig)
     assert (refused.success, refused.message) == (False, "phase HOLD: there is nothing to reset")

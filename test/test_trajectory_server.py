@@ -106,13 +106,13 @@ def test_the_trip_starts_with_an_approach_repeats_and_can_be_stopped(robot: Rig)
     robot.until(lambda: robot.controller("phase") in ("TRACK", "CROSSING"), "the second trip did not start")
     refused = _call(robot, Trigger, "trajectory_server/start", Trigger.Request())
     assert not refused.success
-    assert "a trip starts from HOLD: wait until it holds, or call /left/controller/stop" in refused.message
+    assert "a trip starts from HOLD: wait until it holds, or type dextar stop --namespace /left" in refused.message
     assert _call(robot, Trigger, "trajectory_server/stop", Trigger.Request()).success
     robot.until(lambda: robot.controller("phase") == "SAFE_STOP", "the robot did not stop")
     robot.until(lambda: "SAFE_STOP" in _call(robot, Trigger, "trajectory_server/start", Trigger.Request()).message, "not known")
     refused = _call(robot, Trigger, "trajectory_server/start", Trigger.Request())
     assert "phase SAFE_STOP (stopped by the trajectory server" in refused.message
-    assert "call /left/controller/reset, then /left/controller/enable with data true" in refused.message
+    assert "type dextar reset --namespace /left, then dextar enable --namespace /left" in refused.message
 
 
 def test_a_tour_is_planned_beside_the_services_drawn_and_certified(robot: Rig, drawing: Path) -> None:

@@ -27,13 +27,14 @@ from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import LIMP, Phase, Tick
 from dextar_control.control.stream import StateStream
-from dextar_control.control.verdicts import OPEN_BEFORE, Passed
+from dextar_control.control.verdicts import OPEN_BEFORE, Passed, Verdict
 from dextar_control.ros import messages
 from dextar_control.ros.controller_report import loop_values, waiting_for
 from dextar_control.ros.external_pose import ExternalPoseReader
 from dextar_control.ros.lifecycle import ManagedNode
 from dextar_control.ros.next_step import next_step
 from dextar_control.ros.outputs import Outputs
+from dextar_control.ros.progress import crossing_line, trip_line
 from dextar_control.ros.reference import ReferenceReader
 from dextar_control.ros.statistics import Statistics
 
@@ -173,6 +174,9 @@ class ControllerNode(ManagedNode):
         self._said: tuple[Phase, str] = (Phase.IDLE, "")
         self._passed: list[Passed] = []
         self._begun = -1
+        self._judged: list[Passed] = []
+        self._verdicts: list[Verdict] = []
+        self._completed = 0
         self._pose_note = ""
         self._pose_told = -math.inf
         self._states: Any = None
@@ -587,11 +591,12 @@ class ControllerNode(ManagedNode):
         if loop is None:
             self.publish_diagnostics(DiagnosticStatus.OK, self.lifecycle, {**values, "phase": "", "reason": ""})
             return
+        self._tell_crossings(loop)
         limit = self.values["state_timeout"]
         values |= {
             "phase": loop.phase.name if self._active else "", "reason": loop.reason, "enabling": self._enabling,
             "healthy": round(self._stream.healthy_for(limit, self._now()), 3), "last_trouble": self._stream.trouble,
-            "trajectory": self._reference.note,
+            "trajectory": self._reference.note, "trajectories": self._reference.arrived,
             "waiting_for": waiting_for(self._reference), **loop_values(loop, self._begun + 1),
             "other_commanders": self._others, "state_publishers": self._rivals, "next_step": self._next_step(),
             "requests": self.desk.served,
@@ -606,6 +611,20 @@ class ControllerNode(ManagedNode):
             self.publish_diagnostics(DiagnosticStatus.WARN, "; ".join(warnings), values)
         else:
             self.publish_diagnostics(DiagnosticStatus.OK, loop.phase.name if self._active else self.lifecycle, values)
+
+    def _tell_crossings(self, loop: ControlLoop) -> None:
+        """Log each verdict on a planned crossing once, and how a trajectory ended."""
+        passed, log = loop.passed, self.get_logger().info
+        if passed is not self._judged:
+            self._judged, self._verdicts = passed, [Verdict.UNDECIDED] * len(passed)
+        for index, crossing in enumerate(passed):
+            if crossing.verdict is not self._verdicts[index]:
+                self._verdicts[index] = crossing.verdict
+                log(crossing_line(index, len(passed), crossing.verdict.name, f"{crossing.confidence:.3f}"))
+        if loop.completed != self._completed:
+            self._completed = loop.completed
+            if loop.completed:
+                log(f"done: {trip_line(self._verdicts.count(Verdict.CROSSED), len(passed), loop.largest_error)}")
 
     def _warnings(self, limit: float) -> list[str]:
         """What an operator should look at."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from dextar_control.control.loop import ControlLoop
+from dextar_control.control.phases import Phase
 from dextar_control.control.verdicts import Verdict
 from dextar_control.ros.reference import ReferenceReader
 
@@ -21,12 +22,16 @@ def loop_values(loop: ControlLoop, begun: int) -> dict[str, object]:
     tick = loop.tick
     x, y = tick.x_hat.tolist() if tick is not None else (math.nan, math.nan)
     words = [WORDS[passed.verdict] for passed in loop.passed]
+    confidences = [f"{passed.confidence:.3f}" for passed in loop.passed]
     return {
         "x": x, "y": y, "s": tick.s if tick else math.nan, "distance_to_locus": distance_to_locus(loop),
         "assembly_mode": tick.assembly_mode if tick else 0,
         "mode_confidence": tick.confidence if tick else math.nan, "mode_known": loop.mode_known,
         "crossings": len(words), "begun": begun, "crossed": words.count("crossed"), "bounced": words.count("bounced"),
-        "verdicts": " ".join(words), "completed": loop.completed, "reference_time": tick.reference_time if tick else 0.0,
+        "verdicts": " ".join(words), "confidences": " ".join(confidences),
+        "largest_error": loop.largest_error, "completed": loop.completed,
+        "stopped": loop.phase is Phase.SAFE_STOP and loop.stopped is not None,
+        "reference_time": tick.reference_time if tick else 0.0,
         "duration": loop.certificate.duration if loop.certificate else 0.0,
         **watched(loop),
     }  # fmt: skip

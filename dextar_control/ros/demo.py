@@ -37,6 +37,7 @@ from dextar_control.control.prepare import prepare
 from dextar_control.executables import EXECUTABLES
 from dextar_control.model.model import Model
 from dextar_control.ros.domain import choose_domain
+from dextar_control.ros.progress import crossings, unhealthy
 from dextar_control.ros.start_check import check_start
 from dextar_control.ros.task import Task
 
@@ -72,6 +73,11 @@ class _Monitor(Node):
     def get(self, node: str, key: str) -> str:
         """A node's last diagnostics value, empty when unknown."""
         return self.status.get(node, {}).get(key, "")
+
+    @property
+    def controller(self) -> dict[str, str]:
+        """What the controller told last."""
+        return self.status.get("controller", {})
 
     def resume(self) -> None:
         """Let the simulated time run."""
@@ -349,20 +355,6 @@ def _wait_until_ready(console: Terminal, monitor: _Monitor, processes: _Processe
                 raise DemoError(f"the nodes were not ready within {START_TIMEOUT:.0f} s; heard of: {known}")
 
 
-def _crossings(monitor: _Monitor) -> str:
-    """How many of the planned crossings have begun."""
-    total = monitor.get("controller", "crossings") or "0"
-    return f"crossing {monitor.get('controller', 'begun') or '0'} of {total}" if total != "0" else ""
-
-
-def _unhealthy(monitor: _Monitor) -> str:
-    """Why the controller still waits to enable itself; empty when it does not."""
-    if monitor.get("controller", "enabling") != "waiting":
-        return ""
-    healthy = f": healthy states for {monitor.get('controller', 'healthy')} s only"
-    return "; ".join(filter(None, (healthy, monitor.get("controller", "last_trouble"))))
-
-
 def _follow(console: Terminal, monitor: _Monitor, processes: _Processes) -> None:
     """Progress until the trip is done or the controller gave up."""
     deadline = time.monotonic() + RUN_TIMEOUT
@@ -377,23 +369,23 @@ def _follow(console: Terminal, monitor: _Monitor, processes: _Processes) -> None
             if duration > known_duration:
                 known_duration = duration
                 deadline = time.monotonic() + RUN_TIMEOUT + 20.0 * duration
-            phase = monitor.get("controller", "phase")
+            told, phase = monitor.controller, monitor.get("controller", "phase")
             note = monitor.get("controller", "trajectory")
             if note.startswith("refused"):
                 raise DemoError(f"the controller {note}")
-            if waits := _unhealthy(monitor):
+            if waits := unhealthy(told):
                 progress.update(task, description=f"waiting{waits}")
             if duration > 0.0:
                 elapsed = float(monitor.get("controller", "reference_time") or 0.0)
-                progress.update(task, description=f"{phase:<9} {_crossings(monitor)}", completed=min(elapsed / duration, 1.0))
+                progress.update(task, description=f"{phase:<9} {crossings(told)}", completed=min(elapsed / duration, 1.0))
             if monitor.get("controller", "completed") not in ("", "0"):
-                progress.update(task, description=f"done      {_crossings(monitor)}", completed=1.0)
+                progress.update(task, description=f"done      {crossings(told)}", completed=1.0)
                 break
             if phase in ("SAFE_STOP", "FAULT"):
-                progress.update(task, description=f"{phase} {_crossings(monitor)}")
+                progress.update(task, description=f"{phase} {crossings(told)}")
                 break
             if time.monotonic() > deadline:
-                raise DemoError(f"the trip did not end in time; the controller is in phase {phase}{_unhealthy(monitor)}")
+                raise DemoError(f"the trip did not end in time; the controller is in phase {phase}{unhealthy(told)}")
     end = time.monotonic() + (1.5 if monitor.get("controller", "phase") == "SAFE_STOP" else LINGER)
     while time.monotonic() < end:
         rclpy.spin_once(monitor, timeout_sec=0.05)

@@ -13,7 +13,7 @@ Done = Callable[[Any, DextarError | None], None]
 
 
 class GivenUp(DextarError):
-    """The node ends while it plans."""
+    """What is planned is not wanted any more: the node ends, or a stop was asked for."""
 
 
 class Worker:

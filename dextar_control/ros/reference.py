@@ -54,6 +54,7 @@ class ReferenceReader:
 
     Attributes:
         note: what became of the last one: none, checking, accepted, stop or refused, with the reason.
+        arrived: how many have been read.
         waiting: the one that is accepted and has not begun.
     """
 
@@ -65,6 +66,7 @@ class ReferenceReader:
         self._clock = node.unstepped_clock
         self._since = self._clock.now()
         self.note = "none"
+        self.arrived = 0
         self.waiting: Waiting | None = None
 
     def restart(self) -> None:
@@ -124,6 +126,7 @@ class ReferenceReader:
             raw, info = newest
             if self._checking is not None:
                 self._checking.cancel()
+            self.arrived += 1
             received = info["received_timestamp"]
             age = ((received or time.time_ns()) - info["source_timestamp"]) / NANOSECONDS
             active = (self._clock.arrival(received) - self._since) / NANOSECONDS

@@ -21,10 +21,11 @@ from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import certify
 from dextar_control.planning.planner import PLAN_RESIDUAL, Plan, plan_approach
 from dextar_control.planning.profile import sample_times
+from dextar_control.planning.search import Progress
 from dextar_control.planning.trajectory import Trajectory, join
 from dextar_control.ros import messages, task
-from dextar_control.ros.next_step import next_step
-from dextar_control.ros.planning import Worker
+from dextar_control.ros.next_step import command, why_not
+from dextar_control.ros.planning import Done, GivenUp, Worker
 from dextar_control.ros.task import Task, in_words
 from dextar_control.symbols.types import Array
 
@@ -59,7 +60,8 @@ class TrajectoryServer(DextarNode):
     """Plans at start and on ``~/plan``; ``~/start`` serves the trip from where the robot stands.
 
     What is planned are the parameters of ``Task``. The way to its start, on one side of the locus, is served with
-    the trip as one trajectory. ``~/stop`` serves an empty trajectory: the controller stops safely.
+    the trip as one trajectory. ``~/stop`` serves an empty trajectory: the controller stops safely. A trip
+    that is still being planned then is not served.
     ``~/get_plan`` plans one way between any two poses (A and B where both are zero) and returns its path.
 
     Planning runs in a thread of its own; the services that need it answer when it is done, ``~/stop`` at once.
@@ -80,6 +82,7 @@ class TrajectoryServer(DextarNode):
         self._controller_time = -FRESH
         self._worker = Worker()
         self._told = (0.0, "")
+        self._starting: object | None = None  # the trip that is planned to be served
         self._trajectory_publisher = self.create_publisher(MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY))
         self.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS))
         self._requests: list[tuple[Any, Callable[[Any, Any, Any], None]]] = [
@@ -105,7 +108,7 @@ class TrajectoryServer(DextarNode):
         self._worker.poll()
         self._tell_progress()
         if self._waiting and self._planned is not None and not self._why_not():
-            self._worker.submit(self._trip(self._origin()), self._on_autostart)
+            self._submit_trip(self._on_autostart)
             self._waiting = False
 
     def _tell_progress(self) -> None:
@@ -115,7 +118,7 @@ class TrajectoryServer(DextarNode):
             self.get_logger().info(f"planning, {self._worker.fraction:.0%}: {stage}")
             self._diagnose()
 
-    def _plan_of(self, wanted: Task) -> Callable[[], tuple[Task, Plan]]:
+    def _plan_of(self, wanted: Task, progress: Progress | None = None) -> Callable[[], tuple[Task, Plan]]:
         """A job: the plan of a task, drawn where that is asked for and nobody waits."""
         drawing = "" if self._waiting else self.values["drawing"]
 
@@ -125,7 +128,7 @@ class TrajectoryServer(DextarNode):
                 plan = known[1]
             else:
                 begin = time.perf_counter()
-                plan = wanted.plan(self.robot, self._worker.progress)
+                plan = wanted.plan(self.robot, progress or self._worker.progress)
                 self.get_logger().info(f"planned in {time.perf_counter() - begin:.2f} s: {in_words(plan.certificate)}")
             if drawing and self._drawn != (wanted, drawing):
                 _draw(self.robot, plan, Path(drawing).expanduser())
@@ -134,9 +137,9 @@ class TrajectoryServer(DextarNode):
 
         return work
 
-    def _trip(self, origin: Array) -> Callable[[], Served]:
+    def _trip(self, origin: Array, progress: Progress) -> Callable[[], Served]:
         """A job: the planned trip with the way from where the robot stands before it, as a message."""
-        plan_now = self._plan_of(self._task)
+        plan_now = self._plan_of(self._task, progress)
         speed, period = self.values["approach_speed"], self.values["sample_period"]
 
         def work() -> Served:
@@ -150,6 +153,25 @@ class TrajectoryServer(DextarNode):
             return Served(plan, wanted, certificate, messages.from_trajectory(trajectory, times))
 
         return work
+
+    def _submit_trip(self, done: Done) -> None:
+        """Plan the trip from where the robot stands, for ``done`` to serve it, unless ``~/stop`` is called before."""
+        self._starting = starting = object()
+        stopped = GivenUp("the trip is not served: a stop was asked for while it was planned")
+
+        def progress(fraction: float, stage: str) -> None:
+            if self._starting is not starting:
+                raise stopped
+            self._worker.progress(fraction, stage)
+
+        def planned(served: Served | None, error: DextarError | None) -> None:
+            if self._starting is starting:
+                self._starting = None
+                done(served, error)
+            else:
+                done(None, error or stopped)
+
+        self._worker.submit(self._trip(self._origin(), progress), planned)
 
     def _origin(self) -> Array:
         """Where the robot stands as far as is known, else A."""
@@ -176,20 +198,8 @@ class TrajectoryServer(DextarNode):
             raise TrajectoryError("the controller has had no joint state yet; see that the rig or plant runs")
 
     def _why_not(self) -> str:
-        """Why the controller would not take a trajectory now, as far as it has told; empty when it would.
-
-        It takes one while it holds, and while it waits to enable itself.
-        """
-        if not self._controller:
-            return f"no word of {self._controller_name} on {DIAGNOSTICS.name}; see that it runs"
-        lifecycle, phase = self._controller.get("lifecycle", "active"), self._controller.get("phase", "")
-        enabling, reason = self._controller.get("enabling", ""), self._controller.get("reason", "")
-        step = next_step(self._controller_name, lifecycle, phase, enabling)
-        if lifecycle != "active":
-            return f"the controller is {lifecycle}; a trip needs an active one: {step}"
-        if phase == "HOLD" or (phase == "IDLE" and enabling == "waiting"):
-            return ""
-        return f"the controller is in phase {phase}{f' ({reason})' if reason else ''}; a trip starts from HOLD: {step}"
+        """Why the controller would not take a trajectory now; empty when it would."""
+        return why_not(self._controller_name, self._controller)
 
     @property
     def _controller_name(self) -> str:
@@ -242,11 +252,14 @@ class TrajectoryServer(DextarNode):
             service.send_response(Trigger.Response(success=served is not None, message=message), header)
 
         try:
+            if self._starting is not None:
+                stop = command(self._controller_name, "stop")
+                raise TrajectoryError(f"another trip is being planned and starts then: wait, or type {stop}")
             self._check_robot()
         except DextarError as error:
             done(None, error)
             return
-        self._worker.submit(self._trip(self._origin()), done)
+        self._submit_trip(done)
 
     def _on_get_plan(self, service: Any, request: GetPlan.Request, header: Any) -> None:
         ends = [request.start.pose.position, request.goal.pose.position]
@@ -266,6 +279,7 @@ class TrajectoryServer(DextarNode):
         self._worker.submit(lambda: wanted.plan_between(self.robot, start, goal, self._worker.progress), done)
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._starting, self._waiting = None, False
         self._trajectory_publisher.publish(messages.stop_trajectory())
         response.success, response.message = True, "stop served"
         return response

@@ -124,9 +124,9 @@ ENCLAVES = (
     Enclave("markers", "draws what happens", (
         _profile("markers"),
     )),
-    Enclave("operator", "whoever starts, stops and tunes the nodes: the demo and `ros2 ...`; it may command no torque", (
-        Profile("demo", (), OBSERVES, (), EVERY_SERVICE),
-        Profile(COMMAND_LINE, (), OBSERVES, (), EVERY_SERVICE),
+    Enclave("operator", "whoever starts, stops and tunes the nodes: the demo, `dextar go` and its like, `ros2 ...`; it may"
+            " command no torque", (
+        *(Profile(node, (), OBSERVES, (), EVERY_SERVICE) for node in ("demo", "operator", COMMAND_LINE)),
     )),
     Enclave("viewer", "RViz, PlotJuggler and the Foxglove bridge; they look on", tuple(
         Profile(node, (), (*OBSERVES, *VIEWERS_READ)) for node in ("foxglove_bridge", "plotjuggler", "rviz", "rviz2")
