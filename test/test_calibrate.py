@@ -15,8 +15,8 @@ import synthetic_run as made
 import yaml
 
 from dextar_control import cli
-from dextar_control.campaign import learnt
 from dextar_control.analysis.load import load_run
+from dextar_control.campaign import learnt
 from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 from dextar_control.contract.settings import default_settings
