@@ -55,7 +55,7 @@ def test_values_have_the_type_of_the_parameter_they_become() -> None:
         ("discovery_range", "everywhere", "one of LOCALHOST, SUBNET, OFF, SYSTEM_DEFAULT"),
         ("tour", "abc", "a number"),
         ("tour", "2.5", "an integer"),
-        ("tour", "-1", ">= 0"),
+        ("tour", "-1001", ">= -1000"),
         ("tour", "5000", "<= 1000"),
         ("duration", "fast", "a number"),
         ("duration", "nan", "finite"),
