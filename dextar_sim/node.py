@@ -28,7 +28,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS
 from dextar_control.contract.errors import ParameterError, StateError
-from dextar_control.contract.node import FOLLOWED, DextarNode, let_readers_follow, qos, run_node
+from dextar_control.contract.node import DextarNode, qos, run_node
 from dextar_control.contract.topics import (
     CLOCK,
     EFFORT_COMMANDS,
@@ -224,8 +224,6 @@ class PlantNode(DextarNode):
             publisher.publish(raw)
         if self._time is not None and self._index % self._told_each == 0:
             self._time.publish(self._writer.clock(self._stamp()))
-        if self.lockstep and self._index % FOLLOWED == 0:
-            let_readers_follow(*(publisher for publisher, _ in self._sent))
         if self._budget:
             self._budget -= 1
 

@@ -19,7 +19,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
@@ -32,13 +31,11 @@ from dextar_control.contract.help import node_help
 from dextar_control.contract.robot import PREFIX, ROBOT_KEYS, RobotParameters, changed, from_flat
 from dextar_control.contract.services import ServiceDesk
 from dextar_control.contract.signals import StopSignal, caused_by_interrupt, tell
-from dextar_control.contract.topics import DIAGNOSTICS, STREAM_DEPTH, Topic
+from dextar_control.contract.topics import DIAGNOSTICS, Topic
 from dextar_control.contract.yaml_text import check_parameter_files
 
 EXIT_USAGE = 2
 LAST_SAMPLES = 1.0  # s given to readers that want every sample, when a node ends
-FOLLOWED = STREAM_DEPTH // 5  # samples of a stream in lockstep, after which its readers are waited for
-LONGEST_WAIT = 2.0  # s
 COMPLAINT_PERIOD = 1.0  # s between two lines about services that failed
 
 
@@ -163,15 +160,6 @@ def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoS
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
     )
-
-
-def let_readers_follow(*publishers: Publisher) -> None:
-    """Wait until the reliable readers have what was published: in lockstep, every FOLLOWED samples, nothing is recorded with holes.
-
-    A reader that is stopped is waited for LONGEST_WAIT at a time.
-    """
-    for publisher in publishers:
-        publisher.wait_for_all_acked(Duration(seconds=LONGEST_WAIT))
 
 
 class DextarNode(Node):

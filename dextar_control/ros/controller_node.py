@@ -199,7 +199,7 @@ class ControllerNode(ManagedNode):
         self._period = values["task.sample_period"]
         self._lockstep = values["lockstep"]
         self._states_in = messages.joint_states_template()
-        self._outputs = Outputs(self, array=values["publish_effort_array"], lockstep=values["lockstep"])
+        self._outputs = Outputs(self, array=values["publish_effort_array"])
         self._closers.append(self._outputs.close)
         self._reference = ReferenceReader(self)
         self._closers.append(self._reference.close)

@@ -11,7 +11,7 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from dextar_control.contract.cdr import NANOSECONDS, canonical
-from dextar_control.contract.node import FOLLOWED, DextarNode, let_readers_follow, qos
+from dextar_control.contract.node import DextarNode, qos
 from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, EFFORT_COMMANDS, JOINT_COMMANDS
 from dextar_control.control.phases import Tick
 from dextar_control.ros import messages
@@ -36,14 +36,13 @@ class Outputs:
     Args:
         node: that publishes.
         array: whether the torques go out as ``effort_commands`` too.
-        lockstep: whether readers are waited for.
 
     Attributes:
         stamp: of the state answered last, ns; negative before the first.
     """
 
-    def __init__(self, node: DextarNode, *, array: bool, lockstep: bool) -> None:
-        self._node, self._lockstep, self._count = node, lockstep, 0
+    def __init__(self, node: DextarNode, *, array: bool) -> None:
+        self._node = node
         self._commands_out = messages.joint_commands_template()
         self._state_out = messages.controller_state_template()
         self._criterion_out = messages.criterion_template()
@@ -77,9 +76,6 @@ class Outputs:
                      estimate.confidence, verdict, output.limit, estimate.innovation_square,
                      *estimate.innovation.tolist(), *estimate.b.tolist(), *estimate.d.tolist()]
         self._criterion.publish(self._criterion_out.pack(stamp, criterion))
-        self._count += 1
-        if self._lockstep and self._count % FOLLOWED == 0:
-            let_readers_follow(self._commands, self._states, self._criterion)
 
     def repeat(self) -> None:
         """The last command once more."""
