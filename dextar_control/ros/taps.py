@@ -15,7 +15,7 @@ from dextar_control.ros.loss_count import LossCount
 from dextar_control.ros.mcap_file import Sample
 from dextar_control.ros.message_definitions import definition, type_hash
 
-HISTORY = 4000  # samples each reader holds between two polls: 4 s at 1 kHz
+HISTORY = 10000  # samples each reader holds between two polls: 10 s at 1 kHz
 SLOW = 100.0  # Hz: a slower topic is always asked for reliably, which costs nothing there
 
 PARAMETER_EVENTS = Topic(
