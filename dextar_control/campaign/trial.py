@@ -375,7 +375,7 @@ def _judge(loop: ControlLoop, log: Log, bounced: bool) -> dict[str, float | int 
         **{f"right_{odds:g}": number for odds, number in zip(SAID, said[1], strict=True)},
         **{f"stated_{odds:g}": number for odds, number in zip(SAID, said[2], strict=True)},
     }
-    return row | _bounce(loop, log, crossed[0], truths[0], planned) if bounced else row
+    return row | _bounce(loop, log, certificate.crossing_signs[0], truths[0], planned) if bounced else row
 
 
 def _reliability(log: Log) -> tuple[list[int], list[float], list[float]]:
@@ -409,19 +409,32 @@ def _reason(loop: ControlLoop, crossed: list[bool], error: Array) -> str:
     return ""
 
 
+def _turned(log: Log, sign: float) -> bool:
+    """Whether the true robot went back clear of the locus after the blow, before it came well clear of it on the other side.
+
+    One that was only slowed crosses late, and one that was left standing near the locus is on neither side.
+    """
+    s = sign * log.s[int(np.searchsorted(log.time, log.strike)) :]
+    there = np.flatnonzero(s >= 2.0 * CLEAR)
+    before = s[: int(there[0])] if len(there) else s
+    back = np.maximum.accumulate(before) - before
+    return bool(((before <= -CLEAR) & (back >= CLEAR)).any())
+
+
 def _bounce(
-    loop: ControlLoop, log: Log, crossed: bool, on_side: bool, planned: float
+    loop: ControlLoop, log: Log, sign: float, on_side: bool, planned: float
 ) -> dict[str, float | int | str | bool | None]:
     """What became of a run that was struck; ``recognised`` is None when the blow did not turn the robot round.
 
     Args:
-        crossed: whether the true robot changed sides.
+        sign: of s behind the planned crossing.
         on_side: whether it was on the planned side when the last verdict fell.
     """
-    if crossed and on_side:
-        return {"reason": "the blow did not turn the robot round", "success": True}
     called = loop.passed[0].verdict
     missed = called is Verdict.CROSSED and not on_side
+    if not _turned(log, sign):
+        false = called is Verdict.BOUNCED and on_side
+        return {"reason": "the blow did not turn the robot round", "success": not (missed or false)}
     named = called is Verdict.BOUNCED or ("bounced" in loop.reason and not missed)  # it may have coasted across since
     stopped = np.flatnonzero(log.limp)
     struck = int(np.searchsorted(log.time, log.strike))

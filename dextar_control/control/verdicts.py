@@ -110,7 +110,7 @@ class CrossingJudge:
                 )
                 continue
             if moving and current >= 0:
-                if not s * self._signs[current] > 0.0:
+                if not (s * self._signs[current] > 0.0 and abs(estimator.estimate.s) >= self._clear_s):
                     continue
                 self._judge(time, current, Verdict.CROSSED, confidence)
             coming = (at for at, of in zip(self._times[current + 1 :], self._blocks[current + 1 :], strict=True) if of == block)
@@ -140,7 +140,7 @@ class CrossingJudge:
         news, estimate = "", estimator.estimate
         for current in self._open:
             mode, confidence = estimator.modes[self._blocks[current]]
-            if not confidence >= self._sure:
+            if not (confidence >= self._sure and abs(estimate.s) >= self._clear_s):
                 continue
             if not self._model.type1_distance(np.array(estimate.x)) >= TYPE1_END:
                 self._open = []
