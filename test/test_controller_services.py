@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -215,6 +216,20 @@ def test_the_distance_to_the_locus_is_that_of_the_nearest_point_to_first_order(c
 
     found = [reached(angle) for angle in angles]
     assert distance_to_locus(loop) == pytest.approx(min(found), rel=0.1)
+
+
+def test_the_largest_error_is_that_of_the_trajectory_that_is_tracked(controller: _Unspun) -> None:
+    node = controller.node
+
+    def noted(phase: Phase, certificate: object, errors: list[float]) -> float:
+        for error in errors:
+            node._note_error(SimpleNamespace(phase=phase, certificate=certificate, supervisor=SimpleNamespace(error=error)))
+        return node._largest_error
+
+    first, second = object(), object()
+    assert noted(Phase.TRACK, first, [1e-5, 3e-5, 2e-5]) == 3e-5
+    assert noted(Phase.HOLD, first, [1e-3]) == 3e-5
+    assert noted(Phase.CROSSING, second, [1e-5]) == 1e-5
 
 
 @pytest.mark.parametrize(("way", "told"), [(0.3e-3, False), (4e-3, True)], ids=["in time", "late"])

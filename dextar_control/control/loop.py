@@ -50,7 +50,6 @@ class ControlLoop:
             closed form; the origin when None.
 
     Attributes:
-        largest_error: between reference and estimate while the last trajectory was tracked, m.
         lacking: largest torque that the model lacks at a joint, N m, up to ``watch_torque``, when a crossing trajectory's torque
             was at its limit last with the side known: the limit leaves it beside the law's.
 
@@ -73,7 +72,6 @@ class ControlLoop:
         self.certificate: Certificate | None = None
         self.saturated_ticks = 0
         self.completed = 0
-        self.largest_error = 0.0
         self.tick: Tick | None = None
         self._frame = Frame(n)
         self._reference, self._estimate, self._output = self._frame.reference, self._frame.estimate, self._frame.output
@@ -422,7 +420,7 @@ class ControlLoop:
         self._set_trajectory(trajectory, certificate.profile.time, certificate.profile.multipliers)
         self._integral[:] = 0.0
         self._stop_wanted = False
-        self.saturated_ticks, self.lacking, self.largest_error = 0, 0.0, 0.0
+        self.saturated_ticks, self.lacking = 0, 0.0
         self.phase = Phase.TRACK if crossing else Phase.APPROACH
 
     def _limit_crossing(self, certificate: Certificate) -> float:
@@ -462,8 +460,6 @@ class ControlLoop:
         """Whether the law may go on, by the table of watches and by the estimator's opinion of the side."""
         problem = self.supervisor.check(self._q_a, dt, self.estimator)
         self.saturated_ticks += self.supervisor.saturated
-        if self.phase in MOVING:
-            self.largest_error = max(self.largest_error, self.supervisor.error)
         if self._stop_wanted and not problem and self._comes_to_rest():
             self._go_limp(Phase.SAFE_STOP, self.reason)
             return

@@ -25,9 +25,10 @@ from dextar_control.contract.settings import Estimation, Law, Settings
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
 from dextar_control.control.loop import ControlLoop
-from dextar_control.control.phases import LIMP, Phase, Tick
+from dextar_control.control.phases import LIMP, MOVING, Phase, Tick
 from dextar_control.control.stream import StateStream
 from dextar_control.control.verdicts import OPEN_BEFORE, Passed, Verdict
+from dextar_control.planning.certificate import Certificate
 from dextar_control.ros import messages
 from dextar_control.ros.controller_report import loop_values, waiting_for
 from dextar_control.ros.external_pose import ExternalPoseReader
@@ -177,6 +178,8 @@ class ControllerNode(ManagedNode):
         self._judged: list[Passed] = []
         self._verdicts: list[Verdict] = []
         self._completed = 0
+        self._tracked: Certificate | None = None
+        self._largest_error = 0.0
         self._pose_note = ""
         self._pose_told = -math.inf
         self._states: Any = None
@@ -350,6 +353,7 @@ class ControllerNode(ManagedNode):
             return
         self._outputs.command(stamp, tau.tolist())
         assert loop.tick is not None
+        self._note_error(loop)
         self._outputs.tell(stamp, loop.tick, self._verdict(loop, loop.tick))
         if self._stamp >= 0:
             self._statistics.spaced(gap, self._period)
@@ -392,6 +396,13 @@ class ControllerNode(ManagedNode):
         while self._begun + 1 < len(passed) and passed[self._begun + 1].planned_time <= begun:
             self._begun += 1
         return float(passed[self._begun].verdict) if self._begun >= 0 else 0.0
+
+    def _note_error(self, loop: ControlLoop) -> None:
+        """The largest distance between reference and estimate while a trajectory is tracked."""
+        if loop.phase in MOVING:
+            if loop.certificate is not self._tracked:
+                self._tracked, self._largest_error = loop.certificate, 0.0
+            self._largest_error = max(self._largest_error, loop.supervisor.error)
 
     def _refuse(self, loop: ControlLoop, error: DextarError) -> None:
         """No torque for a state that cannot be used; a broken first state or a bad number is a fault."""
@@ -597,7 +608,7 @@ class ControllerNode(ManagedNode):
             "phase": loop.phase.name if self._active else "", "reason": loop.reason, "enabling": self._enabling,
             "healthy": round(self._stream.healthy_for(limit, self._now()), 3), "last_trouble": self._stream.trouble,
             "trajectory": self._reference.note, "trajectories": self._reference.arrived,
-            "waiting_for": waiting_for(self._reference), **loop_values(loop, self._begun + 1),
+            "waiting_for": waiting_for(self._reference), **loop_values(loop, self._begun + 1, self._largest_error),
             "other_commanders": self._others, "state_publishers": self._rivals, "next_step": self._next_step(),
             "requests": self.desk.served,
         }  # fmt: skip
@@ -624,7 +635,7 @@ class ControllerNode(ManagedNode):
         if loop.completed != self._completed:
             self._completed = loop.completed
             if loop.completed:
-                log(f"done: {trip_line(self._verdicts.count(Verdict.CROSSED), len(passed), loop.largest_error)}")
+                log(f"done: {trip_line(self._verdicts.count(Verdict.CROSSED), len(passed), self._largest_error)}")
 
     def _warnings(self, limit: float) -> list[str]:
         """What an operator should look at."""

@@ -12,12 +12,13 @@ from dextar_control.ros.reference import ReferenceReader
 WORDS = {verdict: verdict.name.lower() for verdict in Verdict}
 
 
-def loop_values(loop: ControlLoop, begun: int) -> dict[str, object]:
+def loop_values(loop: ControlLoop, begun: int, largest_error: float) -> dict[str, object]:
     """Where the robot is and what became of its crossings; m, s.
 
     Args:
         loop: that answers the states.
         begun: how many planned crossings have begun.
+        largest_error: between reference and estimate while the last trajectory was tracked, m.
     """
     tick = loop.tick
     x, y = tick.x_hat.tolist() if tick is not None else (math.nan, math.nan)
@@ -29,7 +30,7 @@ def loop_values(loop: ControlLoop, begun: int) -> dict[str, object]:
         "mode_confidence": tick.confidence if tick else math.nan, "mode_known": loop.mode_known,
         "crossings": len(words), "begun": begun, "crossed": words.count("crossed"), "bounced": words.count("bounced"),
         "verdicts": " ".join(words), "confidences": " ".join(confidences),
-        "largest_error": loop.largest_error, "completed": loop.completed,
+        "largest_error": largest_error, "completed": loop.completed,
         "stopped": loop.phase is Phase.SAFE_STOP and loop.stopped is not None,
         "reference_time": tick.reference_time if tick else 0.0,
         "duration": loop.certificate.duration if loop.certificate else 0.0,
