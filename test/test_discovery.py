@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from dextar_control.cli import COMMANDS, main
+from dextar_control.ros import demo
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
