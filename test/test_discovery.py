@@ -5,13 +5,13 @@ from __future__ import annotations
 import ast
 import os
 import signal
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from dextar_control.cli import COMMANDS, main
+from dextar_control.ros import demo
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -52,13 +52,13 @@ def test_the_demos_nodes_stay_on_this_machine_unless_the_variable_opens_them(
     class StartedError(Exception):
         """Instead of a node."""
 
-    def start(command: list[str], **options: Any) -> None:
-        raise StartedError(options.get("env", os.environ)[VARIABLE])
+    def start(*_: Any) -> None:
+        raise StartedError(os.environ[VARIABLE])  # which a fork inherits
 
     monkeypatch.setenv(VARIABLE, given or "")
     if given is None:
         monkeypatch.delenv(VARIABLE)
-    monkeypatch.setattr(subprocess, "Popen", start)
+    monkeypatch.setattr(demo._Processes, "start", start)
     monkeypatch.setattr(signal, "signal", lambda number, handler: None)  # the demo's handlers are not the tests'
     with pytest.raises(StartedError, match=f"^{range_}$"):
         main(["demo", "--lockstep", "--output", str(tmp_path)])

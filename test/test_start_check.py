@@ -68,5 +68,5 @@ def test_the_latest_run_stays_the_one_that_began_where_a_start_is_refused(starte
     (tmp_path / "earlier").mkdir()
     (tmp_path / "latest").symlink_to("earlier")
     assert cli.main(["demo", "--output", str(tmp_path)]) == 2
-    assert started == list(demo.MODULES)
+    assert started == list(demo.NODES)
     assert (tmp_path / "latest").resolve() == tmp_path / "earlier"
