@@ -410,7 +410,7 @@ def _reason(loop: ControlLoop, crossed: list[bool], error: Array) -> str:
 
 
 def _turned(log: Log, sign: float) -> bool:
-    """Whether the true robot went back clear of the locus after the blow, before it came well clear of it on the other side.
+    """Whether the true robot went back from the locus after the blow, before it came well clear of it on the other side.
 
     One that was only slowed crosses late, and one that was left standing near the locus is on neither side.
     """
@@ -418,7 +418,7 @@ def _turned(log: Log, sign: float) -> bool:
     there = np.flatnonzero(s >= 2.0 * CLEAR)
     before = s[: int(there[0])] if len(there) else s
     back = np.maximum.accumulate(before) - before
-    return bool(((before <= -CLEAR) & (back >= CLEAR)).any())
+    return bool(((before <= -NEAR) & (back >= NEAR)).any())
 
 
 def _bounce(

@@ -20,7 +20,7 @@ CONTRAST = 1.2, 1.6  # how many times worse the less likely filter has to fit be
 STRANGE_CONTRAST = 6.0, 12.0  # ... the same where neither fits as the robot did while its side was known ...
 STRANGE = 1.5, 3.0  # ... which begins, and is so, from this many times that misfit on, of the likelier one
 LEAST_KNOWN = 0.1  # misfit that the robot is taken to have had at least then
-TELLS = 3.0  # log-odds that CORRELATED samples tell at most, whatever they are
+PACE = 1.5  # times the logarithm of how much worse one fits than the other: log-odds that CORRELATED samples tell at most
 
 
 @dataclass(slots=True)
@@ -111,7 +111,7 @@ class Belief:
         misfit = max(1.0, better / (size * self.samples))
         contrast = _step(worse / better, begin, full, smooth=True)
         found = self.seen + self.before + contrast * (fit + self.ratio) / (CORRELATED * misfit)
-        pace = TELLS / CORRELATED
+        pace = PACE * math.log(worse / better) / CORRELATED
         self.log_odds = min(max(found, self.log_odds - pace), self.log_odds + pace)
 
     def fit(self, misfit: float, dt: float) -> None:
