@@ -161,7 +161,7 @@ def check_formats(formats: list[str]) -> None:
         try:
             import pyarrow.parquet  # noqa: F401
         except ImportError as error:
-            raise lacking("parquet (and csv does not)", "export", error) from error
+            raise lacking("--format parquet (--format csv does not)", "export", error) from error
 
 
 def export(
