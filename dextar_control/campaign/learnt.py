@@ -23,7 +23,6 @@ from dextar_control.planning.tour import plan_tour
 CROSSINGS, TOURS = 12, 3  # of a tour; at most
 START = np.array([-0.025, 0.115])  # m, of the exciting motion: the A of every trip
 EXCITE, DWELL = 20.0, 0.2  # s
-Options = tuple[tuple[str, Any], ...]
 
 
 def record(robot: RobotParameters, plan: Plan, rig: Any) -> Recorded:

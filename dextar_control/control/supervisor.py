@@ -60,7 +60,7 @@ WATCHES = (
     Watch("joint_range", "a joint's way out of its range", "rad", "joint_margin", "",
           "a plan may go to the end of the range; an error of 5 mm is 0.05 rad"),
     Watch("estimator", "a joint beside that of the estimated platform", "rad", "max_joint_misfit", "misfit_time",
-          "0.0052 in good runs, with a geometry 0.2 mm off; an estimate that has lost the robot passes 0.02 at the locus"),
+          "0.0048 in good runs with a geometry 0.2 mm off, 0.03 with 0.5 mm; an estimate that has lost the robot passes 0.06"),
     Watch("locus", "|s| of the estimate outside of phase CROSSING", "", "locus_s (at least)", "",
           "plans keep 0.4 there, approaches 0.2; the robots of good runs kept 0.36. Who comes nearer was pushed or is lost"),
     Watch("saturation", "the larger torque, but where the side is known and the error shrinks", "N m", "what it is cut at",
