@@ -14,9 +14,9 @@ import numpy as np
 import yaml
 from rosbags.typesys import Stores, get_typestore
 
+from dextar_control.bags.writer import BagWriter, Sample
 from dextar_control.contract import resources
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
-from dextar_control.ros.mcap_writer import BagWriter, Sample
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 START = 1_700_000_000_000_000_000  # ns

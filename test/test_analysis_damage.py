@@ -18,9 +18,9 @@ from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
 from dextar_control.analysis.run import Hole
 from dextar_control.analysis.tracking import plan_of
 from dextar_control.analysis.verdict import judge
+from dextar_control.bags import mcap_file
+from dextar_control.bags.recover import recover
 from dextar_control.planning.checks import clear_times
-from dextar_control.ros import mcap_file
-from dextar_control.ros.recovery import recover
 
 CHUNK = 60_000  # bytes: about thirty ticks
 TRIALS = 30  # of damage at random

@@ -31,9 +31,9 @@ from synthetic_run import (
 from dextar_control.analysis.load import load_run
 from dextar_control.analysis.metrics import compute_metrics
 from dextar_control.analysis.run import Run
+from dextar_control.bags.recover import recover
+from dextar_control.bags.writer import BagWriter, Sample
 from dextar_control.contract.errors import BagError
-from dextar_control.ros.mcap_writer import BagWriter, Sample
-from dextar_control.ros.recovery import recover
 
 
 @pytest.fixture(scope="module")

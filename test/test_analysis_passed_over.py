@@ -24,10 +24,10 @@ from synthetic_run import START, TICKS, TYPES, joint_state, message, write_run
 from dextar_control import cli
 from dextar_control.analysis import Metrics, compute_metrics, load_run
 from dextar_control.bags.folder import in_order
-from dextar_control.bags.records import RECOVERY_NAME
+from dextar_control.bags.recover import recover
+from dextar_control.bags.scan import RECOVERY_NAME
 from dextar_control.contract import decoding
 from dextar_control.contract.errors import BagError, StateError
-from dextar_control.ros.recovery import recover
 
 Message = tuple[str, str, str, int, int, bytes]  # topic, type, encoding, log time, publish time, data
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -9,7 +9,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 from synthetic_run import joint_state, message
 
-from dextar_control.analysis.series import BLOCK, MOST_LAYOUTS, WAITING, Series
+from dextar_control.bags.series import BLOCK, MOST_LAYOUTS, WAITING, Series
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -16,6 +16,7 @@ import yaml
 
 from dextar_control import cli
 from dextar_control.analysis.load import load_run
+from dextar_control.bags.writer import BagWriter, Sample
 from dextar_control.campaign import learnt
 from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
@@ -29,7 +30,6 @@ from dextar_control.mechanisms.five_bar_locus import Family
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan
 from dextar_control.planning.tour import plan_tour
-from dextar_control.ros.mcap_writer import BagWriter, Sample
 from dextar_sim.rig import Rig
 
 ROBOT = made.robot()

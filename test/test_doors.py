@@ -18,7 +18,7 @@ ALLOWED_OUTSIDE = {
     "dextar_control.estimation": {"numpy", "casadi"},
     "dextar_control.control": {"numpy", "casadi"},
     "dextar_control.planning": {"numpy", "scipy", "casadi"},
-    "dextar_control.bags": {"mcap", "yaml", "zstandard"},
+    "dextar_control.bags": {"numpy", "mcap", "rosbags", "yaml", "zstandard"},
     "dextar_control.campaign": {"numpy", "matplotlib", "rich", "yaml", "pydantic", "pydantic_core", "dask", "distributed",
                                 "pyarrow"},
     "dextar_control.identification": {"numpy", "scipy", "casadi", "bokeh", "rich"},
@@ -52,7 +52,7 @@ DOORS = {  # each room, and those that it may import beside itself and the contr
     "dextar_control.faults": _rooms(*MATHEMATICS),
     "dextar_control.security": set(),
     "dextar_control.ros": _rooms("executables", "analysis", "bags", "rig_check", "faults", *MATHEMATICS),
-    "dextar_control.commands": _rooms("analysis", "campaign", "identification", "ros"),
+    "dextar_control.commands": _rooms("bags", "analysis", "campaign", "identification", "ros"),
     "dextar_sim": _rooms("symbols", "mechanisms"),
 }
 NO_ROS_MODULES = {"dextar_control/contract": {"robot.py", "topics.py", "tables.py", "errors.py", "resources.py",

@@ -14,6 +14,7 @@ import synthetic_run as made
 import yaml
 
 from dextar_control import cli
+from dextar_control.bags.writer import BagWriter, Sample
 from dextar_control.campaign import learnt
 from dextar_control.campaign.design import CrossingPoint, Trial
 from dextar_control.campaign.learnt import record
@@ -30,7 +31,6 @@ from dextar_control.planning.certificate import Plan
 from dextar_control.planning.excitation import CLEAR_S, SPEED, TORQUE, plan_excitation
 from dextar_control.planning.regular import straight
 from dextar_control.planning.trajectory import Trajectory
-from dextar_control.ros.mcap_writer import BagWriter, Sample
 from dextar_sim.rig import Rig
 
 ROBOT = made.robot()

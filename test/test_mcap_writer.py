@@ -23,14 +23,14 @@ from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from synthetic_run import TYPES, joint_state, write_run
 
-from dextar_control.analysis.bag import read_bag
+from dextar_control.bags import writer as writing
+from dextar_control.bags.mcap_file import McapFile
+from dextar_control.bags.message_definitions import SEPARATOR, definition, type_hash
+from dextar_control.bags.reader import read_bag
+from dextar_control.bags.writer import BagWriter, Sample
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.topics import TOPICS
-from dextar_control.ros import mcap_writer
 from dextar_control.ros.loss_count import UNSUPPORTED, LossCount
-from dextar_control.ros.mcap_file import McapFile
-from dextar_control.ros.mcap_writer import BagWriter, Sample
-from dextar_control.ros.message_definitions import SEPARATOR, definition, type_hash
 from dextar_control.ros.qos_profiles import describe
 
 PATIENCE = 30.0  # s, on a busy machine; not a measurement
@@ -121,7 +121,7 @@ sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
 from synthetic_run import write_run
 from dextar_control.contract.errors import BagError
-import dextar_control.ros.mcap_file as w
+import dextar_control.bags.mcap_file as w
 w.CHUNK_SIZE = 20_000
 w.COMPRESSIONS = dict.fromkeys(w.COMPRESSIONS, w.CompressionType.NONE)
 resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, 600_000))
@@ -340,8 +340,8 @@ def test_a_metadata_file_that_appeared_meanwhile_is_not_overwritten(tmp_path: Pa
 
 
 def test_a_full_queue_drops_and_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mcap_writer, "MAX_PENDING_BYTES", 20_000)
-    monkeypatch.setattr(mcap_writer, "DRAIN_PERIOD", 3600.0)  # the first drain is that of close
+    monkeypatch.setattr(writing, "MAX_PENDING_BYTES", 20_000)
+    monkeypatch.setattr(writing, "DRAIN_PERIOD", 3600.0)  # the first drain is that of close
     writer = BagWriter(tmp_path / "run.mcap")
     write_numbers(writer, 100, size=500)
     writer.close()

@@ -179,7 +179,7 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
 
 
 def test_a_killed_recorder_leaves_a_readable_bag(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:
-    from dextar_control.analysis.bag import read_bag
+    from dextar_control.bags.reader import read_bag
 
     file = tmp_path / "run.mcap"
     process = start(file, "compression:=none")

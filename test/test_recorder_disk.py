@@ -22,10 +22,10 @@ from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
 from synthetic_run import TYPES
 
-from dextar_control.analysis.bag import read_bag
+from dextar_control.bags.reader import read_bag
+from dextar_control.bags.recover import recover
 from dextar_control.contract import topics
 from dextar_control.contract.node import qos
-from dextar_control.ros.recovery import recover
 
 PATIENCE = 60.0  # s, on a busy machine; not a measurement
 RECORDER = "import sys; from dextar_control.ros.recorder_node import main; sys.exit(main(sys.argv[1:]))"

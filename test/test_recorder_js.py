@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from bag_messages import TYPES, difference, random_message
 
+from dextar_control.bags.writer import BagWriter, Sample
 from dextar_control.contract.topics import TOPICS
-from dextar_control.ros.mcap_writer import BagWriter, Sample
 from dextar_control.ros.taps import ALONGSIDE
 
 EACH = 40  # messages of each topic

@@ -17,9 +17,9 @@ from synthetic_run import write_run
 from test_mcap_writer import numbers_in, write_numbers
 
 from dextar_control.analysis.load import load_run
+from dextar_control.bags.recover import recover
+from dextar_control.bags.writer import BagWriter
 from dextar_control.contract.errors import BagError
-from dextar_control.ros.mcap_writer import BagWriter
-from dextar_control.ros.recovery import recover
 
 
 @pytest.fixture(scope="module")
@@ -229,7 +229,7 @@ def test_the_command_says_how_much_of_what_and_until_when(bag: Path, tmp_path: P
 
 
 def test_recovering_needs_no_ros() -> None:
-    code = "import sys, dextar_control.ros.recovery; print([n for n in ('rclpy', 'rosidl_runtime_py') if n in sys.modules])"
+    code = "import sys, dextar_control.bags.recover; print([n for n in ('rclpy', 'rosidl_runtime_py') if n in sys.modules])"
     command = [sys.executable, "-c", code]
     answer = subprocess.run(command, capture_output=True, text=True, check=True, cwd=Path(__file__).parents[1])
     assert answer.stdout.strip() == "[]"

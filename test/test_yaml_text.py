@@ -16,6 +16,7 @@ from rclpy.node import Node
 
 from dextar_control import cli
 from dextar_control.bags.folder import METADATA_FILE, METADATA_ROOT, read_listing
+from dextar_control.bags.run_record import robot_file
 from dextar_control.campaign.config import load_config
 from dextar_control.contract import yaml_text
 from dextar_control.contract.errors import BagError, ParameterError
@@ -33,7 +34,6 @@ from dextar_control.contract.yaml_text import (
     read_text,
 )
 from dextar_control.faults.cases import load_cases
-from dextar_control.ros.run_record import robot_file
 
 SCALARS = (
     "1e-1", "1.5", "1.", ".5", "+.5e3", "1e5", "1E+5", "1e", "1d", ".e3", "-0", "-0.0", "0e400", "1e400", "1e-320", "4.9e-324",

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from dextar_control.analysis.run import Floats, Stamps
-from dextar_control.analysis.series import Recorded, Series
-from dextar_control.analysis.words import counted
+from dextar_control.bags.series import Recorded, Series
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import JOINT_NAMES
+from dextar_control.contract.words import counted
 
 SIDE = 5  # messages on either side of a step whose medians are compared: fewer are single wrong times
 LEAST_SYSTEM_STEP = 10_000_000  # ns by which the system clock must fall before it counts as one that was set back

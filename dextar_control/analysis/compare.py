@@ -17,17 +17,17 @@ from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.crossings import CrossingMetrics
 from dextar_control.analysis.curves import Curve, Panel, beyond, error_height, panels
 from dextar_control.analysis.load import load_run
-from dextar_control.analysis.metrics import Metrics, compute_metrics
+from dextar_control.analysis.metrics import Metrics, compute_metrics, saturated
 from dextar_control.analysis.page import NO_TRUTH, Cell, Column, number, render, signed
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import Run
 from dextar_control.analysis.verdict import damage_lines
 from dextar_control.analysis.web_figures import in_plane, over_time, run_keys
-from dextar_control.analysis.words import counted, saturated
-from dextar_control.bags.records import Progress
+from dextar_control.bags.scan import Progress
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.terminal import Terminal, title
+from dextar_control.contract.words import counted
 
 Value = float | int | str | None
 DECIDED = ("crossed", "bounced")  # verdicts

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dextar_control.analysis.bag import Bag, read_bag
 from dextar_control.analysis.clock import clock_in_words, clock_of
 from dextar_control.analysis.coherence import check_run
 from dextar_control.analysis.run import (
@@ -30,12 +29,13 @@ from dextar_control.analysis.run import (
     Truth,
     Unreadable,
 )
-from dextar_control.analysis.series import Columns, Select, Series, Steady
-from dextar_control.analysis.words import counted
-from dextar_control.bags.records import Progress
+from dextar_control.bags.reader import Bag, read_bag
+from dextar_control.bags.scan import Progress
+from dextar_control.bags.series import Columns, Select, Series, Steady
 from dextar_control.contract import topics
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.robot import JOINT_NAMES, ROBOT_KEYS, RobotParameters, from_flat
+from dextar_control.contract.words import counted
 from dextar_control.control.verdicts import Verdict
 
 NANOSECONDS = 1_000_000_000

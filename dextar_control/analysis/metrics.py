@@ -228,6 +228,13 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def saturated(metrics: Metrics) -> str:
+    """How many commands were, or why that is not known."""
+    if math.isnan(metrics.peak_torque):
+        return "no command while tracking"
+    return str(metrics.saturated) if metrics.robot or metrics.saturated else "unknown without a limit"
+
+
 def _saturated(run: Run, track: Tracked, otherwise: float) -> int:
     """How many commands were at their limit: the one that the controller had, where the bag tells, N m."""
     stamps = track.start + np.round(1e9 * track.torque_time).astype(np.int64)

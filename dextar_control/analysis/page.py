@@ -19,7 +19,7 @@ from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.crossings import CrossingMetrics, crossed_in_words
 from dextar_control.analysis.curves import checked_plan, observer_panels, panels
 from dextar_control.analysis.margins import LAGS, Innovation, Margin, Margins
-from dextar_control.analysis.metrics import Metrics
+from dextar_control.analysis.metrics import Metrics, saturated
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import RecordedTopic, Run
 from dextar_control.analysis.thin import POINTS
@@ -27,8 +27,8 @@ from dextar_control.analysis.timing import Spread, lockstep, periods, round_trip
 from dextar_control.analysis.tracking import tracked
 from dextar_control.analysis.verdict import in_words, unreadable_lines
 from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band, residuals
-from dextar_control.analysis.words import counted, saturated
 from dextar_control.contract.topics import TOPICS
+from dextar_control.contract.words import counted
 from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 
 NO_TRUTH = "needs truth"

@@ -11,12 +11,12 @@ from rich.table import Table
 from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.crossings import crossed_in_words
 from dextar_control.analysis.load import load_run
-from dextar_control.analysis.metrics import Metrics, compute_metrics
+from dextar_control.analysis.metrics import Metrics, compute_metrics, saturated
 from dextar_control.analysis.verdict import damage_lines
-from dextar_control.analysis.words import counted, saturated
-from dextar_control.bags.records import Progress
+from dextar_control.bags.scan import Progress
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.words import counted
 
 RESOLUTION = 150  # dots per inch
 NOTHING = "nothing recorded"

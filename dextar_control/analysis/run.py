@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dextar_control.bags.series import Floats as Floats
+from dextar_control.bags.series import Stamps as Stamps
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.control.phases import Phase as Phase
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from dextar_control.bags.compression import SUFFIXES, ZSTD, plain_name, refuse_compressed, unpack
-from dextar_control.bags.records import MAGIC, Hole, Scan
+from dextar_control.bags.scan import MAGIC, Hole, Scan
 from dextar_control.contract.errors import BagError
 
 METADATA_FILE = "metadata.yaml"

@@ -12,7 +12,6 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from dextar_control.analysis.page import Cell, Column, render
-from dextar_control.analysis.words import counted
 from dextar_control.campaign import design, reliability, report, summary
 from dextar_control.campaign.config import CampaignConfig
 from dextar_control.campaign.figure import draw_frontier, draw_summary
@@ -21,6 +20,7 @@ from dextar_control.campaign.store import Store
 from dextar_control.campaign.worker import Row
 from dextar_control.contract.errors import CampaignError
 from dextar_control.contract.terminal import Terminal
+from dextar_control.contract.words import counted
 
 EXIT_FAILED = 1
 Reliability = dict[str, dict[str, reliability.Bin]]

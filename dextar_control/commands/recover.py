@@ -27,9 +27,9 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn
     from rich.table import Column, Table
 
-    from dextar_control.analysis.words import counted
+    from dextar_control.bags.recover import recover
     from dextar_control.contract.terminal import Steps, Terminal, TextColumn, title
-    from dextar_control.ros.recovery import recover
+    from dextar_control.contract.words import counted
 
     console = Terminal()
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())

@@ -12,9 +12,9 @@ from rich.table import Table
 
 from dextar_control.analysis.page import Cell, Column, number, render
 from dextar_control.analysis.web_figures import residuals
-from dextar_control.analysis.words import counted
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.words import counted
 from dextar_control.identification.calibration import Calibration, Prediction, robot_lines
 from dextar_control.identification.identification import Identification, TorquePrediction, identified_lines
 from dextar_control.identification.quantities import UNITS, Quantity, rms_of, write_robot

@@ -12,11 +12,11 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
+from dextar_control.bags.writer import COMPRESSIONS, Sample
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.node import DextarNode, Parameter, run_node
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import DIAGNOSTICS, TOPICS
-from dextar_control.ros.mcap_writer import COMPRESSIONS, Sample
 from dextar_control.ros.parameter_snapshot import ParameterSnapshot
 from dextar_control.ros.recording import LABELS, Recording
 from dextar_control.ros.taps import ALONGSIDE, PARAMETER_EVENTS, Tap, found_topic, profile_of

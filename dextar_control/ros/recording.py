@@ -13,12 +13,13 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import parameter_value_to_python
 from rclpy.serialization import deserialize_message
+from rclpy.utilities import get_rmw_implementation_identifier
 
+from dextar_control.bags.run_record import METADATA_NAME, RunRecord
+from dextar_control.bags.writer import BagWriter
 from dextar_control.contract.topics import TOPICS
-from dextar_control.ros.mcap_writer import BagWriter
 from dextar_control.ros.parameter_snapshot import ParameterSnapshot
 from dextar_control.ros.qos_profiles import describe
-from dextar_control.ros.run_record import METADATA_NAME, RunRecord
 from dextar_control.ros.taps import Tap
 
 METADATA_PERIOD = 10  # s between two records of what was counted so far: what a killed recorder still says
@@ -49,7 +50,7 @@ class Recording:
             path, values["compression"], max_size=values["max_bag_size"], max_duration=values["max_bag_duration"],
             sync_period=values["sync_period"], folder=True,
         )  # fmt: skip
-        self.record = RunRecord({key: values[key] for key in LABELS})
+        self.record = RunRecord({key: values[key] for key in LABELS}, get_rmw_implementation_identifier())
         self._node, self._taps, self._snapshots = node, taps, snapshots
         self._known: tuple[Any, ...] = ()
         self._seconds = 0

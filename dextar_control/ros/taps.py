@@ -9,11 +9,11 @@ from typing import Any
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from dextar_control.bags.mcap_file import Sample
+from dextar_control.bags.message_definitions import definition, type_hash
 from dextar_control.contract.node import DextarNode, qos
 from dextar_control.contract.topics import Topic
 from dextar_control.ros.loss_count import LossCount
-from dextar_control.ros.mcap_file import Sample
-from dextar_control.ros.message_definitions import definition, type_hash
 
 HISTORY = 10000  # samples each reader holds between two polls: 10 s at 1 kHz
 SLOW = 100.0  # Hz: a slower topic is always asked for reliably, which costs nothing there

@@ -22,10 +22,10 @@ from dextar_control.bags.folder import (
     opened,
     read_listing,
 )
-from dextar_control.bags.records import MAGIC, PER_MESSAGE, RECOVERY_NAME, Messages, Progress, Scan
+from dextar_control.bags.mcap_file import McapFile, Sample
+from dextar_control.bags.metadata import RECORD_NAME, FileSummary, Qos, TopicDescription, write_metadata_file
+from dextar_control.bags.scan import MAGIC, PER_MESSAGE, RECOVERY_NAME, Messages, Progress, Scan
 from dextar_control.contract.errors import BagError
-from dextar_control.ros.bag_metadata import RECORD_NAME, FileSummary, Qos, TopicDescription, write_metadata_file
-from dextar_control.ros.mcap_file import McapFile, Sample
 
 SUFFIX = "-recovered"
 # Of a QoS profile in rosbag2's order: a type, or the words for the numbers of rmw that stand there before version 9.

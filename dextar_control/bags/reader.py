@@ -11,8 +11,6 @@ import numpy as np
 from mcap.records import Channel, Metadata, Schema
 from rosbags.rosbag2 import Reader
 
-from dextar_control.analysis.series import TYPES, Columns, Select, Series
-from dextar_control.analysis.words import counted
 from dextar_control.bags.compression import ZSTD, plain_name, unpack_message
 from dextar_control.bags.folder import (
     METADATA_FILE,
@@ -25,10 +23,12 @@ from dextar_control.bags.folder import (
     opened,
     read_listing,
 )
-from dextar_control.bags.records import MAGIC, PER_MESSAGE, RECOVERY_NAME, Hole, Messages, Progress, Scan
+from dextar_control.bags.scan import MAGIC, PER_MESSAGE, RECOVERY_NAME, Hole, Messages, Progress, Scan
+from dextar_control.bags.series import TYPES, Columns, Select, Series
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import JOINT_NAMES
 from dextar_control.contract.topics import JOINT_STATES, TOPICS, Topic
+from dextar_control.contract.words import counted
 
 BROKEN_MESSAGE = "its compressed content is damaged"
 

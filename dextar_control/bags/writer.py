@@ -10,12 +10,12 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from dextar_control.bags import mcap_file
+from dextar_control.bags.mcap_file import COMPRESSIONS as COMPRESSIONS
+from dextar_control.bags.mcap_file import McapFile, Sample
+from dextar_control.bags.message_definitions import definition, type_hash
+from dextar_control.bags.metadata import METADATA_FILE, FileSummary, Qos, TopicDescription, write_metadata_file
 from dextar_control.contract.errors import BagError
-from dextar_control.ros import mcap_file
-from dextar_control.ros.bag_metadata import METADATA_FILE, FileSummary, Qos, TopicDescription, write_metadata_file
-from dextar_control.ros.mcap_file import COMPRESSIONS as COMPRESSIONS
-from dextar_control.ros.mcap_file import McapFile, Sample
-from dextar_control.ros.message_definitions import definition, type_hash
 
 DRAIN_PERIOD = 0.1  # s
 SYNC_PERIOD = 1.0  # s

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from rclpy.utilities import get_rmw_implementation_identifier
 
 from dextar_control.contract.robot import robot_text
 
@@ -29,9 +28,11 @@ class RunRecord:
 
     Args:
         labels: the run's name, notes and tags.
+        middleware: the name of the ROS middleware that the recorder runs on.
     """
 
-    def __init__(self, labels: Mapping[str, str]) -> None:
+    def __init__(self, labels: Mapping[str, str], middleware: str) -> None:
+        self.middleware = middleware
         self.started = datetime.now(timezone.utc)
         self.labels = dict(labels)
         self.certificate = ""
@@ -77,7 +78,7 @@ class RunRecord:
             "certificate": self.certificate,
             "robot_description": robot_file(parameters),
             "version": version(),
-            "versions": json.dumps(versions()),
+            "versions": json.dumps({**versions(), "rmw": self.middleware}),
             "contract": json.dumps(dict(topics)),
             "topics": json.dumps(dict(counts)),
             "parameters_missing": json.dumps(missing),
@@ -131,7 +132,6 @@ def versions() -> dict[str, str]:
         "dextar": version(),
         "revision": _revision(),
         "ros_distro": os.environ.get("ROS_DISTRO", "jazzy (wheels)"),
-        "rmw": get_rmw_implementation_identifier(),
         "python": platform.python_version(),
         "machine": f"{platform.system()} {platform.release()} {platform.machine()}",
     }

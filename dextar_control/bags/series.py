@@ -18,9 +18,9 @@ from itertools import chain
 from typing import IO, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dextar_control.analysis.run import Floats, Stamps
-from dextar_control.bags.records import LATEST
+from dextar_control.bags.scan import LATEST
 from dextar_control.contract.decoding import read_message, types
 from dextar_control.contract.errors import BagError, StateError
 
@@ -34,6 +34,8 @@ SECONDS, NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
 _SECONDS, _NANOSECONDS = "(s)", "(ns)"  # names that no column has
 _STAMP, _PUBLISHED, _LOGGED, _ORDER, _TIMES = range(5)  # the first words of a row; numbers follow
 
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
 Columns = Callable[[Any], Mapping[str, str]]
 Select = Callable[[Iterable[Any]], list[Any]]
 Steady = Callable[[Stamps, Stamps], Stamps]  # (stamps, places in the bag) to stamps of a clock that does not step

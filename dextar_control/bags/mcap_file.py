@@ -9,9 +9,9 @@ from typing import IO, NamedTuple, cast
 from mcap.records import Attachment
 from mcap.writer import CompressionType, Writer
 
-from dextar_control.bags.records import LATEST
-from dextar_control.ros.bag_metadata import RECORD_NAME, FileSummary, TopicDescription, bag_metadata, qos_text
-from dextar_control.ros.bag_stream import RESERVE, BagStream
+from dextar_control.bags.metadata import RECORD_NAME, FileSummary, TopicDescription, bag_metadata, qos_text
+from dextar_control.bags.scan import LATEST
+from dextar_control.bags.stream import RESERVE, BagStream
 
 CHUNK_SIZE = 512 * 1024  # bytes before compression
 INDEX_SIZE = 512  # bytes, generous, that a write adds to the index at the end
