@@ -168,7 +168,7 @@ def test_a_truncated_bag_is_analysed_and_says_so(good: Path, tmp_path: Path, cap
     assert metrics["success"] is None  # the run may have gone on as well as it began
     assert len(metrics["reasons"]) == 1 and "the bag breaks off at" in metrics["reasons"][0]
     assert {crossing["outcome"] for crossing in metrics["crossings"]} <= {"crossed", "not recorded"}
-    assert "The end of the bag is missing" in (tmp_path / "report.html").read_text()
+    assert "The bag breaks off or is damaged: read up to its last complete chunk." in (tmp_path / "report.html").read_text()
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")

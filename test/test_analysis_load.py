@@ -248,10 +248,10 @@ def test_an_unusable_folder_is_named_in_one_sentence(bag: Path, tmp_path: Path) 
 
     lists = "rosbag2_bagfile_information: {{relative_file_paths: [{}]}}"
     for place, words in (
-        (folder("void"), "has no metadata.yaml and holds 0 .mcap files; one is needed"),
-        (folder("several", "monday.mcap", "tuesday.mcap"), "has no metadata.yaml and holds 2 .mcap files; one is needed"),
-        (folder("odd", "run.mcap", listing="[1, 2]"), "metadata.yaml is no metadata.yaml of rosbag2"),
-        (folder("torn", "run.mcap", listing="a: [b"), "metadata.yaml is no metadata.yaml of rosbag2"),
+        (folder("void"), "void holds no .mcap or .db3 file"),
+        (folder("several", "monday.mcap", "tuesday.mcap"), "several holds 2 files of different bags; name one of them"),
+        (folder("odd", "run.mcap", listing="[1, 2]"), "metadata.yaml is none of rosbag2; dextar recover saves what is there"),
+        (folder("torn", "run.mcap", listing="a: [b"), "metadata.yaml is none of rosbag2; dextar recover saves what is there"),
         (folder("short", "run.mcap", listing=lists.format("run_0.mcap")), "lists run_0.mcap, which is not there"),
     ):
         with pytest.raises(BagError, match=words):
@@ -264,7 +264,7 @@ def test_an_unusable_folder_is_named_in_one_sentence(bag: Path, tmp_path: Path) 
 
 def test_a_damaged_chunk_costs_its_own_messages_and_is_told(bag: Path, tmp_path: Path) -> None:
     damaged = with_damaged_chunks(bag, tmp_path / "damaged.mcap", 1)
-    with pytest.warns(UserWarning, match="no message is left of 1 damaged chunk of .*damaged.mcap, 0.00. s; dextar recover"):
+    with pytest.warns(UserWarning, match="no message is left of 1 damaged chunk of .*damaged.mcap, for 0.00. s; dextar recover"):
         run = load_run(damaged)
     assert not run.truncated
     assert [hole.chunks for hole in run.holes] == [1]
@@ -311,7 +311,7 @@ def test_a_split_bag_whose_first_file_breaks_off_has_a_hole(tmp_path: Path) -> N
     folder = two_recordings(tmp_path / "one", ("monday", "monday"), 5.0)
     first = folder / "run_0.mcap"
     first.write_bytes(first.read_bytes()[:-20])
-    with pytest.warns(UserWarning, match="the missing end of .*run_0.mcap, 0.100 s"):
+    with pytest.warns(UserWarning, match="the missing end of .*run_0.mcap, for 0.100 s"):
         run = load_run(folder)
     assert not run.truncated
     (hole,) = run.holes

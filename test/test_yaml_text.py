@@ -249,7 +249,7 @@ def test_a_document_has_rcls_numbers_and_no_key_twice(tmp_path: Path) -> None:
 
 def test_a_listing_that_is_nested_too_deeply_is_no_listing(tmp_path: Path) -> None:
     (tmp_path / METADATA_FILE).write_text(f"{METADATA_ROOT}: {'[' * 5000}")
-    with pytest.raises(BagError, match="is no metadata.yaml of rosbag2"):
+    with pytest.raises(BagError, match="metadata.yaml is none of rosbag2"):
         read_listing(tmp_path)
 
 

@@ -21,8 +21,8 @@ from dextar_control.analysis.metrics import Metrics, compute_metrics, saturated
 from dextar_control.analysis.page import NO_TRUTH, Cell, Column, number, render, signed
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import Run
-from dextar_control.analysis.verdict import damage_lines
 from dextar_control.analysis.web_figures import in_plane, over_time, run_keys
+from dextar_control.bags.damage import damage_lines
 from dextar_control.bags.scan import Progress
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters

@@ -19,7 +19,6 @@ from dextar_control.analysis.run import (
     Control,
     Criterion,
     Floats,
-    Hole,
     Joints,
     Poses,
     RecordedTopic,
@@ -27,8 +26,8 @@ from dextar_control.analysis.run import (
     Served,
     Stamps,
     Truth,
-    Unreadable,
 )
+from dextar_control.bags.damage import Hole, Unreadable, unreadable_lines
 from dextar_control.bags.reader import Bag, read_bag
 from dextar_control.bags.scan import Progress
 from dextar_control.bags.series import Columns, Select, Series, Steady
@@ -85,7 +84,7 @@ def load_run(
         parameters = _parameters(record)
     except (ValueError, RecursionError, yaml.YAMLError) as error:
         why = " ".join(str(error).split())
-        bag.faults.append(f"its metadata record 'dextar' cannot be read and is passed over: {why}")
+        bag.faults.append(f"{bag.path}: its metadata record 'dextar' cannot be read and is passed over: {why}")
         record, resolved, losses, parameters = {}, {}, {}, {}
     if bag.damage:
         warnings.warn(bag.damage, stacklevel=2)
@@ -147,20 +146,17 @@ class _Topics:
 
     def unreadable(self) -> dict[str, Unreadable]:
         """What could not be decoded of those that were taken, per topic; warned of."""
+        found = {one.topic: Unreadable(one.unreadable, len(one), one.why) for one in self.used if one.unreadable}
+        for line in unreadable_lines(found):
+            warnings.warn(line, stacklevel=4)
         for series in self.used:
-            if series.unreadable:
-                whole = counted(len(series), "message")
-                warnings.warn(
-                    f"{series.unreadable} of {whole} on {series.topic} cannot be read and count as not recorded: {series.why}",
-                    stacklevel=4,
-                )
             if series.untimed:
                 warnings.warn(
                     f"{series.topic}: the time of {counted(series.untimed, 'message')} is none ({series.odd_time} ns); the other"
                     " of its two times, or that of the message before, stands for it",
                     stacklevel=4,
                 )
-        return {series.topic: Unreadable(series.unreadable, len(series), series.why) for series in self.used if series.unreadable}
+        return found
 
 
 def _run(
@@ -286,7 +282,7 @@ def _holes(bag: Bag, states: Joints, answers: Sequence[Stamps]) -> list[Hole]:
             end = int(after.min())
             rows = [stamps[min(int(np.searchsorted(stamps, end)), len(stamps) - 1)] for stamps in answers if len(stamps)]
             end = max([end, *(int(stamp) for stamp in rows if end <= stamp <= end + ANSWERED)])
-        found.append(Hole(hole.path.name, hole.chunks, hole.first, hole.last, begin, end))
+        found.append(replace(hole, file=Path(hole.file).name, begin=begin, end=end))
     return found
 
 

@@ -12,10 +12,11 @@ import numpy as np
 
 from dextar_control.analysis.crossings import CrossingMetrics, judge_crossings, peak
 from dextar_control.analysis.margins import Margins, measure_margins
-from dextar_control.analysis.run import Floats, Hole, Phase, Run, Unreadable
+from dextar_control.analysis.run import Floats, Phase, Run
 from dextar_control.analysis.timing import PhaseSpan, Timing, measure_timing, periods, phase_name, phase_spans, recorded, within
 from dextar_control.analysis.tracking import Tracked, plan_of, tracked
 from dextar_control.analysis.verdict import Verdict, judge, late_share
+from dextar_control.bags.damage import Hole, Unreadable
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import JOINT_NAMES
 from dextar_control.planning.certificate import NEAR_LOCUS

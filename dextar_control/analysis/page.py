@@ -25,8 +25,8 @@ from dextar_control.analysis.run import RecordedTopic, Run
 from dextar_control.analysis.thin import POINTS
 from dextar_control.analysis.timing import Spread, lockstep, periods, round_trips, within
 from dextar_control.analysis.tracking import tracked
-from dextar_control.analysis.verdict import in_words, unreadable_lines
 from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band, residuals
+from dextar_control.bags.damage import end_in_words, in_words, unreadable_lines
 from dextar_control.contract.topics import TOPICS
 from dextar_control.contract.words import counted
 from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
@@ -156,7 +156,7 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
     reasons = list(metrics.reasons)
     reasons += [in_words(hole) for hole in metrics.holes if not any(in_words(hole) in reason for reason in reasons)]
     if metrics.truncated:
-        reasons.append("The end of the bag is missing: it was read up to its last complete chunk.")
+        reasons.append(f"{end_in_words()}.".capitalize())
     sentence = "; ".join(parts)
     sentence = f"{sentence[:1].upper()}{sentence[1:]}." if parts else ""
     return {"kind": kind, "word": word, "sentence": sentence, "reasons": reasons}
@@ -387,7 +387,7 @@ def _recording(run: Run) -> dict[str, Any]:
     told = [*map(in_words, run.holes), *unreadable_lines(run.unreadable), clock_in_words(run.stamp_steps, run.clock_steps)]
     sentence += "".join(f"{text[:1].upper()}{text[1:]}. " for text in told if text)
     if run.truncated:
-        sentence += "The end is missing: all up to the last complete chunk is here, and what was lost after it is unknown. "
+        sentence += f"{end_in_words()}: what was lost after it is unknown. ".capitalize()
     if not run.losses:
         sentence += "The bag was not written by this package's recorder: nobody counted its losses."
     else:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dextar_control.bags.damage import Hole, Unreadable
 from dextar_control.bags.series import Floats as Floats
 from dextar_control.bags.series import Stamps as Stamps
 from dextar_control.contract.robot import RobotParameters
@@ -156,44 +157,6 @@ class RecordedTopic:
     first: int
     last: int
     fallen: int = 0
-
-
-@dataclass(frozen=True)
-class Unreadable:
-    """What cannot be decoded of a topic that is needed.
-
-    Attributes:
-        count: of these messages.
-        messages: all of the topic.
-        reason: what is wrong with the first of them.
-    """
-
-    count: int
-    messages: int
-    reason: str
-
-
-@dataclass(frozen=True)
-class Hole:
-    """Where messages are missing in the middle of a bag, because it is damaged.
-
-    Attributes:
-        file: by its name.
-        chunks: damaged ones; 0 where the end of the file is missing.
-        first, last: log times, ns, of the messages before and after it; None where there is none.
-        begin, end: stamps, ns, between which a state or its answers may be missing; None where no state is on that side.
-    """
-
-    file: str
-    chunks: int
-    first: int | None
-    last: int | None
-    begin: int | None
-    end: int | None
-
-    def meets(self, begin: float, end: float) -> bool:
-        """Whether something between two stamps, ns, may be missing."""
-        return (self.begin is None or self.begin < end) and (self.end is None or self.end > begin)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.analysis.clock import LEAST_SYSTEM_STEP
-from dextar_control.analysis.run import Floats, Hole, Joints, Phase, Run, Stamps
+from dextar_control.analysis.run import Floats, Joints, Phase, Run, Stamps
 from dextar_control.analysis.tracking import Tracked
+from dextar_control.bags.damage import Hole
 
 
 @dataclass(frozen=True)

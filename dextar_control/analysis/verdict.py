@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from dextar_control.analysis.run import Hole, Unreadable
+from dextar_control.bags.damage import in_words
 
 MAX_ERROR = 5.0e-3  # m, true, while tracking
 FINAL_ERROR = 1.0e-3  # m, true, at the end
@@ -130,28 +130,6 @@ def _judge(values: Mapping[str, Any], has_truth: bool, tracked: bool, problem: s
     if len(reasons) == len(inside) + cut > 0:
         return Verdict(None, reasons)
     return Verdict(not reasons, reasons)
-
-
-def in_words(hole: Hole) -> str:
-    """What a hole of a bag is, where and how long."""
-    what = f"{hole.chunks} damaged chunk{'s' * (hole.chunks != 1)}" if hole.chunks else "the end that is missing"
-    if hole.first is None or hole.last is None:
-        length = f"{'before' if hole.first is None else 'after'} all other messages"
-    else:
-        length = f"for {(hole.last - hole.first) * 1e-9:.3f} s"
-    return f"no message is left of {what} of {hole.file}, {length}"
-
-
-def damage_lines(holes: Sequence[Hole], truncated: bool, unreadable: Mapping[str, Unreadable]) -> list[str]:
-    """What is missing of a damaged or cut-off bag, each in a sentence without its stop."""
-    lines = [*map(in_words, holes), *["the end is missing: read up to the last complete chunk"] * truncated]
-    return [*lines, *unreadable_lines(unreadable)]
-
-
-def unreadable_lines(unreadable: Mapping[str, Unreadable]) -> list[str]:
-    """What could not be decoded of each topic, in a sentence without its stop."""
-    return [f"{one.count} of {one.messages} messages on {topic} cannot be read and count as not recorded: {one.reason}"
-            for topic, one in unreadable.items()]  # fmt: skip
 
 
 def _stamp(values: Mapping[str, Any], *names: str) -> float:

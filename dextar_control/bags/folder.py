@@ -6,13 +6,15 @@ import contextlib
 import re
 import tempfile
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
 
 from dextar_control.bags.compression import SUFFIXES, ZSTD, plain_name, refuse_compressed, unpack
-from dextar_control.bags.scan import MAGIC, Hole, Scan
+from dextar_control.bags.damage import Hole
+from dextar_control.bags.scan import MAGIC, Scan
 from dextar_control.contract.errors import BagError
 
 METADATA_FILE = "metadata.yaml"
@@ -82,9 +84,53 @@ def _start(file: Path) -> bytes:
         return stream.read(len(SQLITE))
 
 
-def bag_files(folder: Path, kinds: Sequence[str] = ("mcap", "db3")) -> list[Path]:
-    """The files of a folder that may be of a bag, compressed or not; in any order."""
-    return [file for kind in kinds for suffix in ("", *SUFFIXES) for file in folder.glob(f"*.{kind}{suffix}")]
+class BagFiles(NamedTuple):
+    """The files of a folder that are one bag.
+
+    Attributes:
+        files: all that are there, in order.
+        listed: those that ``metadata.yaml`` lists; empty where there is none, or where one of these is not there.
+        fault: what is wrong with ``metadata.yaml``; "" nothing.
+    """
+
+    files: list[Path]
+    listed: list[Path]
+    fault: str
+
+
+def files_of(folder: Path) -> BagFiles:
+    """Which files of a folder are one bag: those that its ``metadata.yaml`` lists, with others of that bag, or all there are.
+
+    Raises:
+        BagError: there is none, or there are several and their names are not those of one bag.
+        OSError: ``metadata.yaml`` cannot be read.
+    """
+    there = [file for kind in ("mcap", "db3") for suffix in ("", *SUFFIXES) for file in folder.glob(f"*.{kind}{suffix}")]
+    fault, listed = f"there is no {METADATA_FILE}", list[Path]()
+    if (folder / METADATA_FILE).is_file():
+        try:
+            listed = [folder / name for name in read_listing(folder)["relative_file_paths"]]
+            fault = "" if listed else f"{METADATA_FILE} lists no file"
+        except BagError as error:
+            fault = str(error)
+    missing = [file for file in listed if not file.is_file()]
+    more = sorted(file for file in there if file not in listed and of_one_bag(file, listed))
+    if missing:
+        fault = f"{METADATA_FILE} lists {_names(missing)}, which {'is' if len(missing) == 1 else 'are'} not there"
+    elif more:
+        fault = f"{METADATA_FILE} does not list {_names(more)}"
+    if not fault:
+        return BagFiles(listed, listed, "")
+    own = [*(file for file in listed if file not in missing), *more] or there
+    files = in_order(own)
+    if not files:
+        one = f"{len(own)} files of different bags; name one of them" if own else "no .mcap or .db3 file"
+        raise BagError(f"folder {folder} holds {one}")
+    return BagFiles(files, [] if missing else listed, fault)
+
+
+def _names(files: Sequence[Path]) -> str:
+    return ", ".join(file.name for file in files)
 
 
 def patterns(file: Path) -> dict[str, int]:
@@ -119,9 +165,13 @@ def in_order(files: Sequence[Path]) -> list[Path] | None:
 
 
 def of_one_bag(file: Path, others: Sequence[Path]) -> bool:
-    """Whether a file's name is that of some others' bag."""
-    mine = set(patterns(file)) or {plain_name(file.name)}
-    return any(mine & (set(patterns(other)) or {plain_name(other.name)}) for other in others)
+    """Whether a file's name is that of some others' bag, in their format."""
+
+    def known_as(file: Path) -> set[tuple[str, str]]:
+        name = plain_name(file.name)
+        return {(Path(name).suffix, pattern) for pattern in (*patterns(file),) or (name,)}
+
+    return any(known_as(file) & known_as(other) for other in others)
 
 
 def read_listing(folder: Path) -> dict[str, Any]:
@@ -136,10 +186,7 @@ def read_listing(folder: Path) -> dict[str, Any]:
         document = yaml.safe_load(listing.read_text(encoding="utf-8"))[METADATA_ROOT]
         names = [_there(folder, Path(name).name) for name in document["relative_file_paths"]]
     except (yaml.YAMLError, RecursionError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise BagError(
-            f"{listing} is no {METADATA_FILE} of rosbag2; the .mcap file beside it may be given instead, or dextar recover"
-            " writes a new one"
-        ) from error
+        raise BagError(f"{METADATA_FILE} is none of rosbag2") from error
     return {**document, "relative_file_paths": names}
 
 
@@ -170,20 +217,20 @@ def check_one_recording(scans: Sequence[Scan]) -> None:
             raise BagError(f"{one.path} and {next_one.path} are of different recordings: {why}; name one of them")
 
 
-def holes_of(scans: Sequence[Scan]) -> tuple[list[Hole], Path | None]:
+def holes_of(scans: Sequence[Scan]) -> tuple[list[Hole], str | None]:
     """(what is missing between the messages of a bag's files, the file whose end is missing where nothing comes after it)."""
     holes: list[Hole] = []
     waiting: list[Hole] = []  # without messages after them
     last: int | None = None
     for scan in scans:
         known = (*scan.inherited, *scan.holes)
-        found = [Hole(hole.path, hole.chunks, last if hole.first is None else hole.first, hole.last) for hole in known]
+        found = [replace(hole, first=last if hole.first is None else hole.first) for hole in known]
         if (scan.cut or not scan.whole) and not (found and found[-1].last is None):
-            found.append(Hole(scan.path, 0, last if scan.last is None else scan.last))
+            found.append(Hole(str(scan.path), 0, last if scan.last is None else scan.last))
         if scan.first is not None:
             for hole in waiting:
                 hole.last = scan.first
             holes, waiting, last = holes + waiting, [], scan.last
         for hole in found:
             (waiting if hole.last is None else holes).append(hole)
-    return holes + [hole for hole in waiting if hole.chunks], waiting[-1].path if waiting else None
+    return holes + [hole for hole in waiting if hole.chunks], waiting[-1].file if waiting else None

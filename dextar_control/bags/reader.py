@@ -12,18 +12,17 @@ from mcap.records import Channel, Metadata, Schema
 from rosbags.rosbag2 import Reader
 
 from dextar_control.bags.compression import ZSTD, plain_name, unpack_message
+from dextar_control.bags.damage import Hole, end_in_words, in_words
 from dextar_control.bags.folder import (
     METADATA_FILE,
+    SQLITE_SUFFIX,
     Opened,
-    bag_files,
     check_one_recording,
+    files_of,
     holes_of,
-    in_order,
-    of_one_bag,
     opened,
-    read_listing,
 )
-from dextar_control.bags.scan import MAGIC, PER_MESSAGE, RECOVERY_NAME, Hole, Messages, Progress, Scan
+from dextar_control.bags.scan import MAGIC, PER_MESSAGE, RECOVERY_NAME, Messages, Progress, Scan
 from dextar_control.bags.series import TYPES, Columns, Select, Series
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import JOINT_NAMES
@@ -51,32 +50,23 @@ class Bag:
     messages: dict[str, Series] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     holes: list[Hole] = field(default_factory=list)
-    truncated: Path | None = None
+    truncated: str | None = None
     undescribed: dict[int, int] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
 
     @property
     def damage(self) -> str:
-        """What is missing, in one sentence; "" where nothing is known to be."""
-        parts, recovered, unit = [], RECOVERY_NAME in self.metadata, "chunk"
-        for hole in self.holes:
-            what = f"{hole.chunks} damaged chunk{'s' * (hole.chunks > 1)}" if hole.chunks else "the missing end"
-            parts.append(f"{what} of {hole.path}, {_span(hole)}")
-        text = f"no message is left of {'; '.join(parts)}" if parts else ""
+        """What is missing, a sentence for each damage; "" where nothing is known to be."""
+        recovered, lines = RECOVERY_NAME in self.metadata, list[str]()
+        saved = "" if recovered else "; dextar recover saves what can be"
         if self.truncated:
-            was = "was recovered from a file that breaks off or" if recovered else "breaks off or"
-            unit = "message" if plain_name(self.truncated.name).endswith(".db3") else "chunk"
-            cut = f"{self.truncated} {was} is damaged: read up to its last complete {unit}"
-            text = f"{cut}; {text}" if text else cut
-        lost = [f"{counted(count, 'message')} of channel {channel}, which no record describes, cannot be read"
-                for channel, count in self.undescribed.items()]  # fmt: skip
-        if not text and not lost and self.faults:
-            return f"{self.path}: {'; '.join(self.faults)}"
-        if lost or self.faults:
-            text = "; ".join([text or f"{self.path} is damaged", *lost, *self.faults])
-        if not text or recovered:
-            return text
-        return text if unit == "message" else f"{text}; dextar recover saves what can be"
+            sqlite = plain_name(self.truncated).endswith(SQLITE_SUFFIX)
+            lines.append(end_in_words(self.truncated, "message" if sqlite else "chunk", recovered=recovered))
+            saved = "" if sqlite else saved
+        lines += [*map(in_words, self.holes)]
+        lines += [f"{self.path}: {counted(count, 'message')} of channel {channel}, which no record describes, cannot be read"
+                  for channel, count in self.undescribed.items()]  # fmt: skip
+        return "; ".join([*lines, *self.faults]) + saved * bool(lines)
 
     def of(
         self, contract_name: str, resolved: Mapping[str, str], namespace: str | None = None, near: str | None = None
@@ -157,30 +147,14 @@ def read_bag(
     return bag
 
 
-def _span(hole: Hole) -> str:
-    if hole.first is None or hole.last is None:
-        return "before all others" if hole.first is None else "after all others"
-    return f"{(hole.last - hole.first) * 1e-9:.3f} s"
-
-
 def _files(folder: Path) -> tuple[list[Path], bool]:
     """(the files of a bag folder in order, whether ``metadata.yaml`` lists them)."""
-    if not (folder / METADATA_FILE).is_file():
-        files = in_order(found := bag_files(folder))
-        if not files:
-            raise BagError(f"folder {folder} has no {METADATA_FILE} and holds {len(found)} .mcap files; one is needed")
-        return files, False
-    files = [folder / name for name in read_listing(folder)["relative_file_paths"]]
-    for file in files:
-        if not file.is_file():
-            raise BagError(f"{folder / METADATA_FILE} lists {file.name}, which is not there; dextar recover saves the rest")
-    if not files:
-        raise BagError(f"{folder / METADATA_FILE} lists no file; dextar recover saves what is beside it")
-    more = sorted(file.name for file in bag_files(folder, ["mcap"]) if file not in files and of_one_bag(file, files))
-    if more:
-        text = f"{folder / METADATA_FILE} does not list {', '.join(more)} beside it: not read; dextar recover puts them together"
-        warnings.warn(text, stacklevel=3)
-    return files, True
+    found = files_of(folder)
+    if not found.listed and (folder / METADATA_FILE).is_file():
+        raise BagError(f"{folder}: {found.fault}; dextar recover saves what is there, or name one of its files")
+    if found.listed and found.fault:
+        warnings.warn(f"{folder}: {found.fault} beside it: not read; dextar recover puts them together", stacklevel=3)
+    return found.listed or found.files, bool(found.listed)
 
 
 class _Filling:
@@ -273,7 +247,7 @@ class _Filling:
         except Exception as error:  # what the library and sqlite3 raise at a damaged file is listed nowhere
             if self._count == before:
                 raise BagError(f"{part.file} cannot be read: {error}") from error
-            self._bag.truncated = part.file
+            self._bag.truncated = str(part.file)
 
     def _series(self, topic: str, type_name: str) -> Series | None:
         if type_name not in TYPES.fielddefs:

@@ -13,12 +13,12 @@ import yaml
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from dextar_control.bags.compression import ZSTD, plain_name, unpack_message
+from dextar_control.bags.damage import Hole
 from dextar_control.bags.folder import (
     METADATA_FILE,
-    bag_files,
+    BagFiles,
     check_one_recording,
-    in_order,
-    of_one_bag,
+    files_of,
     opened,
     read_listing,
 )
@@ -51,7 +51,7 @@ class Recovery:
         counts: messages per topic.
         first, last: log times of what was saved, ns since the epoch.
         lost_bytes: at the end of the file that breaks off.
-        damaged: chunks whose content does not agree with its check sum.
+        holes: what was missing already, each damaged chunk among it.
         metadata: what was wrong with ``metadata.yaml``.
         left_out: messages that were not copied, per channel and reason.
         unpacked: messages that the recorder had compressed one by one.
@@ -62,7 +62,7 @@ class Recovery:
     first: int = 0
     last: int = 0
     lost_bytes: int = 0
-    damaged: int = 0
+    holes: list[Hole] = field(default_factory=list)
     metadata: str = ""
     left_out: dict[tuple[str, str], int] = field(default_factory=dict)
     unpacked: int = 0
@@ -101,7 +101,7 @@ def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> R
     if folder.exists():
         raise BagError(f"{path} was recovered before: {folder} is there")
     try:
-        files, fault = _files_of_folder(path) if path.is_dir() else ([path], "")
+        files, _, fault = files_of(path) if path.is_dir() else BagFiles([path], [], "")
         with opened(files) as parts:
             for part in parts:
                 if part.storage != MAGIC:
@@ -137,32 +137,6 @@ def _recover(
     finally:
         shutil.rmtree(working, ignore_errors=True)
     return result
-
-
-def _files_of_folder(folder: Path) -> tuple[list[Path], str]:
-    files = bag_files(folder, ["mcap"])
-    if not files:
-        raise BagError(f"folder {folder} holds no .mcap file")
-    fault, listed = f"there was no {METADATA_FILE}", list[str]()
-    if (folder / METADATA_FILE).is_file():
-        try:
-            document = read_listing(folder)
-            fault, listed = "", document["relative_file_paths"]
-        except BagError:
-            fault = f"{METADATA_FILE} could not be read"
-    own = [file for file in files if of_one_bag(file, [Path(name) for name in listed])] or files
-    missing = [name for name in listed if not (folder / name).is_file()]
-    more = [file.name for file in own if file.name not in listed]
-    if listed and missing:
-        fault = f"{METADATA_FILE} lists {', '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not there"
-    elif listed and more:
-        fault = f"{METADATA_FILE} does not list {', '.join(more)}"
-    elif not listed and not fault:
-        fault = f"{METADATA_FILE} lists no file"
-    ordered = in_order(own)
-    if ordered is None:
-        raise BagError(f"folder {folder} holds {len(own)} .mcap files of different bags; name one of them")
-    return ordered, fault
 
 
 def _wrong_counts(folder: Path, files: Sequence[Path], counts: Sequence[int]) -> str:
@@ -219,7 +193,7 @@ def _rebuild(scans: list[Scan], working: Path, folder: Path, progress: Callable[
         summary = target.summary()
         summaries.append(summary)
         result.lost_bytes += lost
-        result.damaged += scan.damaged
+        result.holes += scan.holes
         for name, count in summary.counts.items():
             result.counts[name] = result.counts.get(name, 0) + count
     filled = [summary for summary in summaries if sum(summary.counts.values())]

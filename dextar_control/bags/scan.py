@@ -19,6 +19,8 @@ from mcap.records import Attachment, Channel, Chunk, Footer, Header, Metadata, S
 from mcap.stream_reader import get_chunk_data_stream
 from zstandard import ZstdError
 
+from dextar_control.bags.damage import Hole
+
 MAGIC = b"\x89MCAP0\r\n"
 LATEST = 2**63 - 1  # ns since the epoch: what is beyond is no time
 RECOVERY_NAME = "dextar_recovery"  # of the metadata record that tells of a recovery
@@ -47,22 +49,6 @@ class Messages(NamedTuple):
 
     data: bytes
     numbers: array[int]
-
-
-@dataclass
-class Hole:
-    """Where messages are missing in the middle of a recording, because a file is damaged.
-
-    Attributes:
-        path: of the file.
-        chunks: damaged ones; 0 where the end of the file is missing, or its records lost their order.
-        first, last: log times, ns, of the messages before and after it; None where there is none.
-    """
-
-    path: Path
-    chunks: int
-    first: int | None
-    last: int | None = None
 
 
 @dataclass
@@ -184,7 +170,7 @@ class Scan:
     def _compare(self, statistics: bytes) -> None:
         """With what the file says itself: a chunk may be missing that was not even seen as one, who knows where."""
         if not self.holes and len(statistics) >= 8 and int.from_bytes(statistics[:8], "little") > self._count:
-            self.holes.append(Hole(self.path, 1, self.first, self.last))
+            self.holes.append(Hole(str(self.path), 1, self.first, self.last))
 
     def told(self) -> dict[str, str]:
         """What is missing here, for the record ``RECOVERY_NAME`` of a file recovered from this one."""
@@ -193,7 +179,8 @@ class Scan:
 
     def _inherit(self, metadata: Mapping[str, str]) -> None:
         try:
-            holes = [Hole(self.path, int(chunks), first, last) for chunks, first, last in json.loads(metadata.get("holes", "[]"))]
+            told = json.loads(metadata.get("holes", "[]"))
+            holes = [Hole(str(self.path), int(chunks), first, last) for chunks, first, last in told]
             cut = bool(json.loads(metadata.get("cut", "false")))
         except (ValueError, TypeError, RecursionError):  # not ours
             return
@@ -203,7 +190,7 @@ class Scan:
         if self._opened:
             self.holes[-1].chunks += chunks
         else:
-            self.holes.append(Hole(self.path, chunks, self.last))
+            self.holes.append(Hole(str(self.path), chunks, self.last))
             self._opened = True
 
     def _counted(self, messages: Messages) -> Messages:
