@@ -49,7 +49,7 @@ DOORS = {  # each room, and those that it may import beside itself and the contr
     "dextar_control.identification": _rooms("analysis", *MATHEMATICS),
     "dextar_control.rig_check": _rooms(*MATHEMATICS),
     "dextar_control.campaign": _rooms("analysis", "identification", *MATHEMATICS),
-    "dextar_control.faults": _rooms(*MATHEMATICS),
+    "dextar_control.faults": _rooms("bags", *MATHEMATICS),
     "dextar_control.security": set(),
     "dextar_control.ros": _rooms("executables", "analysis", "bags", "rig_check", "faults", *MATHEMATICS),
     "dextar_control.commands": _rooms("bags", "analysis", "campaign", "identification", "ros"),

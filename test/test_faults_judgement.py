@@ -142,15 +142,10 @@ def whole_bag(chunks: int) -> bytes:
 def test_a_bag_cut_off_anywhere_is_readable_up_to_its_last_complete_chunk(tmp_path: Path) -> None:
     raw = whole_bag(4)
     path = tmp_path / "cut.mcap"
-    seen_chunks = set()
     for length in [*range(100, len(raw), 97), len(raw)]:
         path.write_bytes(raw[:length])
         assert bag_check.unreadable(path) == []
-        state = bag_check.inspect(path)
-        seen_chunks.add(state.chunks)
-        assert state.finished == (length == len(raw))
-        assert state.last_read >= state.last
-    assert seen_chunks == {0, 1, 2, 3, 4}
+        assert bag_check.finished(path) == (length == len(raw))
 
 
 def test_a_bag_with_a_broken_chunk_in_front_is_not_readable(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from typing import IO, Any, NamedTuple
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, Footer, Header, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 from zstandard import ZstdError
@@ -30,7 +31,6 @@ BUFFER = 1 << 20  # bytes
 TOLD = 1 << 18  # bytes from one word of progress to the next
 _RECORD = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_FOOTER_SIZE = _RECORD.size + 20 + len(MAGIC)
 _READ: dict[int, Any] = {Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata,
                          Opcode.ATTACHMENT: Attachment, Opcode.FOOTER: Footer}  # fmt: skip
 # What the libraries raise at content that is none; lz4 raises RuntimeError.
@@ -114,7 +114,7 @@ class Scan:
                     yield self._counted(_joined(loose))
                     loose, gathered = [], 0
                 if opcode == Opcode.CHUNK:
-                    yield from self._chunk(stream, size, content)
+                    yield from self._chunk(stream, content)
                 elif opcode == Opcode.STATISTICS:
                     self._compare(content)
                 elif opcode in _READ:
@@ -155,12 +155,12 @@ class Scan:
                 self.end = stream.tell()
                 return
 
-    def _chunk(self, stream: IO[bytes], size: int, content: bytes) -> Iterator[Any]:
+    def _chunk(self, stream: IO[bytes], content: bytes) -> Iterator[Any]:
         try:
             records, messages = _break_up(content)
         except _DAMAGED:
             if not self.holes:
-                yield from _described_at_the_end(stream, size)
+                yield from _described_at_the_end(stream)
             self._miss(1)
             return
         yield from records
@@ -239,22 +239,12 @@ def _break_up(content: bytes) -> tuple[list[Any], Messages]:
     return records, Messages(data, numbers)
 
 
-def _described_at_the_end(stream: IO[bytes], size: int) -> Iterator[Any]:
+def _described_at_the_end(stream: IO[bytes]) -> Iterator[Any]:
     """The schemas and channels that a file repeats before its end, for those that stood in a damaged chunk."""
-    place = stream.tell()
-    found: list[Any] = []
-    try:
-        stream.seek(size - _FOOTER_SIZE)
-        opcode, _ = _RECORD.unpack(stream.read(_RECORD.size))
-        footer = Footer.read(ReadDataStream(BytesIO(stream.read(20))))
-        if opcode == Opcode.FOOTER and stream.read(len(MAGIC)) == MAGIC and footer.summary_start:
-            stream.seek(footer.summary_start)
-            while stream.tell() < size - _FOOTER_SIZE:
-                opcode, length = _RECORD.unpack(stream.read(_RECORD.size))
-                content = stream.read(min(length, size))
-                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    found.append(_READ[opcode].read(ReadDataStream(BytesIO(content))))
-    except (*_DAMAGED, OSError):
-        pass
+    place, summary = stream.tell(), None
+    stream.seek(0)
+    with contextlib.suppress(*_DAMAGED, OSError, StopIteration):
+        summary = SeekingReader(stream).get_summary()
     stream.seek(place)
-    yield from found
+    if summary is not None:
+        yield from (*summary.schemas.values(), *summary.channels.values())

@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.node import qos
 from dextar_control.contract.topics import JOINT_COMMANDS
-from dextar_control.faults.bag_check import inspect
+from dextar_control.faults.bag_check import finished
 from dextar_control.faults.cases import Case
 from dextar_control.faults.judgement import Evidence, Outcome
 from dextar_control.faults.link import Link, Shape, Transport, Window
@@ -215,7 +215,7 @@ class KillAction(Action):
         assert self.case.kill is not None
         if self.case.kill.signal != "SIGTERM":
             return []
-        unfinished = [path for path in self.bags() if not inspect(path).finished]
+        unfinished = [path for path in self.bags() if not finished(path)]
         return [f"{path.name} is not finished although SIGTERM asked for it" for path in unfinished]
 
     def extra(self, records: list[dict[str, Any]], evidence: Evidence) -> None:
