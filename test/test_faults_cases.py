@@ -15,7 +15,8 @@ from PIL import Image
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import config_file
-from dextar_control.faults.cases import load_cases, validated
+from dextar_control.contract.validation import validate
+from dextar_control.faults.cases import FaultConfig, load_cases
 from dextar_control.faults.figure import draw
 from dextar_control.faults.judgement import Check, Outcome
 from dextar_control.faults.link import Shape
@@ -67,7 +68,7 @@ def test_a_wrong_case_is_refused_with_its_name_and_the_reason(change: dict[str, 
     case = {"title": "t", "transport": {"drop": 0.1}, "crossings": 1, "expect": ["crossed"]} | change
     case = {key: value for key, value in case.items() if value is not None}
     with pytest.raises(ParameterError, match=message) as caught:
-        validated({"trip": {"duration": 0.33, "dwell": 0.06}, "cases": {"mine": case}}, "file")
+        validate(FaultConfig, {"trip": {"duration": 0.33, "dwell": 0.06}, "cases": {"mine": case}}, "file")
     assert "cases.mine" in str(caught.value)
 
 

@@ -16,7 +16,8 @@ from typing import Any
 import yaml
 
 from dextar_control.contract.resources import config_file
-from dextar_control.faults.cases import validated
+from dextar_control.contract.validation import validate
+from dextar_control.faults.cases import FaultConfig
 from dextar_control.faults.judgement import Check
 from dextar_control.ros.faults import run
 from dextar_control.ros.faults.session import Request
@@ -84,7 +85,7 @@ def test_a_drive_without_its_timeout_and_a_controller_that_answers_bad_states_in
 
 def test_a_session_that_is_being_started_while_the_run_is_stopped_is_ended_too(tmp_path: Path, monkeypatch: Any) -> None:
     """The signal comes between the start of the process and the moment it is known."""
-    config = validated(CASES, "cases")
+    config = validate(FaultConfig, CASES, "cases")
     worker = run.Worker(run.Plan("lockstep", {"states_nan": 1}), tmp_path, config, 1, queue.Queue(), "lockstep-1")
     started: list[subprocess.Popen[str]] = []
 

@@ -7,30 +7,16 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from dextar_control.campaign.ranges import BARS, PERTURBATIONS, Range
 from dextar_control.contract.settings import Settings
-from dextar_control.contract.validation import load_yaml, problem, validate
+from dextar_control.contract.validation import Section, load_yaml, problem, unknown
 
 Numbers = dict[str, Annotated[float, Field(allow_inf_nan=False)]]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(strict=True, frozen=True)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _known_keys(cls, data: Any) -> Any:
-        if not isinstance(data, Mapping):
-            raise problem(f"it must be a mapping with some of: {', '.join(cls.model_fields)}")
-        for key in data:
-            if key not in cls.model_fields:
-                raise problem(f"unknown key '{key}'; known are: {', '.join(cls.model_fields)}")
-        return data
-
-
-class Points(_Section):
+class Points(Section):
     """How many crossing points, and how many of them with the distal links folded."""
 
     count: int = Field(ge=1, le=100_000)
@@ -43,7 +29,7 @@ class Points(_Section):
         return self
 
 
-class Combination(_Section):
+class Combination(Section):
     """A law with an estimator, and what only this pair gets."""
 
     law: str
@@ -57,7 +43,7 @@ class Combination(_Section):
         return f"{self.law}/{self.estimator}"
 
 
-class Default(_Section):
+class Default(Section):
     """The combination and the plant that the bars are for; ``judged_plants`` names others, or more."""
 
     law: str
@@ -65,7 +51,7 @@ class Default(_Section):
     plant: str
 
 
-class Case(_Section):
+class Case(Section):
     """One perturbation, and what the default combination, or those that it names, must reach under it."""
 
     title: str = ""
@@ -86,7 +72,7 @@ class Case(_Section):
         return _within(bars, BARS, "bar")
 
 
-class Sweep(_Section):
+class Sweep(Section):
     """One number of the perturbation at several levels, each a case named ``<sweep> <level>``.
 
     Attributes:
@@ -130,7 +116,7 @@ class Sweep(_Section):
         return Case(title=title, perturbation=numbers, settings=self.settings, duration=self.duration)
 
 
-class CampaignConfig(_Section):
+class CampaignConfig(Section):
     """Everything a campaign is made of; the cases of its sweeps are among the cases."""
 
     robot: str
@@ -212,15 +198,6 @@ def load_config(path: str | Path) -> CampaignConfig:
     return load_yaml(CampaignConfig, path, "campaign file")
 
 
-def validated(data: Any, source: str) -> CampaignConfig:
-    """A campaign from plain data.
-
-    Raises:
-        ParameterError: something in it is unknown, missing or out of its range; it names the source.
-    """
-    return validate(CampaignConfig, data, source)
-
-
 def _within(numbers: Numbers, ranges: Mapping[str, Range], what: str, where: str = "") -> Numbers:
     for key, value in numbers.items():
         _known(key, ranges, what, where)
@@ -233,11 +210,6 @@ def _within(numbers: Numbers, ranges: Mapping[str, Range], what: str, where: str
 def _known(name: str, known: Collection[str], what: str, where: str = "") -> None:
     if name not in known:
         raise problem(f"{where}{unknown(name, known, what)}")
-
-
-def unknown(name: str, known: Collection[str], what: str) -> str:
-    """What is said of a name that does not exist."""
-    return f"unknown {what} '{name}'; known are: {', '.join(known)}"
 
 
 def _each_once(items: list[Any], what: str) -> list[Any]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from dextar_control.campaign.config import CampaignConfig, sweep_case, unknown, validated
+from dextar_control.campaign.config import CampaignConfig, sweep_case
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.validation import unknown, validate
 
 
 def select(
@@ -56,7 +57,7 @@ def select(
         case["judged"] = [name for name in case["judged"] or [] if name in pairs] or None
     if not data["cases"]:
         raise ParameterError("none of the cases has a law and an estimator among those chosen")
-    return validated(data, "command line")
+    return validate(CampaignConfig, data, "command line")
 
 
 def check_names(config: CampaignConfig, laws: Collection[str], estimators: Collection[str], plants: Collection[str]) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from dextar_control.contract.errors import ParameterError
@@ -47,3 +48,24 @@ def validate(model: type[M], data: Any, source: str) -> M:
 def problem(text: str) -> PydanticCustomError:
     """What a validator raises, in its own words."""
     return PydanticCustomError("dextar", "{text}", {"text": text})
+
+
+def unknown(name: str, known: Collection[str], what: str) -> str:
+    """What is said of a name that does not exist."""
+    return f"unknown {what} '{name}'; known are: {', '.join(known)}"
+
+
+class Section(BaseModel):
+    """A part of a YAML file: a mapping of known keys to values of the right types, which stay as they are."""
+
+    model_config = ConfigDict(strict=True, frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            raise problem(f"it must be a mapping with some of: {', '.join(cls.model_fields)}")
+        for key in data:
+            if key not in cls.model_fields:
+                raise problem(unknown(key, cls.model_fields, "key"))
+        return data

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from dextar_control.contract.errors import DextarError
-from dextar_control.contract.validation import load_yaml, problem, validate
+from dextar_control.contract.validation import Section, load_yaml, problem, unknown
 from dextar_control.faults.frames import LinkQuality
 from dextar_control.faults.judgement import Outcome
 from dextar_control.faults.link import Shape, Transport
@@ -20,28 +19,14 @@ Way = Literal["states", "commands"]
 KINDS = ("transport", "window", "kill", "commander", "flood", "parameters", "disk", "network")
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(strict=True, frozen=True)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _known_keys(cls, data: Any) -> Any:
-        if not isinstance(data, Mapping):
-            raise problem(f"it must be a mapping with some of: {', '.join(cls.model_fields)}")
-        for key in data:
-            if key not in cls.model_fields:
-                raise problem(f"unknown key '{key}'; known are: {', '.join(cls.model_fields)}")
-        return data
-
-
-class Kill(_Section):
+class Kill(Section):
     """A signal to one node."""
 
     node: Node
     signal: Literal["SIGKILL", "SIGTERM"]
 
 
-class Window(_Section):
+class Window(Section):
     """A span of time in which each message has one shape."""
 
     shape: str
@@ -52,11 +37,11 @@ class Window(_Section):
     def _known_shape(cls, shape: str) -> str:
         known = [item.value for item in Shape]
         if shape not in known:
-            raise problem(f"unknown shape '{shape}'; known are: {', '.join(known)}")
+            raise problem(unknown(shape, known, "shape"))
         return shape
 
 
-class Case(_Section):
+class Case(Section):
     """One fault: exactly one of the ``KINDS``.
 
     ``crossings`` faulted ones are tried in a full run, ``quick`` in a quick one (0 leaves the case out); ``trips`` return
@@ -111,14 +96,14 @@ class Case(_Section):
         return self
 
 
-class Trip(_Section):
+class Trip(Section):
     """The return trip that is made again and again: seconds one way, and at rest."""
 
     duration: Number = Field(gt=0.02, le=60.0)
     dwell: Number = Field(ge=0.01, le=60.0)
 
 
-class FaultConfig(_Section):
+class FaultConfig(Section):
     """Everything a run of faults is made of."""
 
     seed: int = Field(default=0, ge=0, lt=2**32)
@@ -133,12 +118,3 @@ def load_cases(path: str | Path) -> FaultConfig:
         ParameterError: the file cannot be read, or something in it is unknown, missing or out of its range.
     """
     return load_yaml(FaultConfig, path, "fault file")
-
-
-def validated(data: Any, source: str) -> FaultConfig:
-    """Cases from plain data.
-
-    Raises:
-        ParameterError: something in it is unknown, missing or out of its range; it names the source.
-    """
-    return validate(FaultConfig, data, source)

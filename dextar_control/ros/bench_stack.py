@@ -22,6 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.node import qos
 from dextar_control.contract.topics import DIAGNOSTICS, JOINT_STATES
+from dextar_control.ros.processes import processor_time
 
 MODULES = {"plant": "dextar_sim.node", "controller": "dextar_control.ros.controller_node",
            "recorder": "dextar_control.ros.recorder_node"}  # fmt: skip
@@ -54,12 +55,6 @@ def _processes(commands: dict[str, list[str]]) -> Iterator[dict[str, subprocess.
                 process.wait()
 
 
-def _spent(process: int) -> float:
-    """Processor time of a process with all its threads so far, s."""
-    fields = Path(f"/proc/{process}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 def bench_nodes(seconds: float) -> dict[str, float]:
     """Processor time of plant, controller and recorder in real time, cores: s for each second of 1 kHz states, while holding."""
     looks: list[tuple[int, dict[str, float]]] = []
@@ -82,7 +77,7 @@ def bench_nodes(seconds: float) -> dict[str, float]:
                     if message.status[0].name == "/controller":
                         phase = values["phase"]
                     elif message.status[0].name == "/plant" and phase == "HOLD":
-                        looks.append((int(values["steps"]), {name: _spent(one.pid) for name, one in running.items()}))
+                        looks.append((int(values["steps"]), {name: processor_time(one.pid) for name, one in running.items()}))
 
                 node.create_subscription(DiagnosticArray, DIAGNOSTICS.name, look, qos(DIAGNOSTICS))
                 deadline = time.monotonic() + START_TIMEOUT + seconds

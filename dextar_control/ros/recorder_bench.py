@@ -10,12 +10,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,24 +24,18 @@ from rich.progress import BarColumn, TimeRemainingColumn
 from rich.table import Column, Table
 from std_srvs.srv import Trigger
 
-from dextar_control.contract.errors import BagError
+from dextar_control.contract.errors import DextarError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.signals import EXIT_FAILED, run_command
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.contract.yaml_text import assignment
 from dextar_control.ros.domain import choose_domain
+from dextar_control.ros.processes import NodesError, Processes, processor_time
 
-MODULES = {
-    "recorder": "dextar_control.ros.recorder_node",
-    "plant": "dextar_sim.node",
-    "controller": "dextar_control.ros.controller_node",
-    "trajectory_server": "dextar_control.ros.trajectory_server",
-}
 CAMERA_RATE = 1000.0  # Hz
 TOUR_PERIOD = 30  # s between two tours
 ANSWER = 5.0  # s
 STARTING = 120.0  # s until the nodes have to be there
-STOPPING = 30.0  # s
 
 
 class Stream(NamedTuple):
@@ -88,12 +79,18 @@ def run(seconds: int, output: Path, reliable: bool) -> int:
         "controller": {},
         "trajectory_server": {"autostart": True, "repeat": 10},
     }
-    processes = {name: _start(name, output, values) for name, values in settings.items()}
+    files = ["--params-file", str(config_file(ROBOT_FILE)), "--params-file", str(config_file(NODES_FILE))]
+    processes = Processes(output, {
+        name: [*files, *(part for item in values.items() for part in ("-p", f"{name}:{assignment(*item)}"))]
+        for name, values in settings.items()
+    })  # fmt: skip
     operator = _Operator()
     try:
+        for name in settings:
+            processes.start(name)
         with console.working("starting the nodes"):
             _wait_for_all(output, processes)
-        before = {name: _cpu(process.pid) for name, process in processes.items()}
+        before = {name: processor_time(processes.pid(name)) for name in settings}
         begin = time.monotonic()
         with Steps(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=console) as progress:
             bar = progress.add_task("recording", total=seconds)
@@ -101,16 +98,14 @@ def run(seconds: int, output: Path, reliable: bool) -> int:
                 if second % TOUR_PERIOD == TOUR_PERIOD - 1:
                     operator.start_tour()
                 time.sleep(max(0.0, begin + second + 1.0 - time.monotonic()))
-                ended = [name for name, process in processes.items() if process.poll() is not None]
-                if ended:
-                    raise BagError(f"{ended[0]} ended: see {output / ended[0]}.log")
+                processes.check()
                 progress.advance(bar)
         elapsed = time.monotonic() - begin
-        load = {name: (_cpu(process.pid) - before[name]) / elapsed for name, process in processes.items()}
-        memory = {name: _memory(process.pid) for name, process in processes.items()}
+        load = {name: (processor_time(processes.pid(name)) - before[name]) / elapsed for name in settings}
+        memory = {name: _memory(processes.pid(name)) for name in settings}
     finally:
         operator.close()
-        _stop(processes[name] for name in ("trajectory_server", "controller", "plant", "recorder"))
+        processes.stop_all()
     found = streams(output / "run.mcap")
     columns = Column("topic", overflow="fold"), "messages", "missing", "told by the recorder"
     table = Table(*columns, title=f"{elapsed:.0f} s in real time")
@@ -146,39 +141,13 @@ class _Operator:
         rclpy.try_shutdown()
 
 
-def _start(name: str, output: Path, values: Mapping[str, Any]) -> subprocess.Popen[bytes]:
-    files = ["--params-file", str(config_file(ROBOT_FILE)), "--params-file", str(config_file(NODES_FILE))]
-    given = [part for item in values.items() for part in ("-p", f"{name}:{assignment(*item)}")]
-    with (output / f"{name}.log").open("wb") as log:
-        return subprocess.Popen([sys.executable, "-m", MODULES[name], "--ros-args", *files, *given],
-                                stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL)  # fmt: skip
-
-
-def _wait_for_all(output: Path, processes: dict[str, subprocess.Popen[bytes]]) -> None:
+def _wait_for_all(output: Path, processes: Processes) -> None:
     deadline = time.monotonic() + STARTING
-    while "accepted" not in (output / "controller.log").read_text(errors="replace"):
-        for name, process in processes.items():
-            if process.poll() is not None:
-                raise BagError(f"{name} ended: see {output / name}.log")
+    while "accepted" not in processes.log_path("controller").read_text(errors="replace"):
+        processes.check()
         if time.monotonic() > deadline:
-            raise BagError(f"no trajectory was accepted within {STARTING:.0f} s: see the logs in {output}")
+            raise NodesError(f"no trajectory was accepted within {STARTING:.0f} s: see the logs in {output}")
         time.sleep(0.2)
-
-
-def _stop(processes: Iterable[subprocess.Popen[bytes]]) -> None:
-    for process in processes:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(timeout=STOPPING)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-
-
-def _cpu(pid: int) -> float:
-    """Processor time of a process, s."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _memory(pid: int) -> float:
@@ -201,7 +170,7 @@ def main(argv: list[str] | None = None) -> int:
         try:
             arguments.output.mkdir(parents=True, exist_ok=True)
             return run(arguments.seconds, arguments.output, arguments.reliable)
-        except (BagError, OSError) as error:
+        except (DextarError, OSError) as error:
             print(f"error: {error}", file=sys.stderr)
             return EXIT_FAILED
 

@@ -27,8 +27,8 @@ from dextar_control.faults.bag_check import finished
 from dextar_control.faults.cases import Case
 from dextar_control.faults.judgement import Evidence, Outcome
 from dextar_control.faults.link import Link, Shape, Transport, Window
-from dextar_control.ros.faults.processes import FaultsError
 from dextar_control.ros.messages import joint_commands_template
+from dextar_control.ros.processes import NodesError
 
 if TYPE_CHECKING:
     from dextar_control.ros.faults.session import Session
@@ -131,7 +131,7 @@ class LinkAction(Action):
         super().prepare(chance)
         injector = self.session.operator.injector
         if injector is None:
-            raise FaultsError("no injector stands between rig and controller")
+            raise NodesError("no injector stands between rig and controller")
         ways = {"states": injector.states, "commands": injector.commands}
         self._links: list[Link[bytes]] = [ways[way] for way in self.case.ways]
         self._before = [dict(link.counts) for link in self._links]
@@ -200,7 +200,7 @@ class KillAction(Action):
         if not self._killed:
             return
         if not self.session.operator.until(lambda: self.session.processes.ended(self._node), END_PATIENCE):
-            raise FaultsError(f"{self._node} did not end within {END_PATIENCE:.0f} s of its signal")
+            raise NodesError(f"{self._node} did not end within {END_PATIENCE:.0f} s of its signal")
         self.session.restart(self._node)
 
     def bags(self) -> list[Path]:
@@ -284,7 +284,7 @@ class FloodAction(Action):
             (operator.client(GetParameters, "trajectory_server/get_parameters"), GetParameters.Request(names=["repeat"])),
         ]
         if not operator.until(lambda: all(client.service_is_ready() for client, _ in self._calls), START_PATIENCE):
-            raise FaultsError("not every service is there to be flooded")
+            raise NodesError("not every service is there to be flooded")
         self._pending: list[tuple[str, Any]] = []
         self._sent = self._answered = 0
         self._begun = 0.0
@@ -398,7 +398,7 @@ class DiskAction(Action):
         session.processes.may_end("recorder")
         up = lambda: "recorder" in session.operator.status or session.processes.ended("recorder")  # noqa: E731
         if not session.operator.until(up, START_PATIENCE):
-            raise FaultsError("the recorder on the small disk did not start")
+            raise NodesError("the recorder on the small disk did not start")
 
     @property
     def done(self) -> bool:

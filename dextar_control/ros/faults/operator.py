@@ -28,8 +28,8 @@ from dextar_control.contract.topics import (
     Topic,
 )
 from dextar_control.ros.faults.injector import RIG_COMMANDS, Injector
-from dextar_control.ros.faults.processes import FaultsError
 from dextar_control.ros.messages import criterion_template, joint_commands_template
+from dextar_control.ros.processes import NodesError
 
 POLL_PERIOD = 0.004  # s between two looks into the readers
 HISTORY = 4000  # samples that each of them holds meanwhile
@@ -200,15 +200,15 @@ class Operator(Node):
         """The answer of one service.
 
         Raises:
-            FaultsError: there is none.
+            NodesError: there is none.
         """
         client = self.client(kind, name)
         if not self.until(client.service_is_ready, patience):
-            raise FaultsError(f"nobody offers the service {name}")
+            raise NodesError(f"nobody offers the service {name}")
         future = client.call_async(kind.Request(**fields))
         if not self.until(future.done, patience):
             client.remove_pending_request(future)
-            raise FaultsError(f"the service {name} did not answer within {patience:.0f} s")
+            raise NodesError(f"the service {name} did not answer within {patience:.0f} s")
         return future.result()
 
     def change_parameters(self, node: str, **values: Any) -> list[str]:

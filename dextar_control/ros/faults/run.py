@@ -30,8 +30,8 @@ from dextar_control.faults.figure import draw
 from dextar_control.faults.frames import LinkError
 from dextar_control.faults.netns import FaultyLink
 from dextar_control.faults.table import Summary
-from dextar_control.ros.faults.processes import FaultsError, end_with_parent
 from dextar_control.ros.faults.session import Request
+from dextar_control.ros.processes import NodesError, end_with_parent
 
 CONFIG_NAME = "faults.yaml"
 ATTEMPTS = 3  # sessions in which a case may begin before it is given up
@@ -95,7 +95,7 @@ class Worker(threading.Thread):
                     continue
                 with self._network() as link:
                     self._session(self._folder / f"{self.name}-{number}", cases, link, number)
-        except (LinkError, FaultsError) as error:
+        except (LinkError, NodesError) as error:
             self._events.put({"event": "failed", "case": "", "text": str(error)})
         finally:
             self._events.put(None)

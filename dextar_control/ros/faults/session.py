@@ -30,17 +30,18 @@ from dextar_control.contract.errors import DextarError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import CRITERION_NAMES
+from dextar_control.contract.validation import validate
 from dextar_control.contract.yaml_text import assignment
 from dextar_control.control.phases import MOVING, Phase
 from dextar_control.faults import bag_check, judgement
-from dextar_control.faults.cases import Case, validated
+from dextar_control.faults.cases import Case, FaultConfig
 from dextar_control.faults.judgement import Check, Evidence, Outcome, Seen, Tally
 from dextar_control.faults.link import Transport
 from dextar_control.planning.planner import Plan, plan_return_trip
 from dextar_control.ros.faults.actions import Action, Trouble, make_action
 from dextar_control.ros.faults.injector import REMAPPINGS
 from dextar_control.ros.faults.operator import Operator
-from dextar_control.ros.faults.processes import MODULES, FaultsError, Processes
+from dextar_control.ros.processes import MODULES, NodesError, Processes
 
 NANOSECONDS = 1_000_000_000
 START_TIMEOUT = 120.0  # s, on a busy machine
@@ -97,7 +98,7 @@ class Session:
     def __init__(self, request: Request) -> None:
         self.request = request
         self.folder = Path(request.folder)
-        self.config = validated(request.config, "cases")
+        self.config = validate(FaultConfig, request.config, "cases")
         self.robot = load_robot(config_file(ROBOT_FILE))
         self.period = round(node_defaults("plant")["task.sample_period"] * NANOSECONDS)
         self.gap_limit = float(node_defaults("controller")["state_timeout"])
@@ -173,10 +174,10 @@ class Session:
 
         if not self.operator.until(ready, START_TIMEOUT):
             heard = ", ".join(sorted(self.operator.status)) or "none"
-            raise FaultsError(f"the nodes were not ready within {START_TIMEOUT:.0f} s; heard of: {heard}")
+            raise NodesError(f"the nodes were not ready within {START_TIMEOUT:.0f} s; heard of: {heard}")
         self.operator.call(SetBool, "plant/pause", data=False)
         if not self.recover():
-            raise FaultsError(f"the controller does not hold: {self.operator.get('controller', 'reason')}")
+            raise NodesError(f"the controller does not hold: {self.operator.get('controller', 'reason')}")
 
     def holding(self) -> bool:
         """Whether the controller says, and its answers show, that it holds."""
@@ -230,7 +231,7 @@ class Session:
             return name in operator.status and (name != "trajectory_server" or bool(operator.get(name, "crossings")))
 
         if not operator.until(ready, START_TIMEOUT):
-            raise FaultsError(f"{name} did not come back within {START_TIMEOUT:.0f} s")
+            raise NodesError(f"{name} did not come back within {START_TIMEOUT:.0f} s")
         if name == "plant":
             operator.call(SetBool, "plant/pause", data=False)
 
@@ -243,7 +244,7 @@ class Session:
             trips = min(case.trips, (count - done + 1) // 2)
             refusals = self.operator.change_parameters("trajectory_server", repeat=trips)
             if any(refusals):
-                raise FaultsError(f"the trajectory server does not take repeat = {trips}: {refusals[0]}")
+                raise NodesError(f"the trajectory server does not take repeat = {trips}: {refusals[0]}")
             records, tally = self.trip(name, case, action, trips, count - done)
             recovered = self._back(action)
             for record in records:
@@ -256,10 +257,10 @@ class Session:
                 why = self._last_reason or "it met nothing"
                 yield {"event": "note", "case": name, "text": f"a trip without the fault: {why}"}
             if idle > MOST_IDLE:
-                raise FaultsError(f"the fault did not come about in {idle} trips")
+                raise NodesError(f"the fault did not come about in {idle} trips")
             if not recovered:
                 self.processes.check()
-                raise FaultsError(f"the robot did not come back to HOLD: {self.operator.get('controller', 'reason')}")
+                raise NodesError(f"the robot did not come back to HOLD: {self.operator.get('controller', 'reason')}")
 
     def _back(self, action: Action) -> bool:
         action.restore()
@@ -314,7 +315,7 @@ class Session:
         """``_serve``, once more where the last trip left the robot off its start or its side unknown."""
         try:
             return self._serve(plan)
-        except FaultsError:
+        except NodesError:
             if not self.recover(disable=True):
                 raise
             return self._serve(plan)
@@ -329,7 +330,7 @@ class Session:
                 break
             operator.until(lambda: False, 1.0)
         else:
-            raise FaultsError(f"the trajectory server: {answer.message}")
+            raise NodesError(f"the trajectory server: {answer.message}")
         first = max(len(operator.criterion.rows) - 1, 0)
 
         def moving() -> int | None:
@@ -341,11 +342,11 @@ class Session:
                 first += 1
             note = operator.get("controller", "trajectory")
             if note.startswith("refused") and note != refused:
-                raise FaultsError(f"the controller {note}")
+                raise NodesError(f"the controller {note}")
             return None
 
         if not operator.until(moving, TRIP_PATIENCE):
-            raise FaultsError(f"the trajectory did not begin; the controller is in phase {operator.get('controller', 'phase')}")
+            raise NodesError(f"the trajectory did not begin; the controller is in phase {operator.get('controller', 'phase')}")
         start = moving()
         assert start is not None
         duration = plan.certificate.duration
@@ -371,7 +372,7 @@ class Session:
                 return Trouble(stamps[-1] if stamps else operator.now, outcome)
             if operator.now >= end + round(0.05 * NANOSECONDS) and action.done:
                 return None
-        raise FaultsError(f"the trip did not end; the controller is in phase {operator.get('controller', 'phase')}")
+        raise NodesError(f"the trip did not end; the controller is in phase {operator.get('controller', 'phase')}")
 
     def _linger(self, seconds: float) -> None:
         """Let the rig's clock go on, or the steady one where it does not."""
@@ -498,7 +499,7 @@ def main() -> int:
                 try:
                     for event in session.run_case(name, count):
                         say(**event)
-                except FaultsError as error:
+                except NodesError as error:
                     code = 1
                     say(event="failed", case=name, text=str(error))
                     return code

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import os
 import signal
 import subprocess
 import sys
@@ -22,8 +23,8 @@ PR_SET_PDEATHSIG = 1  # of Linux' prctl
 STOP_TIMEOUT = 15.0  # s until a node that does not end is killed
 
 
-class FaultsError(DextarError):
-    """The nodes could not be brought to where a fault can be tried; the message says which and why."""
+class NodesError(DextarError):
+    """The nodes could not be started, or not be brought to where they are needed; the message says which and why."""
 
 
 def end_with_parent() -> None:
@@ -93,6 +94,10 @@ class Processes:
         with contextlib.suppress(ProcessLookupError):
             self._running[name].send_signal(number)
 
+    def pid(self, name: str) -> int:
+        """Of a node that runs."""
+        return self._running[name].pid
+
     def may_end(self, name: str) -> None:
         """This node's end is part of a fault."""
         self._wanted.add(name)
@@ -110,12 +115,12 @@ class Processes:
         return True
 
     def check(self) -> None:
-        """Raise FaultsError when a node has ended that nobody ended."""
+        """Raise NodesError when a node has ended that nobody ended."""
         for name in list(self._running):
             self.ended(name)
         for name in self.exits:
             if name not in self._wanted:
-                raise FaultsError(f"{name} ended with code {self.exits[name]}: {self.last_words(name)}")
+                raise NodesError(f"{name} ended with code {self.exits[name]}: {self.last_words(name)}")
 
     def last_words(self, name: str) -> str:
         """The last telling line of a node's log."""
@@ -154,3 +159,9 @@ class Processes:
         """Commander first, recorder last."""
         for name in ("trajectory_server", "controller", "plant", "recorder"):
             self.stop(name)
+
+
+def processor_time(pid: int) -> float:
+    """Processor time of a process with all its threads so far, s."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
