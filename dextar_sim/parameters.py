@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dextar_control.contract.node import SCHEDULING, Parameter
+from dextar_control.contract.parameters import SCHEDULING, Parameter
 
 PARAMETERS = (
     *SCHEDULING,

@@ -20,7 +20,8 @@ from trajectory_msgs.msg import JointTrajectory
 from dextar_control.commands import demo
 from dextar_control.contract.cdr import from_time, to_time
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
-from dextar_control.contract.node import Parameter, check_value, qos
+from dextar_control.contract.node import qos
+from dextar_control.contract.parameters import Parameter, check_value
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, flatten, from_flat, load_robot
 from dextar_control.contract.settings import default_settings

@@ -20,7 +20,7 @@ from dextar_control.contract.validation import validate
 from dextar_control.faults.cases import FaultConfig
 from dextar_control.faults.judgement import Check
 from dextar_control.ros.faults import run
-from dextar_control.ros.faults.session import Request
+from dextar_control.ros.faults.stack import Request
 
 ROOT = Path(__file__).resolve().parents[1]
 CASES = yaml.safe_load(config_file("faults.yaml").read_text(encoding="utf-8"))

@@ -22,7 +22,8 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
-from dextar_control.contract.node import check_value, qos
+from dextar_control.contract.node import qos
+from dextar_control.contract.parameters import check_value
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import BASE_FRAME, CONTROLLER_STATE, CRITERION, CRITERION_NAMES, JOINT_STATES, MARKERS, PHASES

@@ -5,14 +5,12 @@ from __future__ import annotations
 import inspect
 import textwrap
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dextar_control.contract import resources
+from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.tables import rate
 from dextar_control.contract.topics import NODES, SERVICES, Topic
-
-if TYPE_CHECKING:
-    from dextar_control.contract.node import Parameter
 
 WIDTH = 79
 BESIDE = 22  # columns of a name in a list

@@ -19,7 +19,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS, from_time
 from dextar_control.contract.errors import DextarError, ParameterError, StateError
-from dextar_control.contract.node import SCHEDULING, Parameter, qos, run_node
+from dextar_control.contract.node import qos, run_node
+from dextar_control.contract.parameters import SCHEDULING, Parameter
 from dextar_control.contract.scheduling import ask_kernel, precise_timers
 from dextar_control.contract.settings import Estimation, Law, Settings
 from dextar_control.contract.signals import StopSignal

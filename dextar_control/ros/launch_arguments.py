@@ -11,7 +11,7 @@ from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.node import Parameter, check_value
+from dextar_control.contract.parameters import Parameter, check_value
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.settings import Estimation, Law
 from dextar_control.contract.yaml_text import load_parameters

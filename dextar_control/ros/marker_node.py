@@ -17,7 +17,8 @@ from visualization_msgs.msg import MarkerArray
 
 from dextar_control.contract.cdr import read_message
 from dextar_control.contract.errors import DextarError
-from dextar_control.contract.node import DextarNode, Parameter, qos, run_node
+from dextar_control.contract.node import DextarNode, qos, run_node
+from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_STATES, MARKERS, PLATFORM_NAMES, TRAJECTORY
 from dextar_control.ros import messages
 from dextar_control.ros.scene import Scene, View, to_array, wipe

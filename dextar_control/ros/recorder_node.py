@@ -14,7 +14,8 @@ from std_srvs.srv import Trigger
 
 from dextar_control.bags.writer import COMPRESSIONS, Sample
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
-from dextar_control.contract.node import DextarNode, Parameter, run_node
+from dextar_control.contract.node import DextarNode, run_node
+from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import DIAGNOSTICS, TOPICS
 from dextar_control.ros.parameter_snapshot import ParameterSnapshot

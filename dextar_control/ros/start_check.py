@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.node import DextarNode, Parameter, settled
+from dextar_control.contract.node import DextarNode
+from dextar_control.contract.parameters import Parameter, settled
 from dextar_control.contract.resources import node_defaults
 from dextar_control.ros.controller_node import ControllerNode
 from dextar_control.ros.marker_node import MarkerNode

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.node import Parameter
+from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.excitation import plan_excitation

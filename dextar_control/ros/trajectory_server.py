@@ -15,7 +15,8 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from dextar_control.contract.errors import DextarError, TrajectoryError
-from dextar_control.contract.node import EXIT_USAGE, DextarNode, Parameter, qos, run_node
+from dextar_control.contract.node import EXIT_USAGE, DextarNode, qos, run_node
+from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.topics import DIAGNOSTICS, MAX_TRAJECTORY_POINTS, TRAJECTORY
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import certify

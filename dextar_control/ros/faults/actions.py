@@ -14,26 +14,26 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from rcl_interfaces.srv import GetParameters, SetParameters
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+from dextar_control.contract.cdr import NANOSECONDS
 from dextar_control.contract.node import qos
+from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.topics import JOINT_COMMANDS
 from dextar_control.faults.bag_check import finished
 from dextar_control.faults.cases import Case
 from dextar_control.faults.judgement import Evidence, Outcome
 from dextar_control.faults.link import Link, Shape, Transport, Window
+from dextar_control.ros.faults.operator import parameter
+from dextar_control.ros.faults.stack import Stack
 from dextar_control.ros.messages import joint_commands_template
 from dextar_control.ros.processes import NodesError
 
-if TYPE_CHECKING:
-    from dextar_control.ros.faults.session import Session
-
-NANOSECONDS = 1_000_000_000
 REACTION = 0.06  # s after a fault's end within which its outcome counts as its own; a stamp may be ahead by 0.05 s
 START_PATIENCE = 60.0  # s
 END_PATIENCE = 20.0  # s until a node that was sent SIGTERM has ended
@@ -82,8 +82,8 @@ class Action:
     grace = 0
     refused = False
 
-    def __init__(self, case: Case, session: Session) -> None:
-        self.case, self.session = case, session
+    def __init__(self, case: Case, stack: Stack) -> None:
+        self.case, self.stack = case, stack
 
     @property
     def done(self) -> bool:
@@ -109,7 +109,7 @@ class Action:
         return True
 
     def restore(self) -> None:
-        """Repair what ``Session.recover`` does not."""
+        """Repair what ``Stack.recover`` does not."""
 
     def bags(self) -> list[Path]:
         """Recordings that ended in this trip."""
@@ -129,7 +129,7 @@ class LinkAction(Action):
     def prepare(self, chance: random.Random) -> None:
         """Find the links."""
         super().prepare(chance)
-        injector = self.session.operator.injector
+        injector = self.stack.operator.injector
         if injector is None:
             raise NodesError("no injector stands between rig and controller")
         ways = {"states": injector.states, "commands": injector.commands}
@@ -176,19 +176,19 @@ class KillAction(Action):
         """Once, at the first time."""
         assert self.case.kill is not None
         self._node, self._at, self._killed = self.case.kill.node, times[0], 0
-        self._bag = self.session.current_bag()
+        self._bag = self.stack.current_bag()
 
     @property
     def done(self) -> bool:
         """Whether the node is gone."""
-        return bool(self._killed) and self.session.processes.ended(self._node)
+        return bool(self._killed) and self.stack.processes.ended(self._node)
 
     def poll(self, now: int) -> Trouble | None:
         """Kill; a killed commander leaves a robot without torque."""
         assert self.case.kill is not None
         if not self._killed and now >= self._at:
             self._killed = now
-            self.session.processes.send(self._node, signal.Signals[self.case.kill.signal])
+            self.stack.processes.send(self._node, signal.Signals[self.case.kill.signal])
         return Trouble(self._killed, Outcome.LIMP) if self._node == "controller" and self.done else None
 
     def took_effect(self) -> bool:
@@ -199,15 +199,15 @@ class KillAction(Action):
         """Start it again."""
         if not self._killed:
             return
-        if not self.session.operator.until(lambda: self.session.processes.ended(self._node), END_PATIENCE):
+        if not self.stack.operator.until(lambda: self.stack.processes.ended(self._node), END_PATIENCE):
             raise NodesError(f"{self._node} did not end within {END_PATIENCE:.0f} s of its signal")
-        self.session.restart(self._node)
+        self.stack.restart(self._node)
 
     def bags(self) -> list[Path]:
         """The killed recorder's."""
         if self._node != "recorder" or self._bag is None or not self._killed:
             return []
-        self.session.operator.until(lambda: self.session.processes.ended(self._node), END_PATIENCE)
+        self.stack.operator.until(lambda: self.stack.processes.ended(self._node), END_PATIENCE)
         return [self._bag]
 
     def broken_bags(self) -> list[str]:
@@ -243,21 +243,21 @@ class CommanderAction(Action):
     @property
     def done(self) -> bool:
         """Whether it was there for long enough."""
-        return bool(self._begun) and self.session.operator.now >= self._begun + round(SECOND_LASTS * NANOSECONDS)
+        return bool(self._begun) and self.stack.operator.now >= self._begun + round(SECOND_LASTS * NANOSECONDS)
 
     def poll(self, now: int) -> Trouble | None:
         """Answer the newest state, as the controller does."""
         if now >= self._at and now > self._sent:
             if self._publisher is None:
                 self._begun = now
-                self._publisher = self.session.operator.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
+                self._publisher = self.stack.operator.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
             self._publisher.publish(self._template.pack(now, SECOND_TORQUE))
             self._sent = now
         return None
 
     def release(self) -> None:
         """Leave the topic."""
-        operator = self.session.operator
+        operator = self.stack.operator
         if self._publisher is not None:
             operator.destroy_publisher(self._publisher)
             self._publisher = None
@@ -274,7 +274,7 @@ class FloodAction(Action):
     def prepare(self, chance: random.Random) -> None:
         """Clients of services that change nothing."""
         super().prepare(chance)
-        operator = self.session.operator
+        operator = self.stack.operator
         self._calls: list[tuple[Any, Any]] = [
             (operator.client(SetBool, "controller/enable"), SetBool.Request(data=True)),
             (operator.client(GetParameters, "controller/get_parameters"), GetParameters.Request(names=["law", "zone"])),
@@ -311,12 +311,12 @@ class FloodAction(Action):
     def release(self) -> None:
         """Wait for the answers still to come."""
         self._begun = 0.0
-        self.session.operator.until(lambda: all(future.done() for _, future in self._pending), END_PATIENCE)
+        self.stack.operator.until(lambda: all(future.done() for _, future in self._pending), END_PATIENCE)
         self._count()
-        self.session.answers += [f"{name} did not answer" for name, _ in self._pending]
-        self.session.answers.append(f"{self._answered} of {self._sent} calls answered")
+        self.stack.answers += [f"{name} did not answer" for name, _ in self._pending]
+        self.stack.answers.append(f"{self._answered} of {self._sent} calls answered")
         if self._answered == self._sent:
-            self.session.answers.append("every call was answered")
+            self.stack.answers.append("every call was answered")
 
     def took_effect(self) -> bool:
         """Whether anything was asked."""
@@ -346,33 +346,29 @@ class ParameterAction(Action):
         return None
 
     def _ask(self, values: dict[str, Any], *, valid: bool) -> None:
-        from dextar_control.ros.faults.operator import parameter
-
-        client = self.session.operator.client(SetParameters, "controller/set_parameters")
+        client = self.stack.operator.client(SetParameters, "controller/set_parameters")
         request = SetParameters.Request(parameters=[parameter(name.replace("__", "."), value) for name, value in values.items()])
         self._futures.append((client.call_async(request), valid))
         self._asked += 1
 
     def release(self) -> None:
         """Take the answers; a valid change refused or an invalid one taken is a fault of the controller."""
-        self.session.operator.until(lambda: all(future.done() for future, _ in self._futures), END_PATIENCE)
+        self.stack.operator.until(lambda: all(future.done() for future, _ in self._futures), END_PATIENCE)
         right = 0
         for future, valid in self._futures:
             result = future.result().results[0] if future.done() else None
             if result is None or result.successful != valid or not (valid or result.reason):
-                self.session.answers.append(f"a {'valid' if valid else 'wrong'} value was answered by {result}")
+                self.stack.answers.append(f"a {'valid' if valid else 'wrong'} value was answered by {result}")
             else:
                 right += 1
                 self.refused |= not valid
         if right == self._asked:
-            self.session.answers.append("each answer as it should be")
+            self.stack.answers.append("each answer as it should be")
 
     def restore(self) -> None:
         """The gains of the parameter file."""
-        from dextar_control.contract.resources import node_defaults
-
         defaults = node_defaults("controller")
-        self.session.operator.change_parameters("controller", **{name: float(defaults[name]) for name in GAINS})
+        self.stack.operator.change_parameters("controller", **{name: float(defaults[name]) for name in GAINS})
 
 
 class DiskAction(Action):
@@ -381,33 +377,33 @@ class DiskAction(Action):
     def prepare(self, chance: random.Random) -> None:
         """Another recorder, on a disk of its own; by a limit on the file's size where no such disk can be made."""
         super().prepare(chance)
-        session = self.session
-        session.processes.stop("recorder")
-        session.operator.until(lambda: False, 0.3)
-        self._bag = session.bag()
+        stack = self.stack
+        stack.processes.stop("recorder")
+        stack.operator.until(lambda: False, 0.3)
+        self._bag = stack.bag()
         size = round(1e6 * self.case.disk * chance.uniform(0.5, 1.0))
-        session.operator.status.pop("recorder", None)
+        stack.operator.status.pop("recorder", None)
         if can_mount():
-            disk = session.folder / "small_disk"
+            disk = stack.folder / "small_disk"
             disk.mkdir(exist_ok=True)
             wrap = ["unshare", "--mount", "sh", "-c", SMALL_DISK, "small_disk", str(size), str(disk), str(self._bag)]
-            session.start_recorder(wrap=wrap, path=disk / "run.mcap", compression="none")
+            stack.start_recorder(wrap=wrap, path=disk / "run.mcap", compression="none")
         else:
             limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
-            session.start_recorder(path=self._bag, limit=limit, compression="none")
-        session.processes.may_end("recorder")
-        up = lambda: "recorder" in session.operator.status or session.processes.ended("recorder")  # noqa: E731
-        if not session.operator.until(up, START_PATIENCE):
+            stack.start_recorder(path=self._bag, limit=limit, compression="none")
+        stack.processes.may_end("recorder")
+        up = lambda: "recorder" in stack.operator.status or stack.processes.ended("recorder")  # noqa: E731
+        if not stack.operator.until(up, START_PATIENCE):
             raise NodesError("the recorder on the small disk did not start")
 
     @property
     def done(self) -> bool:
         """Whether the recorder has given up."""
-        return self.session.processes.ended("recorder")
+        return self.stack.processes.ended("recorder")
 
     def release(self) -> None:
         """A robot that stopped early leaves the recorder to fill the disk."""
-        self.session.operator.until(lambda: self.done, END_PATIENCE)
+        self.stack.operator.until(lambda: self.done, END_PATIENCE)
 
     def took_effect(self) -> bool:
         """Whether the recorder has given up."""
@@ -415,8 +411,8 @@ class DiskAction(Action):
 
     def restore(self) -> None:
         """A recorder with room."""
-        self.session.processes.stop("recorder")
-        self.session.restart("recorder")
+        self.stack.processes.stop("recorder")
+        self.stack.restart("recorder")
 
     def bags(self) -> list[Path]:
         """What was saved from the small disk."""
@@ -454,12 +450,12 @@ def can_mount() -> bool:
     return subprocess.run(["unshare", "--mount", "true"], capture_output=True, check=False).returncode == 0
 
 
-KINDS: dict[str, Callable[[Case, Session], Action]] = {
+KINDS: dict[str, Callable[[Case, Stack], Action]] = {
     "transport": LinkAction, "window": LinkAction, "kill": KillAction, "commander": CommanderAction, "flood": FloodAction,
     "parameters": ParameterAction, "disk": DiskAction, "network": NetworkAction,
 }  # fmt: skip
 
 
-def make_action(case: Case, session: Session) -> Action:
+def make_action(case: Case, stack: Stack) -> Action:
     """What does a case's fault."""
-    return KINDS[case.kind](case, session)
+    return KINDS[case.kind](case, stack)

@@ -30,7 +30,7 @@ from dextar_control.faults.figure import draw
 from dextar_control.faults.frames import LinkError
 from dextar_control.faults.netns import FaultyLink
 from dextar_control.faults.table import Summary
-from dextar_control.ros.faults.session import Request
+from dextar_control.ros.faults.stack import Request
 from dextar_control.ros.processes import NodesError, end_with_parent
 
 CONFIG_NAME = "faults.yaml"

@@ -15,40 +15,27 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import rclpy
-from rclpy.signals import SignalHandlerOptions
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
 from dextar_control.contract import signals
+from dextar_control.contract.cdr import NANOSECONDS
 from dextar_control.contract.errors import DextarError
-from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
+from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import CRITERION_NAMES
-from dextar_control.contract.validation import validate
-from dextar_control.contract.yaml_text import assignment
 from dextar_control.control.phases import MOVING, Phase
 from dextar_control.faults import bag_check, judgement
-from dextar_control.faults.cases import Case, FaultConfig
+from dextar_control.faults.cases import Case
 from dextar_control.faults.judgement import Check, Evidence, Outcome, Seen, Tally
-from dextar_control.faults.link import Transport
 from dextar_control.planning.planner import Plan, plan_return_trip
 from dextar_control.ros.faults.actions import Action, Trouble, make_action
-from dextar_control.ros.faults.injector import REMAPPINGS
-from dextar_control.ros.faults.operator import Operator
-from dextar_control.ros.processes import MODULES, NodesError, Processes
+from dextar_control.ros.faults.stack import Request, Stack
+from dextar_control.ros.processes import MODULES, NodesError
 
-NANOSECONDS = 1_000_000_000
-START_TIMEOUT = 120.0  # s, on a busy machine
-RECOVERY_PATIENCE = 30.0  # s until a robot that does not come back to HOLD is given up
-LAST_WORDS = 0.3  # s
-LEASE_PATIENCE = 60.0  # s
-HOLD_WAIT = 0.1  # s
 TRIP_PATIENCE = 60.0  # s beyond twenty times the trip's duration
 REPORT_PATIENCE = 4.0  # s: every node speaks at least each second
 CATCH_UP = 1.0  # s given to commands under way to the reader that judges them
@@ -63,91 +50,17 @@ FIRST_FAULT = 0.02  # s after the start before which no window opens
 PHASE = CRITERION_NAMES.index("phase")
 
 
-@dataclass(frozen=True)
-class Request:
-    """What a session is asked for.
-
-    Attributes:
-        folder: of logs and bags.
-        clock: ``lockstep`` or ``realtime``.
-        cases: name and count of faulted crossings of each case, in this order.
-        config: the cases' file as plain data.
-        seed: of all chance.
-        injector: whether one stands between rig and controller.
-        record: whether a recorder runs beside.
-        prefix: command words before a node's own, by name.
-        plant: further parameters of the plant, NAME:=VALUE.
-        modules: run in the place of a node's own, by name: another driver or controller.
-    """
-
-    folder: str
-    clock: str
-    cases: dict[str, int]
-    config: dict[str, Any]
-    seed: int
-    injector: bool
-    record: bool
-    prefix: dict[str, list[str]] = field(default_factory=dict)
-    plant: list[str] = field(default_factory=list)
-    modules: dict[str, str] = field(default_factory=dict)
-
-
-class Session:
+class Session(Stack):
     """The nodes, and the cases on them."""
 
     def __init__(self, request: Request) -> None:
-        self.request = request
-        self.folder = Path(request.folder)
-        self.config = validate(FaultConfig, request.config, "cases")
+        super().__init__(request)
         self.robot = load_robot(config_file(ROBOT_FILE))
         self.period = round(node_defaults("plant")["task.sample_period"] * NANOSECONDS)
         self.gap_limit = float(node_defaults("controller")["state_timeout"])
-        self.lockstep = request.clock == "lockstep"
         self.random = random.Random(request.seed)
-        self.bags = 0
-        self.processes = Processes(self.folder, self._arguments(), request.prefix, request.modules)
-        self.answers: list[str] = []
         self._last_reason = ""
         self._plans: dict[int, Plan] = {}
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self.operator = Operator(injector=request.injector, lockstep=self.lockstep)
-
-    def _arguments(self) -> dict[str, list[str]]:
-        common = ["--params-file", str(config_file(ROBOT_FILE)), "--params-file", str(config_file(NODES_FILE))]
-        trip = self.config.trip
-        values = {
-            "plant": [assignment("mode", self.request.clock), assignment("real_time_factor", 0.0),
-                      assignment("start_paused", True), *self.request.plant],
-            "controller": [assignment("lockstep", self.lockstep)],
-            "trajectory_server": [assignment("duration", trip.duration), assignment("dwell", trip.dwell)],
-            "recorder": [assignment("reliable", self.lockstep)],
-        }
-        remap = [part for rule in REMAPPINGS for part in ("-r", rule)] if self.request.injector else []
-        return {
-            name: [*common, *(part for value in own for part in ("-p", f"{name}:{value}")), *(remap if name == "plant" else [])]
-            for name, own in values.items()
-        }
-
-    def bag(self) -> Path:
-        """Path of the next recording, in a folder of its own: a bag's metadata belong to it alone."""
-        self.bags += 1
-        path = self._bag_path()
-        path.parent.mkdir()
-        return path
-
-    def _bag_path(self) -> Path:
-        return self.folder / f"bag-{self.bags}" / "run.mcap"
-
-    def current_bag(self) -> Path | None:
-        """Path of the recording under way."""
-        return self._bag_path() if self.bags else None
-
-    def start_recorder(self, *, wrap: Sequence[str] = (), path: Path | None = None, limit: Any = None, **more: str) -> Path:
-        """Start the recorder; its bag."""
-        path = path or self.bag()
-        extra = [part for item in {"output": path, **more}.items() for part in ("-p", f"recorder:{assignment(*item)}")]
-        self.processes.start("recorder", extra, wrap, limit)
-        return path
 
     def plan(self, trips: int) -> Plan:
         """The trajectory of so many return trips, as the server plans it from the same numbers."""
@@ -156,84 +69,6 @@ class Session:
             start, goal = np.array(task["task.start"]), np.array(task["task.goal"])
             self._plans[trips] = plan_return_trip(self.robot, start, goal, trip.duration, trip.dwell, trips)
         return self._plans[trips]
-
-    def begin(self) -> None:
-        """Start the nodes, let the time run and bring the robot to HOLD."""
-        names = ["plant", "controller", "trajectory_server"]
-        if self.request.record:
-            self.start_recorder()
-            names.append("recorder")
-        for name in names:
-            if name != "recorder":
-                self.processes.start(name)
-
-        def ready() -> bool:
-            self.processes.check()
-            planned = self.operator.get("trajectory_server", "crossings")
-            return bool(planned) and all(name in self.operator.status for name in names)
-
-        if not self.operator.until(ready, START_TIMEOUT):
-            heard = ", ".join(sorted(self.operator.status)) or "none"
-            raise NodesError(f"the nodes were not ready within {START_TIMEOUT:.0f} s; heard of: {heard}")
-        self.operator.call(SetBool, "plant/pause", data=False)
-        if not self.recover():
-            raise NodesError(f"the controller does not hold: {self.operator.get('controller', 'reason')}")
-
-    def holding(self) -> bool:
-        """Whether the controller says, and its answers show, that it holds."""
-        return self.operator.get("controller", "phase") == Phase.HOLD.name and self.operator.phase == Phase.HOLD
-
-    def recover(self, *, disable: bool = False) -> bool:
-        """What an operator does: side told, reset, the robot back to its start, enable; whether it then holds.
-
-        The drives take commands again once one commander alone has spoken for a while, whoever the middleware still
-        counts as publisher: that is waited for.
-
-        Args:
-            disable: also a robot that holds, because its controller does not know the side.
-        """
-        operator = self.operator
-        if operator.injector is not None:
-            operator.injector.clear()
-            for link in (operator.injector.states, operator.injector.commands):
-                link.configure(Transport(), 0)
-        operator.until(lambda: operator.get("plant", "commands_taken") != "False", LEASE_PATIENCE)
-        if disable:
-            operator.call(SetBool, "controller/enable", data=False)
-            operator.until(lambda: not self.holding(), 1.0)
-        deadline = time.monotonic() + RECOVERY_PATIENCE
-        while not operator.until(self.holding, HOLD_WAIT) and time.monotonic() < deadline:
-            operator.change_parameters("controller", assembly_mode=1)
-            operator.call(Trigger, "controller/reset")  # first: a safe stop that brakes would push the robot from its start
-            operator.call(Trigger, "plant/reset")
-            self._linger(HOLD_WAIT)
-            operator.change_parameters("controller", assembly_mode=1)
-            operator.call(SetBool, "controller/enable", data=True)
-        return self.holding()
-
-    def restart(self, name: str) -> None:
-        """Start a node that ended; a controller without torque until it is enabled."""
-        operator = self.operator
-        operator.until(lambda: False, LAST_WORDS)  # of the one that ended
-        operator.status.pop(name, None)
-        bag: Path | None = None
-        if name == "recorder":
-            bag = self.start_recorder()
-        else:
-            self.processes.start(name, ["-p", "controller:enabled:=false"] if name == "controller" else [])
-        if name == "plant" and operator.injector is not None:
-            operator.injector.forget_rig()
-
-        def ready() -> bool:
-            self.processes.check()
-            if bag is not None and not bag.exists():
-                return False
-            return name in operator.status and (name != "trajectory_server" or bool(operator.get(name, "crossings")))
-
-        if not operator.until(ready, START_TIMEOUT):
-            raise NodesError(f"{name} did not come back within {START_TIMEOUT:.0f} s")
-        if name == "plant":
-            operator.call(SetBool, "plant/pause", data=False)
 
     def run_case(self, name: str, count: int) -> Iterator[dict[str, Any]]:
         """Events of one case: a record for each faulted crossing, the checks of each trip."""
@@ -290,7 +125,7 @@ class Session:
         end = start + round(NANOSECONDS * (plan.certificate.duration + shift))
         trouble = self._follow(action, end, plan.certificate.duration)
         action.release()
-        self._linger(0.02)
+        self.linger(0.02)
         until = operator.now  # what is judged: a command may come to this reader later than to the drives
         operator.until(lambda: bool(operator.at_rig.stamps) and operator.at_rig.stamps[-1] >= until, CATCH_UP)
         took = action.took_effect()
@@ -362,23 +197,17 @@ class Session:
             operator.turn()
             trouble = action.poll(operator.now)
             if trouble is not None:
-                self._linger(SETTLE)
+                self.linger(SETTLE)
                 return trouble
             if operator.phase in limp or operator.get("controller", "phase") in [phase.name for phase in limp]:
                 phase = operator.phase if operator.phase in limp else Phase[operator.get("controller", "phase")]
                 stamps = operator.criterion.stamps
-                self._linger(SETTLE)
+                self.linger(SETTLE)
                 outcome = Outcome.FAULT if phase == Phase.FAULT else Outcome.SAFE_STOP
                 return Trouble(stamps[-1] if stamps else operator.now, outcome)
             if operator.now >= end + round(0.05 * NANOSECONDS) and action.done:
                 return None
         raise NodesError(f"the trip did not end; the controller is in phase {operator.get('controller', 'phase')}")
-
-    def _linger(self, seconds: float) -> None:
-        """Let the rig's clock go on, or the steady one where it does not."""
-        until = self.operator.now + round(seconds * NANOSECONDS)
-        patience = 10.0 * seconds + 1.0 if self.lockstep else max(1.5 * seconds, 0.5)
-        self.operator.until(lambda: self.operator.now >= until, patience)
 
     def _reports(self, case: Case, before: dict[str, dict[str, str]], took: bool) -> list[str]:
         operator, processes = self.operator, self.processes

@@ -1,0 +1,118 @@
+"""What a node's parameter is, and which values it takes. Needs no ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from dextar_control.contract import resources
+from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.robot import PREFIX, ROBOT_KEYS
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One node parameter; its default stands in ``config/crossing.yaml``.
+
+    Attributes:
+        name: dotted name.
+        description: in words.
+        minimum, maximum: inclusive bounds of a number (or of each of an array).
+        choices: the allowed words of a string.
+        size: length of an array; 0 is any. An array whose default is empty may be empty.
+        live: may be changed while the node runs.
+        unit: of a number, SI; 1 where it has no dimension.
+    """
+
+    name: str
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    size: int = 0
+    live: bool = False
+    unit: str = ""
+
+    @property
+    def measured(self) -> str:
+        """The description with its unit, as ``ros2 param describe`` shows it."""
+        return self.description if self.unit in ("", "1") else f"{self.description} [{self.unit}]"
+
+
+SCHEDULING = (
+    Parameter("thread_priority", "of all threads under SCHED_FIFO; 0 is the usual scheduling", 0, 99, unit="1"),
+    Parameter("cpu_affinity", "processors that the threads run on; [] is any", unit="1"),
+    Parameter("lock_memory", "keep the process's memory out of the swap"),
+)
+"""Of nodes with a loop that must be on time, named as ros2_control's; see ``scheduling.ask_kernel``."""
+
+
+def check_value(spec: Parameter, value: Any, default: Any) -> Any:
+    """The value in the type of its default.
+
+    Raises:
+        ParameterError: another type, not finite or out of bounds; names the value and the limit.
+    """
+
+    def fail(limit: str) -> ParameterError:
+        return ParameterError(f"parameter '{spec.name}' = {value!r}; it must be {limit}")
+
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise fail("true or false")
+        return value
+    if isinstance(default, str):
+        if not isinstance(value, str):
+            raise fail("a string")
+        if spec.choices and value not in spec.choices:
+            raise fail(f"one of {', '.join(spec.choices)}")
+        return value
+    array = isinstance(default, (list, tuple))
+    optional = array and not default
+    if optional and value is None:  # how a parameter file's [] arrives
+        return []
+    numbers = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
+    fits = len(numbers) == spec.size or not spec.size or (optional and not numbers)
+    if array != (not isinstance(value, (int, float))) or (array and not fits):
+        raise fail(f"{spec.size or 'any number of'} numbers{' or []' if optional else ''}" if array else "a number")
+    if any(isinstance(number, (bool, str)) for number in numbers):
+        raise fail("numeric")
+    integer = not optional and isinstance(default[0] if array else default, int)
+    for number in numbers:
+        if number != number or abs(number) == float("inf"):
+            raise fail("finite")
+        if integer and int(number) != number:
+            raise fail("an integer")
+        if spec.minimum is not None and number < spec.minimum:
+            raise fail(f">= {spec.minimum:g}")
+        if spec.maximum is not None and number > spec.maximum:
+            raise fail(f"<= {spec.maximum:g}")
+    cast = [int(number) if integer else float(number) for number in numbers]
+    return cast if array else cast[0]
+
+
+def settled(node: str, specs: Sequence[Parameter], overrides: Mapping[str, Any], *, robot: bool) -> dict[str, Any]:
+    """The values of a node's parameters, as the node itself takes them at its start.
+
+    Args:
+        node: its name.
+        specs: of its parameters.
+        overrides: of the defaults in ``config/crossing.yaml``.
+        robot: whether the node takes the robot description.
+
+    Raises:
+        ParameterError: an override is unknown, of another type or out of its bounds.
+    """
+    defaults = resources.node_defaults(node)
+    names = [spec.name for spec in specs]
+    described = [f"{PREFIX}{key}" for key in ROBOT_KEYS] if robot else []
+    known = {*names, *defaults, *described, "use_sim_time", "start_type_description_service"}
+    for key in overrides:
+        others = key.startswith("qos_overrides.") or (key.startswith("robot.") and not robot)
+        if key not in known and not others:
+            raise ParameterError(f"unknown parameter '{key}' for node {node}; known are: {', '.join([*names, *described])}")
+    for name in names:
+        if name not in defaults:
+            raise ParameterError(f"config/{resources.NODES_FILE} has no '{name}' for node {node}")
+    return {spec.name: check_value(spec, overrides.get(spec.name, defaults[spec.name]), defaults[spec.name]) for spec in specs}
