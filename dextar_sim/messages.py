@@ -6,63 +6,36 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, Header
+from std_msgs.msg import Float64MultiArray
 
-from dextar_control.contract.cdr import CdrTemplate, from_time
+from dextar_control.contract.cdr import from_time
 from dextar_control.contract.errors import StateError
-from dextar_control.contract.robot import JOINT_NAMES, SIM_JOINT_NAMES
-from dextar_control.contract.topics import BASE_FRAME, EFFORT_COMMANDS, END_EFFECTOR_NAME, JOINT_COMMANDS
+from dextar_control.contract.layouts import template
+from dextar_control.contract.robot import JOINT_NAMES
+from dextar_control.contract.topics import (
+    CLOCK,
+    EFFORT_COMMANDS,
+    EXTERNAL_POSE,
+    JOINT_COMMANDS,
+    JOINT_STATES,
+    SIM_END_EFFECTOR,
+    SIM_JOINT_STATES,
+)
 from dextar_sim.sensors import Acknowledgement, Command
 from dextar_sim.state import PlantState
-
-
-def joint_state(stamp: Time, names: Sequence[str], values: Sequence[float]) -> JointState:
-    """Positions, velocities and efforts of the named joints, one after the other in values."""
-    count = len(names)
-    return JointState(
-        header=Header(stamp=stamp),
-        name=list(names),
-        position=list(values[:count]),
-        velocity=list(values[count : 2 * count]),
-        effort=list(values[2 * count :]),
-    )
-
-
-def joint_command(stamp: Time, torque: Sequence[float]) -> JointState:
-    """Motor torques (N m) in the contract's order of joints."""
-    return JointState(header=Header(stamp=stamp), name=list(JOINT_NAMES), effort=list(torque))
-
-
-def end_effector(stamp: Time, values: Sequence[float]) -> Odometry:
-    """Position (m) and velocity (m/s); its frame never turns against the base, so both are in base."""
-    message = Odometry(header=Header(stamp=stamp, frame_id=BASE_FRAME), child_frame_id=END_EFFECTOR_NAME)
-    message.pose.pose.position.x, message.pose.pose.position.y = values[0], values[1]
-    message.twist.twist.linear.x, message.twist.twist.linear.y = values[2], values[3]
-    return message
-
-
-def external_pose(stamp: Time, values: Sequence[float]) -> PoseStamped:
-    """Position (m) in base, not turned."""
-    message = PoseStamped(header=Header(stamp=stamp, frame_id=BASE_FRAME))
-    message.pose.position.x, message.pose.position.y = values
-    return message
 
 
 class StateWriter:
     """CDR bytes of the plant's state topics."""
 
     def __init__(self) -> None:
-        self._measured = CdrTemplate(lambda stamp, values: joint_state(stamp, JOINT_NAMES, values), 6)
-        self._true = CdrTemplate(lambda stamp, values: joint_state(stamp, SIM_JOINT_NAMES, values), 12)
-        self._platform = CdrTemplate(end_effector, 4)
-        self._pose = CdrTemplate(external_pose, 2)
-        self._clock = CdrTemplate(lambda stamp, _: Clock(clock=stamp), 0)
+        self._measured = template(JOINT_STATES)
+        self._true = template(SIM_JOINT_STATES)
+        self._platform = template(SIM_END_EFFECTOR)
+        self._pose = template(EXTERNAL_POSE)
+        self._clock = template(CLOCK)
 
     def measured(self, stamp: int, q_a: np.ndarray, q_a_dot: np.ndarray, torque: np.ndarray) -> bytes:
         """``joint_states``: encoder position (rad) and velocity (rad/s), applied torque (N m), each (2,)."""
@@ -79,8 +52,7 @@ class StateWriter:
 
     def external_pose(self, stamp: int, x: Sequence[float]) -> bytes:
         """``external_pose``: measured end effector position (m), shape (2,), at the stamp (ns) when it was true."""
-        return self._pose.pack(stamp, x)
-
+        return self._pose.pack(stamp, (*x, 0.0, 0.0, 0.0, 0.0, 1.0))
 
     def clock(self, stamp: int) -> bytes:
         """``clock``: simulated time, ns."""
@@ -105,7 +77,7 @@ class CommandReader:
     """Motor commands from the raw bytes of ``joint_commands``: quickly when laid out as expected."""
 
     def __init__(self) -> None:
-        self._template = CdrTemplate(joint_command, 2)
+        self._template = template(JOINT_COMMANDS)
 
     def read(self, raw: bytes, *, lockstep: bool = False) -> Command | Acknowledgement:
         """The command, its torques in the contract's order of joints.

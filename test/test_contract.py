@@ -20,6 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 from dextar_control.commands import demo
 from dextar_control.contract.cdr import from_time, to_time
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
+from dextar_control.contract.layouts import template
 from dextar_control.contract.node import qos
 from dextar_control.contract.parameters import Parameter, check_value
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
@@ -170,9 +171,9 @@ def test_streams_come_at_the_rate_of_the_samples() -> None:
 
 
 def test_joints_are_written_in_the_order_of_the_table() -> None:
-    state = deserialize_message(messages.joint_states_template().pack(0, [0.0] * 6), JointState)
-    command = deserialize_message(messages.joint_commands_template().pack(0, [0.0] * 2), JointState)
-    platform = deserialize_message(messages.controller_state_template().pack(0, [0.0] * 18), JointTrajectory)
+    state = deserialize_message(template(JOINT_STATES).pack(0, [0.0] * 6), JointState)
+    command = deserialize_message(template(JOINT_COMMANDS).pack(0, [0.0] * 2), JointState)
+    platform = deserialize_message(template(CONTROLLER_STATE).pack(0, [0.0] * 18), JointTrajectory)
     assert tuple(state.name) == JOINT_STATES.joints
     assert tuple(command.name) == JOINT_COMMANDS.joints
     assert tuple(platform.joint_names) == CONTROLLER_STATE.joints
@@ -180,7 +181,7 @@ def test_joints_are_written_in_the_order_of_the_table() -> None:
 
 
 def test_templates_are_the_middlewares_own_bytes() -> None:
-    raw = messages.controller_state_template().pack(3_000_000_007, [float(i) for i in range(18)], 1_500_000_000)
+    raw = template(CONTROLLER_STATE).pack(3_000_000_007, [float(i) for i in range(18)], 1_500_000_000)
     message = deserialize_message(raw, JointTrajectory)
     assert from_time(message.header.stamp) == 3_000_000_007
     assert list(message.joint_names) == ["x", "y"]
@@ -188,21 +189,21 @@ def test_templates_are_the_middlewares_own_bytes() -> None:
     assert list(message.points[1].velocities) == [8.0, 9.0]
     assert list(message.points[3].effort) == [16.0, 17.0]
     assert (message.points[0].time_from_start.sec, message.points[0].time_from_start.nanosec) == (1, 500_000_000)
-    criterion = deserialize_message(messages.criterion_template().pack(5, range(1, 1 + len(CRITERION_NAMES))), JointState)
+    criterion = deserialize_message(template(CRITERION).pack(5, range(1, 1 + len(CRITERION_NAMES))), JointState)
     read = dict(zip(criterion.name, criterion.position, strict=True))
     assert (read["phase"], read["mode_confidence"], read["verdict"]) == (6.0, 7.0, 8.0)
     assert (read["torque_limit"], read["innovation_q11"], read["disturbance_q21"]) == (9.0, 11.0, 16.0)
 
 
 def test_a_template_reads_what_another_publisher_wrote() -> None:
-    template = messages.joint_states_template()
+    states = template(JOINT_STATES)
     message = JointState(name=["q11", "q21"], position=[1.0, 2.0], velocity=[3.0, 4.0], effort=[5.0, 6.0])
     message.header.stamp = to_time(42)
     raw = bytes(serialize_message(message))
-    template.learn(raw)
-    assert template.unpack(raw) == (42, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    states.learn(raw)
+    assert states.unpack(raw) == (42, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     message.name = ["q21", "q11"]
-    assert template.unpack(bytes(serialize_message(message))) is None
+    assert states.unpack(bytes(serialize_message(message))) is None
 
 
 def test_joint_states_are_taken_by_name() -> None:

@@ -22,6 +22,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import TrajectoryError
+from dextar_control.contract.layouts import template
+from dextar_control.contract.topics import JOINT_STATES
 from dextar_control.control.phases import Phase
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.planner import Plan
@@ -109,7 +111,7 @@ def test_a_watch_period_serves_a_bounded_number_of_requests_however_many_there_a
 def test_a_reset_from_before_a_fault_does_not_clear_it(controller: _Unspun, trip: Plan) -> None:
     node = controller.node
     q_a = node._loop.model.inverse_geometric_model(trip.trajectory.at(0.0).x)
-    node._on_state(messages.joint_states_template().pack(SECOND, [*q_a.tolist(), 0.0, 0.0, 0.0, 0.0]))
+    node._on_state(template(JOINT_STATES).pack(SECOND, [*q_a.tolist(), 0.0, 0.0, 0.0, 0.0]))
     late = controller.call(Trigger, "reset", Trigger.Request())
     controller.arrive("reset")
     node._loop.fault("the cause of this test")

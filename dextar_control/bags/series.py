@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import mmap
 import os
-import struct
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
@@ -21,14 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.bags.scan import LATEST
-from dextar_control.contract.decoding import read_message, types
+from dextar_control.contract.decoding import places_of, read_message, types
 from dextar_control.contract.errors import BagError, StateError
 
 BLOCK = 4096  # messages at a time, where they come one by one or are sorted
 MOST_LAYOUTS = 64  # of a topic; what fits none of them is read by the library alone
 WAITING = 16  # messages of a slow topic that wait for being selected from
-FIRST_MARK = 0x5A5A0001  # of the integers
-MARK = 7.25e211  # of the floats, times 1 + their number
 TYPES = types()
 SECONDS, NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
 _SECONDS, _NANOSECONDS = "(s)", "(ns)"  # names that no column has
@@ -347,17 +344,13 @@ class _Layout(NamedTuple):
         plain = bytes(TYPES.serialize_cdr(message, type_name))
         if data[: len(plain)] != plain:
             return None
-        marks: list[tuple[str, bytes, str]] = []
-        marked = bytes(TYPES.serialize_cdr(_mark(message, "", marks), type_name))
+        places = places_of(message, type_name)
+        if not places:
+            return None
         moving = np.zeros(len(data), dtype=bool)
         moving[len(plain) :] = True
-        places: dict[str, tuple[int, str]] = {}
-        for path, mark, kind in marks:
-            if marked.count(mark) != 1:
-                return None
-            offset = marked.index(mark)
-            places[path] = offset, kind
-            moving[offset : offset + len(mark)] = True
+        for offset, kind in places.values():
+            moving[offset : offset + np.dtype(kind).itemsize] = True
         wanted = {_SECONDS: SECONDS, _NANOSECONDS: NANOSECONDS, **paths}
         wanted = {name: path for name, path in wanted.items() if path in places}
         numbers = np.dtype({
@@ -402,35 +395,3 @@ def _numbers(message: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         elif isinstance(value, list) and value and dataclasses.is_dataclass(value[0]):
             for index, inner in enumerate(value):
                 yield from _numbers(inner, f"{here}.{index}.")
-
-
-def _mark(message: Any, path: str, marks: list[tuple[str, bytes, str]]) -> Any:
-    """A copy of the message with a mark for each of its numbers."""
-
-    def number(here: str) -> float:
-        value = MARK * (1.0 + len(marks))
-        marks.append((here, struct.pack("<d", value), "<f8"))
-        return value
-
-    def whole(here: str, kind: str) -> int:
-        value = FIRST_MARK + len(marks)
-        marks.append((here, struct.pack("<I", value), kind))
-        return value
-
-    changed: dict[str, Any] = {}
-    for field in dataclasses.fields(message):
-        name, value = field.name, getattr(message, field.name)
-        here = f"{path}{name}"
-        if isinstance(value, np.ndarray) and value.dtype == np.float64:
-            changed[name] = np.array([number(f"{here}.{index}") for index in range(len(value))], dtype=np.float64)
-        elif name in ("sec", "nanosec"):
-            changed[name] = whole(here, "<i4" if name == "sec" else "<u4")
-        elif isinstance(value, float):
-            changed[name] = number(here)
-        elif dataclasses.is_dataclass(value):
-            changed[name] = _mark(value, f"{here}.", marks)
-        elif isinstance(value, list) and value and dataclasses.is_dataclass(value[0]):
-            changed[name] = [_mark(inner, f"{here}.{index}.", marks) for index, inner in enumerate(value)]
-        else:
-            changed[name] = value
-    return type(message)(**{name: value for name, value in changed.items() if name != "__msgtype__"})

@@ -1,8 +1,4 @@
-"""Messages of fixed layout as CDR bytes: at 1 kHz only the numbers in them change.
-
-The layout is found, not assumed: a message made with distinct sentinels is serialised, and the places
-of the sentinels are where stamp and numbers lie from then on.
-"""
+"""Messages of fixed layout as CDR bytes: at 1 kHz only the numbers in them change."""
 
 from __future__ import annotations
 
@@ -11,11 +7,11 @@ from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import Any
 
-from builtin_interfaces.msg import Duration, Time
+from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
 
+from dextar_control.contract.decoding import places_of, types
 from dextar_control.contract.decoding import read_message as read_message
-from dextar_control.contract.decoding import types
 
 NANOSECONDS = 1_000_000_000
 
@@ -39,10 +35,19 @@ def canonical(message: Any) -> bytes:
     Raises:
         StateError: rosbags does not know the message's type.
     """
+    return bytes(types().serialize_cdr(*_of_library(message)))
+
+
+def places_in(message: Any) -> dict[str, tuple[int, str]]:
+    """Where floats and times lie in ``canonical``; see ``places_of``."""
+    return places_of(*_of_library(message))
+
+
+def _of_library(message: Any) -> tuple[Any, str]:
+    """A message in rosbags' classes, and its type's name."""
     package = type(message).__module__.partition(".")[0]
     name = f"{package}/msg/{type(message).__name__}"
-    raw = bytes(serialize_message(message))
-    return bytes(types().serialize_cdr(read_message(raw, name), name))
+    return read_message(bytes(serialize_message(message)), name), name
 
 
 def _chosen(places: Sequence[int]) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
@@ -56,23 +61,18 @@ class CdrTemplate:
     """A message of fixed layout: pack and unpack its stamp and float64 values.
 
     Args:
-        make: builds the message from a stamp and ``count`` floats; ``make(stamp, values, duration)``
-            where it also carries one duration.
-        count: how many floats vary.
-        duration: whether a duration (int32 s, uint32 ns) varies too.
+        message: what stays of it, words and numbers; as long as it always is.
+        values: paths of the floats that vary, such as ``position.0``; by default all, in its order.
+        stamp: path of the time that varies.
+        duration: path of the duration that varies too; "" none.
     """
 
-    _SENTINEL_STAMP = 1_234_567_891 * NANOSECONDS + 987_654_321
-
-    def __init__(self, make: Callable[..., Any], count: int, *, duration: bool = False) -> None:
-        sentinels = [1.0e-3 * (index + 1) + 7.123456789e5 for index in range(count)]
-        seconds, nanoseconds = 1_098_765_432, 123_456_789
-        extra = [Duration(sec=seconds, nanosec=nanoseconds)] if duration else []
-        raw = canonical(make(to_time(self._SENTINEL_STAMP), sentinels, *extra))
-        self._has_duration = duration
-        self._duration_offset = raw.index(struct.pack("<iI", seconds, nanoseconds)) if duration else 0
-        self._stamp_offset = raw.index(struct.pack("<iI", 1_234_567_891, 987_654_321))
-        offsets = [raw.index(struct.pack("<d", value)) for value in sentinels]
+    def __init__(self, message: Any, values: Sequence[str] = (), *, stamp: str = "header.stamp", duration: str = "") -> None:
+        raw, places = canonical(message), places_in(message)
+        self._has_duration = bool(duration)
+        self._duration_offset = places[f"{duration}.sec"][0] if duration else 0
+        self._stamp_offset = places[f"{stamp}.sec"][0]
+        offsets = [places[path][0] for path in values] or [offset for offset, kind in places.values() if kind == "<f8"]
         runs: list[list[int]] = []  # [offset, first value, number of values]
         for index, offset in enumerate(offsets):
             if runs and offset == runs[-1][0] + 8 * runs[-1][2]:
@@ -104,7 +104,7 @@ class CdrTemplate:
                 numbers |= {first + k: index + k for k in range(size)}
             index += size
         self._fixed_of, self._stamp_of = _chosen(fixed), _chosen(clock)
-        self._values_of = _chosen([numbers[k] for k in range(len(sentinels))])
+        self._values_of = _chosen([numbers[k] for k in range(len(offsets))])
         self._buffer = bytearray(raw)
         self._length = len(raw)
 

@@ -17,6 +17,7 @@ from rich.table import Table
 from sensor_msgs.msg import JointState
 
 from dextar_control.contract.errors import DextarError
+from dextar_control.contract.layouts import template
 from dextar_control.contract.node import make_executor, qos
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
@@ -30,7 +31,6 @@ from dextar_control.planning.planner import plan_return_trip
 from dextar_control.ros.bench_stack import bench_imports, bench_nodes
 from dextar_control.ros.domain import own_domain
 from dextar_control.ros.echo import STAMP
-from dextar_control.ros.messages import joint_states_template
 
 TURNS = 2  # the echo and the controller take turns
 START_TIMEOUT = 60.0  # s until the process under test answers
@@ -74,7 +74,7 @@ class _Pinger(Node):
         robot = load_robot(config_file(ROBOT_FILE))
         start = np.array(node_defaults("plant")["task.start"])
         self._values = [*Model.of(robot).inverse_geometric_model(start).tolist(), 0.0, 0.0, 0.0, 0.0]
-        self._template = joint_states_template()
+        self._template = template(JOINT_STATES)
         self._publisher = self.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
         self.create_subscription(
             JointState, JOINT_COMMANDS.name, self._on_command, qos(JOINT_COMMANDS, reliable=False), raw=True

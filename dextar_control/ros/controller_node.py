@@ -19,6 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS, from_time
 from dextar_control.contract.errors import DextarError, ParameterError, StateError
+from dextar_control.contract.layouts import template
 from dextar_control.contract.node import qos, run_node
 from dextar_control.contract.parameters import SCHEDULING, Parameter
 from dextar_control.contract.scheduling import ask_kernel, precise_timers
@@ -202,7 +203,7 @@ class ControllerNode(ManagedNode):
         loop = self._make_loop()
         self._period = values["task.sample_period"]
         self._lockstep = values["lockstep"]
-        self._states_in = messages.joint_states_template()
+        self._states_in = template(JOINT_STATES)
         self._outputs = Outputs(self, array=values["publish_effort_array"])
         self._closers.append(self._outputs.close)
         self._reference = ReferenceReader(self)

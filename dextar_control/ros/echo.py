@@ -7,9 +7,9 @@ import sys
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from dextar_control.contract.layouts import template
 from dextar_control.contract.node import qos, run_node
 from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
-from dextar_control.ros.messages import joint_commands_template
 
 STAMP = slice(4, 12)  # of a message whose first field is a header, behind CDR's own four bytes
 
@@ -20,7 +20,8 @@ class EchoNode(Node):
     def __init__(self) -> None:
         super().__init__("controller")
         self.exit_code, self.finished = 0, False
-        head, tail = joint_commands_template().pack(0, (0.0, 0.0))[:4], joint_commands_template().pack(0, (0.0, 0.0))[12:]
+        command = template(JOINT_COMMANDS).pack(0, (0.0, 0.0))
+        head, tail = command[: STAMP.start], command[STAMP.stop :]
         publisher = self.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
 
         def answer(raw: bytes) -> None:

@@ -6,6 +6,7 @@ from rclpy.serialization import deserialize_message
 
 from dextar_control.contract.cdr import NANOSECONDS, from_time
 from dextar_control.contract.errors import StateError
+from dextar_control.contract.layouts import template
 from dextar_control.contract.node import DextarNode, qos
 from dextar_control.contract.topics import EXTERNAL_POSE
 from dextar_control.estimation.estimate import Pose
@@ -28,7 +29,7 @@ class ExternalPoseReader:
         self._node = node
         self._subscription = node.create_polled_subscription(PoseStamped, EXTERNAL_POSE.name, profile, raw=True)
         self._take = self._subscription.handle.take_message
-        self._template = messages.external_pose_template()
+        self._template = template(EXTERNAL_POSE)
         self.received = 0
         self.refused = 0
         self.note = ""

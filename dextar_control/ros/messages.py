@@ -3,86 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Transform, Twist, Vector3
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import PoseStamped, Transform, Twist, Vector3
 from nav_msgs.msg import Path
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
-from trajectory_msgs.msg import (
-    JointTrajectory,
-    JointTrajectoryPoint,
-    MultiDOFJointTrajectory,
-    MultiDOFJointTrajectoryPoint,
-)
+from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
-from dextar_control.contract.cdr import NANOSECONDS, CdrTemplate, to_time
+from dextar_control.contract.cdr import NANOSECONDS, to_time
 from dextar_control.contract.errors import StateError, TrajectoryError
-from dextar_control.contract.robot import JOINT_NAMES, joint_positions
-from dextar_control.contract.topics import BASE_FRAME, CRITERION_NAMES, END_EFFECTOR_NAME, PLATFORM_NAMES
+from dextar_control.contract.robot import joint_positions
+from dextar_control.contract.topics import BASE_FRAME, END_EFFECTOR_NAME
 from dextar_control.planning.trajectory import Trajectory, quintic
 from dextar_control.symbols.types import Array
-
-
-def joint_states_template() -> CdrTemplate:
-    """joint_states as the plant publishes them: values position (2), velocity (2), effort (2)."""
-
-    def make(stamp: Time, values: Sequence[float]) -> JointState:
-        return JointState(
-            header=Header(stamp=stamp), name=list(JOINT_NAMES),
-            position=values[0:2], velocity=values[2:4], effort=values[4:6],
-        )  # fmt: skip
-
-    return CdrTemplate(make, 6)
-
-
-def joint_commands_template() -> CdrTemplate:
-    """joint_commands: values effort (2), N m."""
-
-    def make(stamp: Time, values: Sequence[float]) -> JointState:
-        return JointState(header=Header(stamp=stamp), name=list(JOINT_NAMES), effort=values)
-
-    return CdrTemplate(make, len(JOINT_NAMES))
-
-
-def criterion_template() -> CdrTemplate:
-    """criterion: values in the order of CRITERION_NAMES."""
-
-    def make(stamp: Time, values: Sequence[float]) -> JointState:
-        return JointState(header=Header(stamp=stamp), name=list(CRITERION_NAMES), position=values)
-
-    return CdrTemplate(make, len(CRITERION_NAMES))
-
-
-def controller_state_template() -> CdrTemplate:
-    """controller_state: x_ref, x_ref_dot, x_ref_ddot, x_hat, x_hat_dot, e, e_dot, u, force, each (2)."""
-
-    def make(stamp: Time, v: Sequence[float], reference_time: Duration) -> JointTrajectory:
-        reference = JointTrajectoryPoint(
-            positions=v[0:2], velocities=v[2:4], accelerations=v[4:6], time_from_start=reference_time
-        )
-        estimate = JointTrajectoryPoint(positions=v[6:8], velocities=v[8:10])
-        error = JointTrajectoryPoint(positions=v[10:12], velocities=v[12:14])
-        output = JointTrajectoryPoint(accelerations=v[14:16], effort=v[16:18])
-        return JointTrajectory(
-            header=Header(stamp=stamp, frame_id=BASE_FRAME), joint_names=list(PLATFORM_NAMES),
-            points=[reference, estimate, error, output],
-        )  # fmt: skip
-
-    return CdrTemplate(make, 18, duration=True)
-
-
-def external_pose_template() -> CdrTemplate:
-    """external_pose in the base frame: values position (3), orientation (4)."""
-
-    def make(stamp: Time, v: Sequence[float]) -> PoseStamped:
-        pose = Pose(position=Point(x=v[0], y=v[1], z=v[2]), orientation=Quaternion(x=v[3], y=v[4], z=v[5], w=v[6]))
-        return PoseStamped(header=Header(stamp=stamp, frame_id=BASE_FRAME), pose=pose)
-
-    return CdrTemplate(make, 7)
 
 
 def finite_position(x: float, y: float) -> Array:

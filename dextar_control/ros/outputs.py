@@ -10,20 +10,20 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from dextar_control.contract.cdr import NANOSECONDS, canonical
+from dextar_control.contract.cdr import NANOSECONDS, canonical, places_in
+from dextar_control.contract.layouts import template
 from dextar_control.contract.node import DextarNode, qos
 from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, EFFORT_COMMANDS, JOINT_COMMANDS
 from dextar_control.control.phases import Tick
-from dextar_control.ros import messages
 
 
 class EffortArray:
     """effort_commands as CDR bytes; where the two numbers lie is found, not assumed."""
 
     def __init__(self) -> None:
-        sentinels = struct.pack("<2d", 7.123456789e5, 8.123456789e5)
-        raw = canonical(Float64MultiArray(data=struct.unpack("<2d", sentinels)))
-        self._head, _, self._tail = raw.partition(sentinels)
+        message = Float64MultiArray(data=[0.0, 0.0])
+        raw, (place, _) = canonical(message), places_in(message)["data.0"]
+        self._head, self._tail = raw[:place], raw[place + 16 :]
 
     def pack(self, effort: Sequence[float]) -> bytes:
         """CDR bytes of these torques (2), N m."""
@@ -43,9 +43,9 @@ class Outputs:
 
     def __init__(self, node: DextarNode, *, array: bool) -> None:
         self._node = node
-        self._commands_out = messages.joint_commands_template()
-        self._state_out = messages.controller_state_template()
-        self._criterion_out = messages.criterion_template()
+        self._commands_out = template(JOINT_COMMANDS)
+        self._state_out = template(CONTROLLER_STATE)
+        self._criterion_out = template(CRITERION)
         self._commands = node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
         self._states = node.create_publisher(JointTrajectory, CONTROLLER_STATE.name, qos(CONTROLLER_STATE))
         self._criterion = node.create_publisher(JointState, CRITERION.name, qos(CRITERION))

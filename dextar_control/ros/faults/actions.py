@@ -22,6 +22,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import NANOSECONDS
+from dextar_control.contract.layouts import template
 from dextar_control.contract.node import qos
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.topics import JOINT_COMMANDS
@@ -31,7 +32,6 @@ from dextar_control.faults.judgement import Evidence, Outcome
 from dextar_control.faults.link import Link, Shape, Transport, Window
 from dextar_control.ros.faults.operator import parameter
 from dextar_control.ros.faults.stack import Stack
-from dextar_control.ros.messages import joint_commands_template
 from dextar_control.ros.processes import NodesError
 
 REACTION = 0.06  # s after a fault's end within which its outcome counts as its own; a stamp may be ahead by 0.05 s
@@ -238,7 +238,7 @@ class CommanderAction(Action):
         """Once, at the first time."""
         self._at, self._sent, self._begun = times[0], 0, 0
         self._publisher: Any = None
-        self._template = joint_commands_template()
+        self._template = template(JOINT_COMMANDS)
 
     @property
     def done(self) -> bool:

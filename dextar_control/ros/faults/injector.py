@@ -16,7 +16,6 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Header
 
 from dextar_control.contract.cdr import NANOSECONDS, CdrTemplate, from_time, to_time
 from dextar_control.contract.node import qos
@@ -96,7 +95,7 @@ class Injector:
         self._answers = True
         self._newest_delivered = -1
         self._answered_at_rig = False
-        self._empty = CdrTemplate(lambda stamp, _: JointState(header=Header(stamp=stamp)), 0)
+        self._empty = CdrTemplate(JointState())
         self._to_controller = node.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
         self._to_rig = node.create_publisher(JointState, RIG_COMMANDS, qos(JOINT_COMMANDS))
         node.create_subscription(JointState, RIG_STATES, self._on_state, qos(JOINT_STATES, reliable=lockstep), raw=True)

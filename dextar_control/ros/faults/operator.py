@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,8 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from dextar_control.contract.cdr import CdrTemplate, from_time
+from dextar_control.contract.layouts import template
 from dextar_control.contract.node import make_executor, qos
-from dextar_control.contract.robot import SIM_JOINT_NAMES
 from dextar_control.contract.topics import (
     CRITERION,
     CRITERION_NAMES,
@@ -28,7 +28,6 @@ from dextar_control.contract.topics import (
     Topic,
 )
 from dextar_control.ros.faults.injector import RIG_COMMANDS, Injector
-from dextar_control.ros.messages import criterion_template, joint_commands_template
 from dextar_control.ros.processes import NodesError
 
 POLL_PERIOD = 0.004  # s between two looks into the readers
@@ -36,15 +35,6 @@ HISTORY = 4000  # samples that each of them holds meanwhile
 IDLE_WAIT = 0.02
 SERVICE_PATIENCE = 30.0
 PHASE = CRITERION_NAMES.index("phase")
-
-
-def _truth_template() -> CdrTemplate:
-    def make(stamp: Any, values: Sequence[float]) -> JointState:
-        message = JointState(name=list(SIM_JOINT_NAMES), position=values[:4], velocity=values[4:8], effort=values[8:])
-        message.header.stamp = stamp
-        return message
-
-    return CdrTemplate(make, 12)
 
 
 class Tap:
@@ -109,12 +99,12 @@ class Operator(Node):
         self.texts: dict[str, list[str]] = {}
         self.heard: dict[str, float] = {}
         self.injector = Injector(self, lockstep=lockstep) if injector else None
-        self.truth = Tap(self, SIM_JOINT_STATES, _truth_template())
-        self.commands = Tap(self, JOINT_COMMANDS, joint_commands_template())
+        self.truth = Tap(self, SIM_JOINT_STATES, template(SIM_JOINT_STATES))
+        self.commands = Tap(self, JOINT_COMMANDS, template(JOINT_COMMANDS))
         self.at_rig = self.commands
         if injector:
-            self.at_rig = Tap(self, JOINT_COMMANDS, joint_commands_template(), RIG_COMMANDS)
-        self.criterion = Tap(self, CRITERION, criterion_template())
+            self.at_rig = Tap(self, JOINT_COMMANDS, template(JOINT_COMMANDS), RIG_COMMANDS)
+        self.criterion = Tap(self, CRITERION, template(CRITERION))
         self.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS))
         self._known: dict[tuple[type, str], Any] = {}
         self._polled_at = 0.0
