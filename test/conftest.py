@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +12,10 @@ import pytest
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+from dextar_control.contract import terminal
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
+from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan, plan_return_trip
 from dextar_control.ros.domain import own_domain
 
@@ -49,3 +53,25 @@ def slow_trip(robot: RobotParameters) -> Plan:
     """The same trip at 2 s each way."""
     task = node_defaults("trajectory_server")
     return plan_return_trip(robot, np.array(task["task.start"]), np.array(task["task.goal"]), 2.0, task["dwell"])
+
+
+@pytest.fixture(scope="session")
+def q_a(robot: RobotParameters, trip: Plan) -> np.ndarray:
+    """The active joints (2,), rad, where the trip starts."""
+    return Model.of(robot).inverse_geometric_model(trip.trajectory.at(0.0).x)
+
+
+@pytest.fixture(scope="session")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run made by hand, in a bag that is whole; only read."""
+    from synthetic_run import write_run
+
+    file = tmp_path_factory.mktemp("good") / "run.mcap"
+    write_run(file)
+    return file
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command tells no step between, however slow the machine is."""
+    monkeypatch.setattr(terminal, "LINE_PERIOD", math.inf)

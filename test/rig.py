@@ -21,11 +21,15 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from dextar_control.contract.cdr import from_time, to_time
 from dextar_control.contract.node import qos
 from dextar_control.contract.topics import DIAGNOSTICS, JOINT_COMMANDS, JOINT_STATES, TRAJECTORY
+from dextar_control.planning.planner import Plan
+from dextar_control.ros.messages import from_trajectory
+from dextar_control.ros.trajectory_server import served_times
 
 PATIENCE = 60.0  # s until something that must happen counts as not happening: nothing is timed
 
@@ -88,6 +92,19 @@ class Rig:
         answer = self.call(SetParameters, f"{node}/set_parameters", SetParameters.Request(parameters=parameters))
         return ["" if result.successful else result.reason for result in answer.results]
 
+    def enable(self, data: bool = True) -> SetBool.Response:
+        """The controller's answer to being enabled, or disabled."""
+        return self.call(SetBool, "controller/enable", SetBool.Request(data=data))
+
+    def reset(self) -> Trigger.Response:
+        """The controller's answer to being reset."""
+        return self.call(Trigger, "controller/reset", Trigger.Request())
+
+    def serve(self, trip: Plan, start: int = 0) -> None:
+        """A plan's trajectory as the server sends it, from a stamp on, ns; 0 is at once."""
+        times = served_times(trip.trajectory, trip.certificate, 1e-3)
+        self.trajectories.publish(from_trajectory(trip.trajectory, times, start))
+
     def change(self, transition: str) -> bool:
         """A lifecycle transition of the controller, by its label."""
         request = ChangeState.Request(transition=Transition(label=transition))
@@ -110,15 +127,20 @@ class Rig:
 @contextlib.contextmanager
 def controlled(*parameters: str) -> Iterator[Rig]:
     """A controller in lockstep with these NAME:=VALUE, and this process as its rig; it must end without a word too many."""
-    rig = Rig()
     arguments = [part for value in ("lockstep:=true", *parameters) for part in ("-p", f"controller:{value}")]
-    process = start("dextar_control.ros.controller_node", *arguments)
-    try:
+    with contextlib.closing(Rig()) as rig, ending_well(start("dextar_control.ros.controller_node", *arguments)):
         rig.until(lambda: rig.controller("lifecycle"), "the controller did not start")
         yield rig
+
+
+@contextlib.contextmanager
+def ending_well(*processes: subprocess.Popen[str]) -> Iterator[None]:
+    """Nodes that run meanwhile; then each, the last one first, must end with code 0 and without a traceback."""
+    try:
+        yield
     finally:
-        code, output = stop(process)
-        rig.close()
+        ends = [stop(process) for process in reversed(processes)]
+    for code, output in ends:
         assert code == 0, output
         assert "Traceback" not in output, output
 

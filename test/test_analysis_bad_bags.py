@@ -13,20 +13,15 @@ from typing import Any
 import pytest
 from mcap.writer import Writer
 from recorded_run import lockstep_bag, rewrite
-from synthetic_run import START, TICKS, message, write_run
+from synthetic_run import START, TICKS, message
 
 from dextar_control import cli
 from dextar_control.analysis import load_run
 
+pytestmark = pytest.mark.usefixtures("patient")
+
 HOUR = 3600  # s
 TRUTH = ("/sim/end_effector", "/sim/joint_states")
-
-
-@pytest.fixture(scope="module")
-def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    file = tmp_path_factory.mktemp("good") / "run.mcap"
-    write_run(file)
-    return file
 
 
 def later(content: Any, seconds: int) -> Any:

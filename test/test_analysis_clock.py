@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_run import PERIOD, START, TICKS, TYPES, joint_state, write_run
+from synthetic_run import PERIOD, START, TICKS, TYPES, joint_state
 from test_analysis_passed_over import JOINT_STATE, Message, messages_of, record_of, serialized, write
 
 from dextar_control import cli
@@ -17,13 +17,6 @@ from dextar_control.analysis import compute_metrics, load_run
 from dextar_control.contract.errors import BagError
 
 STAMPED = ("/joint_states", "/joint_commands", "/controller_state", "/criterion", "/sim/end_effector", "/sim/joint_states")
-
-
-@pytest.fixture(scope="module")
-def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    file = tmp_path_factory.mktemp("good") / "run.mcap"
-    write_run(file)
-    return file
 
 
 def in_time(messages: list[Message]) -> Iterator[tuple[int, Message]]:

@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
-from synthetic_run import START, TICKS, TYPES, joint_state, message, write_run
+from synthetic_run import START, TICKS, TYPES, joint_state, message
 
 from dextar_control import cli
 from dextar_control.analysis import Metrics, compute_metrics, load_run
@@ -29,18 +29,13 @@ from dextar_control.bags.scan import RECOVERY_NAME
 from dextar_control.contract import decoding
 from dextar_control.contract.errors import BagError, StateError
 
+pytestmark = pytest.mark.usefixtures("patient")
+
 Message = tuple[str, str, str, int, int, bytes]  # topic, type, encoding, log time, publish time, data
 JOINT_STATE = "sensor_msgs/msg/JointState"
 TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 ROLLED_OVER = 2**64 - 1_000_000_000  # ns: a second before the epoch, without its sign
 LATIN_1 = "Temperatur 41 °C".encode("latin-1")
-
-
-@pytest.fixture(scope="module")
-def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    file = tmp_path_factory.mktemp("good") / "run.mcap"
-    write_run(file)
-    return file
 
 
 @pytest.fixture(scope="module")

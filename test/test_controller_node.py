@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from closed_loop import turn_round
 from geometry_msgs.msg import PoseStamped
-from rig import Rig, controlled, matched, start, stop
+from rig import Rig, controlled, ending_well, matched, start, stop
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
@@ -24,7 +24,6 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.contract.topics import CRITERION, EXTERNAL_POSE, JOINT_COMMANDS
 from dextar_control.control.verdicts import Verdict
-from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan
 from dextar_control.planning.trajectory import Trajectory
 from dextar_control.ros import messages
@@ -46,30 +45,11 @@ def rig() -> Iterator[Rig]:
 @contextlib.contextmanager
 def _controller(*arguments: str) -> Iterator[Rig]:
     """A controller in lockstep, and this process as its rig."""
-    rig = Rig()
-    process = start(MODULE, "-p", "controller:lockstep:=true", "-p", "controller:healthy_time:=0.0", *arguments)
-    try:
+    arguments = ("-p", "controller:lockstep:=true", "-p", "controller:healthy_time:=0.0", *arguments)
+    with contextlib.closing(Rig()) as rig, ending_well(start(MODULE, *arguments)):
         rig.until(lambda: rig.controller("phase") == "HOLD", "the controller did not start")
         rig.until(lambda: rig.node.count_subscribers("joint_states") and rig.node.count_publishers("joint_commands"), "no match")
         yield rig
-    finally:
-        code, output = stop(process)
-        rig.close()
-        assert code == 0, output
-        assert "Traceback" not in output, output
-
-
-@pytest.fixture(scope="module")
-def q_a(robot: RobotParameters, trip: Plan) -> np.ndarray:
-    return Model.of(robot).inverse_geometric_model(trip.trajectory.at(0.0).x)
-
-
-def _call(rig: Rig, kind: type, name: str, request: object) -> object:
-    client = rig.node.create_client(kind, name)
-    rig.until(client.service_is_ready, f"no service {name}")
-    future = client.call_async(request)
-    rig.until(future.done, f"no answer of {name}")
-    return future.result()
 
 
 def _serve(rig: Rig, trajectory: Trajectory, note: str) -> None:
@@ -112,9 +92,9 @@ def test_a_gap_between_stamps_is_a_fault_until_reset_and_enable(rig: Rig, q_a: n
     rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
     assert "no state for 21.0 ms; the limit is 20.0 ms" in rig.controller("reason")
     assert rig.controller("missed_states") == "20"
-    assert _call(rig, Trigger, "controller/reset", Trigger.Request()).success
+    assert rig.call(Trigger, "controller/reset", Trigger.Request()).success
     assert list(rig.answer(23 * MS, q_a).effort) == [0.0, 0.0]
-    assert _call(rig, SetBool, "controller/enable", SetBool.Request(data=True)).success
+    assert rig.call(SetBool, "controller/enable", SetBool.Request(data=True)).success
     for tick in range(24, 80):
         still = rig.answer(tick * MS, q_a)
     assert rig.answer(80 * MS, q_a + [1e-3, 0.0]).effort[0] < still.effort[0]
@@ -130,7 +110,7 @@ def test_states_that_stop_coming_take_the_torque_away_and_then_are_a_fault_that_
         assert re.fullmatch(r"no state for \d+ ms; the limit is 100 ms", rig.controller("reason"))
         assert list(rig.commands[-1].effort) == [0.0, 0.0]
         assert rig.controller("stalls") == "1"
-        refused = _call(rig, Trigger, "controller/reset", Trigger.Request())
+        refused = rig.call(Trigger, "controller/reset", Trigger.Request())
         assert not refused.success
         assert re.fullmatch(r"no state for \d+ ms; the limit is 20.0 ms: see that the rig or plant runs", refused.message)
         assert "latency_p50_us" in rig.status["controller"]
@@ -269,7 +249,7 @@ def test_gains_may_change_live_and_only_within_their_range(rig: Rig) -> None:
 
     def put(name: str, value: float) -> tuple[bool, str]:
         parameter = Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
-        answer = _call(rig, SetParameters, "controller/set_parameters", SetParameters.Request(parameters=[parameter]))
+        answer = rig.call(SetParameters, "controller/set_parameters", SetParameters.Request(parameters=[parameter]))
         return answer.results[0].successful, answer.results[0].reason
 
     assert put("natural_frequency", 50.0)[0]

@@ -8,23 +8,13 @@ import numpy as np
 import pytest
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rig import Rig, controlled, matched
-from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.cdr import from_time
-from dextar_control.contract.robot import RobotParameters
-from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan
-from dextar_control.ros import messages
 from dextar_control.ros.controller_node import PARAMETERS
-from dextar_control.ros.trajectory_server import served_times
 
 MS = 1_000_000  # ns
 CYCLES = 15
-
-
-@pytest.fixture(scope="module")
-def q_a(robot: RobotParameters, trip: Plan) -> np.ndarray:
-    return Model.of(robot).inverse_geometric_model(trip.trajectory.at(0.0).x)
 
 
 @pytest.fixture(scope="module")
@@ -32,19 +22,6 @@ def asleep() -> Iterator[Rig]:
     """A controller that waits to be configured; each test leaves it so."""
     with controlled("autostart:=false", "healthy_time:=0.0") as rig:
         yield rig
-
-
-def _enable(rig: Rig, data: bool = True) -> SetBool.Response:
-    return rig.call(SetBool, "controller/enable", SetBool.Request(data=data))
-
-
-def _reset(rig: Rig) -> Trigger.Response:
-    return rig.call(Trigger, "controller/reset", Trigger.Request())
-
-
-def _serve(rig: Rig, trip: Plan, start: int = 0) -> None:
-    times = served_times(trip.trajectory, trip.certificate, 1e-3)
-    rig.trajectories.publish(messages.from_trajectory(trip.trajectory, times, start))
 
 
 def test_every_parameter_is_open_until_configured_and_then_only_the_live_ones(asleep: Rig, q_a: np.ndarray) -> None:
@@ -93,13 +70,13 @@ def test_deactivating_takes_the_torque_away_at_once_and_answers_no_more(asleep: 
     for tick in range(3, 8):
         asleep.send(tick * MS, q_a)
         assert asleep.lifecycle == "inactive"
-    assert not _enable(asleep).success
+    assert not asleep.enable().success
     assert asleep.change("activate")
     again = asleep.answer(100 * MS, q_a + [1e-3, 0.0])  # a new beginning: no gap, and no torque until it is asked for
     assert list(again.effort) == [0.0, 0.0]
     assert {from_time(command.header.stamp) for command in asleep.commands} == {1 * MS, 2 * MS, 100 * MS}
     assert asleep.controller("phase") in ("", "IDLE")
-    assert _enable(asleep).success
+    assert asleep.enable().success
     assert asleep.change("deactivate")
     assert asleep.change("cleanup")
     asleep.commands.clear()
@@ -117,9 +94,9 @@ def test_a_fault_stays_latched_over_deactivation(asleep: Rig, q_a: np.ndarray) -
     asleep.answer(60 * MS, q_a)
     asleep.until(lambda: asleep.controller("phase") == "FAULT", "the fault is forgotten")
     assert "no state for 49.0 ms" in asleep.controller("reason")
-    assert not _enable(asleep).success
-    assert _reset(asleep).success
-    assert _enable(asleep).success
+    assert not asleep.enable().success
+    assert asleep.reset().success
+    assert asleep.enable().success
     assert asleep.change("deactivate")
     assert asleep.change("cleanup")
 
@@ -148,7 +125,7 @@ def test_it_may_be_configured_and_cleaned_up_again_and_again_while_states_come(a
 def test_a_trajectory_from_while_it_was_not_active_moves_nothing(asleep: Rig, q_a: np.ndarray, trip: Plan) -> None:
     assert asleep.change("configure")
     asleep.until(lambda: asleep.trajectories.get_subscription_count() == 1, "nobody reads the trajectory")
-    _serve(asleep, trip)
+    asleep.serve(trip)
     assert asleep.lifecycle == "inactive"
     assert asleep.change("activate")
     matched(asleep)
@@ -158,7 +135,7 @@ def test_a_trajectory_from_while_it_was_not_active_moves_nothing(asleep: Rig, q_
     asleep.until(lambda: asleep.controller("phase") == "HOLD", "does not hold")
     asleep.until(lambda: "before this controller began" in asleep.controller("trajectory"), "it is not refused")
     assert asleep.controller("phase") == "HOLD"
-    _serve(asleep, trip)
+    asleep.serve(trip)
     asleep.until(lambda: asleep.controller("trajectory") == "accepted", "a new one is not taken")
     assert asleep.change("deactivate")
     assert asleep.change("cleanup")

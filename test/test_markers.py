@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import signal
 import subprocess
@@ -17,7 +18,7 @@ from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
-from rig import Rig, start, stop
+from rig import Rig, ending_well, start
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
@@ -194,16 +195,10 @@ class Display(Rig):
 
 @pytest.fixture
 def display() -> Iterator[tuple[Display, subprocess.Popen[str]]]:
-    display = Display()
     process = start("dextar_control.ros.marker_node")
-    try:
+    with contextlib.closing(Display()) as display, ending_well(process):
         display.until(lambda: display.node.count_subscribers("joint_states"), "no marker node")
         yield display, process
-    finally:
-        code, output = stop(process)
-        display.close()
-        assert code == 0, output
-        assert "Traceback" not in output, output
 
 
 def test_the_node_draws_what_the_topics_say_until_it_is_switched_off_or_ends(

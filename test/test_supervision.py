@@ -9,27 +9,17 @@ import pytest
 from rig import Rig, controlled, matched
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
-from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from dextar_control.contract.cdr import from_time, to_time
 from dextar_control.contract.node import qos
-from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import CRITERION, CRITERION_NAMES, EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES, TRAJECTORY
 from dextar_control.control.phases import Phase
-from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan
-from dextar_control.ros import messages
-from dextar_control.ros.trajectory_server import served_times
 
 MS = 1_000_000  # ns
 HEALTHY = 50  # ms
 PHASE = CRITERION_NAMES.index("phase")
-
-
-@pytest.fixture(scope="module")
-def q_a(robot: RobotParameters, trip: Plan) -> np.ndarray:
-    return Model.of(robot).inverse_geometric_model(trip.trajectory.at(0.0).x)
 
 
 @pytest.fixture(scope="module")
@@ -63,30 +53,17 @@ def _clear(rig: Rig, q_a: np.ndarray) -> None:
     matched(rig)
     rig.answer(MS, q_a)
     assert not any(rig.put("controller", assembly_mode=1))
-    answer = _reset(rig)
+    answer = rig.reset()
     assert answer.success, answer.message
     assert rig.change("deactivate")
 
 
-def _enable(rig: Rig, data: bool = True) -> SetBool.Response:
-    return rig.call(SetBool, "controller/enable", SetBool.Request(data=data))
-
-
-def _reset(rig: Rig) -> Trigger.Response:
-    return rig.call(Trigger, "controller/reset", Trigger.Request())
-
-
-def _serve(rig: Rig, trip: Plan, start: int = 0) -> None:
-    times = served_times(trip.trajectory, trip.certificate, 1e-3)
-    rig.trajectories.publish(messages.from_trajectory(trip.trajectory, times, start))
-
-
 def test_it_enables_itself_with_the_first_state_that_makes_them_healthy_and_only_once(rig: Rig, q_a: np.ndarray) -> None:
-    early = _enable(rig)
+    early = rig.enable()
     assert not early.success
     assert "healthy states for 0.00 s; 0.05 s are needed" in early.message
     rig.hold((k * MS for k in range(20)), q_a)
-    refused = _enable(rig)
+    refused = rig.enable()
     assert (refused.success, refused.message) == (False, "healthy states for 0.02 s; 0.05 s are needed")
     push = q_a + [1e-4, 0.0]
     for k in range(20, HEALTHY):
@@ -95,10 +72,10 @@ def test_it_enables_itself_with_the_first_state_that_makes_them_healthy_and_only
     assert rig.answer((HEALTHY + 1) * MS, push + [1e-4, 0.0]).effort[0] < 0.0
     rig.until(lambda: rig.controller("phase") == "HOLD", "does not hold")
     assert rig.controller("enabling") == "done"
-    assert _enable(rig, False).success
+    assert rig.enable(False).success
     for k in range(1, 3 * HEALTHY):
         assert list(rig.answer((HEALTHY + 1 + k) * MS, push).effort) == [0.0, 0.0]
-    assert _enable(rig).success
+    assert rig.enable().success
 
 
 @pytest.mark.parametrize("trouble", ["gap", "refused", "backwards"])
@@ -119,7 +96,7 @@ def test_trouble_begins_the_healthy_time_anew(rig: Rig, q_a: np.ndarray, trouble
 
 def test_a_trajectory_that_comes_early_begins_with_the_first_held_state(rig: Rig, q_a: np.ndarray, trip: Plan) -> None:
     rig.answer(0, q_a)
-    _serve(rig, trip)
+    rig.serve(trip)
     rig.until(lambda: rig.controller("trajectory") == "accepted", "not accepted")
     assert (rig.controller("phase"), rig.controller("waiting_for")) == ("IDLE", "the enabling")
     seen: list[tuple[int, float]] = []
@@ -137,7 +114,7 @@ def test_a_trajectory_that_comes_early_begins_with_the_first_held_state(rig: Rig
 def test_a_trajectory_waits_for_its_enabling_no_longer_than_its_time(rig: Rig, q_a: np.ndarray, trip: Plan) -> None:
     assert rig.put("controller", reference_timeout=0.03) == [""]
     rig.answer(0, q_a)
-    _serve(rig, trip)
+    rig.serve(trip)
     rig.until(lambda: rig.controller("waiting_for") == "the enabling", "not kept")
     tick = 0
     while not rig.controller("trajectory").startswith("refused"):
@@ -154,9 +131,9 @@ def test_a_trajectory_waits_for_its_enabling_no_longer_than_its_time(rig: Rig, q
 
 def test_a_start_too_far_ahead_is_refused_and_one_that_is_missed_dropped(rig: Rig, q_a: np.ndarray, trip: Plan) -> None:
     rig.hold((k * MS for k in range(HEALTHY + 5)), q_a)
-    _serve(rig, trip, 40_000 * MS)
+    rig.serve(trip, 40_000 * MS)
     rig.until(lambda: "the limit is 30 s" in rig.controller("trajectory"), "not refused")
-    _serve(rig, trip, 20_000 * MS)
+    rig.serve(trip, 20_000 * MS)
     rig.until(lambda: rig.controller("waiting_for") == "its start", "not accepted")
     assert rig.put("controller", reference_timeout=0.01) == [""]
     for k in range(1, 60):
@@ -169,21 +146,21 @@ def test_a_reset_is_refused_while_the_cause_lasts(rig: Rig, q_a: np.ndarray) -> 
     rig.hold((k * MS for k in range(HEALTHY + 2)), q_a)
     other = rig.node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
     rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
-    refused = _reset(rig)
+    refused = rig.reset()
     assert not refused.success
     assert refused.message.startswith("2 publishers on /joint_commands; the limit is 1: end all but one (/controller")
     rig.node.destroy_publisher(other)
     rig.until(lambda: rig.controller("other_commanders") == "", "the other is still counted")
-    assert _reset(rig).success
-    assert _enable(rig).success
+    assert rig.reset().success
+    assert rig.enable().success
     rig.answer((HEALTHY + 32) * MS, q_a)
     rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
-    refused = _reset(rig)
+    refused = rig.reset()
     assert not refused.success
     assert "healthy states for 0.00 s; 0.05 s are needed (last: no state for" in refused.message
     rig.hold(((HEALTHY + 32 + k) * MS for k in range(1, HEALTHY + 1)), q_a)
-    assert _reset(rig).success
-    assert _reset(rig).success  # nothing to clear
+    assert rig.reset().success
+    assert rig.reset().success  # nothing to clear
 
 
 def test_a_second_commander_is_told_before_torque_and_refuses_it(rig: Rig, q_a: np.ndarray) -> None:
@@ -194,10 +171,10 @@ def test_a_second_commander_is_told_before_torque_and_refuses_it(rig: Rig, q_a: 
     rig.until(lambda: rig.controller("enabling").startswith("refused"), "not refused")
     assert "2 publishers on /joint_commands" in rig.controller("enabling")
     assert rig.controller("phase") == "IDLE"
-    assert "2 publishers" in _enable(rig).message
+    assert "2 publishers" in rig.enable().message
     rig.node.destroy_publisher(other)
     rig.until(lambda: rig.controller("other_commanders") == "", "still counted")
-    assert _enable(rig).success
+    assert rig.enable().success
 
 
 def test_the_effort_array_carries_the_commands_torques_and_is_watched_too(rig: Rig, q_a: np.ndarray) -> None:
@@ -241,11 +218,11 @@ def test_a_fault_outlives_cleanup_and_nothing_is_enabled_by_itself_after_it(rig:
     for k in range(2 * HEALTHY):
         assert not any(rig.answer((HEALTHY + 2000 + k) * MS, q_a).effort)
     assert not any(rig.put("controller", assembly_mode=1))
-    assert _reset(rig).success
+    assert rig.reset().success
     rig.until(lambda: rig.controller("phase") == "IDLE", "not reset")
     assert not any(rig.answer((3 * HEALTHY + 2000) * MS, q_a).effort)
     assert rig.controller("enabling") == "off"
-    assert _enable(rig).success
+    assert rig.enable().success
 
 
 def test_a_second_publisher_of_states_is_told_and_named_and_a_fault_once_it_speaks(rig: Rig, q_a: np.ndarray) -> None:
@@ -262,12 +239,12 @@ def test_a_second_publisher_of_states_is_told_and_named_and_a_fault_once_it_spea
     other.publish(message)
     rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
     assert rig.controller("reason") == told
-    for refused in (_reset(rig), _enable(rig)):
+    for refused in (rig.reset(), rig.enable()):
         assert (refused.success, refused.message) == (False, told)
     rig.node.destroy_publisher(other)
     rig.until(lambda: rig.controller("state_publishers") == "", "still counted")
     rig.hold(((HEALTHY + 6 + k) * MS for k in range(HEALTHY + 5)), q_a)
-    assert _reset(rig).success
+    assert rig.reset().success
 
 
 def test_a_state_that_cannot_be_used_is_told_with_who_sends_states(rig: Rig, q_a: np.ndarray) -> None:
@@ -299,17 +276,17 @@ def test_a_refusal_says_what_to_call_next(rig: Rig, q_a: np.ndarray, trip: Plan)
     rig.answer((HEALTHY + 40) * MS, q_a)
     rig.until(lambda: rig.controller("phase") == "FAULT", "no fault")
     rig.hold(((HEALTHY + 40 + k) * MS for k in range(1, HEALTHY + 5)), q_a)
-    refused = _enable(rig)
+    refused = rig.enable()
     assert not refused.success
     assert refused.message.startswith("phase FAULT no state for 36.0 ms")
     assert refused.message.endswith(f"; {calls}")
-    _serve(rig, trip)
+    rig.serve(trip)
     told = f"the controller is in FAULT: {calls}, then serve it again"
     rig.until(lambda: told in rig.controller("trajectory"), "not refused with what to call")
-    assert _reset(rig).success
-    nothing = _reset(rig)  # nothing is latched any more
+    assert rig.reset().success
+    nothing = rig.reset()  # nothing is latched any more
     assert (nothing.success, nothing.message) == (True, "phase IDLE")
     rig.until(lambda: rig.controller("next_step") == "type dextar enable", "no next step")
-    assert _enable(rig).success
-    refused = _reset(rig)
+    assert rig.enable().success
+    refused = rig.reset()
     assert (refused.success, refused.message) == (False, "phase HOLD: there is nothing to reset")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from lifecycle_msgs.srv import ChangeState
 from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from rig import Rig, start, stop
+from rig import Rig, ending_well, start
 from std_srvs.srv import Trigger
 
 from dextar_control.planning.planner import PLAN_RESIDUAL
@@ -38,24 +38,16 @@ def drawing(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def robot(drawing: Path) -> Iterator[Rig]:
     """Three nodes in namespace /left, the robot away from A."""
-    watcher = Rig()
-    processes: list[subprocess.Popen[str]] = []
-    try:
+    with contextlib.closing(Rig()) as watcher, contextlib.ExitStack() as stack:
         for module, arguments in NODES.items():
             # in a namespace a plain -p reaches the node: no parameter file has a section of its own for it
             plain = [part.partition(":")[2] if index % 2 else part for index, part in enumerate(arguments)]
             extra = ("-p", f"drawing:={drawing}") if "server" in module else ()
-            processes.append(start(module, *NAMESPACE, *plain, *extra))
+            stack.enter_context(ending_well(start(module, *NAMESPACE, *plain, *extra)))
         watcher.until(lambda: watcher.controller("phase") == "HOLD", "the controller does not hold")
         watcher.until(lambda: watcher.controller("x") not in ("", "nan"), "the controller had no state")
         watcher.until(lambda: "trajectory_server" in watcher.status, "no trajectory server")
         yield watcher
-    finally:
-        ends = [stop(process) for process in reversed(processes)]
-        watcher.close()
-    for code, output in ends:
-        assert code == 0, output
-        assert "Traceback" not in output, output
 
 
 def _ask(rig: Rig, kind: type, name: str, request: object) -> Any:
@@ -66,9 +58,7 @@ def _ask(rig: Rig, kind: type, name: str, request: object) -> Any:
 
 
 def _call(rig: Rig, kind: type, name: str, request: object) -> Any:
-    future = _ask(rig, kind, name, request)
-    rig.until(future.done, f"no answer of {name}")
-    return future.result()
+    return rig.call(kind, f"/left/{name}", request)
 
 
 def _set(rig: Rig, **values: object) -> list[tuple[bool, str]]:

@@ -1,1 +1,1 @@
-"""Files of recorded bags: their records, past damage, and which files are one recording."""
+"""Bags, whole or damaged: written, scanned, read into columns, recovered, and described as rosbag2 does. Needs no ROS."""
