@@ -50,6 +50,12 @@ def test_a_sample_that_is_lost_is_no_error_of_the_robot(robot: RobotParameters, 
     assert row["max_error"] < LOST_ERROR
 
 
+def test_a_robot_off_its_plan_where_that_nearly_stretches_a_leg_goes_on(robot: RobotParameters) -> None:
+    """A third of a millimetre beside this plan a leg is at its end."""
+    row = run(robot, CrossingPoint((0.08713179, 0.04542322), (1, 1), "folded"), payload=0.3)
+    assert row["phase"] == "HOLD" and row["crossed"] == 2, row["reason"]
+
+
 def test_a_run_that_bounces_is_no_crossing_and_is_called_so(robot: RobotParameters, place: CrossingPoint) -> None:
     row = run(robot, place, bounce=1.0)
     assert row["crossed"] == 0

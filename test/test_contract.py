@@ -293,6 +293,7 @@ def test_motor_axes_are_told_by_their_distance_or_each_by_its_place(robot: Robot
     ("left.encoder_offset", 4.0, r"left.encoder_offset = 4.0; it must lie in \[-pi, pi\]"),
     ("right.transmission_stiffness", -1.0, "right.transmission_stiffness = -1.0; it must be >= 0"),
     ("left.passive_coulomb_friction", -1.0, "left.passive_coulomb_friction = -1.0; it must be >= 0"),
+    ("left.transmission_damping", 0.1, "left.transmission_damping = 0.1 without a transmission_stiffness"),
     ("pin_coulomb_friction", float("inf"), "pin_coulomb_friction = inf; it must be finite"),
     ("left.axis", (0.0,), r"left.axis = \(0.0,\); it must be two numbers"),
 ])  # fmt: skip

@@ -205,6 +205,30 @@ def test_every_module_that_can_be_started_reads_its_command_line(module: str) ->
     assert called & {"parse_args", "run_node"}, module
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["demo", "--excite", "0"], "0 s; it must be > 0"),
+        (["go", "--excite", "-1"], "-1 s; it must be > 0"),
+        (["demo", "--real-time-factor", "-1"], "'real_time_factor' = -1.0; it must be >= 0"),
+        (["identify", "run.mcap", "."], ". is given twice"),
+        (["calibrate", "run.mcap", "--check", "run.mcap"], "run.mcap is given twice"),
+    ],
+)
+def test_what_a_command_cannot_take_is_refused_before_it_begins(
+    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run.mcap").touch()  # no bag: it is not read either
+    try:
+        code = cli.main(words)
+    except SystemExit as ended:
+        code = ended.code
+    assert code == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+    assert [file.name for file in tmp_path.iterdir()] == ["run.mcap"]
+
+
 def test_every_executable_is_one_function() -> None:
     text = (ROOT / "setup.py").read_text(encoding="utf-8")
     for name in (*NODES, "warmup", "dextar"):

@@ -29,6 +29,7 @@ def test_an_unknown_mechanism_is_named_with_those_there_are() -> None:
     ({"right.proximal_length": 0.0}, r"robot\.right\.proximal_length = 0\.0; it must be > 0 m"),
     ({"gravity": [0.0]}, r"robot\.gravity = \[0\.0\]; it must be 2 finite numbers"),
     ({"coulomb_speed": float("nan")}, "coulomb_speed = nan; it must be 1 finite number"),
+    ({"end_effector_mass": True}, "end_effector_mass = True; it must be 1 finite number"),
     ({"end_effector_mass": "heavy"}, "end_effector_mass = 'heavy'; it must be 1 finite number"),
 ])  # fmt: skip
 def test_a_parameter_that_is_missing_or_out_of_bounds_is_named(change: dict[str, Any], said: str, robot: RobotParameters) -> None:

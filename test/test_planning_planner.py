@@ -474,6 +474,12 @@ def test_a_slow_trip_that_may_stay_longer_near_the_locus_takes_less_torque(robot
         plan_through(at, place, 1, 2.0, locus_time=0.0)
 
 
+def test_friction_that_no_inertia_balances_is_named(robot: RobotParameters) -> None:
+    rubbing = robot.replace(pin_coulomb_friction=1.0, **{f"{side}.passive_coulomb_friction": 1.0 for side in robot.sides})
+    with pytest.raises(TrajectoryError, match=r"friction of joints without a motor, as described, takes \d+\.?\d* N along t_s"):
+        plan_return_trip(rubbing, [-0.025, 0.115], [0.01, 0.06], 0.33, 0.2)
+
+
 def test_a_robot_whose_passive_joints_rub_comes_back_by_a_way_of_its_own(robot: RobotParameters) -> None:
     rough = robot.replace(
         working_mode=(-1, -1), pin_coulomb_friction=0.01,

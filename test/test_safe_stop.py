@@ -21,6 +21,7 @@ from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
 from dextar_control.control.safe_stop import FADE, SafeStop
+from dextar_control.control.verdicts import Verdict
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan
 from dextar_sim.rig import Rig
@@ -147,6 +148,18 @@ def test_a_robot_that_stands_on_the_locus_is_let_go_after_the_time_to_coast(robo
     assert loop.reason.endswith("side not known") and "let go after 0.50 s" in loop.reason
     with pytest.raises(StateError, match=r"move it by hand to \|s\| >= 0.20, set assembly_mode .*, then reset"):
         loop.reset()
+    rig.close()
+
+
+def test_a_crossing_that_was_made_stays_so_when_the_robot_coasts_through_the_next_one(robot: RobotParameters, trip: Plan) -> None:
+    rig, loop = _tripped(robot, trip, float(trip.certificate.crossing_times[1]) - 0.04)
+    assert s_of(loop.model, rig.truth().x) < 0.0
+    while loop.stopped is None:
+        sample = rig.read()
+        rig.write(loop.step(sample.time, sample.q_a))
+    assert s_of(loop.model, rig.truth().x) > 0.0  # back on the side of the start
+    assert [passed.verdict for passed in loop.passed] == [Verdict.CROSSED, Verdict.UNDECIDED]
+    assert "bounced" not in loop.reason
     rig.close()
 
 

@@ -116,7 +116,14 @@ def test_an_estimate_out_of_the_workspace(robot: RobotParameters, trip: Plan) ->
 
     loop, _, _ = drive(robot, trip, seen=seen)
     assert loop.tripped == "finite"
-    assert loop.reason.startswith("the law gave a number that is not finite")
+    assert loop.reason.startswith("the estimate or the law gave a number that is not finite")
+
+
+def test_a_robot_that_is_pulled_to_the_end_of_a_legs_reach(robot: RobotParameters) -> None:
+    pull = np.array([22.0, 21.0])  # N: where the leg is stretched nothing of the motor acts along it
+    loop, _, _ = drive(robot, None, start=[0.0698, 0.1251], push=lambda time: pull * (0.1 < time < 0.15), until=0.5)
+    assert loop.tripped == "finite", loop.reason
+    assert re.search(r"a leg was 0\.0[0-4]\d from Type 1, where its reach ends \(a plan keeps 0\.05\)", loop.reason), loop.reason
 
 
 def test_a_blow_that_the_gains_do_not_hold(robot: RobotParameters) -> None:

@@ -107,7 +107,6 @@ def test_sections_are_matched_and_merged_as_a_node_does(taker: Taker, namespace:
     [
         "left:\n  taker:\n    ros__parameters: {a: 1, b.c: 2, b: {d: 3}}\n",
         "/**:\n  taker:\n    ros__parameters: {a: 1}\n",
-        "/**: {ros__parameters: {a: 1, a: 2}}\n",
         "/**: {ros__parameters: {a: 1}}\n---\n/**: {ros__parameters: {b: 1}}\n",
         "/**:\r\n  ros__parameters:\r\n    a: 1e-1\r\n    b: word\r\n",
         "\ufeff/**:\n  ros__parameters:\n    a: 1\n",
@@ -227,6 +226,13 @@ def test_what_is_no_text_file_is_told_in_one_sentence(tmp_path: Path, read: Any)
         with pytest.raises(ParameterError) as caught:
             read(path)
         assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_no_parameter_of_a_file_stands_twice(tmp_path: Path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    robot: {left: {distal_mass: 1.0, distal_mass: 2.0}}\n")
+    with pytest.raises(ParameterError, match="line 3: the key 'distal_mass' stands there twice"):
+        load_parameters(file)
 
 
 def test_a_document_has_rcls_numbers_and_no_key_twice(tmp_path: Path) -> None:

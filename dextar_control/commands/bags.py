@@ -60,20 +60,19 @@ def run_fit(
         find: of (bags that serve, bags that check, folder for the results, to tell what is done) what is found.
     """
     from dextar_control.analysis.load import load_run
-    from dextar_control.contract.errors import CalibrationError
+    from dextar_control.contract.errors import CalibrationError, ParameterError
     from dextar_control.contract.terminal import Terminal, say, spoken_warnings
     from dextar_control.identification.report import summary
 
     console, robot = Terminal(), given_robot(arguments)
     with spoken_warnings(name), shown_progress() as shown:
-        runs = []
-        for bag in (*arguments.bag, *arguments.check):
+        runs, bags = [], (*arguments.bag, *arguments.check)
+        files = [min(bag.glob("*.mcap"), default=bag).resolve() for bag in bags]  # a folder and the file in it are one
+        if twice := [bag for row, bag in enumerate(bags) if files[row] in files[:row]]:
+            raise ParameterError(f"{twice[0]} is given twice; each bag may serve once, and --check takes one that does not")
+        for bag in bags:
             shown.stage(f"reading {bag}")
             runs.append(load_run(bag, arguments.namespace, shown.read, robot))
-        twice = [run.path for row, run in enumerate(runs) if run.path.resolve() in [one.path.resolve() for one in runs[:row]]]
-        if twice:
-            say(f"dextar {name}: {twice[0]} is given twice; each bag may serve once, and --check takes one that does not")
-            return EXIT_FAILED
         folder = arguments.output or runs[0].path.parent
         try:
             found = find(runs[: len(arguments.bag)], runs[len(arguments.bag) :], folder, shown.stage)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 SUMMARY = "run A -> B -> A through the singularity in simulation, record and draw it"
 DESCRIPTION = (
@@ -14,6 +15,18 @@ DESCRIPTION = (
 LAWS = ("consistent", "projected", "classic", "multi_model", "joint_space")
 EXCITE = 20.0  # s
 ESTIMATORS = ("observer", "dgm", "plain", "external")
+
+
+def add_excite(group: Any) -> None:
+    """``--excite`` among the arguments that say where to."""
+
+    def seconds(text: str) -> float:
+        if not float(text) > 0.0:
+            raise argparse.ArgumentTypeError(f"{text} s; it must be > 0 (without --excite it is a trip)")
+        return float(text)
+
+    group.add_argument("--excite", type=seconds, nargs="?", const=EXCITE, metavar="S",
+                       help=f"a motion that tells masses and friction to dextar identify, about S long, s (default: {EXCITE:g})")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,8 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--tour", type=int, metavar="N", help="cross at N points spread over the locus, one after the other;"
                        " -N the other way round")
     where.add_argument("--point", type=float, nargs=2, metavar=("X", "Y"), help="return trip through this point of the locus, m")
-    where.add_argument("--excite", type=float, nargs="?", const=EXCITE, metavar="S",
-                       help=f"a motion that tells masses and friction to dextar identify, about S long, s (default: {EXCITE:g})")
+    add_excite(where)
     pace = parser.add_mutually_exclusive_group()
     pace.add_argument("--real-time", action="store_true",
                       help="as a rig: the plant runs on whether or not a command came (default: each simulated step waits for its"

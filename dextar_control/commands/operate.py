@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dextar_control.commands.demo import EXCITE
+from dextar_control.commands.demo import add_excite
 
 
 @dataclass
@@ -28,8 +28,7 @@ def _go_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--tour", type=int, metavar="N",
                        help="cross at N points spread over the locus; 0 is the trip A -> B -> A")  # fmt: skip
     where.add_argument("--point", type=float, nargs=2, metavar=("X", "Y"), help="return trip through this point of the locus, m")
-    where.add_argument("--excite", type=float, nargs="?", const=EXCITE, metavar="S",
-                       help=f"a motion that tells masses and friction to dextar identify, about S long, s (default: {EXCITE:g})")
+    add_excite(where)
     parser.add_argument("--duration", type=float, metavar="S", help="of one way, s; 0 leaves it to the planner")
     parser.add_argument("--repeat", type=int, metavar="N", help="return trips, or laps of a tour")
     _robot(parser)

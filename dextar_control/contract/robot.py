@@ -119,6 +119,11 @@ class RobotParameters:
                 raise ParameterError(
                     f"robot.{side}.min_angle = {leg.min_angle} with max_angle = {leg.max_angle}; it must be smaller"
                 )
+            if leg.transmission_damping and not leg.transmission_stiffness:
+                raise ParameterError(
+                    f"robot.{side}.transmission_damping = {leg.transmission_damping} without a transmission_stiffness, which"
+                    " makes it rigid: give the stiffness too, or leave the damping out"
+                )
             if leg.proximal_inertia + leg.rotor_inertia + leg.proximal_mass * leg.proximal_center**2 <= 0.0:
                 raise ParameterError(f"robot.{side}.rotor_inertia = 0 with a massless proximal link; it must be > 0")
         if self.base_distance <= 0.0:

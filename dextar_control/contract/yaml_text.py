@@ -3,8 +3,8 @@
 A parameter file is read by the nodes with rcl's own parser, whose rules are not those of YAML 1.1 (nor of PyYAML): ``1e-1`` is
 a number, ``1:30`` and ``1_000`` are words, ``010`` is 8, ``null`` is a word, aliases do not exist, and a later section
 overrides an earlier one. The package reads such files by the same rules, so that no value means one thing to a command and
-another to a node. Campaign and fault files have the same scalars, beside null; there ``nan`` without its dot is a word, a list
-holds anything, and no key stands twice.
+another to a node; only what stands twice in one place is refused. Campaign and fault files have the same scalars, beside null;
+there ``nan`` without its dot is a word, a list holds anything, and no key stands twice.
 """
 
 from __future__ import annotations
@@ -365,8 +365,11 @@ def _add_sections(sections: Sections, node: yaml.MappingNode, prefix: str, sourc
 
 
 def _flatten(flat: dict[str, Any], node: yaml.MappingNode, prefix: str, source: str) -> None:
-    for key, value in node.value:
-        name = f"{prefix}{_key(key, source)}"
+    names = [_key(key, source) for key, _ in node.value]
+    for row, (key, value) in enumerate(node.value):
+        if names[row] in names[:row]:  # rcl would take the last of them
+            raise ParameterError(f"{_at(source, key)}: the key '{names[row]}' stands there twice")
+        name = f"{prefix}{names[row]}"
         if isinstance(value, yaml.MappingNode):
             _flatten(flat, value, f"{name}.", source)
         elif _empty(value):

@@ -12,7 +12,8 @@ The Cartesian laws ask for the platform acceleration u = x_ddot_ref + K_d e_dot 
   + u_weak [(1 - phi) u_weak.lambda_ref + phi (v_weak.w_d)/sigma_weak], phi rising from 0 to 1 over |s| = zone -+ width/2: along
   the weak direction the multiplier that the trajectory itself needs (finite on the locus when the criterion
   holds) takes over, so that nothing jumps and no internal force is lost. Its limit: along t_s there is
-  no feedback inside the zone, where no torque could give any.
+  no feedback inside the zone, where no torque could give any. Before that u is changed where a leg comes near to Type 1 faster
+  than it may (``within_reach``).
 - ``multi_model``: the paper's [10]. Within |s| < band the reduced model tau = w_b of w_d = 0, in the joints:
   q_a_ddot = q_a_ddot_ref + K_d e_q_dot + K_p e_q; Eq. (4) outside. Needs trajectories planned for w_d = 0; the
   models differ at the band's edge by what w_d is there, and w_d = 0 depends on how L was written.
@@ -30,7 +31,7 @@ reduced model of all of them within the band of one.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 
@@ -48,6 +49,7 @@ from dextar_control.symbols.smooth import HUGE, is_finite, over, smooth_step
 from dextar_control.symbols.types import Symbol
 
 TWIST_DAMPING = 0.35  # damping ratio that the law adds to a rotor on its transmission
+REACH = 2.0  # times the error's natural frequency: pace at which a leg may approach Type 1
 
 GAINS = (
     Field("K_p", "1/s^2", "of the error"),
@@ -107,6 +109,22 @@ def joint_feedback(planned: Equations, a: Symbol, weight: Symbol) -> Symbol:
     return strong + J.v_weak @ (weight * over(J.u_weak.T @ a, J.sigma_weak))
 
 
+def within_reach(mechanism: Mechanism, p: Any, x: Symbol, x_dot: Symbol, u: Symbol, frequency: Symbol) -> Symbol:
+    """u (n,), changed as little as keeps each leg from Type 1, behind which nothing of it is known: a control barrier function.
+
+    c, the squared sine of a leg's angle there, has to obey c_ddot + 2 w c_dot + w^2 c >= 0. A leg of two links of 90 mm that is
+    at a sine of 0.12 lacks a third of a millimetre of its reach: the feedback on the platform's error is too soft for that.
+    """
+    clear = mechanism.type1_sines(mechanism.inverse_geometric_model(x, p), x, p) ** 2
+    slopes, w = ca.jacobian(clear, x), REACH * frequency
+    rate = slopes @ x_dot
+    least = -(ca.jtimes(rate, x, x_dot) + 2.0 * w * rate + w**2 * clear)  # of slopes . u
+    for leg in range(slopes.shape[0]):
+        lacks = least[leg] - slopes[leg, :] @ u
+        u = u + ca.if_else(lacks > 0.0, lacks / ca.sumsqr(slopes[leg, :]), 0.0) * slopes[leg, :].T
+    return u
+
+
 def twist_damping(inertia: Symbol, stiffness: Symbol, dt: Symbol) -> Symbol:
     """Torque of the motors (n,) per rate of twist, N m s/rad: 0 where rigid, and less where it swings too fast for the clock.
 
@@ -140,6 +158,8 @@ def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
         u = ref["x_ddot"] + joint_feedback(planned, a, weight)
         e = at(ref["x"], ref["x_dot"], u)
     else:
+        if law is Law.CONSISTENT:
+            u = within_reach(mechanism, p, hat["x"], hat["x_dot"], u, ca.sqrt(gains["K_p"]))
         e = at(hat["x"], hat["x_dot"], u)
     if law in (Law.CONSISTENT, Law.JOINT_SPACE):
         tau, weight = consistent(e, ref["multipliers"], zone, width)

@@ -82,6 +82,7 @@ LAST = (
     Field("q_a", "rad", "joints that its estimate had", "n"),
     Field("q_a_dot", "rad/s", "and their velocities", "n"),
     Field("tau", "N m", "torques that answered it", "n"),
+    Field("type1", "1", "least distance of a leg to Type 1, of the last estimate that was finite"),
 )
 ESTIMATE_LOST = ("finite", "joint_jump", "estimator")  # watches that say that the estimate is not the robot's
 
@@ -102,6 +103,8 @@ def watch_of(mechanism: Mechanism) -> ca.Function:
     def largest(values: Symbol, when: Symbol) -> Symbol:
         return ca.if_else(when, ca.fmax(ca.mmax(ca.fabs(values)), 0.0), 0.0)  # a number that is not finite is told by "finite"
 
+    q_hat = mechanism.inverse_geometric_model(hat["x"], p)
+    type1 = ca.mmin(ca.fabs(mechanism.type1_sines(q_hat, hat["x"], p)))
     expected = last["q_a"] + dt * last["q_a_dot"]
     values = {
         "joint_jump": largest(wrapped(q_meas - expected), ca.logic_and(known, dt <= LONG_STEP)),
@@ -111,7 +114,7 @@ def watch_of(mechanism: Mechanism) -> ca.Function:
         "platform_speed": ca.if_else(finite, ca.norm_2(hat["x_dot"]), 0.0),
         "joint_range": ca.mmax(ca.fabs(ca.if_else(turns, wrapped(q_meas - bounds["middle"]), q_meas - bounds["middle"]))
                                - bounds["half"]),
-        "estimator": largest(wrapped(q_meas - mechanism.inverse_geometric_model(hat["x"], p)), finite),
+        "estimator": largest(wrapped(q_meas - q_hat), finite),
         "locus": ca.if_else(finite, ca.fabs(out["s"]), 0.0),
         "saturation": largest(out["tau"], finite),
         "torque_rate": largest(out["tau"] - last["tau"], ca.logic_and(known, finite)) / dt,
@@ -120,7 +123,8 @@ def watch_of(mechanism: Mechanism) -> ca.Function:
     limits |= {"locus": ca.if_else(crossing > 0.0, 0.0, limits["locus"]), "saturation": limit}
     passed = {name: ca.logic_not(value <= limits[name]) for name, value in values.items()}
     passed |= {"locus": values["locus"] < limits["locus"], "saturation": values["saturation"] >= limit}
-    now = {"known": ca.SX(1.0), "q_meas": q_meas, "q_a": hat["q_a"], "q_a_dot": hat["q_a_dot"], "tau": out["tau"]}
+    now = {"known": ca.SX(1.0), "q_meas": q_meas, "q_a": hat["q_a"], "q_a_dot": hat["q_a_dot"], "tau": out["tau"],
+           "type1": ca.if_else(is_finite(q_hat) > 0.0, type1, ca.if_else(known, last["type1"], 1.0))}
     arguments = {"p": vector, "bounds": bounds_vector, "last": last_vector, "estimate": hat_vector, "output": out_vector,
                  "q_meas": q_meas, "dt": dt, "limit": limit, "crossing": crossing}
     return named("watch", arguments, {
@@ -255,7 +259,10 @@ class Supervisor:
         value, limit = getattr(self._values, name), getattr(self._limits, name)
         joint, effort = self._joint.unit, self._joint.effort_unit
         if name == "finite":
-            return "the law gave a number that is not finite"
+            return (
+                "the estimate or the law gave a number that is not finite; at the sample before it a leg was"
+                f" {self._last.type1:.3f} from Type 1, where its reach ends (a plan keeps {self._robot.min_type1_distance:g})"
+            )
         if name == "tracking_error":
             return f"tracking error {value:.4f} m; the limit is {limit} m"
         if name == "joint_range":

@@ -68,10 +68,18 @@ class CrossingJudge:
         self._start, self._settled = start, [-math.inf] * len(self._model.blocks)
 
     def let_go(self, time: float) -> None:
-        """The robot is let go while it moves: the crossing of each block that has begun is still to be judged."""
-        self._unsure = [None] * len(self._model.blocks)
-        every = (self._current(time, block) for block in range(len(self._model.blocks)))
-        self._open = [current for current in every if current >= 0]
+        """The robot is let go while it moves: the crossing of each block that has begun is still to be judged.
+
+        But for one that it has crossed where it is nearer to the next one: it may coast through that.
+        """
+        self._unsure, self._open = [None] * len(self._model.blocks), []
+        for block in range(len(self._model.blocks)):
+            current = self._current(time, block)
+            if current < 0:
+                continue
+            halfway = 0.5 * (self._times[current] + self._next(current, block))
+            if not (self.passed[current].verdict is Verdict.CROSSED and time - self._start > halfway):
+                self._open.append(current)
 
     def close(self) -> None:
         """What the robot does from now on is no part of a crossing."""
@@ -113,8 +121,7 @@ class CrossingJudge:
                 if not (s * self._signs[current] > 0.0 and abs(estimator.estimate.s) >= self._clear_s):
                     continue
                 self._judge(time, current, Verdict.CROSSED, confidence)
-            coming = (at for at, of in zip(self._times[current + 1 :], self._blocks[current + 1 :], strict=True) if of == block)
-            self._settled[block] = self._start + next(coming, math.inf) - OPEN_BEFORE
+            self._settled[block] = self._start + self._next(current, block) - OPEN_BEFORE
         return problem
 
     def _doubted(self, block: int, time: float, clear: bool, confidence: float, watched: Supervisor) -> str:
@@ -157,6 +164,11 @@ class CrossingJudge:
         while current >= 0 and self._blocks[current] != block:
             current -= 1
         return current
+
+    def _next(self, current: int, block: int) -> float:
+        """When a block's next planned crossing is, since the trajectory's start, s; inf without."""
+        coming = zip(self._times[current + 1 :], self._blocks[current + 1 :], strict=True)
+        return next((at for at, of in coming if of == block), math.inf)
 
     def _judge(self, time: float, index: int, verdict: Verdict, confidence: float) -> bool:
         """Whether the verdict is another one than before."""

@@ -66,7 +66,10 @@ class Parameter:
             ParameterError: they are not ``size`` finite numbers within the bounds.
         """
         numbers = list(value) if isinstance(value, (list, tuple, np.ndarray)) else [value]
-        if len(numbers) != self.size or not all(isinstance(n, (int, float, np.number)) and math.isfinite(n) for n in numbers):
+        kinds = (int, float, np.number)
+        if len(numbers) != self.size or not all(
+            isinstance(n, kinds) and not isinstance(n, bool) and math.isfinite(n) for n in numbers
+        ):
             raise ParameterError(f"robot.{self.name} = {value!r}; it must be {self.size} finite number{'s' * (self.size > 1)}")
         for number in numbers:
             if number <= self.above:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dextar_control.contract.errors import TrajectoryError
-from dextar_control.model.model import check_geometry
+from dextar_control.model.model import Model, check_geometry
 from dextar_control.model.robot import AnyRobot, Robot
 from dextar_control.planning.certificate import Certificate, measure
 from dextar_control.planning.model import states_model
@@ -53,7 +53,8 @@ def certify(
     for index, residual in enumerate(certificate.residuals):
         if not residual <= max_residual:
             row = int(np.searchsorted(profile.time, certificate.crossing_times[index]))
-            raise fail(f"the criterion's residual |t_s.w_d| at crossing {index + 1}", residual, max_residual, "N", row)
+            refusal = fail(f"the criterion's residual |t_s.w_d| at crossing {index + 1}", residual, max_residual, "N", row)
+            raise TrajectoryError(f"{refusal}{_rubbing(robot, profile, row)}")
     times = np.unique(certificate.crossing_times)
     if crossings is not None and len(times) != crossings:
         instants = ", ".join(f"{time:.4f} s" for time in times) or "none"
@@ -68,6 +69,15 @@ def certify(
         if not values[row] <= limit:
             raise fail(what, float(values[row]), limit, unit, row)
     return certificate
+
+
+def _rubbing(robot: AnyRobot, profile: Profile, row: int) -> str:
+    """What friction of joints without a motor takes along t_s on the locus; nothing without."""
+    model, at, x_dot = Model.of(robot), (profile.q_a[row], profile.x[row]), profile.x_dot[row]
+    there, back = (model.wrenches(*at, sign * x_dot, np.zeros(model.n)).w_d for sign in (1.0, -1.0))
+    force = float(np.abs(model.place(profile.x[row]).t_s.T @ (there - back)).max()) / 2.0
+    told = f"; there the friction of joints without a motor, as described, takes {force:.3g} N along t_s, where only inertia can"
+    return f"{told} balance it: check the description" if force > 0.0 else ""
 
 
 def beyond_range(robot: AnyRobot, q_a: Array) -> Array:

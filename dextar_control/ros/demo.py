@@ -27,7 +27,7 @@ from std_srvs.srv import SetBool
 
 from dextar_control.contract import signals
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
-from dextar_control.contract.node import qos
+from dextar_control.contract.node import check_value, qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, spoken_warnings
@@ -37,6 +37,7 @@ from dextar_control.control.prepare import prepare
 from dextar_control.executables import EXECUTABLES
 from dextar_control.model.model import Model
 from dextar_control.ros.domain import choose_domain
+from dextar_control.ros.launch_arguments import PACE
 from dextar_control.ros.progress import crossings, unhealthy
 from dextar_control.ros.start_check import check_start
 from dextar_control.ros.task import Task
@@ -227,7 +228,7 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     """NAME:=VALUE of each node."""
     given: dict[str, dict[str, Any]] = {name: {} for name in NODES}
     given["plant"] |= {"mode": "realtime" if arguments.real_time else "lockstep", "start_paused": True}
-    given["plant"] |= {} if arguments.pace is None else {"real_time_factor": arguments.pace}
+    given["plant"] |= {} if arguments.pace is None else {"real_time_factor": check_value(PACE, arguments.pace, 0.0)}
     given["plant"] |= {"window": True} if arguments.window else {}
     given["controller"] |= {"lockstep": not arguments.real_time}
     given["trajectory_server"] |= {"autostart": True}
