@@ -56,7 +56,7 @@ clean: ## remove .venv, builds and caches; recordings in runs/ stay
 	find . -name .git -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 set-up-test:
-	@$(SET_UP) campaign export video test oracle
+	@$(SET_UP) campaign export video interfaces test oracle
 
 # The test with Foxglove's own readers is skipped where these cannot be installed.
 .venv/installed-js: test/js/package.json | set-up-test
