@@ -18,7 +18,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo campaign test bench lint clean set-up-test
+.PHONY: help setup demo campaign test interfaces bench lint clean set-up-test
 
 BIN := .venv/bin
 SET_UP := PYTHON="$(PYTHON)" ./set_up.sh
@@ -41,6 +41,13 @@ campaign: ## a small campaign on all cores, in about two minutes; result in runs
 
 test: set-up-test .venv/installed-js ## run the tests
 	@$(BIN)/python -m pytest -q --durations=10 $(ARGS)
+
+interfaces: ## build the action go and the readable messages into install/ (README)
+	@$(SET_UP) interfaces
+	. $(BIN)/activate
+	export AMENT_PREFIX_PATH=$${AMENT_PREFIX_PATH:-$$VIRTUAL_ENV}
+	CMAKE_PREFIX_PATH=$$AMENT_PREFIX_PATH python -m colcon build --base-paths interfaces \
+		--cmake-args -DPython3_EXECUTABLE="$$VIRTUAL_ENV/bin/python" -DCMAKE_PROJECT_INCLUDE="$$PWD/interfaces/on_wheels.cmake"
 
 bench: ## measure the loop on this machine
 	@$(SET_UP)

@@ -150,7 +150,10 @@ if [ ${#missing[@]} -gt 0 ]; then
     fi
     wanted=()
     for extra in "$@"; do
-        [ "$kind" = jazzy ] && [ "$extra" = oracle ] || wanted+=("$extra") # its numpy is not Jazzy's
+        case "$kind $extra" in
+        "jazzy oracle" | "jazzy interfaces") ;; # its numpy is not Jazzy's; apt has the generators
+        *) wanted+=("$extra") ;;
+        esac
     done
     [ "$kind" = jazzy ] || wanted+=(ros)
     install "${wanted[*]:+[$(IFS=, && echo "${wanted[*]}")]}"

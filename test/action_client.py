@@ -1,6 +1,7 @@
 """Sends goals to the action ``go`` in namespace /left, one line of JSON on standard input each, and prints what became of each.
 
-A goal's own fields, and ``cancel_in``: a phase in which it is cancelled. Afterwards it reads one message of each readable topic.
+A goal's own fields, and ``cancel_in``: a phase in which it is cancelled. The first is sent once the controller holds. Afterwards
+it reads one message of each readable topic.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ import time
 
 import rclpy
 from dextar_interfaces.action import Go
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rig import PATIENCE
 
 from dextar_control.contract.node import qos
-from dextar_control.contract.topics import READABLE_CRITERION, READABLE_STATE
+from dextar_control.contract.topics import DIAGNOSTICS, READABLE_CRITERION, READABLE_STATE
 
 
 def main() -> None:
@@ -30,7 +32,11 @@ def main() -> None:
             rclpy.spin_once(node, timeout_sec=0.05)
             assert time.monotonic() < deadline, "it did not come"
 
-    until(client.server_is_ready)
+    words: set[str] = set()
+    node.create_subscription(
+        DiagnosticArray, DIAGNOSTICS.name, lambda m: words.update(item.value for one in m.status for item in one.values), 10
+    )
+    until(lambda: client.server_is_ready() and "HOLD" in words)
     for line in sys.stdin:
         fields = json.loads(line)
         cancel_in = fields.pop("cancel_in", "")
