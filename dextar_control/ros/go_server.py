@@ -43,12 +43,13 @@ class GoServer(Operator):
     cannot be is aborted, and the result's message says why and what to do.
     """
 
+    NAME = "go_server"
     exit_code = 0
 
     def __init__(self) -> None:
         self.signals: StopSignal | None = None
         self.busy = threading.Lock()
-        super().__init__("", Ending(None, None), "go_server")
+        super().__init__("", Ending(None, None), self.NAME)
         self._server = ActionServer(self, Go, GO, self._execute, cancel_callback=lambda _: CancelResponse.ACCEPT)
         self.get_logger().info(f"action {self.full(GO)}")
 
