@@ -44,6 +44,8 @@ test: set-up-test .venv/installed-js ## run the tests
 
 interfaces: ## build the action go and the readable messages into install/ (README)
 	@$(SET_UP) interfaces
+	command -v cmake >/dev/null && command -v c++ >/dev/null || \
+		{ echo "error: cmake and a C++ compiler are needed; on Debian or Ubuntu: sudo apt install cmake g++" >&2; exit 1; }
 	. $(BIN)/activate
 	export AMENT_PREFIX_PATH=$${AMENT_PREFIX_PATH:-$$VIRTUAL_ENV}
 	CMAKE_PREFIX_PATH=$$AMENT_PREFIX_PATH python -m colcon build --base-paths interfaces \
