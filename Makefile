@@ -18,7 +18,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo campaign test bench lint clean set-up-test
+.PHONY: help setup demo campaign test interfaces bench lint clean set-up-test
 
 BIN := .venv/bin
 SET_UP := PYTHON="$(PYTHON)" ./set_up.sh
@@ -42,6 +42,15 @@ campaign: ## a small campaign on all cores, in about two minutes; result in runs
 test: set-up-test .venv/installed-js ## run the tests
 	@$(BIN)/python -m pytest -q --durations=10 $(ARGS)
 
+interfaces: ## build the action go and the readable messages into install/ (README)
+	@$(SET_UP) interfaces
+	command -v cmake >/dev/null && command -v c++ >/dev/null || \
+		{ echo "error: cmake and a C++ compiler are needed; on Debian or Ubuntu: sudo apt install cmake g++" >&2; exit 1; }
+	. $(BIN)/activate
+	export AMENT_PREFIX_PATH=$${AMENT_PREFIX_PATH:-$$VIRTUAL_ENV}
+	CMAKE_PREFIX_PATH=$$AMENT_PREFIX_PATH python -m colcon build --base-paths interfaces \
+		--cmake-args -DPython3_EXECUTABLE="$$VIRTUAL_ENV/bin/python" -DCMAKE_PROJECT_INCLUDE="$$PWD/interfaces/on_wheels.cmake"
+
 bench: ## measure the loop on this machine
 	@$(SET_UP)
 	$(BIN)/dextar bench $(ARGS)
@@ -56,7 +65,7 @@ clean: ## remove .venv, builds and caches; recordings in runs/ stay
 	find . -name .git -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 set-up-test:
-	@$(SET_UP) campaign export video test oracle
+	@$(SET_UP) campaign export video interfaces test oracle
 
 # The test with Foxglove's own readers is skipped where these cannot be installed.
 .venv/installed-js: test/js/package.json | set-up-test

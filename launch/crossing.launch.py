@@ -66,7 +66,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             parameters=[values["robot_file"], values["params_file"], overrides[name]],
             ros_arguments=["--enclave", f"{namespace}/dextar/{name}"] if values["enclaves"] else None,
             output="screen",
-            on_exit=None if name == "markers" else Shutdown(reason=f"{name} has ended"),  # a display is nobody's need
+            on_exit=None if name in ("markers", "go_server") else Shutdown(reason=f"{name} has ended"),  # the robot needs neither
         )
         for name in overrides
     ]

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -112,9 +111,9 @@ def robot(stack: list[str], capsys: pytest.CaptureFixture[str]) -> Robot:
 
 def test_one_kind_of_task_switches_the_others_off_and_what_is_not_given_stays() -> None:
     nothing = {"tour": None, "point": None, "excite": None, "duration": None, "repeat": None}
-    assert operator.task_values(Namespace(**nothing)) == {}
-    assert operator.task_values(Namespace(**nothing | {"repeat": 3})) == {"repeat": 3}
-    assert operator.task_values(Namespace(**nothing | {"point": [0.0, 0.08], "duration": 2.0})) == {
+    assert operator.task_values(nothing) == {}
+    assert operator.task_values(nothing | {"repeat": 3}) == {"repeat": 3}
+    assert operator.task_values(nothing | {"point": [0.0, 0.08], "duration": 2.0}) == {
         "tour": 0, "point": [0.0, 0.08], "excite": 0.0, "tour_points": [], "direction": 0, "duration": 2.0,
     }  # fmt: skip
 

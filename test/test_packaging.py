@@ -19,7 +19,7 @@ from dextar_control import executables
 
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
-EXECUTABLES = {"dextar", "plant", "controller", "trajectory_server", "recorder", "markers", "warmup"}
+EXECUTABLES = {"dextar", "plant", "controller", "trajectory_server", "recorder", "markers", "go_server", "warmup"}
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
 PARAMETER_FILES = [path for path in CONFIGS if not path.name.startswith(("campaign", "faults", "frontier", "rig"))]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))

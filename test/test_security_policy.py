@@ -26,8 +26,11 @@ from dextar_control.contract.resources import config_file
 from dextar_control.contract.topics import (
     DIAGNOSTICS,
     EFFORT_COMMANDS,
+    GO,
     JOINT_COMMANDS,
     JOINT_STATES,
+    READABLE_CRITERION,
+    READABLE_STATE,
     SERVICES,
     SIM_END_EFFECTOR,
     SIM_JOINT_STATES,
@@ -37,10 +40,12 @@ from dextar_control.contract.topics import (
 from dextar_control.ros.check_rig import RigWatch
 from dextar_control.ros.demo import _Monitor
 from dextar_control.ros.operator import Operator
-from dextar_control.security.policy import build_policy, policy_text
+from dextar_control.security.policy import TRIPS, build_policy, policy_text
 
 POLICY = config_file("sros2/policy.xml")
 RIGHTS = (("topic", "publish"), ("topic", "subscribe"), ("service", "reply"), ("service", "request"))
+OF_ACTIONS = (("action", "execute"), ("action", "call"))
+READABLE = {f"/{topic.name}" for topic in (READABLE_STATE, READABLE_CRITERION)}
 MODULES = {
     "plant": ("dextar_sim.node", "pose_rate:=50.0"),
     "controller": ("dextar_control.ros.controller_node", "estimator:=external", "publish_effort_array:=true"),
@@ -72,7 +77,7 @@ def _grants(root: ElementTree.Element) -> list[Grant]:
                 assert len(group.attrib) == 1
                 right, qualifier = next(iter(group.attrib.items()))
                 assert qualifier == "ALLOW"
-                assert (group.tag.removesuffix("s"), right) in RIGHTS
+                assert (group.tag.removesuffix("s"), right) in RIGHTS + OF_ACTIONS
                 for entry in group:
                     text = entry.text or ""
                     name = text if text.startswith("/") else f"{base}/{text}"
@@ -113,12 +118,18 @@ def test_the_truth_is_told_by_the_plant_and_not_to_the_controller(grants: list[G
 def test_each_service_of_the_contract_is_offered_by_its_node_alone_and_called_by_the_operator(grants: list[Grant]) -> None:
     for service in SERVICES:
         assert _enclaves(grants, "reply", service.name) == {f"/dextar/{service.node}"}
-        assert _enclaves(grants, "request", service.name) == {"/dextar/operator"}
+        trips = {"/dextar/go_server"} if service.name in TRIPS else set()
+        assert _enclaves(grants, "request", service.name) == {"/dextar/operator"} | trips
+
+
+def test_the_action_is_offered_by_its_server_alone_and_called_by_the_operator(grants: list[Grant]) -> None:
+    assert _enclaves(grants, "execute", GO) == {"/dextar/go_server"}
+    assert _enclaves(grants, "call", GO) == {"/dextar/operator"}
 
 
 def test_nothing_is_allowed_that_neither_the_contract_nor_every_ros_node_has(grants: list[Grant]) -> None:
     known = {topic.name if topic.name.startswith("/") else f"/{topic.name}" for topic in TOPICS}
-    known |= {"/markers", "/controller/transition_event"}
+    known |= READABLE | {"/markers", "/controller/transition_event"}
     for grant in grants:
         if grant.right in ("publish", "subscribe"):
             extra = LOOKERS_ON if grant.enclave == "/dextar/viewer" and grant.right == "subscribe" else set()
@@ -198,7 +209,7 @@ def test_a_running_node_creates_what_it_is_permitted_and_nothing_else(
 ) -> None:
     """Of what is permitted only topics that the contract calls optional may be missing."""
     permitted = {grant.name for grant in grants if grant.node == name and grant.right == right}
-    optional = {f"/{topic.name}" for topic in TOPICS if topic.optional}
+    optional = READABLE | {f"/{topic.name}" for topic in TOPICS if topic.optional}
     deadline = time.monotonic() + PATIENCE
     while not permitted - optional <= system.created(name, right) <= permitted:
         rclpy.spin_once(system.node, timeout_sec=0.05)

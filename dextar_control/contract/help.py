@@ -25,12 +25,13 @@ def node_help(node: Any) -> str:
     """The whole text.
 
     Args:
-        node: a node's class, with ``NAME``, ``PARAMETERS`` and ``ROBOT`` where it has parameters.
+        node: a node's class, with ``NAME``, and ``PARAMETERS`` and ``ROBOT`` where it has parameters.
     """
     about = textwrap.fill(first_paragraph(node.__doc__), WIDTH)
     name = getattr(node, "NAME", "")
-    if not name:
-        return f"usage: {node.__name__} [-h] [--ros-args ROS_ARGUMENT ...]\n\n{about}"
+    if name not in NODES:
+        command = f"ros2 run dextar {name}" if name else node.__name__
+        return f"usage: {command} [-h] [--ros-args ROS_ARGUMENT ...]\n\n{about}"
     ends = NODES[name]
     parts = [
         f"usage: ros2 run dextar {name} [-h] [--ros-args ROS_ARGUMENT ...]",

@@ -213,6 +213,23 @@ TOPICS = (
     DIAGNOSTICS,
 )  # fmt: skip
 
+INTERFACES = "dextar_interfaces"
+"""The package beside this one that is built for the following; everything else does without."""
+WITHOUT_INTERFACES = (
+    f"the package {INTERFACES} is not to be found: build it (README, Action and readable messages) and source its setup file"
+)
+READABLE_STATE = Topic(
+    f"{CONTROLLER_STATE.name}/readable", f"{INTERFACES}/msg/ControllerState", "controller", STREAM_DEPTH, False, 1000.0,
+    "controller_state, a name for each vector", unit=CONTROLLER_STATE.unit, joints=PLATFORM_NAMES, stamp="of the state",
+    switch="controller.publish_readable",
+)  # fmt: skip
+READABLE_CRITERION = Topic(
+    f"{CRITERION.name}/readable", f"{INTERFACES}/msg/Criterion", "controller", STREAM_DEPTH, False, 1000.0,
+    "criterion, a field for each name", unit="SI", stamp="of the state", switch="controller.publish_readable",
+)  # fmt: skip
+GO = "go"
+"""The action's name; its type is ``dextar_interfaces/action/Go``, and the node go_server offers it."""
+
 NODES = {
     "plant": Ends((JOINT_STATES, EXTERNAL_POSE, SIM_END_EFFECTOR, SIM_JOINT_STATES, ROBOT_DESCRIPTION, CLOCK, DIAGNOSTICS),
                   (JOINT_COMMANDS, EFFORT_COMMANDS)),

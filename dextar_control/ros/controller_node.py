@@ -64,6 +64,7 @@ PARAMETERS = (
     Parameter("max_reference_age", "of a trajectory when it arrives, since it was served or, by the clocks, before it was: a "
               "delayed or latched one moves nothing", 1e-3, 3600.0, unit="s", live=True),
     Parameter("publish_effort_array", "the torques as effort_commands too, for drivers that read an array"),
+    Parameter("publish_readable", "controller_state and criterion as messages of dextar_interfaces too, on .../readable"),
     Parameter("natural_frequency", "of the platform error", 1.0, 500.0, unit="rad/s", live=True),
     Parameter("damping_ratio", "of the platform error", 0.1, 5.0, unit="1", live=True),
     Parameter("integral_frequency", "of the integral term; 0 is off", 0.0, 50.0, unit="1/s", live=True),
@@ -204,7 +205,7 @@ class ControllerNode(ManagedNode):
         self._period = values["task.sample_period"]
         self._lockstep = values["lockstep"]
         self._states_in = template(JOINT_STATES)
-        self._outputs = Outputs(self, array=values["publish_effort_array"])
+        self._outputs = Outputs(self, array=values["publish_effort_array"], readable=values["publish_readable"])
         self._closers.append(self._outputs.close)
         self._reference = ReferenceReader(self)
         self._closers.append(self._reference.close)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import importlib.util
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.parameters import Parameter, check_value
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.settings import Estimation, Law
+from dextar_control.contract.topics import INTERFACES
 from dextar_control.contract.yaml_text import load_parameters
 from dextar_control.ros import task
 from dextar_control.ros.start_check import check_start
@@ -108,6 +110,7 @@ def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         "trajectory_server": {"autostart": values["autostart"]},
         "recorder": {},
         "markers": {},
+        "go_server": {},
     }
     for name, arguments in (
         ("plant", ("real_time_factor",)),
@@ -116,7 +119,8 @@ def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         own[name] |= {argument: values[argument] for argument in arguments if values[argument] != ""}
     if values["law"] == "multi_model":
         own["trajectory_server"]["criterion"] = "zero_wrench"
-    unwanted = {"plant": not values["plant"], "recorder": not values["record"], "markers": not values["markers"]}
+    unwanted = {"plant": not values["plant"], "recorder": not values["record"], "markers": not values["markers"],
+                "go_server": importlib.util.find_spec(INTERFACES) is None}  # fmt: skip
     return {name: parameters for name, parameters in own.items() if not unwanted.get(name)}
 
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -43,19 +43,29 @@ class Unreached(DextarError):
     """Nobody there to ask, or no answer; the message says what to do."""
 
 
+class Stop(Protocol):
+    """True from when on what is under way is to end."""
+
+    def __bool__(self) -> bool: ...
+
+    def check(self) -> None:
+        """Raise ``Interrupted`` where it is to end."""
+
+
 class Operator(Node):
     """Hears what the nodes of one robot tell of themselves, and calls their services.
 
     Args:
         namespace: of the robot's nodes.
-        stop: the signals that ask this process to end.
+        stop: what asks for an end; of the commands the signals to this process.
+        name: of the node.
 
     Attributes:
         status: of each node, by its name in the namespace: what it told last, with ``message`` and ``level``.
     """
 
-    def __init__(self, namespace: str, stop: StopSignal) -> None:
-        super().__init__("operator", namespace=namespace, enable_rosout=False, start_parameter_services=False)
+    def __init__(self, namespace: str, stop: Stop, name: str = "operator") -> None:
+        super().__init__(name, namespace=namespace, enable_rosout=False, start_parameter_services=False)
         self.stop = stop
         self.status: dict[str, dict[str, str]] = {}
         self._heard: dict[str, float] = {}
@@ -67,8 +77,8 @@ class Operator(Node):
             space, _, name = status.name.rpartition("/")
             if space == self.get_namespace().rstrip("/"):
                 told = {"message": status.message, "level": str(status.level[0])}
-                self.status[name] = {item.key: item.value for item in status.values} | told
                 self._heard[name] = time.monotonic()
+                self.status[name] = {item.key: item.value for item in status.values} | told
 
     def full(self, name: str) -> str:
         """A node's or service's name with the namespace."""
@@ -185,6 +195,19 @@ class Operator(Node):
         if not result.successful:
             raise ParameterError(result.reason)
 
+    def prepare(self, values: Mapping[str, Any]) -> None:
+        """See that a trip can begin, and set the task; what is not given stays as it was set last.
+
+        Raises:
+            DextarError: a node is missing or there twice, the controller would take no trip, or the task is refused.
+        """
+        self.find("controller", "trajectory_server")
+        self.alone("controller", "trajectory_server")
+        if reason := why_not(self.full("controller"), self.controller):
+            raise Unreached(reason)
+        if values:
+            self.set_task(values)
+
     def heard_since(self, name: str, moment: float) -> bool:
         """Whether a node has told of itself since a moment of the monotonic clock, s."""
         return self._heard.get(name, -SILENCE) > moment
@@ -237,13 +260,17 @@ def kind_of(value: Any) -> Parameter.Type:
     return Parameter.Type.DOUBLE_ARRAY if isinstance(value, list) else Parameter.Type.from_parameter_value(value)
 
 
-def task_values(arguments: argparse.Namespace) -> dict[str, Any]:
-    """The trajectory server's parameters that were asked for; one kind of task switches the others off."""
+def task_values(asked: Mapping[str, Any]) -> dict[str, Any]:
+    """The trajectory server's parameters that were asked for; one kind of task switches the others off.
+
+    Args:
+        asked: tour, point, excite, duration and repeat; None where it was not.
+    """
     values: dict[str, Any] = {}
-    if any(getattr(arguments, name) is not None for name in ("tour", "point", "excite")):
-        values = {"tour": arguments.tour or 0, "point": arguments.point or [], "excite": arguments.excite or 0.0}
+    if any(asked[name] is not None for name in ("tour", "point", "excite")):
+        values = {"tour": asked["tour"] or 0, "point": asked["point"] or [], "excite": asked["excite"] or 0.0}
         values |= {"tour_points": [], "direction": 0}
-    return values | {name: getattr(arguments, name) for name in ("duration", "repeat") if getattr(arguments, name) is not None}
+    return values | {name: asked[name] for name in ("duration", "repeat") if asked[name] is not None}
 
 
 @contextmanager
@@ -283,6 +310,7 @@ class Trip:
         begun: it is, or was, tracked.
         done: it was tracked to its end.
         trouble: why it is not known how it went on; empty when it is.
+        bag: file of a recorder that ran at its end; empty without one.
     """
 
     def __init__(self, me: Operator, show: Callable[[str, float], None], say: Callable[[str], object]) -> None:
@@ -291,7 +319,13 @@ class Trip:
         self._told: dict[int, str] = {}
         self._asked = 0.0  # when a stop was, s
         self.begun = self.done = False
-        self.trouble = ""
+        self.trouble = self.bag = ""
+
+    @property
+    def verdicts(self) -> list[tuple[str, str]]:
+        """Of each planned crossing the verdict and the confidence in it; none before it began."""
+        told = self._me.controller if self.begun else {}
+        return list(zip(told.get("verdicts", "").split(), told.get("confidences", "").split(), strict=True))
 
     def start(self) -> None:
         """Have it planned and served.
@@ -366,8 +400,8 @@ class Trip:
         if not self.begun:
             self._show(f"waiting{unhealthy(told)}", 0.0)
             return
-        verdicts, confidences = told.get("verdicts", "").split(), told.get("confidences", "").split()
-        for index, (verdict, confidence) in enumerate(zip(verdicts, confidences, strict=True)):
+        verdicts = self.verdicts
+        for index, (verdict, confidence) in enumerate(verdicts):
             if verdict not in ("undecided", self._told.get(index)):
                 self._told[index] = verdict
                 self._say(crossing_line(index, len(verdicts), verdict, confidence))
@@ -378,16 +412,17 @@ class Trip:
     def end(self) -> bool:
         """Say how it ended; whether it was done and every planned crossing crossed."""
         me, told = self._me, self._me.controller
-        verdicts = told.get("verdicts", "").split() if self.begun else []
+        verdicts = self.verdicts
+        crossed = [verdict for verdict, _ in verdicts].count("crossed")
         for index in range(min(int(told.get("begun") or 0), len(verdicts))):
             if index not in self._told:
-                self._say(crossing_line(index, len(verdicts), verdicts[index], told["confidences"].split()[index]))
+                self._say(crossing_line(index, len(verdicts), *verdicts[index]))
         if self.begun:
-            crossed = verdicts.count("crossed")
             self._say(f"{'done' if self.done else 'not done'}: {trip_line(crossed, len(verdicts), float(told['largest_error']))}")
-        if bag := me.bag():
-            self._say(f"recorded in {bag}")
-        good = self.done and told["phase"] == "HOLD" and verdicts.count("crossed") == len(verdicts)
+        self.bag = me.bag()
+        if self.bag:
+            self._say(f"recorded in {self.bag}")
+        good = self.done and told["phase"] == "HOLD" and crossed == len(verdicts)
         if self.trouble or not good:
             self._say("; ".join(text for text in (self.trouble, me.state()) if text))
         return good and not self.trouble
@@ -395,15 +430,10 @@ class Trip:
 
 def go(arguments: argparse.Namespace) -> int:
     """Start a trip and follow it; the exit code."""
-    values, console = task_values(arguments), Terminal()
+    values, console = task_values(vars(arguments)), Terminal()
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn())
     with operator(arguments.namespace) as me:
-        me.find("controller", "trajectory_server")
-        me.alone("controller", "trajectory_server")
-        if reason := why_not(me.full("controller"), me.controller):
-            raise Unreached(reason)
-        if values:
-            me.set_task(values)
+        me.prepare(values)
         with Steps(*columns, console=console, transient=True) as bars:
             bar = bars.add_task("planning", total=1.0)
             trip = Trip(me, lambda text, share: bars.update(bar, description=text, completed=share),

@@ -15,6 +15,7 @@ from dextar_control.contract.layouts import template
 from dextar_control.contract.node import DextarNode, qos
 from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, EFFORT_COMMANDS, JOINT_COMMANDS
 from dextar_control.control.phases import Tick
+from dextar_control.ros.readable import Readable
 
 
 class EffortArray:
@@ -36,12 +37,13 @@ class Outputs:
     Args:
         node: that publishes.
         array: whether the torques go out as ``effort_commands`` too.
+        readable: whether what was thought goes out in messages of ``dextar_interfaces`` too.
 
     Attributes:
         stamp: of the state answered last, ns; negative before the first.
     """
 
-    def __init__(self, node: DextarNode, *, array: bool) -> None:
+    def __init__(self, node: DextarNode, *, array: bool, readable: bool) -> None:
         self._node = node
         self._commands_out = template(JOINT_COMMANDS)
         self._state_out = template(CONTROLLER_STATE)
@@ -52,6 +54,7 @@ class Outputs:
         self._array_out = EffortArray() if array else None
         self._efforts = node.create_publisher(Float64MultiArray, EFFORT_COMMANDS.name, qos(EFFORT_COMMANDS)) if array else None
         self._command_topics = [p.topic_name for p in (self._commands, self._efforts) if p is not None]
+        self._readable = Readable(node) if readable else None
         self._last = (b"", b"")
         self.stamp = -1
 
@@ -71,11 +74,14 @@ class Outputs:
         told = (reference.x, reference.x_dot, reference.x_ddot, estimate.x, estimate.x_dot, output.error, output.error_dot,
                 output.u, output.force)
         values = [number for vector in told for number in vector.tolist()]
-        self._states.publish(self._state_out.pack(stamp, values, round(tick.reference_time * NANOSECONDS)))
+        reference_time = round(tick.reference_time * NANOSECONDS)
+        self._states.publish(self._state_out.pack(stamp, values, reference_time))
         criterion = [output.residual, output.s, output.sigma_min, output.weight, estimate.assembly_mode, float(tick.phase),
                      estimate.confidence, verdict, output.limit, estimate.innovation_square,
                      *estimate.innovation.tolist(), *estimate.b.tolist(), *estimate.d.tolist()]
         self._criterion.publish(self._criterion_out.pack(stamp, criterion))
+        if self._readable is not None:
+            self._readable.publish(stamp, values, reference_time, criterion)
 
     def repeat(self) -> None:
         """The last command once more."""
@@ -106,6 +112,6 @@ class Outputs:
     def close(self) -> None:
         """Destroy the publishers."""
         publishers: list[Any] = [self._commands, self._states, self._criterion, self._efforts]
-        for publisher in publishers:
+        for publisher in [*publishers, *(self._readable.publishers if self._readable is not None else ())]:
             if publisher is not None:
                 self._node.destroy_publisher(publisher)

@@ -18,9 +18,12 @@ from dextar_control.contract.topics import (
     DIAGNOSTICS,
     EFFORT_COMMANDS,
     EXTERNAL_POSE,
+    GO,
     JOINT_COMMANDS,
     JOINT_STATES,
     NODES,
+    READABLE_CRITERION,
+    READABLE_STATE,
     SERVICES,
     TOPICS,
     Topic,
@@ -51,6 +54,8 @@ class Profile:
         reads: topics likewise.
         offers: services below the node's own name, besides those of every node.
         calls: services of others, ``node/service``.
+        actions: that it offers, relative to the namespace.
+        asks: actions of others.
     """
 
     node: str
@@ -58,6 +63,8 @@ class Profile:
     reads: tuple[str, ...] = ()
     offers: tuple[str, ...] = ()
     calls: tuple[str, ...] = ()
+    actions: tuple[str, ...] = ()
+    asks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -97,7 +104,10 @@ EVERY_SERVICE = (
     *(service.name for service in SERVICES),
     *(f"{node}/{name}" for node in (*PARAMETERS_OF, "recorder", "markers") for name in PARAMETER_SERVICES),
 )
-OBSERVES = _names(*TOPICS)
+TRIPS = (
+    "controller/stop", "trajectory_server/start", "trajectory_server/stop", "trajectory_server/set_parameters_atomically",
+)  # fmt: skip
+OBSERVES = _names(*TOPICS, READABLE_STATE, READABLE_CRITERION)
 
 ENCLAVES = (
     Enclave("plant", "the simulated rig, the only one that knows the truth", (
@@ -110,7 +120,7 @@ ENCLAVES = (
         Profile("camera", _names(EXTERNAL_POSE, DIAGNOSTICS)),
     )),
     Enclave("controller", "the only one that may command; check-rig commands in its stead, while it does not run", (
-        _profile("controller", publishes=("controller/transition_event",)),
+        _profile("controller", publishes=("controller/transition_event", *_names(READABLE_STATE, READABLE_CRITERION))),
         Profile("check_rig", _names(*COMMANDS), _names(*STATES, DIAGNOSTICS)),
     )),
     Enclave("trajectory_server", "tells the controller where to go", (
@@ -124,9 +134,12 @@ ENCLAVES = (
     Enclave("markers", "draws what happens", (
         _profile("markers"),
     )),
+    Enclave("go_server", "offers the action go; it starts and stops trips, and may command no torque", (
+        Profile("go_server", (), (DIAGNOSTICS.name,), (), TRIPS, actions=(GO,)),
+    )),
     Enclave("operator", "whoever starts, stops and tunes the nodes: the demo, `dextar go` and its like, `ros2 ...`; it may"
             " command no torque", (
-        *(Profile(node, (), OBSERVES, (), EVERY_SERVICE) for node in ("demo", "operator", COMMAND_LINE)),
+        *(Profile(node, (), OBSERVES, (), EVERY_SERVICE, asks=(GO,)) for node in ("demo", "operator", COMMAND_LINE)),
     )),
     Enclave("viewer", "RViz, PlotJuggler and the Foxglove bridge; they look on", tuple(
         Profile(node, (), (*OBSERVES, *VIEWERS_READ)) for node in ("foxglove_bridge", "plotjuggler", "rviz", "rviz2")
@@ -168,6 +181,8 @@ def _add_profile(profiles: ElementTree.Element, profile: Profile, namespace: str
     _add(element, "topic", "subscribe", profile.reads)
     _add(element, "service", "reply", own)
     _add(element, "service", "request", profile.calls)
+    _add(element, "action", "execute", profile.actions)
+    _add(element, "action", "call", profile.asks)
 
 
 def _add(profile: ElementTree.Element, kind: str, right: str, names: Iterable[str]) -> None:
