@@ -14,6 +14,7 @@ from std_srvs.srv import Trigger
 
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.node import DextarNode, Parameter, run_node
+from dextar_control.contract.scheduling import stand_back
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import DIAGNOSTICS, TOPICS
 from dextar_control.ros.mcap_writer import COMPRESSIONS, Sample
@@ -262,7 +263,11 @@ def _spin(node: RecorderNode, executor: Any, stop: StopSignal) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Record until a signal asks to end; 0, or 1 when the bag is not whole, or 2 when it cannot be made."""
+    """Record until a signal asks to end; 0, or 1 when the bag is not whole, or 2 when it cannot be made.
+
+    What is recorded has time: taken as soon as it comes it would interrupt who sends it, plant and controller.
+    """
+    stand_back()
     return run_node(RecorderNode, args, _spin)
 
 
