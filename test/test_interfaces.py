@@ -17,10 +17,10 @@ from rig import PATIENCE, start, stop
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_operate import NODES
 
-from dextar_control.contract.topics import CRITERION_NAMES, INTERFACES, PHASES, WITHOUT_INTERFACES
+from dextar_control.contract.layouts import template
+from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION_NAMES, INTERFACES, PHASES, WITHOUT_INTERFACES
 from dextar_control.control.verdicts import Verdict
 from dextar_control.executables import go_server
-from dextar_control.ros import messages
 from dextar_control.ros.readable import fill
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,7 +56,7 @@ def test_the_states_fields_are_as_many_as_its_template_has_numbers() -> None:
     assert {kind for kind, _ in fields("ControllerState")} == {"float64[2]"}
     names = [name for name in read("ControllerState").__dataclass_fields__ if not name.startswith("__")]
     assert names == ["header", "reference_time", *(name for _, name in fields("ControllerState"))]
-    messages.controller_state_template().pack(0, [0.0] * 2 * len(fields("ControllerState")))
+    template(CONTROLLER_STATE).pack(0, [0.0] * 2 * len(fields("ControllerState")))
 
 
 def test_the_action_is_one() -> None:

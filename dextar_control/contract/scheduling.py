@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 from collections.abc import Callable, Mapping
@@ -15,6 +16,16 @@ REALTIME_LIMITS = "give the user rtprio and memlock in /etc/security/limits.conf
 def precise_timers() -> None:
     """Have the kernel end this thread's sleeps when they are over; usually it takes up to 0.05 ms more."""
     ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def stand_back() -> None:
+    """Have the kernel run this process, with the threads that begin later, without interrupting another when it has work to do.
+
+    A process that is scheduled in another way than usual stays so.
+    """
+    if os.sched_getscheduler(0) == os.SCHED_OTHER:
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def ask_kernel(values: Mapping[str, Any], warn: Callable[[str], object]) -> None:

@@ -80,10 +80,13 @@ class _Monitor(Node):
         """What the controller told last."""
         return self.status.get("controller", {})
 
+    @property
+    def plant_waits(self) -> bool:
+        """Whether the plant is there, to be resumed."""
+        return bool(self._pause.service_is_ready())
+
     def resume(self) -> None:
         """Let the simulated time run."""
-        if not self._pause.wait_for_service(timeout_sec=10.0):
-            raise DemoError("the plant offers no service plant/pause")
         future = self._pause.call_async(SetBool.Request(data=False))
         rclpy.spin_until_future_complete(self, future, timeout_sec=10.0)
         if future.result() is None or not future.result().success:
@@ -349,7 +352,7 @@ def _wait_until_ready(console: Terminal, monitor: _Monitor, processes: _Processe
                 raise DemoError(f"the controller {note}")
             recording = monitor.get("recorder", "parameters_missing") == "none"
             active = monitor.get("controller", "lifecycle") == "active"
-            if recording and active and note == "accepted" and "plant" in monitor.status:
+            if recording and active and note == "accepted" and monitor.plant_waits:
                 return
             if time.monotonic() > deadline:
                 known = ", ".join(sorted(monitor.status)) or "none"

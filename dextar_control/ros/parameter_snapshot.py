@@ -8,7 +8,7 @@ from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
-GIVE_UP_AFTER = 5  # asks without an answer before a request is made anew
+GIVE_UP_AFTER = 100  # asks without an answer before a request is made anew
 
 
 class ParameterSnapshot:

@@ -40,7 +40,7 @@ class Readable:
 
         Args:
             stamp: of the state that was answered, ns.
-            state: as ``messages.controller_state_template`` takes them.
+            state: as ``contract.layouts.template`` of controller_state takes them.
             reference_time: since the trajectory's start, ns.
             criterion: in the order of CRITERION_NAMES.
         """

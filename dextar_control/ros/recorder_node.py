@@ -16,6 +16,7 @@ from dextar_control.bags.writer import COMPRESSIONS, Sample
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.node import DextarNode, run_node
 from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.scheduling import stand_back
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import DIAGNOSTICS, TOPICS
 from dextar_control.ros.parameter_snapshot import ParameterSnapshot
@@ -24,6 +25,7 @@ from dextar_control.ros.taps import ALONGSIDE, PARAMETER_EVENTS, Tap, found_topi
 
 EXIT_RECORDING = 1
 POLL_PERIOD = 0.02  # s
+ASK_PERIOD = 0.05  # s between two asks for the other nodes' parameters
 LAST_WORDS = 0.3  # s given to samples under way when the recording ends
 LEAST_SPLIT = 65536  # bytes
 
@@ -83,7 +85,9 @@ class RecorderNode(DextarNode):
         self._snapshots = [ParameterSnapshot(self, name) for name in self.values["parameters_of"].split()]
         self.create_service(Trigger, "~/start", self._on_start)
         self.create_service(Trigger, "~/stop", self._on_stop)
-        self._timer = self.create_timer(1.0, self._on_second, clock=self.steady_clock)
+        self._missing = self._parameters_missing()
+        self.create_timer(ASK_PERIOD, self._ask, clock=self.steady_clock)
+        self.create_timer(1.0, self._on_second, clock=self.steady_clock)
 
     def on_parameters(self, changes: Mapping[str, Any]) -> None:
         """Name, notes and tags as they are set last."""
@@ -198,9 +202,18 @@ class RecorderNode(DextarNode):
         self._publish_diagnostics()
         return response
 
-    def _on_second(self) -> None:
+    def _parameters_missing(self) -> str:
+        """The nodes whose parameters are not known."""
+        return " ".join(snapshot.target for snapshot in self._snapshots if snapshot.values is None) or "none"
+
+    def _ask(self) -> None:
+        """Ask for the other nodes' parameters; that some are known, or no longer, is told at once."""
         for snapshot in self._snapshots:
             snapshot.ask()
+        if self._parameters_missing() != self._missing:
+            self._publish_diagnostics()
+
+    def _on_second(self) -> None:
         if self._recording is not None:
             self._recording.on_second()
         for tap in self._taps:
@@ -239,8 +252,8 @@ class RecorderNode(DextarNode):
         level, message, values = DiagnosticStatus.OK, "not recording", {"recording": False}
         if self._recording is not None:
             level, message, values = self._recording.status()
-        missing = [snapshot.target for snapshot in self._snapshots if snapshot.values is None]
-        self.publish_diagnostics(level, message, values | {"parameters_missing": " ".join(missing) or "none"})
+        self._missing = self._parameters_missing()
+        self.publish_diagnostics(level, message, values | {"parameters_missing": self._missing})
 
 
 def _spin(node: RecorderNode, executor: Any, stop: StopSignal) -> None:
@@ -251,7 +264,11 @@ def _spin(node: RecorderNode, executor: Any, stop: StopSignal) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Record until a signal asks to end; 0, or 1 when the bag is not whole, or 2 when it cannot be made."""
+    """Record until a signal asks to end; 0, or 1 when the bag is not whole, or 2 when it cannot be made.
+
+    What is recorded has time: taken as soon as it comes it would interrupt who sends it, plant and controller.
+    """
+    stand_back()
     return run_node(RecorderNode, args, _spin)
 
 
