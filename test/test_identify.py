@@ -195,7 +195,8 @@ def forwards() -> Recorded:
     [
         (lambda: with_readings(lambda one: 0.001 * one.readings), "too little motion: the .* encoder moves by .* rad; for"),
         (lambda: part(np.arange(1200)), "too little motion: \\d+ instants tell something"),
-        (lambda: with_torque(lambda one: np.full_like(one.torque, np.nan)), "has no torque"),
+        (lambda: with_torque(lambda one: np.full_like(one.torque, np.nan)), "has no torque of the left and the right motor"),
+        (lambda: with_torque(lambda one: one.torque * [1.0, 0.0]), "has no torque of the right motor"),
         (lambda: with_torque(lambda one: -one.torque), "put .* described as|no masses and friction explain"),
         (lambda: with_torque(lambda one: 5.0 * one.torque), "put .* described as"),
         (lambda: with_torque(lambda one: one.torque[::-1]), "no masses and friction explain|put .* described as"),

@@ -147,7 +147,8 @@ def recording_of(linkage: Linkage, robot: RobotParameters, recorded: Recorded, b
         if good.sum() >= FEWEST_PLACES:
             columns = np.column_stack([np.interp(seen[good], time, column) for column in np.hstack([readings, passed]).T])
             places = Places(columns[:, :2], columns[:, 2:], x[good])
-    folds = find_folds(linkage, numbers, recorded.working_mode, time, readings, bag, passed)
+    stayed = recorded.believed and bool(recorded.side[0]) and not np.ptp(recorded.side)  # on one side, known all along
+    folds = [] if stayed else find_folds(linkage, numbers, recorded.working_mode, time, readings, bag, passed)
     extremes = np.array([distance.min(), distance.max()])
     return Recording(recorded.path, folds, places, extremes, np.ptp(readings, axis=0))
 
@@ -187,7 +188,7 @@ def calibrate_recorded(
     found = fit(linkage, numbers, folds, places, wanted)
     plain = _plain(numbers, found)
     before, after = (np.array([touch(linkage, row, fold).gap for fold in folds]) for row in (numbers, plain))
-    _check_places(found)
+    _check_places(found, places)
     _check_explained(found, after)
     _check_told(found)
     _check_bounds(robot, found)
@@ -260,17 +261,18 @@ def _no_fold_of_all(recordings: Sequence[Recording]) -> str:
     )
 
 
-def _check_places(found: Fit) -> None:
-    """The end effector was seen where some geometry has it.
+def _check_places(found: Fit, places: Places | None) -> None:
+    """Most often the end effector was seen where one geometry has it.
 
     Raises:
         CalibrationError: it was not.
     """
-    if found.place_noise > MOST_PLACE_NOISE:
+    count = 0 if places is None else len(places.x)
+    if found.place_noise > MOST_PLACE_NOISE or found.places < LEAST_USED * count:
         raise CalibrationError(
             f"the external poses scatter by {1e3 * found.place_noise:.1f} mm (standard deviation) about any geometry's end"
-            f" effector; {1e3 * MOST_PLACE_NOISE:g} mm is the most: check their frame, unit and stamps, or leave them out"
-            " (--no-pose). Nothing was written"
+            f" effector, and {found.places} of {count} agree; {1e3 * MOST_PLACE_NOISE:g} mm is the most, {LEAST_USED:.0%} the"
+            " least: check their frame, unit and stamps, or leave them out (--no-pose). Nothing was written"
         )
 
 
@@ -287,10 +289,11 @@ def _check_told(found: Fit) -> None:
         if not deviation <= WIDEST[direction.unit]
     ]
     if vague:
-        x = np.array([one.x for one in found.touches])[found.used]
-        low, high = 1e3 * np.array([x.min(axis=0), x.max(axis=0)]) if len(x) else np.full((2, 2), np.nan)
+        x = np.array([one.x for one, used in zip(found.touches, found.used, strict=True) if used and np.isfinite(one.gap)])
+        low, high = 1e3 * np.array([x.min(axis=0), x.max(axis=0)]) if len(x) else np.zeros((2, 2))
+        where = f", at x = {low[0]:.0f} to {high[0]:.0f} mm, y = {low[1]:.0f} to {high[1]:.0f} mm," if len(x) else ""
         raise CalibrationError(
-            f"{len(x)} crossings, at x = {low[0]:.0f} to {high[0]:.0f} mm, y = {low[1]:.0f} to {high[1]:.0f} mm, tell"
+            f"{len(x)} crossings{where} tell"
             f" {'; '.join(vague)}; {1e3 * WIDEST['m']:g} mm and {1e3 * WIDEST['rad']:g} mrad are needed:"
             f" {_encoders(found) or 'they lie too close together, or all on one side'}; {RECORD}"
         )

@@ -13,7 +13,7 @@ from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import CalibrationError, ParameterError
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.identification.dynamics import ALONE, DynamicFit, fit_dynamics, rest_of, rows_of
-from dextar_control.identification.motion import EXCITE, LEAST_RATE, LEAST_S, Motion, motion_of
+from dextar_control.identification.motion import EXCITE, LEAST_RATE, LEAST_S, SHORTEST, Motion, motion_of
 from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, in_words, rms_of
 from dextar_control.identification.recorded import Recorded, recorded_of
 from dextar_control.identification.transmission import Stiffness, stiffnesses_of
@@ -111,9 +111,11 @@ def identify_recorded(
         CalibrationError: as ``identify``.
     """
     for recorded in recordings:
-        if not np.isfinite(recorded.torque).any():
+        idle = [side for side, torque in zip(SIDES, recorded.torque.T, strict=True) if not np.nan_to_num(torque).any()]
+        if idle:
             raise CalibrationError(
-                f"{recorded.path} has no torque: no joint_commands with an effort, which tells masses and friction; {EXCITE}"
+                f"{recorded.path} has no torque of the {' and the '.join(idle)} motor: no joint_commands with an effort"
+                f" other than 0, which tells masses and friction; {EXCITE}"
             )
     progress("looking for stretches that tell something")
     motions = [motion_of(robot, recorded) for recorded in recordings]
@@ -172,7 +174,8 @@ def _too_little(motions: Sequence[Motion]) -> str:
     count = sum(len(motion.tells) for motion in motions)
     return (
         f"too little motion: {count} instants tell something of masses and friction, {LEAST_INSTANTS} are the least (each joint"
-        f" faster than {LEAST_RATE} rad/s, |s| above {LEAST_S}, under a torque); {EXCITE}"
+        f" faster than {LEAST_RATE} rad/s, |s| above {LEAST_S}, its side known, under a torque, states without a gap for"
+        f" {SHORTEST} s around); {EXCITE}"
     )
 
 
