@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -390,7 +391,9 @@ def pose(stamp: int, x: np.ndarray, frame: str) -> Any:
 @pytest.mark.parametrize("frame", ["base", "camera"])
 def test_poses_in_the_robots_frame_are_read_from_a_bag(tmp_path: Path, frame: str) -> None:
     part = path()[:400]
-    run = load_run(write_bag(tmp_path / "a.mcap", read(NOMINAL, part), part, frame))
+    with warnings.catch_warnings(record=True) as told:
+        run = load_run(write_bag(tmp_path / "a.mcap", read(NOMINAL, part), part, frame))
+    assert ["in the frame 'base'" in str(one.message) for one in told] == [True] * (frame != "base")
     if frame == "base":
         assert run.poses is not None
         assert np.array_equal(run.poses.x, part[::10])
