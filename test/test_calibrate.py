@@ -358,6 +358,13 @@ def test_bags_of_two_geometries_do_not_go_together() -> None:
         calibrate([run_of(readings), run_of(readings, robot=other)])
 
 
+def test_bags_of_two_robots_of_one_description_do_not_go_together() -> None:
+    runs = [run_of(read(wrong(np.random.default_rng(seed)), path())) for seed in (16, 17)]
+    with pytest.raises(CalibrationError, match=r"contradict each other: .* alone leaves .* mm .*, together .* one by one"):
+        calibrate(runs)
+    assert calibrate([runs[0], run_of(read(wrong(np.random.default_rng(16)), path()[::-1]))]).fit.used.sum() == 24
+
+
 def write_bag(file: Path, readings: np.ndarray, x: np.ndarray | None = None, frame: str = "base") -> Path:
     """A bag of joint states that says its robot; with poses of each tenth x (n, 2), m, in a frame."""
     writer, clock = BagWriter(file), made.START

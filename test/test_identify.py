@@ -209,6 +209,12 @@ def test_what_a_recording_cannot_tell_is_refused_with_what_to_do(one: Callable[[
     assert "--excite" in str(refusal.value) or "Nothing was written" in str(refusal.value)
 
 
+def test_bags_of_two_robots_do_not_go_together() -> None:
+    with pytest.raises(CalibrationError, match=r"contradict each other: .* alone leaves .* mN m .*, together .* one by one"):
+        identify_recorded(ROBOT, [plain(), recorded()])
+    assert identify_recorded(ROBOT, [recorded(), recorded()]).after.left.coulomb_friction == pytest.approx(0.05, abs=5e-4)
+
+
 def test_a_robot_that_learnt_its_passive_friction_crosses_as_planned(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(learnt, "_exciting", lambda robot: exciting())
     point = sample_points(ROBOT, 4, 0, 3)[0]

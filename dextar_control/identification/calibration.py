@@ -17,7 +17,7 @@ from dextar_control.identification.fit import EVERY, Direction, Fit, Places, dir
 from dextar_control.identification.folds import Fold, find_folds, touch
 from dextar_control.identification.linkage import COMPLIANCE, NAMES, PER_TURN, Linkage, described, numbers_of
 from dextar_control.identification.motion import CUTOFF
-from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, in_words, rms_of
+from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, contradicts, in_words, rms_of
 from dextar_control.identification.recorded import Recorded, recorded_of
 from dextar_control.identification.transmission import SURE
 from dextar_control.mechanisms.five_bar_locus import SIDES
@@ -28,6 +28,7 @@ LEAST_SPAN = 0.05  # rad, that each joint has to move
 WIDEST = {"m": 3e-4, "rad": 3e-3}  # standard deviation of a quantity beyond which a recording does not tell it
 MOST_MOVED = {"m": 5e-3, "rad": 0.1}  # from the description, beyond which the two contradict each other
 MOST_GAP = 1.5e-4  # m, RMS of the folds' gaps, without errors of the encoders, beyond which the numbers do not explain them
+MOST_APART = 3e-5  # m, of gaps, by which recordings may be explained worse together than alone
 MOST_PLACE_NOISE = 5e-3  # m, of a seen coordinate, likewise
 SUSPICIOUS = 1e-3  # rad, of an encoder's error once a turn that is said where nothing else is told
 LEAST_USED = 2.0 / 3.0  # of the folds
@@ -186,6 +187,7 @@ def calibrate_recorded(
     _check_enough(recordings, folds, wanted, places)
     progress(f"fitting {len(wanted)} quantities to {len(folds)} folds")
     found = fit(linkage, numbers, folds, places, wanted)
+    _check_agree(linkage, numbers, recordings, found)
     plain = _plain(numbers, found)
     before, after = (np.array([touch(linkage, row, fold).gap for fold in folds]) for row in (numbers, plain))
     _check_places(found, places)
@@ -259,6 +261,20 @@ def _no_fold_of_all(recordings: Sequence[Recording]) -> str:
         f"no crossing: the elbows' distance by the description, {low:.2f} to {high:.2f} mm, nowhere turns back from that of"
         f" stretched or folded distal links, so that no length can be told; {RECORD}"
     )
+
+
+def _check_agree(linkage: Linkage, numbers: Array, recordings: Sequence[Recording], found: Fit) -> None:
+    """Several recordings are of one robot.
+
+    Raises:
+        CalibrationError: they contradict each other.
+    """
+    which = np.array([fold.bag for recording in recordings for fold in recording.folds])
+    for bag, recording in enumerate(recordings if len(recordings) > 1 else []):
+        wanted = directions_of(recording.folds, None)
+        if len(recording.folds) >= len(wanted) + SPARE:
+            alone, together = fit(linkage, numbers, recording.folds, None, wanted).gaps, found.gaps[which == bag]
+            contradicts(recording.path, *(float(np.nanmedian(np.abs(gaps))) for gaps in (alone, together)), MOST_APART, "m")
 
 
 def _check_places(found: Fit, places: Places | None) -> None:

@@ -14,7 +14,7 @@ from dextar_control.contract.errors import CalibrationError, ParameterError
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.identification.dynamics import ALONE, DynamicFit, fit_dynamics, rest_of, rows_of
 from dextar_control.identification.motion import EXCITE, LEAST_RATE, LEAST_S, SHORTEST, Motion, motion_of
-from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, in_words, rms_of
+from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, contradicts, in_words, rms_of
 from dextar_control.identification.recorded import Recorded, recorded_of
 from dextar_control.identification.transmission import Stiffness, stiffnesses_of
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
@@ -27,6 +27,7 @@ BODIES = 5  # combinations of masses and inertias that a five-bar's torques see 
 WIDEST = {"coulomb_friction": 5e-3, "viscous_friction": 5e-3}  # N m, N m s/rad of a motor: deviation beyond which it is not told
 WIDEST_GRAVITY = 1.0  # m/s^2
 MOST_REST = 0.35  # of a joint's torque, RMS, that may stay unexplained
+MOST_APART = 0.05  # of it, by which recordings may be explained worse together than alone
 LEAST_USED = 0.25  # of the instants: where friction turns round, or a belt rings, the others scatter more
 MOST_FACTOR = 3.0  # of a combination of masses or inertias, over and under the description
 WEIGHT = 9.81  # m/s^2
@@ -122,6 +123,7 @@ def identify_recorded(
     _check_motion(motions)
     progress(f"fitting to {sum(len(motion.tells) for motion in motions)} instants")
     found = fit_dynamics(robot, motions)
+    _check_agree(robot, motions, found)
     _check_explained(motions, found)
     _check_told(motions, found)
     _check_bounds(robot, found)
@@ -202,6 +204,21 @@ def _check_motion(motions: Sequence[Motion]) -> None:
                 f"{_names(motions)}: one direction only: the {side} joint turns {'forwards' if share > 0.5 else 'backwards'} in"
                 f" {max(share, 1.0 - share):.0%} of the motion, so that gravity hides {side}.coulomb_friction; {EXCITE}"
             )
+
+
+def _check_agree(robot: RobotParameters, motions: Sequence[Motion], found: DynamicFit) -> None:
+    """Several recordings are of one robot.
+
+    Raises:
+        CalibrationError: they contradict each other.
+    """
+    for row, motion in enumerate(motions if len(motions) > 1 else []):
+        if len(motion.tells) >= LEAST_INSTANTS:
+            alone = np.median(np.abs(fit_dynamics(robot, [motion]).rest), axis=0)
+            rows = found.which == row
+            together, torque = np.median(np.abs(found.rest[rows]), axis=0), rms_of(found.torque[rows])
+            joint = int(np.argmax(together))
+            contradicts(motion.recorded.path, float(alone[joint]), float(together[joint]), MOST_APART * torque, "N m")
 
 
 def _check_told(motions: Sequence[Motion], found: DynamicFit) -> None:
