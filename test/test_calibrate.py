@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,10 +23,13 @@ from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
-from dextar_control.identification.calibration import Calibration, calibrate, calibrate_recorded, predict
+from dextar_control.identification.calibration import Calibration, Prediction, calibrate, calibrate_recorded, predict
 from dextar_control.identification.fit import Fit, fit
 from dextar_control.identification.folds import Fold, find_folds
+from dextar_control.identification.identification import TorquePrediction
 from dextar_control.identification.linkage import NAMES, Linkage, described, numbers_of
+from dextar_control.identification.recorded import recorded_of
+from dextar_control.identification.report import predicted, torques_predicted
 from dextar_control.mechanisms.five_bar_locus import Family
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan
@@ -283,6 +287,38 @@ def short() -> np.ndarray:
     return path()[: round((tour().certificate.crossing_times[2] + 0.1) / PERIOD)]
 
 
+def believed(side: float) -> Any:
+    """The whole tour, of which the controller believed that it stayed on one side; 0 is that it did not know."""
+    run = run_of(read(NOMINAL, path()))
+    run.criterion = SimpleNamespace(stamps=run.states.stamps, assembly_mode=np.full(len(path()), side))
+    return run
+
+
+def test_a_robot_that_did_not_change_sides_crossed_nowhere_and_cannot_check() -> None:
+    found = calibrated(wrong(np.random.default_rng(15)))
+    with pytest.raises(CalibrationError, match="cannot check: no crossing"):
+        predict(found, believed(-1.0))
+    assert predict(found, believed(0.0)).folds == 12
+
+
+def test_encoders_that_begin_anew_each_turn_are_read_on() -> None:
+    readings = read(NOMINAL, path())
+    middle = float(np.median(readings[:, 0]))
+    wrapped = readings - 2.0 * np.pi * (readings > [middle, 9.0])
+    read_on = recorded_of(run_of(wrapped), ROBOT, "").readings
+    assert np.abs(np.diff(wrapped, axis=0)).max() > 6.0 > 0.5 > np.abs(np.diff(read_on, axis=0)).max()
+    assert np.abs(np.exp(1j * read_on) - np.exp(1j * readings)).max() < 1e-9
+
+
+def test_a_check_that_the_numbers_do_not_explain_says_so() -> None:
+    one = Prediction(Path("b.mcap"), 9, 8e-4, 7e-6, np.nan, np.nan)
+    assert "do not hold" not in predicted(one)
+    assert "do not hold" in predicted(one._replace(after=7e-4))
+    other = TorquePrediction(Path("b.mcap"), 300, 0.1, 0.04, 0.002)
+    assert "do not hold" not in torques_predicted(other)
+    assert "do not hold" in torques_predicted(other._replace(after=0.03))
+
+
 def slipped(readings: np.ndarray) -> np.ndarray:
     """An encoder that slips again and again."""
     readings = readings.copy()
@@ -303,7 +339,11 @@ def slipped(readings: np.ndarray) -> np.ndarray:
         (lambda: run_of(read(NOMINAL, path()), path() + 0.008), "put left.axis.x .8.* mm from the description"),
         (lambda: run_of(read(NOMINAL, path()), path(), noise=0.02), "external poses scatter"),
         (lambda: run_of(read(NOMINAL, path()), robot=None), "does not say which robot"),
-        (lambda: run_of(read(NOMINAL, path()[:50]) * [1.0, np.nan]), "0 joint states have both angles"),
+        (lambda: run_of(read(NOMINAL, path()[:60]) * [1.0, np.nan]), "0 joint states have both angles; 50 are the least"),
+        (lambda: run_of(read(NOMINAL, path()[:20])), "20 joint states have both angles; 50 are the least"),
+        (lambda: run_of(read(NOMINAL, path()), 0.0 * path() + [0.02, 0.08]), "and \\d+ of \\d+ agree; .* check their frame"),
+        (lambda: run_of(read(NOMINAL, path()), path() * [-1.0, 1.0]), "external poses scatter .* check their frame"),
+        (lambda: believed(1.0), "no crossing"),
     ],
 )
 def test_what_a_bag_cannot_tell_is_refused_with_what_to_do(run: Any, words: str) -> None:
@@ -316,6 +356,13 @@ def test_bags_of_two_geometries_do_not_go_together() -> None:
     other = ROBOT.replace(**{"left.proximal_length": 0.091})
     with pytest.raises(CalibrationError, match="another geometry"):
         calibrate([run_of(readings), run_of(readings, robot=other)])
+
+
+def test_bags_of_two_robots_of_one_description_do_not_go_together() -> None:
+    runs = [run_of(read(wrong(np.random.default_rng(seed)), path())) for seed in (16, 17)]
+    with pytest.raises(CalibrationError, match=r"contradict each other: .* alone leaves .* mm .*, together .* one by one"):
+        calibrate(runs)
+    assert calibrate([runs[0], run_of(read(wrong(np.random.default_rng(16)), path()[::-1]))]).fit.used.sum() == 24
 
 
 def write_bag(file: Path, readings: np.ndarray, x: np.ndarray | None = None, frame: str = "base") -> Path:
@@ -351,7 +398,9 @@ def pose(stamp: int, x: np.ndarray, frame: str) -> Any:
 @pytest.mark.parametrize("frame", ["base", "camera"])
 def test_poses_in_the_robots_frame_are_read_from_a_bag(tmp_path: Path, frame: str) -> None:
     part = path()[:400]
-    run = load_run(write_bag(tmp_path / "a.mcap", read(NOMINAL, part), part, frame))
+    with warnings.catch_warnings(record=True) as told:
+        run = load_run(write_bag(tmp_path / "a.mcap", read(NOMINAL, part), part, frame))
+    assert ["in the frame 'base'" in str(one.message) for one in told] == [True] * (frame != "base")
     if frame == "base":
         assert run.poses is not None
         assert np.array_equal(run.poses.x, part[::10])

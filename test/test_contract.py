@@ -71,6 +71,10 @@ def test_both_robot_files_load_and_come_back(robot: RobotParameters) -> None:
         ({"working_mode": (1, 2)}, r"robot.working_mode = \[1, 2\]; each entry must be \+1 or -1"),
         ({"gravity": 9.81}, r"robot.gravity = 9.81; it must be two numbers"),
         ({"max_torque": "strong"}, r"robot.max_torque = 'strong'; it must be a number"),
+        ({"left.distal_length": 90.0}, r"robot.left.distal_length = 90.0; 10 is the most, in SI units"),
+        ({"left.proximal_inertia": 101250.0}, r"robot.left.proximal_inertia = 101250.0; 100 is the most, in SI units"),
+        ({"gravity": (0.0, -98.1)}, r"robot.gravity = \(0.0, -98.1\); 10 is the most, in SI units"),
+        ({"left.min_angle": -90.0}, r"robot.left.min_angle = -90.0; 12.5664 is the most, in SI units"),
         ({"left.distal_lenght": 0.09}, r"unknown robot parameter 'left.distal_lenght'"),
     ],
 )
@@ -82,7 +86,10 @@ def test_a_wrong_robot_is_refused_with_value_and_limit(robot: RobotParameters, c
 def test_a_missing_key_is_named(robot: RobotParameters) -> None:
     flat = flatten(robot)
     del flat["right.rotor_inertia"]
-    with pytest.raises(ParameterError, match="'right.rotor_inertia' is missing"):
+    with pytest.raises(ParameterError, match="robot parameter 'right.rotor_inertia' is missing"):
+        from_flat(flat)
+    del flat["coulomb_speed"]
+    with pytest.raises(ParameterError, match="robot parameters 'right.rotor_inertia', 'coulomb_speed' are missing"):
         from_flat(flat)
 
 

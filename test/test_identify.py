@@ -195,7 +195,8 @@ def forwards() -> Recorded:
     [
         (lambda: with_readings(lambda one: 0.001 * one.readings), "too little motion: the .* encoder moves by .* rad; for"),
         (lambda: part(np.arange(1200)), "too little motion: \\d+ instants tell something"),
-        (lambda: with_torque(lambda one: np.full_like(one.torque, np.nan)), "has no torque"),
+        (lambda: with_torque(lambda one: np.full_like(one.torque, np.nan)), "has no torque of the left and the right motor"),
+        (lambda: with_torque(lambda one: one.torque * [1.0, 0.0]), "has no torque of the right motor"),
         (lambda: with_torque(lambda one: -one.torque), "put .* described as|no masses and friction explain"),
         (lambda: with_torque(lambda one: 5.0 * one.torque), "put .* described as"),
         (lambda: with_torque(lambda one: one.torque[::-1]), "no masses and friction explain|put .* described as"),
@@ -206,6 +207,12 @@ def test_what_a_recording_cannot_tell_is_refused_with_what_to_do(one: Callable[[
     with pytest.raises(CalibrationError, match=words) as refusal:
         identify_recorded(ROBOT, [one()])
     assert "--excite" in str(refusal.value) or "Nothing was written" in str(refusal.value)
+
+
+def test_bags_of_two_robots_do_not_go_together() -> None:
+    with pytest.raises(CalibrationError, match=r"contradict each other: .* alone leaves .* mN m .*, together .* one by one"):
+        identify_recorded(ROBOT, [plain(), recorded()])
+    assert identify_recorded(ROBOT, [recorded(), recorded()]).after.left.coulomb_friction == pytest.approx(0.05, abs=5e-4)
 
 
 def test_a_robot_that_learnt_its_passive_friction_crosses_as_planned(monkeypatch: pytest.MonkeyPatch) -> None:

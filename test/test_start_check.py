@@ -6,10 +6,14 @@ import contextlib
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import yaml
 
 from dextar_control import cli
-from dextar_control.contract.resources import NODES_FILE, config_file
+from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
+from dextar_control.contract.robot import flatten, load_robot, robot_text
+from dextar_control.model.model import Model
 from dextar_control.ros import demo
 
 
@@ -70,3 +74,22 @@ def test_the_latest_run_stays_the_one_that_began_where_a_start_is_refused(starte
     assert cli.main(["demo", "--output", str(tmp_path)]) == 2
     assert started == list(demo.NODES)
     assert (tmp_path / "latest").resolve() == tmp_path / "earlier"
+
+
+def test_a_simulated_robot_of_its_own_stands_where_its_encoders_read_the_start(
+    started: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = dict[str, list[str]]()
+    monkeypatch.setattr(demo._Processes, "start", lambda _, name, arguments: given.setdefault(name, arguments))
+    drawn, file = load_robot(config_file(ROBOT_FILE)), tmp_path / "true.yaml"
+    true = drawn.replace(**{"right.axis": (0.06, 0.001), "left.encoder_offset": 0.01})
+    file.write_text(robot_text({key: value for key, value in flatten(true).items() if key != "base_distance"}), encoding="utf-8")
+    cli.main(["demo", "--output", str(tmp_path), "--plant-robot", str(file), "-p", "plant.robot.right.encoder_offset:=-0.02"])
+    true = true.replace(**{"right.encoder_offset": -0.02})
+    assert [name for name, own in given.items() if str(file) in own] == ["plant"]
+    (start,) = (yaml.safe_load(part.partition(":=")[2]) for part in given["plant"] if "task.start:=" in part)
+    reading = Model.of(true).place(np.array(start)).q_a + true.encoder_offset
+    assert reading == pytest.approx(Model.of(drawn).place(np.array([-0.025, 0.115])).q_a, abs=1e-9)
+    given.clear()
+    cli.main(["demo", "--output", str(tmp_path), "-p", "plant.robot.left.coulomb_friction:=0.05"])
+    assert not any("task.start" in part for part in given["plant"])

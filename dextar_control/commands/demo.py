@@ -53,6 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, metavar="S", help="of one way, s (default: config/crossing.yaml)")
     parser.add_argument("--repeat", type=int, metavar="N", help="return trips, or laps of a tour (default: config/crossing.yaml)")
     parser.add_argument("--robot", type=Path, metavar="FILE", help="robot description (default: config/dextar.yaml)")
+    parser.add_argument("--plant-robot", type=Path, metavar="FILE",
+                        help="description of the simulated robot, where that is another one than the nodes know")
     parser.add_argument("--params", type=Path, metavar="FILE", help="node parameters (default: config/crossing.yaml)")
     parser.add_argument(
         "-p", "--set", action="append", default=[], metavar="NODE.NAME:=VALUE", dest="overrides",

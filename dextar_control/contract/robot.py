@@ -168,6 +168,11 @@ _FREE = {"axis", "gravity", "min_angle", "max_angle", "encoder_offset"}
 _PAIRS = ("working_mode", "gravity", "left.axis", "right.axis")
 _AXES = ("left.axis", "right.axis")
 _SAME_LENGTH = 1e-9  # m
+_MOST = {
+    "base_distance": 10.0, "axis": 10.0, "proximal_length": 10.0, "distal_length": 10.0, "proximal_mass": 100.0,
+    "distal_mass": 100.0, "end_effector_mass": 100.0, "proximal_inertia": 100.0, "distal_inertia": 100.0, "rotor_inertia": 100.0,
+    "gravity": 10.0, "min_angle": 4.0 * math.pi, "max_angle": 4.0 * math.pi,
+}  # in SI units, either way: what is larger was meant in mm, g, g mm^2 or degrees
 
 
 def _check(key: str, value: Any) -> None:
@@ -182,6 +187,8 @@ def _check(key: str, value: Any) -> None:
     numbers = value if isinstance(value, (tuple, list)) else (value,)
     if not all(math.isfinite(number) for number in numbers):
         raise ParameterError(f"{full} = {value}; it must be finite")
+    if name in _MOST and max(map(abs, numbers)) > _MOST[name]:
+        raise ParameterError(f"{full} = {value}; {_MOST[name]:g} is the most, in SI units (m, kg, kg m^2, m/s^2, rad)")
     if name in _POSITIVE and value <= 0.0:
         raise ParameterError(f"{full} = {value}; it must be > 0")
     if name == "encoder_offset" and not abs(value) <= math.pi:
@@ -282,7 +289,9 @@ def from_flat(flat: Mapping[str, Any]) -> RobotParameters:
     wanted = [key for key in ROBOT_KEYS if key != "base_distance"]
     missing = ["base_distance" if key in _AXES else key for key in wanted if key not in flat]
     if missing:
-        raise ParameterError(f"robot parameter '{missing[0]}' is missing")
+        names = list(dict.fromkeys(missing))
+        told = f" '{names[0]}' is" if len(names) == 1 else f"s {', '.join(map(repr, names))} are"
+        raise ParameterError(f"robot parameter{told} missing")
     values: dict[str, Any] = {key: _convert(key, flat[key]) for key in wanted}
     for side in ("left", "right"):
         values[side] = LegParameters(**{key: values.pop(f"{side}.{key}") for key in _LEG_KEYS})

@@ -17,7 +17,7 @@ from dextar_control.identification.fit import EVERY, Direction, Fit, Places, dir
 from dextar_control.identification.folds import Fold, find_folds, touch
 from dextar_control.identification.linkage import COMPLIANCE, NAMES, PER_TURN, Linkage, described, numbers_of
 from dextar_control.identification.motion import CUTOFF
-from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, in_words, rms_of
+from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, contradicts, in_words, rms_of
 from dextar_control.identification.recorded import Recorded, recorded_of
 from dextar_control.identification.transmission import SURE
 from dextar_control.mechanisms.five_bar_locus import SIDES
@@ -28,6 +28,7 @@ LEAST_SPAN = 0.05  # rad, that each joint has to move
 WIDEST = {"m": 3e-4, "rad": 3e-3}  # standard deviation of a quantity beyond which a recording does not tell it
 MOST_MOVED = {"m": 5e-3, "rad": 0.1}  # from the description, beyond which the two contradict each other
 MOST_GAP = 1.5e-4  # m, RMS of the folds' gaps, without errors of the encoders, beyond which the numbers do not explain them
+MOST_APART = 3e-5  # m, of gaps, by which recordings may be explained worse together than alone
 MOST_PLACE_NOISE = 5e-3  # m, of a seen coordinate, likewise
 SUSPICIOUS = 1e-3  # rad, of an encoder's error once a turn that is said where nothing else is told
 LEAST_USED = 2.0 / 3.0  # of the folds
@@ -147,7 +148,8 @@ def recording_of(linkage: Linkage, robot: RobotParameters, recorded: Recorded, b
         if good.sum() >= FEWEST_PLACES:
             columns = np.column_stack([np.interp(seen[good], time, column) for column in np.hstack([readings, passed]).T])
             places = Places(columns[:, :2], columns[:, 2:], x[good])
-    folds = find_folds(linkage, numbers, recorded.working_mode, time, readings, bag, passed)
+    stayed = recorded.believed and bool(recorded.side[0]) and not np.ptp(recorded.side)  # on one side, known all along
+    folds = [] if stayed else find_folds(linkage, numbers, recorded.working_mode, time, readings, bag, passed)
     extremes = np.array([distance.min(), distance.max()])
     return Recording(recorded.path, folds, places, extremes, np.ptp(readings, axis=0))
 
@@ -185,9 +187,10 @@ def calibrate_recorded(
     _check_enough(recordings, folds, wanted, places)
     progress(f"fitting {len(wanted)} quantities to {len(folds)} folds")
     found = fit(linkage, numbers, folds, places, wanted)
+    _check_agree(linkage, numbers, recordings, found)
     plain = _plain(numbers, found)
     before, after = (np.array([touch(linkage, row, fold).gap for fold in folds]) for row in (numbers, plain))
-    _check_places(found)
+    _check_places(found, places)
     _check_explained(found, after)
     _check_told(found)
     _check_bounds(robot, found)
@@ -260,17 +263,32 @@ def _no_fold_of_all(recordings: Sequence[Recording]) -> str:
     )
 
 
-def _check_places(found: Fit) -> None:
-    """The end effector was seen where some geometry has it.
+def _check_agree(linkage: Linkage, numbers: Array, recordings: Sequence[Recording], found: Fit) -> None:
+    """Several recordings are of one robot.
+
+    Raises:
+        CalibrationError: they contradict each other.
+    """
+    which = np.array([fold.bag for recording in recordings for fold in recording.folds])
+    for bag, recording in enumerate(recordings if len(recordings) > 1 else []):
+        wanted = directions_of(recording.folds, None)
+        if len(recording.folds) >= len(wanted) + SPARE:
+            alone, together = fit(linkage, numbers, recording.folds, None, wanted).gaps, found.gaps[which == bag]
+            contradicts(recording.path, *(float(np.nanmedian(np.abs(gaps))) for gaps in (alone, together)), MOST_APART, "m")
+
+
+def _check_places(found: Fit, places: Places | None) -> None:
+    """Most often the end effector was seen where one geometry has it.
 
     Raises:
         CalibrationError: it was not.
     """
-    if found.place_noise > MOST_PLACE_NOISE:
+    count = 0 if places is None else len(places.x)
+    if found.place_noise > MOST_PLACE_NOISE or found.places < LEAST_USED * count:
         raise CalibrationError(
             f"the external poses scatter by {1e3 * found.place_noise:.1f} mm (standard deviation) about any geometry's end"
-            f" effector; {1e3 * MOST_PLACE_NOISE:g} mm is the most: check their frame, unit and stamps, or leave them out"
-            " (--no-pose). Nothing was written"
+            f" effector, and {found.places} of {count} agree; {1e3 * MOST_PLACE_NOISE:g} mm is the most, {LEAST_USED:.0%} the"
+            " least: check their frame, unit and stamps, or leave them out (--no-pose). Nothing was written"
         )
 
 
@@ -287,10 +305,11 @@ def _check_told(found: Fit) -> None:
         if not deviation <= WIDEST[direction.unit]
     ]
     if vague:
-        x = np.array([one.x for one in found.touches])[found.used]
-        low, high = 1e3 * np.array([x.min(axis=0), x.max(axis=0)]) if len(x) else np.full((2, 2), np.nan)
+        x = np.array([one.x for one, used in zip(found.touches, found.used, strict=True) if used and np.isfinite(one.gap)])
+        low, high = 1e3 * np.array([x.min(axis=0), x.max(axis=0)]) if len(x) else np.zeros((2, 2))
+        where = f", at x = {low[0]:.0f} to {high[0]:.0f} mm, y = {low[1]:.0f} to {high[1]:.0f} mm," if len(x) else ""
         raise CalibrationError(
-            f"{len(x)} crossings, at x = {low[0]:.0f} to {high[0]:.0f} mm, y = {low[1]:.0f} to {high[1]:.0f} mm, tell"
+            f"{len(x)} crossings{where} tell"
             f" {'; '.join(vague)}; {1e3 * WIDEST['m']:g} mm and {1e3 * WIDEST['rad']:g} mrad are needed:"
             f" {_encoders(found) or 'they lie too close together, or all on one side'}; {RECORD}"
         )

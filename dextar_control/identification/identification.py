@@ -13,8 +13,8 @@ from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import CalibrationError, ParameterError
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.identification.dynamics import ALONE, DynamicFit, fit_dynamics, rest_of, rows_of
-from dextar_control.identification.motion import EXCITE, LEAST_RATE, LEAST_S, Motion, motion_of
-from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, in_words, rms_of
+from dextar_control.identification.motion import EXCITE, LEAST_RATE, LEAST_S, SHORTEST, Motion, motion_of
+from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, contradicts, in_words, rms_of
 from dextar_control.identification.recorded import Recorded, recorded_of
 from dextar_control.identification.transmission import Stiffness, stiffnesses_of
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
@@ -27,6 +27,7 @@ BODIES = 5  # combinations of masses and inertias that a five-bar's torques see 
 WIDEST = {"coulomb_friction": 5e-3, "viscous_friction": 5e-3}  # N m, N m s/rad of a motor: deviation beyond which it is not told
 WIDEST_GRAVITY = 1.0  # m/s^2
 MOST_REST = 0.35  # of a joint's torque, RMS, that may stay unexplained
+MOST_APART = 0.05  # of it, by which recordings may be explained worse together than alone
 LEAST_USED = 0.25  # of the instants: where friction turns round, or a belt rings, the others scatter more
 MOST_FACTOR = 3.0  # of a combination of masses or inertias, over and under the description
 WEIGHT = 9.81  # m/s^2
@@ -111,15 +112,18 @@ def identify_recorded(
         CalibrationError: as ``identify``.
     """
     for recorded in recordings:
-        if not np.isfinite(recorded.torque).any():
+        idle = [side for side, torque in zip(SIDES, recorded.torque.T, strict=True) if not np.nan_to_num(torque).any()]
+        if idle:
             raise CalibrationError(
-                f"{recorded.path} has no torque: no joint_commands with an effort, which tells masses and friction; {EXCITE}"
+                f"{recorded.path} has no torque of the {' and the '.join(idle)} motor: no joint_commands with an effort"
+                f" other than 0, which tells masses and friction; {EXCITE}"
             )
     progress("looking for stretches that tell something")
     motions = [motion_of(robot, recorded) for recorded in recordings]
     _check_motion(motions)
     progress(f"fitting to {sum(len(motion.tells) for motion in motions)} instants")
     found = fit_dynamics(robot, motions)
+    _check_agree(robot, motions, found)
     _check_explained(motions, found)
     _check_told(motions, found)
     _check_bounds(robot, found)
@@ -172,7 +176,8 @@ def _too_little(motions: Sequence[Motion]) -> str:
     count = sum(len(motion.tells) for motion in motions)
     return (
         f"too little motion: {count} instants tell something of masses and friction, {LEAST_INSTANTS} are the least (each joint"
-        f" faster than {LEAST_RATE} rad/s, |s| above {LEAST_S}, under a torque); {EXCITE}"
+        f" faster than {LEAST_RATE} rad/s, |s| above {LEAST_S}, its side known, under a torque, states without a gap for"
+        f" {SHORTEST} s around); {EXCITE}"
     )
 
 
@@ -199,6 +204,21 @@ def _check_motion(motions: Sequence[Motion]) -> None:
                 f"{_names(motions)}: one direction only: the {side} joint turns {'forwards' if share > 0.5 else 'backwards'} in"
                 f" {max(share, 1.0 - share):.0%} of the motion, so that gravity hides {side}.coulomb_friction; {EXCITE}"
             )
+
+
+def _check_agree(robot: RobotParameters, motions: Sequence[Motion], found: DynamicFit) -> None:
+    """Several recordings are of one robot.
+
+    Raises:
+        CalibrationError: they contradict each other.
+    """
+    for row, motion in enumerate(motions if len(motions) > 1 else []):
+        if len(motion.tells) >= LEAST_INSTANTS:
+            alone = np.median(np.abs(fit_dynamics(robot, [motion]).rest), axis=0)
+            rows = found.which == row
+            together, torque = np.median(np.abs(found.rest[rows]), axis=0), rms_of(found.torque[rows])
+            joint = int(np.argmax(together))
+            contradicts(motion.recorded.path, float(alone[joint]), float(together[joint]), MOST_APART * torque, "N m")
 
 
 def _check_told(motions: Sequence[Motion], found: DynamicFit) -> None:

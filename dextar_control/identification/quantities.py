@@ -21,6 +21,9 @@ UNITS = {
 Progress = Callable[[str], None]
 
 
+WORSE = 3.0  # times what a recording alone leaves, that it may leave together with others
+
+
 class Quantity(NamedTuple):
     """One number, before and after.
 
@@ -92,6 +95,27 @@ def common_robot(runs: Sequence[Run], numbers_of: Callable[[RobotParameters], Ar
                 f"{run.path} was recorded with another {what} of the robot than {runs[0].path}; take bags of one together"
             )
     return robots[0]
+
+
+def contradicts(path: Path, alone: float, together: float, least: float, unit: str) -> None:
+    """Several recordings are explained together about as well as each of them alone.
+
+    Args:
+        path: of one of them.
+        alone, together: what the numbers by it alone, and those by all, leave of it, in SI units.
+        least: that is no sign of anything.
+        unit: m or N m.
+
+    Raises:
+        CalibrationError: they are not.
+    """
+    name, scale = UNITS[unit]
+    if together > max(WORSE * alone, least):
+        raise CalibrationError(
+            f"the recordings contradict each other: {path} alone leaves {scale * alone:.3g} {name} unexplained, together with the"
+            f" others {scale * together:.3g} {name}, as where robots differ or one was changed in between; take them one by one."
+            " Nothing was written"
+        )
 
 
 def rms_of(values: Array) -> float:

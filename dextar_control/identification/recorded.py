@@ -13,6 +13,7 @@ from dextar_control.contract.robot import RobotParameters
 from dextar_control.symbols.types import Array
 
 STALE = 0.02  # s, age of a command or a belief that still counts
+FEWEST = 50  # states, of which filters can tell something
 
 
 class Recorded(NamedTuple):
@@ -22,10 +23,11 @@ class Recorded(NamedTuple):
         path: of the bag.
         working_mode: of the legs.
         time: (m,) s, rising.
-        readings: (m, n) of the encoders, rad.
+        readings: (m, n) of the encoders on one turn after the other, rad.
         torque: (m, n) commanded at each, until the next, N m; nan where there is none.
         side: (m,) sign of s that the controller believed; 0 where it did not know.
         poses: times (k,), s, and positions (k, n), m, of the end effector; None where it was not seen.
+        believed: the sides are those of a controller at the time, not what is known of the start.
     """
 
     path: Path
@@ -35,6 +37,7 @@ class Recorded(NamedTuple):
     torque: Array
     side: Array
     poses: tuple[Array, Array] | None = None
+    believed: bool = False
 
 
 def recorded_of(run: Run, robot: RobotParameters, record: str) -> Recorded:
@@ -45,22 +48,23 @@ def recorded_of(run: Run, robot: RobotParameters, record: str) -> Recorded:
         record: what to record, in words.
 
     Raises:
-        CalibrationError: it has no two states of both joints.
+        CalibrationError: it has too few states of both joints.
     """
     stamps = run.states.stamps
     known = np.isfinite(run.states.position).all(axis=1)
-    if known.sum() < 2:
-        raise CalibrationError(f"{run.path}: {int(known.sum())} joint states have both angles; {record}")
+    if known.sum() < FEWEST:
+        raise CalibrationError(f"{run.path}: {int(known.sum())} joint states have both angles; {FEWEST} are the least; {record}")
     given = np.isfinite(run.commands.effort).all(axis=1)
     torque = _held(run.commands.stamps[given], run.commands.effort[given], stamps)
-    if len(run.criterion.stamps):
+    believed = len(run.criterion.stamps) > 0
+    if believed:
         side = np.nan_to_num(_held(run.criterion.stamps, run.criterion.assembly_mode[:, None], stamps)[:, 0])
     else:
         side = np.full(len(stamps), float(run.parameters.get("controller", {}).get("assembly_mode", 1)))
     return Recorded(
-        run.path, (run.robot or robot).working_mode, ((stamps - stamps[0]) * 1e-9)[known], run.states.position[known],
-        torque[known], side[known],
-        None if run.poses is None else ((run.poses.stamps - stamps[0]) * 1e-9, run.poses.x),
+        run.path, (run.robot or robot).working_mode, ((stamps - stamps[0]) * 1e-9)[known],
+        np.unwrap(run.states.position[known], axis=0), torque[known], side[known],
+        None if run.poses is None else ((run.poses.stamps - stamps[0]) * 1e-9, run.poses.x), believed,
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from dextar_control.analysis.web_figures import residuals
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.words import counted
-from dextar_control.identification.calibration import Calibration, Prediction, robot_lines
+from dextar_control.identification.calibration import MOST_GAP, Calibration, Prediction, robot_lines
 from dextar_control.identification.identification import Identification, TorquePrediction, identified_lines
 from dextar_control.identification.quantities import UNITS, Quantity, rms_of, write_robot
 from dextar_control.mechanisms.five_bar_locus import SIDES
@@ -23,6 +23,7 @@ from dextar_control.mechanisms.five_bar_locus import SIDES
 ROBOT_FILE, PAGE_FILE = "calibrated.yaml", "calibration.html"
 IDENTIFIED_FILE, IDENTIFICATION_FILE = "identified.yaml", "identification.html"
 MM, UM, MNM = 1e3, 1e6, 1e3
+UNHELD = ": the numbers do not hold there; another robot, a change in between or too short a recording look like this"
 TORQUES = (
     "What of the commanded torques masses, friction and gravity do not explain, where the joints turn, clear of the locus."
     " Crosses lie more than four deviations off and do not count."
@@ -83,7 +84,7 @@ def predicted(prediction: Prediction) -> str:
     )
     if np.isfinite(prediction.places_after):
         text += f"; at the poses {MM * prediction.places_before:.3f} mm before, {MM * prediction.places_after:.3f} mm after"
-    return text
+    return text + (UNHELD if prediction.after > max(0.5 * prediction.before, MOST_GAP) else "")
 
 
 def sentence(calibration: Calibration) -> str:
@@ -170,6 +171,7 @@ def torques_predicted(prediction: TorquePrediction) -> str:
     return (
         f"{prediction.path}, not used: of torques of {MNM * prediction.torque:.1f} mN m RMS {MNM * prediction.before:.2f} mN m"
         f" were unexplained before, {MNM * prediction.after:.2f} mN m after"
+        f"{UNHELD if prediction.after > max(0.5 * prediction.before, 0.1 * prediction.torque) else ''}"
     )
 
 

@@ -18,6 +18,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -29,7 +30,7 @@ from dextar_control.contract import signals
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.node import check_value, qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
-from dextar_control.contract.robot import RobotParameters, load_robot
+from dextar_control.contract.robot import PREFIX, RobotParameters, load_robot
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, spoken_warnings
 from dextar_control.contract.topics import DIAGNOSTICS
 from dextar_control.contract.yaml_text import assignment, load_parameters, parse_value
@@ -50,6 +51,7 @@ START_TIMEOUT = 120.0  # s, on a busy machine
 RUN_TIMEOUT = 20.0  # s beyond 20 times the trip's duration
 STOP_TIMEOUT = 15.0  # s until a node that does not end is killed
 LOADING_NICE = 10
+SAME_PLACE = 1e-9  # m
 LINGER = 0.2  # s of holding after the trip
 
 
@@ -168,11 +170,16 @@ def run_demo(arguments: argparse.Namespace) -> int:
     """Run the demo of parsed arguments (see ``dextar demo --help``); the exit code."""
     console = Terminal()
     files = _parameter_files(arguments)
-    robot = load_robot(files[0])
+    robot = load_robot(files["controller"][0])
     values = _node_values(arguments)
-    settings = {node: check_start(node, _changes(node, own), *files) for node, own in values.items()}
+    changes = {node: _changes(node, own) for node, own in values.items()}
+    settings = {node: check_start(node, own, *files[node]) for node, own in changes.items()}
+    start = settings["trajectory_server"]["task.start"]
     if arguments.point is not None:
-        _stand_at_start(console, robot, Task.from_values(settings["trajectory_server"]), values)
+        start = _stand_at_start(console, robot, Task.from_values(settings["trajectory_server"]), values)
+    if "task.start" not in changes["plant"]:
+        other = {name.removeprefix(PREFIX): value for name, value in changes["plant"].items() if name.startswith(PREFIX)}
+        _stand_as_read(robot, load_robot(files["plant"][0]).replace(**other), start, values)
     folder = _make_folder(arguments.output)
     values["recorder"].append(assignment("output", folder / "run.mcap"))
     values["trajectory_server"].append(assignment("drawing", folder / "plan.png"))
@@ -261,8 +268,8 @@ def _changes(node: str, texts: Sequence[str]) -> dict[str, Any]:
     return {name: parse_value(value, f"-p {node}.{name}:={value}") for name, _, value in parts}
 
 
-def _stand_at_start(console: Terminal, robot: RobotParameters, task: Task, values: dict[str, list[str]]) -> None:
-    """Plan the trip through the point, so that the robot can be put where it begins, and on that side of the locus.
+def _stand_at_start(console: Terminal, robot: RobotParameters, task: Task, values: dict[str, list[str]]) -> list[float]:
+    """Plan the trip through the point, so that the robot can be put where it begins, m, and on that side of the locus.
 
     The trajectory server makes the same plan again.
     """
@@ -278,25 +285,36 @@ def _stand_at_start(console: Terminal, robot: RobotParameters, task: Task, value
     direction = round(plan.certificate.crossing_signs[0])
     values["trajectory_server"].append(assignment("direction", direction))
     values["controller"].append(assignment("assembly_mode", -direction))
+    return start
 
 
-def _parameter_files(arguments: argparse.Namespace) -> tuple[Path, Path]:
+def _stand_as_read(robot: RobotParameters, true: RobotParameters, start: Sequence[float], values: dict[str, list[str]]) -> None:
+    """Put a simulated robot that is not the described one where its encoders read what they should where the trip begins."""
+    place = Model.of(robot).place(np.array(start))
+    q_a = place.q_a + np.array(robot.encoder_offset) - np.array(true.encoder_offset)
+    x = Model.of(true).close(q_a, float(np.sign(place.s[0])))
+    if np.hypot(*(x - start)) > SAME_PLACE:
+        values["plant"].append(assignment("task.start", x.tolist()))
+
+
+def _parameter_files(arguments: argparse.Namespace) -> dict[str, tuple[Path, Path]]:
     """The files of the robot and of the nodes' parameters, which each node reads for itself."""
-    files = arguments.robot or config_file(ROBOT_FILE), arguments.params or config_file(NODES_FILE)
-    for path, what in zip(files, ("robot file", "parameter file"), strict=True):
+    robot, nodes = arguments.robot or config_file(ROBOT_FILE), arguments.params or config_file(NODES_FILE)
+    true = arguments.plant_robot or robot
+    for path, what in ((robot, "robot file"), (true, "robot file"), (nodes, "parameter file")):
         if path.exists() and not path.is_dir() and not path.is_file():
             raise ParameterError(f"{what} {path} is a pipe or a device; each node reads it, so it must be a file")
         load_parameters(path, what=what)
-    return files
+    return {name: (true if name == "plant" else robot, nodes) for name in NODES}
 
 
-def _node_arguments(values: dict[str, list[str]], files: Sequence[Path]) -> dict[str, list[str]]:
+def _node_arguments(values: dict[str, list[str]], files: dict[str, tuple[Path, Path]]) -> dict[str, list[str]]:
     """The ROS arguments of each node."""
-    common = [part for path in files for part in ("--params-file", str(path))]
     return {  # with the node's name: a plain -p counts as /**, which a file's section for the node overrides
-        name: [*common, *(part for value in values[name] for part in ("-p", f"{name}:{value}"))]
+        name: [*(part for path in files[name] for part in ("--params-file", str(path))),
+               *(part for value in values[name] for part in ("-p", f"{name}:{value}"))]
         for name in NODES
-    }
+    }  # fmt: skip
 
 
 def _make_folder(output: Path) -> Path:
