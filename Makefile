@@ -43,7 +43,10 @@ test: set-up-test .venv/installed-js ## run the tests
 	@$(BIN)/python -m pytest -q --durations=10 $(ARGS)
 
 interfaces: ## build the action go and the readable messages into install/ (README)
-	@$(SET_UP) interfaces
+	@case "$$PWD" in
+	*" "*) echo "error: colcon's setup files do not work in '$$PWD': clone into a folder without a space in its path" >&2; exit 1 ;;
+	esac
+	$(SET_UP) interfaces
 	command -v cmake >/dev/null && command -v c++ >/dev/null || \
 		{ echo "error: cmake and a C++ compiler are needed; on Debian or Ubuntu: sudo apt install cmake g++" >&2; exit 1; }
 	. $(BIN)/activate

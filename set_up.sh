@@ -11,6 +11,7 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
 PYTHON=${PYTHON:-python3}
 BIN=.venv/bin
+export PIP_RETRIES=${PIP_RETRIES:-2} # also of the pip that pip calls for what a build needs
 FULL='No space left on device|os error 28|Disk quota exceeded|File too large|os error 27'
 UNTRUSTED='CERTIFICATE_VERIFY_FAILED|invalid peer certificate|UnknownIssuer'
 UNREACHABLE='dns error|error sending request|[Cc]onnection ?(refused|aborted|error|reset)|name resolution|new connection|Proxy ?Error|tunnel'
@@ -26,8 +27,8 @@ explain() {
     local proxy=${HTTPS_PROXY:-${https_proxy:-${ALL_PROXY:-${all_proxy:-}}}}
     has() { grep -qE "$1" <<<"$said"; }
     if has "$FULL"; then
-        fail "the disk is full, or a quota or limit (ulimit -f) is reached: '$PWD/.venv' takes 1.5 GB, the downloads half as much in the cache of uv or pip (UV_CACHE_DIR," \
-            "PIP_CACHE_DIR). Make room, then call make again: it goes on from here."
+        fail "the disk is full, or a quota or limit (ulimit -f) is reached: '$PWD/.venv' takes 1.5 GB, the downloads half as" \
+            "much in the cache of uv or pip (UV_CACHE_DIR, PIP_CACHE_DIR). Make room, then call make again: it goes on from here."
     elif has "$UNTRUSTED"; then
         fail "the package index shows a certificate that is not trusted here. Name the file with your organisation's in" \
             "SSL_CERT_FILE and PIP_CERT, then call make again."
@@ -86,7 +87,7 @@ index_of_pip() {
 
 # Install the package with extras, "[a,b]" or nothing.
 install() {
-    local pip=("$BIN/python" -m pip --disable-pip-version-check --no-input --retries 2) constraint=() uv="" said="" again=()
+    local pip=("$BIN/python" -m pip --disable-pip-version-check --no-input) constraint=() uv="" said="" again=()
     [ ! -e .venv/installing ] || again=(--reinstall) # it was interrupted, and what it was copying may be half there
     said=$(touch .venv/installing 2>&1) || explain
     if [ "$kind" = jazzy ]; then
@@ -105,8 +106,8 @@ install() {
             echo "uv fails ($(grep -m1 -E 'error|×|╰' <<<"$said" | cut -c1-200 || echo "it says nothing")); so pip tries"
     else
         echo "installing $what, by pip: some minutes"
-        "${pip[@]}" install "pip>=21.3" >/dev/null 2>&1 || true # an older one, as of Python 3.10.0, installs nothing in place
     fi
+    "${pip[@]}" install "pip>=21.3" >/dev/null 2>&1 || true # an older one, as of Python 3.10.0, installs nothing in place
     said=$("${pip[@]}" install "${again[@]/--re/--force-re}" "${constraint[@]}" --editable ".$1" 2>&1) || explain
     rm .venv/installing
 }

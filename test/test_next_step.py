@@ -68,6 +68,10 @@ def test_a_start_is_refused_with_phase_reason_and_what_to_call(server: Trajector
         "the controller is in phase FAULT (no state for 21 ms); a trip starts from HOLD:"
         f" type dextar reset --namespace /left, then {ENABLE}"
     )
+    two = "2 publishers on /left/joint_commands; the limit is 1: end all but one (2 x /left/controller)"
+    assert f"phase IDLE ({two}); " in refusal(server, lifecycle="active", phase="IDLE", enabling="off", other_commanders=two)
+    again = refusal(server, lifecycle="active", phase="FAULT", reason=two, other_commanders=two)
+    assert again.count(two) == 1
     assert refusal(server, lifecycle="active", phase="IDLE", enabling="off").endswith(f"a trip starts from HOLD: type {ENABLE}")
     assert refusal(server, lifecycle="inactive").endswith(": type ros2 lifecycle set /left/controller activate")
     assert refusal(server, lifecycle="active", phase="HOLD", x="nan", y="nan").endswith("see that the rig or plant runs")

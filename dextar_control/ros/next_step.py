@@ -54,4 +54,6 @@ def why_not(controller: str, told: Mapping[str, str]) -> str:
         return f"the controller is {lifecycle}; a trip needs an active one: {step}"
     if phase == "HOLD" or (phase == "IDLE" and enabling == "waiting"):
         return ""
-    return f"the controller is in phase {phase}{f' ({reason})' if reason else ''}; a trip starts from HOLD: {step}"
+    second = next((text for key in ("other_commanders", "state_publishers") if (text := told.get(key, ""))), "")
+    why = "; ".join(text for text in (reason, second if second not in reason else "") if text)
+    return f"the controller is in phase {phase}{f' ({why})' if why else ''}; a trip starts from HOLD: {step}"

@@ -179,8 +179,11 @@ class Operator(Node):
             Unreached: none comes.
         """
         future = self.ask(kind, name, request, through=through)
-        if not self.until(future.done, ANSWER, through=through):
-            raise Unreached(f"no answer of {self.full(name)} within {ANSWER:.0f} s; see that its node runs, then try again")
+        there = self._client(kind, name).service_is_ready
+        over = self.until(lambda: future.done() or not there(), ANSWER, through=through)
+        if not future.done():
+            why = "and it has ended" if over else f"within {ANSWER:.0f} s"
+            raise Unreached(f"no answer of {self.full(name)} {why}; see that its node runs, then try again")
         return future.result()
 
     def set_task(self, values: Mapping[str, Any]) -> None:
