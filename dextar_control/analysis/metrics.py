@@ -18,6 +18,7 @@ from dextar_control.analysis.tracking import Tracked, plan_of, tracked
 from dextar_control.analysis.verdict import Verdict, judge, late_share
 from dextar_control.bags.damage import Hole, Unreadable
 from dextar_control.contract.errors import DextarError
+from dextar_control.contract.plain_data import as_plain
 from dextar_control.contract.robot import JOINT_NAMES
 from dextar_control.planning.certificate import NEAR_LOCUS
 
@@ -114,7 +115,7 @@ class Metrics:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON: what is not a number is None."""
-        plain: dict[str, Any] = _plain(dataclasses.asdict(self))
+        plain: dict[str, Any] = as_plain(dataclasses.asdict(self))
         return plain
 
     def to_json(self) -> str:
@@ -219,14 +220,6 @@ def _whole(text: Any) -> int | None:
 
 def _add(lost: int | None, dropped: int | None) -> int | None:
     return None if lost is None else lost + (dropped or 0)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(inner) for key, inner in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def saturated(metrics: Metrics) -> str:

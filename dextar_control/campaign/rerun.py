@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from dextar_control.campaign.run import Campaign
-from dextar_control.campaign.store import as_plain, read_rows
+from dextar_control.campaign.store import read_rows
 from dextar_control.campaign.worker import run_trials
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plain_data import as_plain
 from dextar_control.contract.terminal import Terminal
 
 TIMES = {"wall_time", "cpu_time", "planning_time"}  # results that differ from run to run

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import json
-import math
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ import pyarrow.parquet as pq
 
 from dextar_control.campaign.worker import Row
 from dextar_control.contract.errors import CampaignError
+from dextar_control.contract.plain_data import as_plain
 
 MANIFEST, ROWS, TABLE = "campaign.json", "rows.jsonl", "rows.parquet"
 
@@ -138,16 +138,6 @@ def as_table(rows: list[Row]) -> pa.Table:
     names = dict.fromkeys(name for row in rows for name in row)
     columns = {name: _column([row.get(name) for row in rows]) for name in names}
     return pa.table(columns)
-
-
-def as_plain(row: Mapping[str, Any]) -> Row:
-    """Of Python's own types, numbers that are not finite as None."""
-    plain: Row = {}
-    for name, value in row.items():
-        if hasattr(value, "item"):
-            value = value.item()
-        plain[name] = None if isinstance(value, float) and not math.isfinite(value) else value
-    return plain
 
 
 def _column(values: list[Any]) -> pa.Array:

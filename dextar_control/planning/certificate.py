@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dextar_control.contract.plain_data import as_plain
 from dextar_control.mechanisms.mechanism import Coordinate
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.model import states_model
@@ -65,7 +66,7 @@ class Certificate(NamedTuple):
 
     def to_json(self) -> str:
         """``to_dict`` as JSON; a number that does not exist is null."""
-        return json.dumps(_finite(self.to_dict()), allow_nan=False)
+        return json.dumps(as_plain(self.to_dict()), allow_nan=False)
 
     def lines(self) -> list[str]:
         """The certificate in words, one fact a line."""
@@ -88,15 +89,6 @@ class Certificate(NamedTuple):
 
 def _list(values: tuple[float, ...], digits: int = 4) -> str:
     return f"({', '.join(f'{value:.{digits}f}' for value in values)})"
-
-
-def _finite(value: Any) -> Any:
-    """Plain data with None for each number that is not finite."""
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 class Plan(NamedTuple):

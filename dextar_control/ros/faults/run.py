@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import os
 import queue
 import random
@@ -22,6 +21,7 @@ from typing import Any, Literal
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TimeElapsedColumn
 
 from dextar_control.contract.errors import BagError, ParameterError
+from dextar_control.contract.plain_data import as_plain
 from dextar_control.contract.resources import config_file, node_defaults
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.contract.yaml_text import dump_document
@@ -310,17 +310,9 @@ def _make_folder(output: Path) -> Path:
 
 def _write(folder: Path, summary: Summary, config: FaultConfig, seed: int) -> None:
     data = {"seed": seed, **summary.to_dict()}
-    (folder / "faults.json").write_text(json.dumps(_finite(data), indent=1) + "\n", encoding="utf-8")
+    (folder / "faults.json").write_text(json.dumps(as_plain(data), indent=1) + "\n", encoding="utf-8")
     (folder / "faults.md").write_text(summary.markdown(), encoding="utf-8")
     (folder / "cases.yaml").write_text(dump_document(config.model_dump()), encoding="utf-8")
     if summary.rows():
         timeout = float(node_defaults("plant")["command_timeout"])
         draw(summary, timeout).savefig(folder / "faults.png", dpi=RESOLUTION)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
