@@ -95,7 +95,10 @@ def test_the_exciting_motion_is_the_same_each_time_and_tells_more_than_a_line() 
     assert information(short.trajectory) > information(line) + 30.0
 
 
-@pytest.mark.parametrize(("start", "error"), [((0.0, 0.0845), TrajectoryError), ((0.5, 0.5), GeometryError)])
+@pytest.mark.parametrize(
+    ("start", "error"),
+    [((0.0, 0.0845), TrajectoryError), ((-0.025, 0.097), TrajectoryError), ((0.5, 0.5), GeometryError)],
+)
 def test_an_exciting_motion_needs_room(start: tuple[float, float], error: type[Exception]) -> None:
     with pytest.raises(error, match="start"):
         plan_excitation(ROBOT, np.array(start), 5.0, 0.2)

@@ -91,5 +91,8 @@ def test_a_simulated_robot_of_its_own_stands_where_its_encoders_read_the_start(
     reading = Model.of(true).place(np.array(start)).q_a + true.encoder_offset
     assert reading == pytest.approx(Model.of(drawn).place(np.array([-0.025, 0.115])).q_a, abs=1e-9)
     given.clear()
+    cli.main(["demo", "--output", str(tmp_path), "-p", "trajectory_server.task.start:=[-0.03, 0.11]"])
+    assert any("task.start:=[-0.03" in part for part in given["plant"])
+    given.clear()
     cli.main(["demo", "--output", str(tmp_path), "-p", "plant.robot.left.coulomb_friction:=0.05"])
     assert not any("task.start" in part for part in given["plant"])
