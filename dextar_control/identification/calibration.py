@@ -273,8 +273,8 @@ def _check_agree(linkage: Linkage, numbers: Array, recordings: Sequence[Recordin
     for bag, recording in enumerate(recordings if len(recordings) > 1 else []):
         wanted = directions_of(recording.folds, None)
         if len(recording.folds) >= len(wanted) + SPARE:
-            alone, together = fit(linkage, numbers, recording.folds, None, wanted).gaps, found.gaps[which == bag]
-            contradicts(recording.path, *(float(np.nanmedian(np.abs(gaps))) for gaps in (alone, together)), MOST_APART, "m")
+            alone = float(np.nanmedian(np.abs(fit(linkage, numbers, recording.folds, None, wanted).gaps)))
+            contradicts(recording.path, alone, float(np.nanmedian(np.abs(found.gaps[which == bag]))), MOST_APART, "m")
 
 
 def _check_places(found: Fit, places: Places | None) -> None:
