@@ -45,6 +45,8 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (("-p", "controller.lwa:=classic"), "controller: unknown parameter 'lwa' for node controller"),
         (("-p", "plant.substepz:=4"), "plant: unknown parameter 'substepz' for node plant"),
         (("-p", "plant.substeps:=many"), "plant: parameter 'substeps' = 'many'; it must be a number"),
+        (("-p", "trajectory_server.task.start:=[0.5, 0.5]"), "point (0.5000, 0.5000) m is"),
+        (("-p", "plant.robot.base_distance:=0.9"), "the simulated robot cannot stand where its encoders read"),
         (("-p", "recorder.compression:=rar"), "recorder: parameter 'compression' = 'rar'; it must be one of"),
     ],
 )  # fmt: skip

@@ -27,7 +27,7 @@ from rich.progress import BarColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool
 
 from dextar_control.contract import signals
-from dextar_control.contract.errors import BagError, DextarError, ParameterError
+from dextar_control.contract.errors import BagError, DextarError, GeometryError, ParameterError
 from dextar_control.contract.node import qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.robot import PREFIX, RobotParameters, load_robot
@@ -289,9 +289,12 @@ def _stand_at_start(console: Terminal, robot: RobotParameters, task: Task, value
 
 def _place_as_read(robot: RobotParameters, true: RobotParameters, start: Sequence[float]) -> Array:
     """(2,) m, where a simulated robot stands whose encoders read what the described one's do where the trip starts."""
-    place = Model.of(robot).place(np.array(start))
-    q_a = place.q_a + np.array(robot.encoder_offset) - np.array(true.encoder_offset)
-    return Model.of(true).close(q_a, float(np.sign(place.s[0])))
+    x, model = np.array(start), Model.of(robot)
+    q_a = model.inverse_geometric_model(x) + np.array(robot.encoder_offset) - np.array(true.encoder_offset)
+    try:
+        return Model.of(true).close(q_a, float(np.sign(model.place(x).s[0])))
+    except GeometryError as error:
+        raise ParameterError(f"the simulated robot cannot stand where its encoders read the trip's start: {error}") from error
 
 
 def _parameter_files(arguments: argparse.Namespace) -> dict[str, tuple[Path, Path]]:
