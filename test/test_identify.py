@@ -23,6 +23,7 @@ from dextar_control.contract.errors import CalibrationError, GeometryError, Traj
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 from dextar_control.identification.dynamics import DynamicFit
 from dextar_control.identification.identification import Identification, identify_recorded
+from dextar_control.identification.quantities import UNITS
 from dextar_control.identification.recorded import Recorded
 from dextar_control.mechanisms import DETAILED_FIVE_BAR, mechanism_named
 from dextar_control.mechanisms.mechanism import Mechanism
@@ -95,7 +96,10 @@ def test_the_exciting_motion_is_the_same_each_time_and_tells_more_than_a_line() 
     assert information(short.trajectory) > information(line) + 30.0
 
 
-@pytest.mark.parametrize(("start", "error"), [((0.0, 0.0845), TrajectoryError), ((0.5, 0.5), GeometryError)])
+@pytest.mark.parametrize(
+    ("start", "error"),
+    [((0.0, 0.0845), TrajectoryError), ((-0.025, 0.097), TrajectoryError), ((0.5, 0.5), GeometryError)],
+)
 def test_an_exciting_motion_needs_room(start: tuple[float, float], error: type[Exception]) -> None:
     with pytest.raises(error, match="start"):
         plan_excitation(ROBOT, np.array(start), 5.0, 0.2)
@@ -138,6 +142,15 @@ def test_numbers_come_back_within_their_deviations() -> None:
     assert np.hypot(*(np.array(found.after.gravity) - ROUGH["gravity"])) <= 0.12
     assert "The robot is tilted by 4." in " ".join(found.told)
     assert found.fit.rest[found.fit.used].std() < 0.1 * found.fit.rest_before[found.fit.used].std()
+
+
+def test_the_told_combinations_add_up_with_the_numbers_as_they_are_shown() -> None:
+    found = identified()
+    shown = {one.name: UNITS[one.unit][1] * one.after for one in found.quantities}
+    for one in found.fit.combinations:
+        first, *others = one.name.split()
+        sum_of = shown[first] + sum(float(a) * shown[b] for a, b in zip(others[::2], others[1::2], strict=True))
+        assert sum_of == pytest.approx(UNITS[one.unit][1] * one.after, rel=0.02, abs=2.0)
 
 
 def test_masses_stay_positive_and_what_is_not_told_is_said() -> None:

@@ -387,7 +387,7 @@ def test_an_end_near_the_locus_is_refused(robot: RobotParameters, trip: Plan) ->
     law = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
     coefficients = np.outer(law / 0.5 ** np.arange(8), near - start)
     coefficients[0] += start
-    with pytest.raises(TrajectoryError, match=r"the trajectory ends at \|s\| = 0\.\d+ of the Type 2 locus; the limit is 0.4"):
+    with pytest.raises(TrajectoryError, match=r"the trajectory ends at \|s\| = 0\.\d+ of the Type 2 .*; the limit is 0.4: serve"):
         loop.accept(Trajectory(np.array([0.0, 0.5]), np.zeros(1), coefficients[None]))
 
 

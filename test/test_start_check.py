@@ -45,6 +45,8 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (("-p", "controller.lwa:=classic"), "controller: unknown parameter 'lwa' for node controller"),
         (("-p", "plant.substepz:=4"), "plant: unknown parameter 'substepz' for node plant"),
         (("-p", "plant.substeps:=many"), "plant: parameter 'substeps' = 'many'; it must be a number"),
+        (("-p", "trajectory_server.task.start:=[0.5, 0.5]"), "point (0.5000, 0.5000) m is"),
+        (("-p", "plant.robot.base_distance:=0.9"), "the simulated robot cannot stand where its encoders read"),
         (("-p", "recorder.compression:=rar"), "recorder: parameter 'compression' = 'rar'; it must be one of"),
     ],
 )  # fmt: skip
@@ -90,6 +92,9 @@ def test_a_simulated_robot_of_its_own_stands_where_its_encoders_read_the_start(
     (start,) = (yaml.safe_load(part.partition(":=")[2]) for part in given["plant"] if "task.start:=" in part)
     reading = Model.of(true).place(np.array(start)).q_a + true.encoder_offset
     assert reading == pytest.approx(Model.of(drawn).place(np.array([-0.025, 0.115])).q_a, abs=1e-9)
+    given.clear()
+    cli.main(["demo", "--output", str(tmp_path), "-p", "trajectory_server.task.start:=[-0.03, 0.11]"])
+    assert any("task.start:=[-0.03" in part for part in given["plant"])
     given.clear()
     cli.main(["demo", "--output", str(tmp_path), "-p", "plant.robot.left.coulomb_friction:=0.05"])
     assert not any("task.start" in part for part in given["plant"])

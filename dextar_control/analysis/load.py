@@ -337,7 +337,7 @@ def _in_base(message: Any) -> bool:
 def _poses(series: Series, steady: Steady | None) -> Poses | None:
     table = series.table(_POSE_NAMES, steady)
     seen = np.isfinite(table.values).all(axis=1)
-    if len(seen) and not seen.any():
+    if len(table.stamps) and not seen.any():
         warnings.warn(f"{series.topic}: no pose counts: none is finite and in the frame '{topics.BASE_FRAME}'", stacklevel=4)
     return Poses(table.stamps[seen], table.values[seen]) if seen.any() else None
 

@@ -174,7 +174,10 @@ class ControlLoop:
         for name, row in (("starts", 0), ("ends", -1)):
             s = abs(float(certificate.profile.s[row]))
             if s < least:
-                raise TrajectoryError(f"the trajectory {name} at |s| = {s:.3f} of the Type 2 locus; the limit is {least:.3g}")
+                raise TrajectoryError(
+                    f"the trajectory {name} at |s| = {s:.3f} of the Type 2 locus; the limit is {least:.3g}:"
+                    " serve one that starts and ends farther from it (task.start, task.goal)"
+                )
         return certificate
 
     def accept(self, trajectory: Trajectory, start: float | None = None) -> Certificate:

@@ -273,8 +273,8 @@ def _check_agree(linkage: Linkage, numbers: Array, recordings: Sequence[Recordin
     for bag, recording in enumerate(recordings if len(recordings) > 1 else []):
         wanted = directions_of(recording.folds, None)
         if len(recording.folds) >= len(wanted) + SPARE:
-            alone, together = fit(linkage, numbers, recording.folds, None, wanted).gaps, found.gaps[which == bag]
-            contradicts(recording.path, *(float(np.nanmedian(np.abs(gaps))) for gaps in (alone, together)), MOST_APART, "m")
+            alone = float(np.nanmedian(np.abs(fit(linkage, numbers, recording.folds, None, wanted).gaps)))
+            contradicts(recording.path, alone, float(np.nanmedian(np.abs(found.gaps[which == bag]))), MOST_APART, "m")
 
 
 def _check_places(found: Fit, places: Places | None) -> None:
@@ -285,10 +285,14 @@ def _check_places(found: Fit, places: Places | None) -> None:
     """
     count = 0 if places is None else len(places.x)
     if found.place_noise > MOST_PLACE_NOISE or found.places < LEAST_USED * count:
+        told = (
+            f"{found.places} of {count} external poses agree with any one geometry, {LEAST_USED:.0%} have to"
+            if not found.place_noise > MOST_PLACE_NOISE
+            else f"the external poses scatter by {1e3 * found.place_noise:.1f} mm (standard deviation) about any geometry's end"
+            f" effector; {1e3 * MOST_PLACE_NOISE:g} mm is the most"
+        )
         raise CalibrationError(
-            f"the external poses scatter by {1e3 * found.place_noise:.1f} mm (standard deviation) about any geometry's end"
-            f" effector, and {found.places} of {count} agree; {1e3 * MOST_PLACE_NOISE:g} mm is the most, {LEAST_USED:.0%} the"
-            " least: check their frame, unit and stamps, or leave them out (--no-pose). Nothing was written"
+            f"{told}: check their frame, unit and stamps, or leave them out (--no-pose). Nothing was written"
         )
 
 

@@ -19,6 +19,7 @@ from scipy.optimize import lsq_linear
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.identification.fit import MEDIAN
 from dextar_control.identification.motion import BLOCK, Motion
+from dextar_control.identification.quantities import UNITS
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.regressor import Unknown, regressors, sizes_of, unknowns_of
 from dextar_control.symbols.types import Array
@@ -40,7 +41,7 @@ class Combination(NamedTuple):
     """A sum of numbers that the torques see together: a base parameter.
 
     Attributes:
-        name: of the sum, in words.
+        name: of the sum, in words, of the numbers in the units of ``UNITS``.
         unit: of its first number.
         factors: (k,) of the numbers.
         before, after, deviation: of the sum.
@@ -213,7 +214,8 @@ def _combinations(
     for first, own_shares in zip(base, shares, strict=True):
         factors = own_shares * prior[first] / prior
         factors[np.abs(own_shares) < NEGLIGIBLE] = 0.0
-        others = [f"{factors[i]:+.3g} {unknowns[i].name}" for i in np.flatnonzero(factors).tolist() if i != first]
+        shown = factors * [UNITS[unknowns[first].unit][1] / UNITS[one.unit][1] for one in unknowns]
+        others = [f"{shown[i]:+.3g} {unknowns[i].name}" for i in np.flatnonzero(factors).tolist() if i != first]
         scale = factors * prior
         found.append(Combination(
             " ".join([unknowns[first].name, *others]), unknowns[first].unit, factors, float(factors @ before),

@@ -239,8 +239,10 @@ def _check_told(motions: Sequence[Motion], found: DynamicFit) -> None:
     if bodies < BODIES:
         vague.append(f"{bodies} combinations of masses and inertias ({BODIES} are needed)")
     if vague:
+        rest = rms_of(found.rest[found.used]) / max(rms_of(found.torque[found.used]), 1e-9)
         raise CalibrationError(
-            f"{_names(motions)}: the motion tells {'; '.join(vague)}: it is too slow, too short or always the same; {EXCITE}"
+            f"{_names(motions)}: the motion tells {'; '.join(vague)}: it is too slow, too short or always the same, or what acts"
+            f" besides hides it ({rest:.0%} of the torques that count are left over); {EXCITE}"
         )
 
 

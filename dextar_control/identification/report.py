@@ -59,6 +59,11 @@ def write_results(robot: RobotParameters, lines: Sequence[str], page: str, robot
         raise BagError(f"cannot write the results to {robot_file.parent}: {error.strerror or error}") from error
 
 
+def short(bag: Path) -> str:
+    """A bag's name with its folder's, by which runs differ."""
+    return "/".join(bag.parts[-2:])
+
+
 def summary(title: str, quantities: Sequence[Quantity]) -> Table:
     """What was found, for a terminal."""
     table = Table(title=title, title_justify="left")
@@ -115,7 +120,7 @@ def render_calibration(calibration: Calibration, predictions: Sequence[Predictio
     rows: list[list[Cell]] = []
     for index, (fold, one, used) in enumerate(zip(folds, fit.touches, fit.used, strict=True)):
         rows.append([
-            Cell(str(index + 1)), Cell(calibration.recordings[fold.bag].path.name), Cell(f"{fold.time:.3f}"),
+            Cell(str(index + 1)), Cell(short(calibration.recordings[fold.bag].path)), Cell(f"{fold.time:.3f}"),
             Cell(fold.family.name.lower()), *(Cell(number(MM * value, ".2f")) for value in one.x),
             Cell(number(UM * calibration.gaps_before[index], ".1f")), Cell(number(UM * calibration.gaps_after[index], ".2f")),
             Cell(number(UM * fit.spreads[index], ".2f")), Cell("yes" if used else "no", not used),
@@ -126,7 +131,7 @@ def render_calibration(calibration: Calibration, predictions: Sequence[Predictio
     ]  # fmt: skip
     values: dict[str, Any] = {
         "title": f"{calibration.after.name}: geometry calibrated",
-        "heading": f"{calibration.after.name}: geometry by {', '.join(one.path.name for one in calibration.recordings)}",
+        "heading": f"{calibration.after.name}: geometry by {', '.join(short(one.path) for one in calibration.recordings)}",
         "sentence": sentence(calibration),
         "verdict": "Calibrated.",
         "quantities": quantity_table(calibration.quantities),
@@ -169,7 +174,8 @@ def write_identification(identification: Identification, predictions: Sequence[T
 def torques_predicted(prediction: TorquePrediction) -> str:
     """What the numbers are worth on a bag that did not serve."""
     return (
-        f"{prediction.path}, not used: of torques of {MNM * prediction.torque:.1f} mN m RMS {MNM * prediction.before:.2f} mN m"
+        f"{prediction.path}, not used: of torques of {MNM * prediction.torque:.1f} mN m RMS"
+        f" ({counted(prediction.instants, 'instant')}) {MNM * prediction.before:.2f} mN m"
         f" were unexplained before, {MNM * prediction.after:.2f} mN m after"
         f"{UNHELD if prediction.after > max(0.5 * prediction.before, 0.1 * prediction.torque) else ''}"
     )
@@ -191,7 +197,7 @@ def torques_sentence(identification: Identification) -> str:
 
 def render_identification(identification: Identification, predictions: Sequence[TorquePrediction]) -> str:
     """The page."""
-    fit, names = identification.fit, ", ".join(motion.recorded.path.name for motion in identification.motions)
+    fit, names = identification.fit, ", ".join(short(motion.recorded.path) for motion in identification.motions)
     none = np.zeros(len(fit.rest))
     script, figures = components([
         residuals(MNM * rest[:, joint], none, fit.used, f"{side}, {when} (mN m)", "instant")

@@ -19,6 +19,7 @@ from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.regressor import regressors, sizes_of
 from dextar_control.planning.certificate import PLAN_RESIDUAL, Plan, measure
 from dextar_control.planning.checks import beyond_range, certify
+from dextar_control.planning.locus import MIN_END_S
 from dextar_control.planning.model import states_model
 from dextar_control.planning.regular import side_of
 from dextar_control.planning.search import Progress, silent
@@ -36,6 +37,7 @@ WIDEST, HALVINGS = 0.2, 9  # m, of an amplitude that is tried, and how often it 
 NOISE, RATE = 0.005, 25.0  # N m of a torque, beside which information counts, and 1/s, how often it counts
 SLOW = 0.2  # rad/s of a joint, below which friction has no sure sign and an instant does not count
 CLEAR_TYPE1 = 0.25  # distance to Type 1 that the motion keeps: beyond, torques tell more of a wrong geometry than of masses
+ELSEWHERE = "give another task.start (dextar demo: -p trajectory_server.task.start:=[X, Y])"
 HEADROOM = 1.02  # of |s|, for what lies between samples
 
 
@@ -71,10 +73,10 @@ def plan_excitation(
     """
     start = np.asarray(start, dtype=np.float64)
     s = side_of(robot, "start", start)
-    if abs(s) <= CLEAR_S:
+    if abs(s) < MIN_END_S:
         raise TrajectoryError(
-            f"an exciting motion keeps |s| >= {CLEAR_S} of the Type 2 locus, and its start {in_words(start)} has {abs(s):.3f};"
-            " give another task.start"
+            f"an exciting motion starts at |s| >= {MIN_END_S} of the Type 2 locus, and its start {in_words(start)} has"
+            f" {abs(s):.3f}; {ELSEWHERE}"
         )
     search = _Search(robot, start, float(np.sign(s)))
     generator, found = np.random.default_rng(seed), list[Shape]()
@@ -83,7 +85,7 @@ def plan_excitation(
         raw = generator.normal(size=(2, HARMONICS, 2)) / np.arange(1, HARMONICS + 1)[None, :, None]
         found += search.shape(raw)
     if not found:
-        raise TrajectoryError(f"there is no room for an exciting motion about {in_words(start)}; give another task.start")
+        raise TrajectoryError(f"there is no room for an exciting motion about {in_words(start)}; {ELSEWHERE}")
     chosen, total = list[Shape](), np.eye(len(found[0].information))
     least = max(duration - 0.5 * LEAST_PERIOD, np.finfo(float).tiny)  # one loop is the shortest motion
     while sum(shape.period for shape in chosen) < least and len(chosen) < len(found):

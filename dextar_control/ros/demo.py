@@ -27,7 +27,7 @@ from rich.progress import BarColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool
 
 from dextar_control.contract import signals
-from dextar_control.contract.errors import BagError, DextarError, ParameterError
+from dextar_control.contract.errors import BagError, DextarError, GeometryError, ParameterError
 from dextar_control.contract.node import check_value, qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.robot import PREFIX, RobotParameters, load_robot
@@ -42,6 +42,7 @@ from dextar_control.ros.launch_arguments import PACE
 from dextar_control.ros.progress import crossings, unhealthy
 from dextar_control.ros.start_check import check_start
 from dextar_control.ros.task import Task
+from dextar_control.symbols.types import Array
 
 NODES = "recorder", "plant", "controller", "trajectory_server"
 CAMERA = {"pose_rate": 100.0, "pose_delay": 0.02, "pose_noise": 0.0002}  # of the plant, where the estimator wants one: Hz, s, m
@@ -174,12 +175,14 @@ def run_demo(arguments: argparse.Namespace) -> int:
     values = _node_values(arguments)
     changes = {node: _changes(node, own) for node, own in values.items()}
     settings = {node: check_start(node, own, *files[node]) for node, own in changes.items()}
-    start = settings["trajectory_server"]["task.start"]
+    start, stands = settings["trajectory_server"]["task.start"], settings["plant"]["task.start"]
     if arguments.point is not None:
-        start = _stand_at_start(console, robot, Task.from_values(settings["trajectory_server"]), values)
+        start = stands = _stand_at_start(console, robot, Task.from_values(settings["trajectory_server"]), values)
     if "task.start" not in changes["plant"]:
         other = {name.removeprefix(PREFIX): value for name, value in changes["plant"].items() if name.startswith(PREFIX)}
-        _stand_as_read(robot, load_robot(files["plant"][0]).replace(**other), start, values)
+        place = _place_as_read(robot, load_robot(files["plant"][0]).replace(**other), start)
+        if np.hypot(*(place - stands)) > SAME_PLACE:
+            values["plant"].append(assignment("task.start", place.tolist()))
     folder = _make_folder(arguments.output)
     values["recorder"].append(assignment("output", folder / "run.mcap"))
     values["trajectory_server"].append(assignment("drawing", folder / "plan.png"))
@@ -288,13 +291,14 @@ def _stand_at_start(console: Terminal, robot: RobotParameters, task: Task, value
     return start
 
 
-def _stand_as_read(robot: RobotParameters, true: RobotParameters, start: Sequence[float], values: dict[str, list[str]]) -> None:
-    """Put a simulated robot that is not the described one where its encoders read what they should where the trip begins."""
-    place = Model.of(robot).place(np.array(start))
-    q_a = place.q_a + np.array(robot.encoder_offset) - np.array(true.encoder_offset)
-    x = Model.of(true).close(q_a, float(np.sign(place.s[0])))
-    if np.hypot(*(x - start)) > SAME_PLACE:
-        values["plant"].append(assignment("task.start", x.tolist()))
+def _place_as_read(robot: RobotParameters, true: RobotParameters, start: Sequence[float]) -> Array:
+    """(2,) m, where a simulated robot stands whose encoders read what the described one's do where the trip starts."""
+    x, model = np.array(start), Model.of(robot)
+    q_a = model.inverse_geometric_model(x) + np.array(robot.encoder_offset) - np.array(true.encoder_offset)
+    try:
+        return Model.of(true).close(q_a, float(np.sign(model.place(x).s[0])))
+    except GeometryError as error:
+        raise ParameterError(f"the simulated robot cannot stand where its encoders read the trip's start: {error}") from error
 
 
 def _parameter_files(arguments: argparse.Namespace) -> dict[str, tuple[Path, Path]]:
