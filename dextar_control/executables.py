@@ -51,12 +51,17 @@ def markers() -> int:
     return _node("dextar_control.ros.marker_node")
 
 
+def panel() -> int:
+    """The panel in the browser."""
+    return _node("dextar_control.ros.panel_node")
+
+
 def warmup() -> int:
     """The equations' compilation."""
     return _run("dextar_control.control.prepare", signals.killed)
 
 
-EXECUTABLES = {run.__name__: run for run in (plant, controller, trajectory_server, recorder, markers, warmup)}
+EXECUTABLES = {run.__name__: run for run in (plant, controller, trajectory_server, recorder, markers, panel, warmup)}
 
 
 def dextar() -> int:

@@ -32,12 +32,13 @@ from dextar_control.model.model import Model
 from dextar_control.ros.controller_node import ControllerNode
 from dextar_control.ros.echo import EchoNode
 from dextar_control.ros.marker_node import MarkerNode
+from dextar_control.ros.panel_node import PanelNode
 from dextar_control.ros.recorder_node import RecorderNode
 from dextar_control.ros.trajectory_server import TrajectoryServer
 from dextar_sim.node import PlantNode
 
 ROOT = Path(__file__).resolve().parents[1]
-KINDS = (PlantNode, ControllerNode, TrajectoryServer, RecorderNode, MarkerNode)
+KINDS = (PlantNode, ControllerNode, TrajectoryServer, RecorderNode, MarkerNode, PanelNode)
 ENDING = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
 MODULES_WITH_MAIN = sorted(
     str(path.relative_to(ROOT).with_suffix("")).replace("/", ".")

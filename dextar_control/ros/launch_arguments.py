@@ -61,6 +61,7 @@ ARGUMENTS = {
     "window": Argument("false", "PyBullet's own window"),
     "record": Argument("true", "start the recorder"),
     "markers": Argument("false", "draw for RViz and Foxglove"),
+    "panel": Argument("false", "serve a page that watches and drives the robot, at an address that is printed"),
     "output": Argument("", "the recording, .mcap; empty: params_file's", "bag"),
     "autostart": Argument("true", "serve the trip as soon as it is planned"),
     "activate": Argument("true", "configure and activate the controller at its start; false: ros2 lifecycle set does"),
@@ -108,6 +109,7 @@ def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         "trajectory_server": {"autostart": values["autostart"]},
         "recorder": {},
         "markers": {},
+        "panel": {},
     }
     for name, arguments in (
         ("plant", ("real_time_factor",)),
@@ -116,8 +118,8 @@ def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         own[name] |= {argument: values[argument] for argument in arguments if values[argument] != ""}
     if values["law"] == "multi_model":
         own["trajectory_server"]["criterion"] = "zero_wrench"
-    unwanted = {"plant": not values["plant"], "recorder": not values["record"], "markers": not values["markers"]}
-    return {name: parameters for name, parameters in own.items() if not unwanted.get(name)}
+    wanted = {"plant": values["plant"], "recorder": values["record"], "markers": values["markers"], "panel": values["panel"]}
+    return {name: parameters for name, parameters in own.items() if wanted.get(name, True)}
 
 
 def check_nodes(values: Mapping[str, Any]) -> None:

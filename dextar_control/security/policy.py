@@ -95,7 +95,7 @@ STATES = (JOINT_STATES,)
 COMMANDS = (JOINT_COMMANDS, EFFORT_COMMANDS)
 EVERY_SERVICE = (
     *(service.name for service in SERVICES),
-    *(f"{node}/{name}" for node in (*PARAMETERS_OF, "recorder", "markers") for name in PARAMETER_SERVICES),
+    *(f"{node}/{name}" for node in (*PARAMETERS_OF, "recorder", "markers", "panel") for name in PARAMETER_SERVICES),
 )
 OBSERVES = _names(*TOPICS)
 
@@ -123,6 +123,9 @@ ENCLAVES = (
     )),
     Enclave("markers", "draws what happens", (
         _profile("markers"),
+    )),
+    Enclave("panel", "the page in the browser, which asks as an operator does", (
+        _profile("panel"), Profile("operator", (), (*OBSERVES, "/parameter_events"), (), EVERY_SERVICE),
     )),
     Enclave("operator", "whoever starts, stops and tunes the nodes: the demo, `dextar go` and its like, `ros2 ...`; it may"
             " command no torque", (
