@@ -30,7 +30,8 @@ class Page:
         requests: addresses asked for.
     """
 
-    def __init__(self, program: str, url: str) -> None:
+    def __init__(self, program: str, url: str, first: str = "") -> None:
+        """Open an address; ``first`` is run before any script of its page."""
         self.errors: list[str] = []
         self.requests: list[str] = []
         self._number, self._rest, self._loaded = 0, b"", False
@@ -50,6 +51,7 @@ class Page:
         self._session = self._call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
         for domain in ("Runtime", "Log", "Network", "Page"):
             self._call(f"{domain}.enable")
+        self._call("Page.addScriptToEvaluateOnNewDocument", source=first)
         self._call("Page.navigate", url=url)
         self._until(lambda: self._loaded)
 
@@ -72,6 +74,25 @@ class Page:
     def resize(self, width: int) -> None:
         """A window of this width, px."""
         self._call("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
+
+    def scheme(self, scheme: str) -> None:
+        """The desktop's: light or dark."""
+        self._call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+
+    def click(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
+        """With the mouse, on an element, at these shares of its width and height."""
+        box = self.evaluate(
+            f"(() => {{ const one = document.querySelector({json.dumps(selector)}); one.scrollIntoView({{block: 'center'}});"
+            " const box = one.getBoundingClientRect(); return [box.left, box.top, box.width, box.height]; })()"
+        )
+        x, y = (box[axis] + at[axis] * box[2 + axis] for axis in range(2))
+        for kind in ("mousePressed", "mouseReleased"):
+            self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def press(self, code: str, key: str) -> None:
+        """A key, on what has the focus."""
+        for kind in ("keyDown", "keyUp"):
+            self._call("Input.dispatchKeyEvent", type=kind, code=code, key=key, windowsVirtualKeyCode=ord(key))
 
     def screenshot(self, file: Path) -> None:
         file.write_bytes(base64.b64decode(self._call("Page.captureScreenshot", captureBeyondViewport=True)["data"]))

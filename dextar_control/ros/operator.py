@@ -204,11 +204,23 @@ class Operator(Node):
             Unreached: no controller answers.
         """
         try:
-            self.call(Trigger, STOPS[0], Trigger.Request(), through=True)
+            self.stop_controller()
         finally:
-            server = self._client(Trigger, STOPS[1])
-            if self.until(server.service_is_ready, SERVER, through=True):  # a robot may do without one
-                self.until(server.call_async(Trigger.Request()).done, SERVER, through=True)
+            self.stop_server()
+
+    def stop_controller(self) -> None:
+        """Ask for a safe stop alone.
+
+        Raises:
+            Unreached: no controller answers.
+        """
+        self.call(Trigger, STOPS[0], Trigger.Request(), through=True)
+
+    def stop_server(self) -> None:
+        """Ask that nothing that is still planned begins."""
+        server = self._client(Trigger, STOPS[1])
+        if self.until(server.service_is_ready, SERVER, through=True):  # a robot may do without one
+            self.until(server.call_async(Trigger.Request()).done, SERVER, through=True)
 
     def at_rest(self) -> bool:
         """Whether a stop is over: the robot holds, or has no torque."""

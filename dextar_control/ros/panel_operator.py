@@ -65,7 +65,7 @@ class PanelOperator(Operator):
         self._news = threading.Condition()
         self._leaving = False
         self._snapshots = {name: ParameterSnapshot(self, name) for name in SPECS}
-        self._threads = {name: ThreadPoolExecutor(1, name) for name in ("stop", "trip", "desk")}
+        self._threads = {name: ThreadPoolExecutor(1, name) for name in ("stop", "drop", "trip", "desk")}
         self.lines: deque[tuple[int, str]] = deque(maxlen=LINES)
         self.progress: tuple[str, float] | None = None
         self.create_subscription(ParameterEvent, "/parameter_events", self._on_parameters, QoSProfile(depth=EVENTS_DEPTH))
@@ -115,13 +115,18 @@ class PanelOperator(Operator):
                 for name, snapshot in self._snapshots.items() if (known := snapshot.values) is not None}  # fmt: skip
 
     def stop_now(self, answer: Callable[[bool, str], None]) -> None:
-        """A safe stop, whatever else is under way."""
+        """A safe stop, whatever else is under way; answered when the controller has."""
 
         def work() -> str:
-            self.stop_robot()
+            self.stop_controller()
             return "a stop was asked for"
 
+        def drop() -> str:
+            self.stop_server()
+            return ""
+
         self._do("stop", work, answer)
+        self._do("drop", drop, lambda *_: None)
 
     def enable(self, on: bool, answer: Callable[[bool, str], None]) -> None:
         """Torque, or none."""
@@ -229,7 +234,7 @@ class PanelOperator(Operator):
 
         def run() -> None:
             try:
-                if thread != "stop":
+                if thread not in ("stop", "drop"):
                     self.alone("panel")
                 text = work()
             except DextarError as error:

@@ -20,7 +20,11 @@
   // ---- words
   const known = (value) => typeof value === "number" && Number.isFinite(value);
   const fixed = (value, digits, unit = "") => known(value) ? value.toFixed(digits) + unit : "\u2013";
-  const signed = (value, digits) => known(value) ? (value < 0 ? "\u2212" : "+") + Math.abs(value).toFixed(digits) : "\u2013";
+  function signed(value, digits) {
+    if (!known(value)) return "\u2013";
+    const text = Math.abs(value).toFixed(digits);
+    return (Number(text) === 0 ? "" : value < 0 ? "\u2212" : "+") + text;
+  }
   function put(node, text) { if (node.textContent !== text) node.textContent = text; }
   function notice(text, bad = true) {
     const box = $("notice");
@@ -115,7 +119,7 @@
       ring.s[at] = message.s ?? NaN;
       ring.error[at] = message.error === null ? NaN : 1e3 * message.error;
       ring.torque.forEach((one, index) => { one[at] = message.torque[index] ?? NaN; });
-      ring.limit[at] = message.limit ?? NaN;
+      ring.limit[at] = message.limit || NaN;  // 0: there is no torque
       ring.at = (at + 1) % SAMPLES;
       ring.count = Math.min(ring.count + 1, SAMPLES);
       trail.push(message.x);
@@ -185,8 +189,8 @@
   }
   function rows(list, entries) {
     const key = JSON.stringify(entries);
-    if (list.dataset.key === key) return;
-    list.dataset.key = key;
+    if (list.dataset.shown === key) return;
+    list.dataset.shown = key;
     list.replaceChildren(...entries.map(([text, bad]) => {
       const item = document.createElement("li");
       item.textContent = text;
@@ -630,7 +634,7 @@
     });
     $("task").addEventListener("submit", go);
     $("task").addEventListener("input", () => { kind(); dirty = true; });
-    $("here").onclick = () => { if (state) { place("start", state.x); replan(); } };
+    $("here").onclick = () => { if (state && state.x.every(known)) { place("start", state.x); replan(); } };
     $("law").addEventListener("submit", (event) => {
       event.preventDefault();
       const values = {};
