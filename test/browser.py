@@ -30,8 +30,7 @@ class Page:
         requests: addresses asked for.
     """
 
-    def __init__(self, program: str, url: str, first: str = "") -> None:
-        """Open an address; ``first`` is run before any script of its page."""
+    def __init__(self, program: str, url: str) -> None:
         self.errors: list[str] = []
         self.requests: list[str] = []
         self._number, self._rest, self._loaded = 0, b"", False
@@ -51,9 +50,7 @@ class Page:
         self._session = self._call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
         for domain in ("Runtime", "Log", "Network", "Page"):
             self._call(f"{domain}.enable")
-        self._call("Page.addScriptToEvaluateOnNewDocument", source=first)
-        self._call("Page.navigate", url=url)
-        self._until(lambda: self._loaded)
+        self.open(url)
 
     def __enter__(self) -> Page:
         return self
@@ -64,6 +61,13 @@ class Page:
         os.close(self._in)
         os.close(self._out)
         shutil.rmtree(self._profile, ignore_errors=True)
+
+    def open(self, url: str, first: str = "") -> None:
+        """Go to an address; ``first`` is run before any script of its page."""
+        self._loaded = False
+        self._call("Page.addScriptToEvaluateOnNewDocument", source=first)
+        self._call("Page.navigate", url=url)
+        self._until(lambda: self._loaded)
 
     def evaluate(self, script: str) -> Any:
         """The value of an expression, promises awaited."""

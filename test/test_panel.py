@@ -23,7 +23,7 @@ from dextar_control.panel.server import Backend, PanelServer
 from dextar_control.ros.panel_node import ros_arguments
 
 CHROMIUM = find_browser()
-PICTURES = os.environ.get("DEXTAR_PICTURES", "")  # the folder of the documentation's pictures, where they are to be made anew
+PICTURE = os.environ.get("DEXTAR_PICTURE", "")  # the file of the documentation's picture, where it is to be made anew
 NODES = {
     "plant": ("dextar_sim.node", ("mode:=lockstep",)),
     "controller": ("dextar_control.ros.controller_node", ("lockstep:=true",)),
@@ -179,6 +179,18 @@ def test_a_whole_crossing_is_clicked_through_and_recorded(page: Page, robot: Rob
     says(page, "health", "trajectory_server: planned")
 
 
+@pytest.mark.skipif(not PICTURE, reason="makes the documentation's picture: DEXTAR_PICTURE=doc/panel.png")
+def test_the_documentations_picture_is_taken_in_a_crossing(page: Page, robot: Robot) -> None:
+    put(page, kind="trip", goal_x=0.01, goal_y=0.06, duration=2)
+    says(page, "plan-words", "Peak torque")
+    page.resize(1280)
+    ready(page)
+    page.click("#go")
+    page.wait(f"{text('phase-name')} === 'CROSSING'")
+    page.screenshot(Path(PICTURE))
+    ready(page)
+
+
 def test_the_report_of_that_run_is_one_click_away(page: Page, robot: Robot) -> None:
     page.click("#record-off")
     says(page, "recorded", "Not recording. The last bag is")
@@ -295,7 +307,7 @@ def test_numbers_that_are_none_and_a_browser_without_streams_are_told() -> None:
     thread.start()
     server = PanelServer(Nothing(), "127.0.0.1", 0)
     pair = [nan, nan]
-    state = {"time": 1.0, "stale": False, "phase": "", "links": [pair] * 5, "x": pair, "reference": pair, "t_s": pair, "s": nan,
+    state = {"time": 1.0, "stale": False, "phase": "hold", "links": [pair] * 5, "x": pair, "reference": pair, "t_s": pair, "s": nan,
              "torque": pair, "limit": nan, "error": nan, "residual": nan, "confidence": nan, "mode": nan}  # fmt: skip
     told = {"lifecycle": "active", "phase": "HOLD", "rate": "nan"}
     status = {"controller": told, "why": "", "action": "", "nodes": {}, "plant": {},
@@ -314,8 +326,7 @@ def test_numbers_that_are_none_and_a_browser_without_streams_are_told() -> None:
             page.wait("document.querySelector('#now dd')?.textContent === '\u2013'")
             page.click("#here")
             page.click("#plane")
-            assert page.errors == []
-        with Page(str(CHROMIUM), server.address, "delete window.WebSocket;") as page:
+            page.open(server.address, "delete window.WebSocket;")
             says(page, "notice", "This browser has no WebSocket")
             assert page.errors == []
     finally:
@@ -334,7 +345,7 @@ def test_nothing_is_cut_or_lies_over_something_else(page: Page, robot: Robot, wi
     for scheme in ("light", "dark"):
         page.scheme(scheme)
         page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 100))))")
-        page.screenshot(Path(PICTURES or tmp_path) / f"panel_{width}_{scheme}.png")
+        page.screenshot(tmp_path / f"panel_{width}_{scheme}.png")
 
 
 def test_host_port_and_namespace_are_short_for_ros_arguments() -> None:

@@ -19,7 +19,7 @@ from dextar_control.contract.errors import DextarError
 from dextar_control.contract.node import DextarNode, Parameter, run_node
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.signals import StopSignal
-from dextar_control.contract.topics import CONTROLLER_STATE, JOINT_STATES, PHASES
+from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_STATES, PHASES
 from dextar_control.panel.server import Answer, PanelServer
 from dextar_control.panel.words import mend, shown_margins
 from dextar_control.planning.locus import nearest_point
@@ -40,6 +40,7 @@ OPTIONS = {"--host": "host", "--port": "port"}
 
 STATUS_PERIOD = 0.2  # s
 DIAGNOSTICS_PERIOD = 1.0  # s
+SILENCE = 0.1  # s by which the controller's last word is behind the last joint state, from which on it tells no phase
 HEARING = 0.1  # s of the executor's longest wait
 DIGITS = 6  # of numbers that are shown: 1 µm, 1 µN m
 PATH_POINTS = 400  # of a path that is drawn
@@ -229,8 +230,10 @@ class PanelNode(DextarNode):
         stamp, scalars, points = joints.header.stamp, view.scalars, [] if told is None else told.points
         error = float(np.linalg.norm(points[2].positions)) if len(points) > 2 else float("nan")
         torque = dict(zip(joints.name, joints.effort, strict=False))
+        behind = _seconds(stamp) - _seconds(self._newest.seen[CRITERION.name].header.stamp) if scalars else 0.0
         return {
-            "time": round(stamp.sec + 1e-9 * stamp.nanosec, 3), "stale": view.stale, "phase": self._scene.phase(view),
+            "time": round(_seconds(stamp), 3), "stale": view.stale,
+            "phase": self._scene.phase(view) if abs(behind) < SILENCE else "",
             "links": _rounded(self._scene.linkage(view.q_a, x)), "x": _rounded(x), "reference": _rounded(view.x_ref),
             "t_s": _rounded(t_s), "s": _round(s), "torque": [_round(torque.get(name, np.nan)) for name in ("q11", "q21")],
             "limit": _round(scalars.get("torque_limit", np.nan)), "error": _round(error),
@@ -296,6 +299,10 @@ class PanelNode(DextarNode):
         """With the operator's client."""
         self.operator.destroy_node()
         super().destroy_node()
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
 def _round(value: float) -> float:

@@ -128,6 +128,7 @@
     lastTime = message.time;
   }
   function drivers(message) {
+    if (message.driver === "you" && !driving) replan();
     driving = message.driver === "you";
     store.set("drive", driving || message.driver === "nobody" && store.get("drive") !== "0" ? "1" : "0");
     const others = (message.viewers || 1) - 1, more = others > 0 ? ` ${others} other page${others > 1 ? "s" : ""} open.` : "";
@@ -154,12 +155,8 @@
   }
 
   function tell() {
-    const told = status.controller, phase = (told.phase || "").toLowerCase();
-    const box = $("phase");
-    put($("sign"), SIGNS[phase] || "?");
-    put($("phase-name"), told.phase ? told.phase.replaceAll("_", " ") : told.lifecycle || "no controller");
-    box.classList.toggle("bad", LIMP.includes(phase) || !told.lifecycle);
-    box.classList.toggle("moving", MOVING.includes(phase));
+    const told = status.controller;
+    phases();
     const why = $("why"), button = why.lastElementChild;
     why.hidden = !status.why;
     put(why.firstElementChild, status.why);
@@ -168,11 +165,11 @@
     put(button, MENDS[status.action] || "");
     const pace = Number(status.plant.real_time_factor), latency = Number(told.latency_p99_us);
     tiles($("rates"), [
-      ["States", told.rate ? `${Number(told.rate).toFixed(0)} Hz` : "\u2013"], ["Jitter", told.jitter_us ? `${Number(told.jitter_us).toFixed(0)} \u00B5s` : "\u2013"],
+      ["States", fixed(Number(told.rate), 0, " Hz")], ["Jitter", fixed(Number(told.jitter_us), 0, " \u00B5s")],
       ["Real-time factor", fixed(pace, 2)], ["Missed states", told.missed_states ?? "\u2013"],
       ["Steps without their command", status.plant.late_ticks ?? "\u2013"], ["Stalls", told.stalls ?? "\u2013"],
       ["Latency p99", fixed(latency, 0, " \u00B5s")],
-      ["At a torque limit", told.saturated_share ? `${(100 * told.saturated_share).toFixed(1)} %` : "\u2013"],
+      ["At a torque limit", fixed(100 * told.saturated_share, 1, " %")],
     ]);
     const names = Object.entries(status.nodes);
     rows($("nodes"), names.length ? names.map(([name, node]) => [`${name}: ${node.message}`, node.level > 0]) : [["no node is heard of", true]]);
@@ -180,12 +177,22 @@
     recorder();
     said();
     const running = status.progress, progress = $("progress");
+    if (!running && !progress.hidden) replan();  // it stands somewhere else now, perhaps
     progress.hidden = !running;
     if (running) { progress.firstElementChild.value = running[1]; put(progress.lastElementChild, running[0]); }
     if (status.complaint) notice(sentence(status.complaint));
     if (!filled && status.values.trajectory_server) fill(status.values.trajectory_server);
     current();
     enable();
+  }
+  function phases() {  // by the newest sample; by what the controller tells of itself where there is none
+    if (!status) return;
+    const told = status.controller, sampled = told.lifecycle === "active" && state && !state.stale;
+    const phase = sampled ? state.phase : (told.phase || "").toLowerCase(), silent = told.lifecycle === "active" ? "no answer" : told.lifecycle;
+    put($("sign"), SIGNS[phase] || "?");
+    put($("phase-name"), phase ? phase.replaceAll("_", " ").toUpperCase() : silent || "no controller");
+    $("phase").classList.toggle("bad", LIMP.includes(phase) || !phase);
+    $("phase").classList.toggle("moving", MOVING.includes(phase));
   }
   function rows(list, entries) {
     const key = JSON.stringify(entries);
@@ -582,7 +589,7 @@
     dirty = true;
   }
   function draw() {
-    if (dirty && setup) { dirty = false; plane(); strips(); preview(); numbers(); }
+    if (dirty && setup) { dirty = false; phases(); plane(); strips(); preview(); numbers(); }
     requestAnimationFrame(draw);
   }
 
@@ -621,7 +628,7 @@
       if (!event.repeat) stop();
     }, true);
     document.addEventListener("keyup", (event) => { if (event.code === "Space" && !types(event.target)) event.preventDefault(); }, true);
-    $("take").onclick = () => order("drive").then((answer) => { if (answer.ok) { store.set("drive", "1"); replan(); } });
+    $("take").onclick = () => order("drive");
     $("on").onclick = () => order("enable", {on: true});
     $("off").onclick = () => order("enable", {on: false});
     $("reset").onclick = () => order("reset");
