@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 from setuptools import find_packages, setup
 
 manifest = ElementTree.parse("package.xml").getroot()
-NODES = "plant", "controller", "trajectory_server", "recorder", "markers", "go_server", "warmup"
+NODES = "plant", "controller", "trajectory_server", "recorder", "markers", "go_server", "panel", "warmup"
 OF_COLCON = bool({"install", "develop"} & set(sys.argv))
 """colcon calls this file so, and puts executables where ros2 run looks, lib/dextar; pip puts them on the PATH, where names as
 plain as these are not ours: there they are dextar plant, dextar controller and so on."""
@@ -31,6 +31,7 @@ setup(
     packages=find_packages(include=["dextar_control", "dextar_control.*", "dextar_sim", "dextar_sim.*"]),
     package_data={
         "dextar_control": ["py.typed"], "dextar_sim": ["py.typed"], "dextar_control.analysis": ["templates/*.html"],
+        "dextar_control.panel": ["static/*"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
@@ -51,6 +52,7 @@ setup(
         "jinja2",
         "pyyaml",
         "rich",
+        "tornado>=6",
         "mcap>=1.6",
         "zstandard",
         "rosbags",

@@ -61,12 +61,17 @@ def go_server() -> int:
     return _node("dextar_control.ros.go_server")
 
 
+def panel() -> int:
+    """The panel in the browser."""
+    return _node("dextar_control.ros.panel_node")
+
+
 def warmup() -> int:
     """The equations' compilation."""
     return _run("dextar_control.control.prepare", signals.killed)
 
 
-EXECUTABLES = {run.__name__: run for run in (plant, controller, trajectory_server, recorder, markers, go_server, warmup)}
+EXECUTABLES = {run.__name__: run for run in (plant, controller, trajectory_server, recorder, markers, go_server, panel, warmup)}
 
 
 def dextar() -> int:

@@ -24,6 +24,7 @@ from dextar_control.ros.launch_arguments import ARGUMENTS, changes, check_nodes,
 
 WARMUP = Path(get_package_prefix("dextar")) / "lib" / "dextar" / "warmup"
 CONFIG = Path(get_package_share_directory("dextar")) / "config"
+OPTIONAL = "markers", "panel", "go_server"  # the robot needs none
 DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 DEFAULTS: dict[str, Any] = {
@@ -66,7 +67,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             parameters=[values["robot_file"], values["params_file"], overrides[name]],
             ros_arguments=["--enclave", f"{namespace}/dextar/{name}"] if values["enclaves"] else None,
             output="screen",
-            on_exit=None if name in ("markers", "go_server") else Shutdown(reason=f"{name} has ended"),  # the robot needs neither
+            on_exit=None if name in OPTIONAL else Shutdown(reason=f"{name} has ended"),
         )
         for name in overrides
     ]

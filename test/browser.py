@@ -50,8 +50,7 @@ class Page:
         self._session = self._call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
         for domain in ("Runtime", "Log", "Network", "Page"):
             self._call(f"{domain}.enable")
-        self._call("Page.navigate", url=url)
-        self._until(lambda: self._loaded)
+        self.open(url)
 
     def __enter__(self) -> Page:
         return self
@@ -63,6 +62,13 @@ class Page:
         os.close(self._out)
         shutil.rmtree(self._profile, ignore_errors=True)
 
+    def open(self, url: str, first: str = "") -> None:
+        """Go to an address; ``first`` is run before any script of its page."""
+        self._loaded = False
+        self._call("Page.addScriptToEvaluateOnNewDocument", source=first)
+        self._call("Page.navigate", url=url)
+        self._until(lambda: self._loaded)
+
     def evaluate(self, script: str) -> Any:
         """The value of an expression, promises awaited."""
         answer = self._call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
@@ -72,6 +78,25 @@ class Page:
     def resize(self, width: int) -> None:
         """A window of this width, px."""
         self._call("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
+
+    def scheme(self, scheme: str) -> None:
+        """The desktop's: light or dark."""
+        self._call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+
+    def click(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
+        """With the mouse, on an element, at these shares of its width and height."""
+        box = self.evaluate(
+            f"(() => {{ const one = document.querySelector({json.dumps(selector)}); one.scrollIntoView({{block: 'center'}});"
+            " const box = one.getBoundingClientRect(); return [box.left, box.top, box.width, box.height]; })()"
+        )
+        x, y = (box[axis] + at[axis] * box[2 + axis] for axis in range(2))
+        for kind in ("mousePressed", "mouseReleased"):
+            self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def press(self, code: str, key: str) -> None:
+        """A key, on what has the focus."""
+        for kind in ("keyDown", "keyUp"):
+            self._call("Input.dispatchKeyEvent", type=kind, code=code, key=key, windowsVirtualKeyCode=ord(key))
 
     def screenshot(self, file: Path) -> None:
         file.write_bytes(base64.b64decode(self._call("Page.captureScreenshot", captureBeyondViewport=True)["data"]))

@@ -41,7 +41,7 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.control.phases import Phase
 from dextar_control.planning.planner import Plan
-from dextar_control.ros import controller_node, marker_node, messages, recorder_node, trajectory_server
+from dextar_control.ros import controller_node, marker_node, messages, panel_node, recorder_node, trajectory_server
 from dextar_sim import parameters as plant_parameters
 
 SPECS = {
@@ -50,6 +50,7 @@ SPECS = {
     "recorder": recorder_node.SPECS,
     "plant": plant_parameters.PARAMETERS,
     "markers": marker_node.PARAMETERS,
+    "panel": panel_node.PARAMETERS,
 }
 
 

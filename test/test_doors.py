@@ -25,6 +25,7 @@ ALLOWED_OUTSIDE = {
     "dextar_control.identification": {"numpy", "scipy", "casadi", "bokeh", "rich"},
     "dextar_control.rig_check": {"numpy"},
     "dextar_control.faults": {"numpy", "matplotlib", "rich", "yaml", "pydantic", "pydantic_core", "mcap"},
+    "dextar_control.panel": {"numpy", "tornado"},
     "dextar_control.analysis": {"numpy", "scipy", "matplotlib", "mcap", "rosbags", "rich", "yaml", "zstandard", "bokeh", "jinja2",
                                 "pyarrow", "imageio_ffmpeg"},
 }
@@ -52,13 +53,14 @@ DOORS = {  # each room, and those that it may import beside itself and the contr
     "dextar_control.campaign": _rooms("analysis", "identification", *MATHEMATICS),
     "dextar_control.faults": _rooms("bags", *MATHEMATICS),
     "dextar_control.security": set(),
-    "dextar_control.ros": _rooms("executables", "analysis", "bags", "rig_check", "faults", *MATHEMATICS),
+    "dextar_control.panel": set(),
+    "dextar_control.ros": _rooms("executables", "analysis", "bags", "rig_check", "faults", "panel", *MATHEMATICS),
     "dextar_control.commands": _rooms("bags", "analysis", "campaign", "identification", "ros"),
     "dextar_sim": _rooms("symbols", "mechanisms"),
 }
 NO_ROS_MODULES = {"dextar_control/contract": {"robot.py", "topics.py", "tables.py", "errors.py", "resources.py",
                                              "parameters.py", "help.py", "words.py", "plain_data.py", "validation.py",
-                                             "settings.py",
+                                             "settings.py", "style.py",
                                              "decoding.py"},
                   "dextar_sim": {"plant.py", "body_plant.py", "cartesian.py", "platform_motion.py", "rig.py", "state.py",
                                  "sensors.py", "geometry.py", "tree.py", "urdf.py", "world.py", "replay.py"}}  # fmt: skip

@@ -32,12 +32,13 @@ from dextar_control.model.model import Model
 from dextar_control.ros.controller_node import ControllerNode
 from dextar_control.ros.echo import EchoNode
 from dextar_control.ros.marker_node import MarkerNode
+from dextar_control.ros.panel_node import PanelNode
 from dextar_control.ros.recorder_node import RecorderNode
 from dextar_control.ros.trajectory_server import TrajectoryServer
 from dextar_sim.node import PlantNode
 
 ROOT = Path(__file__).resolve().parents[1]
-KINDS = (PlantNode, ControllerNode, TrajectoryServer, RecorderNode, MarkerNode)
+KINDS = (PlantNode, ControllerNode, TrajectoryServer, RecorderNode, MarkerNode, PanelNode)
 ENDING = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT]
 MODULES_WITH_MAIN = sorted(
     str(path.relative_to(ROOT).with_suffix("")).replace("/", ".")
@@ -116,6 +117,8 @@ def test_the_contract_says_what_a_node_publishes_reads_and_offers(kind: Any) -> 
                signal_handler_options=SignalHandlerOptions.NO)  # fmt: skip
     node = kind()
     try:
+        if kind is PanelNode:
+            node.watched(1)
         published = {pub.topic_name for pub in node.publishers}
         read = {sub.topic_name for sub in node._subscriptions}
         offered = {service.service_name for service in node._services}

@@ -19,7 +19,7 @@ from dextar_control import executables
 
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
-EXECUTABLES = {"dextar", "plant", "controller", "trajectory_server", "recorder", "markers", "go_server", "warmup"}
+EXECUTABLES = {"dextar", "plant", "controller", "trajectory_server", "recorder", "markers", "go_server", "panel", "warmup"}
 CONFIGS = sorted((ROOT / "config").glob("*.yaml"))
 PARAMETER_FILES = [path for path in CONFIGS if not path.name.startswith(("campaign", "faults", "frontier", "rig"))]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
@@ -49,6 +49,7 @@ def test_package_xml_setup_py_and_the_installation_agree_on_the_version():
 ROSDEP = {  # the rosdep key that brings a requirement of setup.py
     "numpy": "python3-numpy",
     "scipy": "python3-scipy",
+    "tornado": "python3-tornado",
     "casadi": "casadi-pip",
     "matplotlib": "python3-matplotlib",
     "bokeh": "python3-bokeh-pip",

@@ -52,6 +52,7 @@ MODULES = {
     "trajectory_server": ("dextar_control.ros.trajectory_server",),
     "recorder": ("dextar_control.ros.recorder_node",),
     "markers": ("dextar_control.ros.marker_node",),
+    "panel": ("dextar_control.ros.panel_node", "port:=0"),
 }
 # What every ROS node may have besides the contract.
 EVERYWHERE = {"/rosout", "/parameter_events"}
@@ -119,7 +120,7 @@ def test_each_service_of_the_contract_is_offered_by_its_node_alone_and_called_by
     for service in SERVICES:
         assert _enclaves(grants, "reply", service.name) == {f"/dextar/{service.node}"}
         trips = {"/dextar/go_server"} if service.name in TRIPS else set()
-        assert _enclaves(grants, "request", service.name) == {"/dextar/operator"} | trips
+        assert _enclaves(grants, "request", service.name) == {"/dextar/operator", "/dextar/panel"} | trips
 
 
 def test_the_action_is_offered_by_its_server_alone_and_called_by_the_operator(grants: list[Grant]) -> None:
@@ -207,9 +208,11 @@ def system(tmp_path_factory: pytest.TempPathFactory) -> Iterator[System]:
 def test_a_running_node_creates_what_it_is_permitted_and_nothing_else(
     system: System, grants: list[Grant], name: str, right: str
 ) -> None:
-    """Of what is permitted only topics that the contract calls optional may be missing."""
+    """Of what is permitted only topics that the contract calls optional may be missing; a panel reads while somebody looks on."""
     permitted = {grant.name for grant in grants if grant.node == name and grant.right == right}
     optional = READABLE | {f"/{topic.name}" for topic in TOPICS if topic.optional}
+    if name == "panel" and right == "subscribe":
+        optional = permitted
     deadline = time.monotonic() + PATIENCE
     while not permitted - optional <= system.created(name, right) <= permitted:
         rclpy.spin_once(system.node, timeout_sec=0.05)
@@ -220,7 +223,7 @@ def test_a_running_node_creates_what_it_is_permitted_and_nothing_else(
 
 def test_the_nodes_run_in_the_enclaves_of_the_policy(system: System, grants: list[Grant]) -> None:
     found = {(name, path) for name, _, path in system.node.get_node_names_and_namespaces_with_enclaves()}
-    mine = {(name, f"/dextar/{name}") for name in MODULES}
+    mine = {(name, f"/dextar/{name}") for name in MODULES} | {("operator", "/dextar/panel")}
     assert found == mine | {(system.node.get_name(), "/")}
     assert {(grant.node, grant.enclave) for grant in grants} >= mine
 

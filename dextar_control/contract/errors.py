@@ -4,7 +4,16 @@ from __future__ import annotations
 
 
 class DextarError(Exception):
-    """Root of the package's errors: one sentence that names the value and the limit."""
+    """Root of the package's errors: one sentence that names the value and the limit.
+
+    Args:
+        text: the sentence.
+        instead: values that would do, by the names of those that do not.
+    """
+
+    def __init__(self, *text: object, **instead: object) -> None:
+        super().__init__(*text)
+        self.instead = instead
 
 
 class ParameterError(DextarError):

@@ -238,6 +238,7 @@ NODES = {
     "trajectory_server": Ends((TRAJECTORY, DIAGNOSTICS), (DIAGNOSTICS,)),
     "recorder": Ends((DIAGNOSTICS,), TOPICS),
     "markers": Ends((MARKERS, DIAGNOSTICS), (JOINT_STATES, CRITERION, CONTROLLER_STATE, TRAJECTORY)),
+    "panel": Ends((DIAGNOSTICS,), (JOINT_STATES, CRITERION, CONTROLLER_STATE, TRAJECTORY)),
 }  # fmt: skip
 """The package's nodes, by name."""
 

@@ -100,10 +100,10 @@ class Best:
         text = f"no {what} within {self.found.problem.task.duration:.4g} s was found: {self.found.error}"
         nearest = _nearest_duration(self.robot, self.found)
         if nearest is not None:
-            raise TrajectoryError(f"{text}; the nearest duration that works is {nearest:.4f} s")
+            raise TrajectoryError(f"{text}; the nearest duration that works is {nearest:.4f} s", duration=nearest)
         point = other_point()
         if point is not None:
-            raise TrajectoryError(f"{text}; the nearest point that works is {in_words(point.x)}")
+            raise TrajectoryError(f"{text}; the nearest point that works is {in_words(point.x)}", point=point.x.tolist())
         raise TrajectoryError(f"{text}; neither a longer duration nor a point nearby was found to work")
 
 

@@ -268,7 +268,8 @@ def locus_point(robot: AnyRobot, x: Array) -> LocusPoint:
         s = abs(model.s(x))
         raise GeometryError(
             f"point {in_words(x)} is off the Type 2 locus: |s| = {s:.4f}; the nearest point of the locus that is"
-            f" clear of Type 1 is {in_words(nearest.x)}, {1e3 * gap:.1f} mm away"
+            f" clear of Type 1 is {in_words(nearest.x)}, {1e3 * gap:.1f} mm away",
+            point=nearest.x.tolist(),
         )
     return nearest
 

@@ -76,9 +76,12 @@ def plan_through(
 
     attempt(place, None, best)
     if best.found is None:
+        near = _nearest_with_room(robot, place)
         raise GeometryError(
             f"the locus point {in_words(place.x)} has no room for a rest with |s| >= {MIN_END_S} straight"
-            f" ahead on both sides (distance to Type 1: {place.type1:.3f}){_nearest_with_room(robot, place)}"
+            f" ahead on both sides (distance to Type 1: {place.type1:.3f})"
+            f"{'' if near is None else f'; the nearest point that has is {in_words(near)}'}",
+            **({} if near is None else {"point": near.tolist()}),
         )
     best.restart(lambda found: found.good, progress)
     progress(1.0, "not found" if best.found.plan is None else "certified")
@@ -95,13 +98,13 @@ def plan_through(
     return best.outcome(f"way through {in_words(place.x)}", duration is None, other_point)
 
 
-def _nearest_with_room(robot: AnyRobot, place: LocusPoint) -> str:
-    """In words, the point of the locus nearest to one without room that has some; nothing when there is none."""
+def _nearest_with_room(robot: AnyRobot, place: LocusPoint) -> Array | None:
+    """The point (2,) of the locus nearest to one without room that has some, m; None when there is none."""
     if not isinstance(robot, RobotParameters):
-        return ""
+        return None
     arcs = trace_locus(robot, (robot.working_mode,), MIN_CROSSING_TYPE1, crossable=True)
     if not arcs:
-        return ""
+        return None
     x = np.vstack([arc.x for arc in arcs])
-    nearest = x[int(np.argmin(np.linalg.norm(x - place.x, axis=1)))]
-    return f"; the nearest point that has is {in_words(nearest)}"
+    nearest: Array = x[int(np.argmin(np.linalg.norm(x - place.x, axis=1)))]
+    return nearest

@@ -28,7 +28,7 @@ from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import plan_return_trip
-from dextar_control.ros.bench_stack import bench_imports, bench_nodes
+from dextar_control.ros.bench_stack import bench_imports, bench_nodes, bench_panel
 from dextar_control.ros.domain import own_domain
 from dextar_control.ros.echo import STAMP
 
@@ -172,6 +172,8 @@ def run_bench(seconds: float) -> int:
         row("state -> command", trips["controller"], "bare echo", trips["echo"])
     with console.working("processor time of the nodes"):
         cores = bench_nodes(seconds)
+    with console.working("the panel"):
+        panel = bench_panel(seconds)
     with console.working("imports"):
         imports = bench_imports()
     with console.working("plant step"):
@@ -188,5 +190,10 @@ def run_bench(seconds: float) -> int:
     )
     told = ", ".join(f"{name} {share:.3f}" for name, share in cores.items())
     console.print(f"cores at 1 kHz in real time: {told}, together {sum(cores.values()):.3f}")
+    console.print(
+        f"panel: {panel.watched:.3f} cores while a page looks on, {panel.unwatched:.3f} else, {panel.pictures:.1f} pictures a s;"
+        f" a stop is answered after {1e3 * float(np.median(panel.stops)):.1f} ms, {1e3 * max(panel.stops):.1f} ms at most of"
+        f" {len(panel.stops)}; steps without their command {panel.late_watched:.1%}, {panel.late_unwatched:.1%} without a page"
+    )
     console.print(", ".join(f"{name} {time:.2f} s" for name, time in imports.items()))
     return 0

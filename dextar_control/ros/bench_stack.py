@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import hashlib
 import json
@@ -12,12 +13,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.signals import SignalHandlerOptions
+from tornado.websocket import websocket_connect
 
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.node import qos
@@ -28,6 +32,7 @@ MODULES = {"plant": "dextar_sim.node", "controller": "dextar_control.ros.control
            "recorder": "dextar_control.ros.recorder_node"}  # fmt: skip
 START_TIMEOUT = 60.0  # s until the nodes run
 SETTLING = 2.0  # s of running before their processor time counts
+STOPS = 20  # that a page asks for
 BUSY = "while True: pass"
 VERDICT = "verdict"
 SPENT_TIMEOUT = 600.0  # s for one demo
@@ -92,6 +97,97 @@ def bench_nodes(seconds: float) -> dict[str, float]:
     begin = next(look for look in looks if look[0] - looks[0][0] >= 1000.0 * SETTLING)
     end = looks[-1]
     return {name: (end[1][name] - begin[1][name]) / (1.0e-3 * (end[0] - begin[0])) for name in MODULES}
+
+
+class PanelCost(NamedTuple):
+    """What the panel costs in real time at 1 kHz."""
+
+    unwatched: float  # cores of the panel
+    watched: float  # the same while a page looks on
+    late_unwatched: float  # share of the plant's steps without their command in time
+    late_watched: float
+    pictures: float  # that the page gets in a second
+    stops: list[float]  # s from asking for a stop to the controller's answer
+
+
+def bench_panel(seconds: float, viewers: int = 1) -> PanelCost:
+    """Measure it on a plant and a controller that holds, which a stop lets hold on: each for so long without and with pages."""
+    given = {"plant": ["plant:mode:=realtime"], "controller": ["controller:healthy_time:=0.1"], "panel": ["panel:port:=0"]}
+    modules = MODULES | {"panel": "dextar_control.ros.panel_node"}
+    commands = {name: ["-m", modules[name], "--ros-args", *(part for value in own for part in ("-p", value))]
+                for name, own in given.items()}  # fmt: skip
+    told: dict[str, dict[str, str]] = {}
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = rclpy.create_node("bench", start_parameter_services=False, enable_rosout=False)
+
+        def hear(message: DiagnosticArray) -> None:
+            for status in message.status:
+                told[status.name.strip("/")] = {entry.key: entry.value for entry in status.values}
+
+        def spin(until: float, done: Callable[[], bool]) -> None:
+            while time.monotonic() < until and not done():
+                rclpy.spin_once(node, timeout_sec=0.1)
+
+        node.create_subscription(DiagnosticArray, DIAGNOSTICS.name, hear, qos(DIAGNOSTICS))
+        with _processes(commands) as running:
+
+            def look(name: str) -> tuple[float, float, float]:
+                return (processor_time(running[name].pid), float(told["plant"]["steps"]), float(told["plant"]["late_ticks"]))
+
+            def over(begin: tuple[float, float, float], end: tuple[float, float, float]) -> tuple[float, float]:
+                steps = end[1] - begin[1]
+                return (end[0] - begin[0]) / (1.0e-3 * steps), (end[2] - begin[2]) / steps
+
+            def holds() -> bool:
+                return told.get("controller", {}).get("phase") == "HOLD" and {"panel", "plant"} <= set(told)
+
+            spin(time.monotonic() + START_TIMEOUT, holds)
+            if not holds():
+                raise DextarError(f"plant, controller and panel did not come to hold within {START_TIMEOUT:.0f} s")
+            spin(time.monotonic() + SETTLING, lambda: False)
+            looks = [look("panel")]
+            spin(time.monotonic() + seconds, lambda: False)
+            looks.append(look("panel"))
+            with ThreadPoolExecutor(viewers) as pool:
+                pages = [pool.submit(watch_panel, told["panel"]["address"], seconds + SETTLING, STOPS * (number == 0))
+                         for number in range(viewers)]  # fmt: skip
+                spin(time.monotonic() + SETTLING, lambda: False)
+                looks.append(look("panel"))
+                spin(time.monotonic() + START_TIMEOUT + seconds, lambda: all(page.done() for page in pages))
+                looks.append(look("panel"))
+                pictures, stops = pages[0].result()
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+    (unwatched, late_unwatched), (watched, late_watched) = over(*looks[:2]), over(*looks[2:])
+    return PanelCost(unwatched, watched, late_unwatched, late_watched, pictures, stops)
+
+
+def watch_panel(address: str, seconds: float, stops: int) -> tuple[float, list[float]]:
+    """Look on as a page does, and ask for stops evenly: pictures in a second, and s from asking to the controller's answer."""
+
+    async def run() -> tuple[float, list[float]]:
+        stream = await websocket_connect(f"{address.replace('http', 'ws')}stream")
+        begin = time.monotonic()
+        pictures, asked = 0, 0.0
+        taken: list[float] = []
+        while (now := time.monotonic()) < begin + seconds:
+            if len(taken) < stops and not asked and now - begin > seconds * (len(taken) + 1) / (stops + 2):
+                asked = time.monotonic()
+                await stream.write_message(json.dumps({"ask": "stop", "number": 1}))
+            text = await stream.read_message()
+            if text is None:
+                raise DextarError(f"the panel at {address} closed the stream")
+            kind = json.loads(text)["kind"]
+            pictures += kind == "state"
+            if kind == "answer":
+                taken.append(time.monotonic() - asked)
+                asked = 0.0
+        stream.close()
+        return pictures / (time.monotonic() - begin), taken
+
+    return asyncio.run(run())
 
 
 def fingerprint(folder: Path) -> str:

@@ -1,4 +1,4 @@
-"""The demo: four nodes as separate processes, one return trip, its bag analysed."""
+"""The demo: four nodes and the panel as separate processes, one return trip, its bag analysed."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ from dextar_control.ros.start_check import check_start
 from dextar_control.ros.task import Task
 from dextar_control.symbols.types import Array
 
-NODES = "recorder", "plant", "controller", "trajectory_server"
+NODES = "recorder", "plant", "controller", "trajectory_server", "panel"
+PANEL = "panel"  # a display is nobody's need: where it ends the demo goes on
 CAMERA = {"pose_rate": 100.0, "pose_delay": 0.02, "pose_noise": 0.0002}  # of the plant, where the estimator wants one: Hz, s, m
 PR_SET_PDEATHSIG = 1  # of Linux' prctl
 STARTING = "starting the nodes"
@@ -126,7 +127,7 @@ class _Processes:
     def check(self) -> None:
         for name, process in self._processes.items():
             code = process.exitcode
-            if code is not None:
+            if code is not None and name != PANEL:
                 raise DemoError(self.describe_end(name, code))
 
     def describe_end(self, name: str, code: int) -> str:
@@ -160,6 +161,7 @@ class _Processes:
 
     def stop_loop(self) -> dict[str, int]:
         """Controller first, recorder last: it keeps what the others say at their end."""
+        self.stop(PANEL)
         return {**self.stop("controller"), **self.stop("plant"), **self.stop("recorder")}
 
     def stop_all(self) -> dict[str, int]:
@@ -212,7 +214,8 @@ def run_demo(arguments: argparse.Namespace) -> int:
                 _follow(console, monitor, processes)
             except DemoError as error:
                 troubles.append(str(error))
-            processes.interrupt("trajectory_server")
+            for name in ("trajectory_server", PANEL):
+                processes.interrupt(name)
             ended = processes.stop_loop()
         from dextar_control.analysis.report import analyze, brief_table
 
@@ -360,18 +363,21 @@ def _monitor() -> Iterator[_Monitor]:
 
 def _wait_until_ready(console: Terminal, monitor: _Monitor, processes: _Processes) -> None:
     """Recorder recording with everybody's parameters, trajectory accepted, plant paused."""
-    deadline = time.monotonic() + START_TIMEOUT
+    deadline, told = time.monotonic() + START_TIMEOUT, False
     with console.working(STARTING) as working:
         while True:
             rclpy.spin_once(monitor, timeout_sec=0.1)
             processes.check()
-            note = monitor.get("controller", "trajectory")
+            note, address = monitor.get("controller", "trajectory"), monitor.get(PANEL, "address")
             planning = monitor.get("trajectory_server", "planning")
             working.now(f"planning: {planning}" if planning else STARTING)
             if refusal := monitor.get("trajectory_server", "error"):
                 raise DemoError(f"the trajectory server: {refusal}")
             if note.startswith("refused"):
                 raise DemoError(f"the controller {note}")
+            if address and not told:
+                told = True
+                console.print(f"watch and drive it at {address}", soft_wrap=True)
             recording = monitor.get("recorder", "parameters_missing") == "none"
             active = monitor.get("controller", "lifecycle") == "active"
             if recording and active and note == "accepted" and monitor.plant_waits:

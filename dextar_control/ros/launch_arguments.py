@@ -63,6 +63,7 @@ ARGUMENTS = {
     "window": Argument("false", "PyBullet's own window"),
     "record": Argument("true", "start the recorder"),
     "markers": Argument("false", "draw for RViz and Foxglove"),
+    "panel": Argument("false", "serve a page that watches and drives the robot, at an address that is printed"),
     "output": Argument("", "the recording, .mcap; empty: params_file's", "bag"),
     "autostart": Argument("true", "serve the trip as soon as it is planned"),
     "activate": Argument("true", "configure and activate the controller at its start; false: ros2 lifecycle set does"),
@@ -111,6 +112,7 @@ def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         "recorder": {},
         "markers": {},
         "go_server": {},
+        "panel": {},
     }
     for name, arguments in (
         ("plant", ("real_time_factor",)),
@@ -120,6 +122,7 @@ def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     if values["law"] == "multi_model":
         own["trajectory_server"]["criterion"] = "zero_wrench"
     unwanted = {"plant": not values["plant"], "recorder": not values["record"], "markers": not values["markers"],
+                "panel": not values["panel"],
                 "go_server": importlib.util.find_spec(INTERFACES) is None}  # fmt: skip
     return {name: parameters for name, parameters in own.items() if not unwanted.get(name)}
 

@@ -10,17 +10,13 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from dextar_control.contract.cdr import read_message
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.node import DextarNode, qos, run_node
 from dextar_control.contract.parameters import Parameter
-from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_STATES, MARKERS, PLATFORM_NAMES, TRAJECTORY
-from dextar_control.ros import messages
+from dextar_control.contract.topics import JOINT_STATES, MARKERS
+from dextar_control.ros.newest import UNCHANGED, Newest
 from dextar_control.ros.scene import Scene, View, to_array, wipe
 from dextar_control.symbols.types import Array
 
@@ -31,11 +27,8 @@ PARAMETERS = (
     Parameter("text", "write phase and scalars below the robot", live=True),
 )
 
-STREAMS = {JOINT_STATES.name: JointState, CRITERION.name: JointState, CONTROLLER_STATE.name: JointTrajectory}
 STILL_PERIOD = 1.0  # s
 DIAGNOSTICS_PERIOD = 1.0  # s
-STALE_AFTER = 1.0  # s on the steady clock without a joint state
-UNKNOWN = np.full(2, np.nan)
 
 
 class MarkerNode(DextarNode):
@@ -51,9 +44,7 @@ class MarkerNode(DextarNode):
         super().__init__(**options)
         self._scene = Scene(self.robot)
         self._publisher = self.create_publisher(MarkerArray, MARKERS.name, qos(MARKERS))
-        self._readers: dict[str, Any] = {}
-        self._seen: dict[str, Any] = {}
-        self._arrival = -np.inf
+        self._newest = Newest(self)
         self._still_at = -np.inf
         self._trail: deque[tuple[float, Array]] = deque()
         self._drawn = 0
@@ -69,29 +60,23 @@ class MarkerNode(DextarNode):
             self._apply(changes["enabled"])
 
     def _apply(self, enabled: bool) -> None:
-        if enabled and not self._readers:
-            newest = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT,
-                                durability=DurabilityPolicy.VOLATILE)  # fmt: skip
-            for name, kind in STREAMS.items():
-                self._readers[name] = self.create_polled_subscription(kind, name, newest)
-            self._readers[TRAJECTORY.name] = self.create_polled_subscription(
-                MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY), raw=True
-            )
-        elif not enabled and self._readers:
-            for reader in self._readers.values():
-                self.destroy_subscription(reader)
-            self._readers.clear()
-            self._seen.clear()
+        if enabled and not self._newest:
+            self._newest.open()
+        elif not enabled and self._newest:
+            self._newest.close()
             self._trail.clear()
             self._scene.set_path(None)
             self._publish(wipe())
 
     def _draw(self) -> None:
-        if not self._readers:
+        if not self._newest:
             return
         now = time.monotonic()
         try:
-            self._take(now)
+            trajectory = self._newest.take()
+            if trajectory is not UNCHANGED:
+                self._scene.set_path(trajectory)
+                self._still_at = -np.inf
             view = self._view(now)
         except DextarError as error:
             self._complaint = str(error)
@@ -107,34 +92,13 @@ class MarkerNode(DextarNode):
             self._publish(drawing)
             self._drawn += 1
 
-    def _take(self, now: float) -> None:
-        """The newest sample of each topic."""
-        for name, kind in STREAMS.items():
-            taken = _newest(self._readers[name], kind, raw=False)
-            if taken is not None:
-                self._seen[name] = taken
-                if name == JOINT_STATES.name:
-                    self._arrival = now
-        raw = _newest(self._readers[TRAJECTORY.name], MultiDOFJointTrajectory, raw=True)
-        if raw is not None:
-            message = read_message(bytes(raw), TRAJECTORY.type)
-            self._scene.set_path(messages.to_trajectory(message) if len(message.points) else None)
-            self._still_at = -np.inf
-
     def _view(self, now: float) -> View | None:
         """What the samples say; None before the first joint state."""
-        joints = self._seen.get(JOINT_STATES.name)
-        if joints is None:
+        view = self._newest.view()
+        if view is None:
             return None
-        q_a = messages.active_joints(joints) - self.robot.encoder_offset
-        criterion = self._seen.get(CRITERION.name)
-        scalars = {} if criterion is None else dict(zip(criterion.name, criterion.position, strict=False))
-        points = getattr(self._seen.get(CONTROLLER_STATE.name), "points", ())
-        x_ref, x_hat = (_position(points, row) for row in (0, 1))
-        stale = now - self._arrival > STALE_AFTER
-        self._complaint = f"no joint states for {now - self._arrival:.1f} s" if stale else ""
-        view = View(q_a, x_hat, x_ref, scalars, stale)
-        if not stale and self.values["trail"] > 0.0:
+        self._complaint = f"no joint states for {now - self._newest.arrival:.1f} s" if view.stale else ""
+        if not view.stale and self.values["trail"] > 0.0:
             self._trail.append((now, self._scene.platform(view)))
         while self._trail and now - self._trail[0][0] > self.values["trail"]:
             self._trail.popleft()
@@ -144,9 +108,9 @@ class MarkerNode(DextarNode):
         self._publisher.publish(to_array(markers, self.get_clock().now().to_msg()))
 
     def _diagnose(self) -> None:
-        if not self._readers:
+        if not self._newest:
             state = "switched off"
-        elif JOINT_STATES.name not in self._seen:
+        elif JOINT_STATES.name not in self._newest.seen:
             state = f"no joint states on {self.resolve_topic_name(JOINT_STATES.name)} yet"
         else:
             state = self._complaint or "drawing"
@@ -157,19 +121,6 @@ class MarkerNode(DextarNode):
         """Clear the display."""
         self._publish(wipe())
         self._diagnose()
-
-
-def _newest(reader: Any, kind: Any, *, raw: bool) -> Any:
-    newest = None
-    while (taken := reader.handle.take_message(kind, raw)) is not None:
-        newest = taken[0]
-    return newest
-
-
-def _position(points: Any, row: int) -> Array:
-    if len(points) <= row or len(points[row].positions) != len(PLATFORM_NAMES):
-        return UNKNOWN
-    return np.array(points[row].positions)
 
 
 def main(args: list[str] | None = None) -> int:

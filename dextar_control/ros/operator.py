@@ -35,6 +35,7 @@ SERVER = 1.0  # s for the trajectory server's part of a stop
 STOPPING = 30.0  # s in which a stop is over
 TICK = 0.05  # s
 MOVING = ("APPROACH", "TRACK", "CROSSING")
+STOPS = "controller/stop", "trajectory_server/stop"
 GRAPH = 1.5  # s in which it is known which nodes there are
 OK, ERROR = (str(level[0]) for level in (DiagnosticStatus.OK, DiagnosticStatus.ERROR))
 
@@ -71,6 +72,8 @@ class Operator(Node):
         self._heard: dict[str, float] = {}
         self._clients_of: dict[str, Any] = {}
         self.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS))
+        for name in STOPS:  # known before they are needed: a stop waits for no discovery
+            self._client(Trigger, name)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -186,15 +189,15 @@ class Operator(Node):
             raise Unreached(f"no answer of {self.full(name)} {why}; see that its node runs, then try again")
         return future.result()
 
-    def set_task(self, values: Mapping[str, Any]) -> None:
-        """Set parameters of the trajectory server, all or none.
+    def set_parameters_of(self, node: str, values: Mapping[str, Any]) -> None:
+        """Set parameters of a node, all or none.
 
         Raises:
             ParameterError: they are refused.
         """
         parameters = [Parameter(name, kind_of(value), value).to_parameter_msg() for name, value in values.items()]
         request = SetParametersAtomically.Request(parameters=parameters)
-        result = self.call(SetParametersAtomically, "trajectory_server/set_parameters_atomically", request).result
+        result = self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request).result
         if not result.successful:
             raise ParameterError(result.reason)
 
@@ -209,7 +212,7 @@ class Operator(Node):
         if reason := why_not(self.full("controller"), self.controller):
             raise Unreached(reason)
         if values:
-            self.set_task(values)
+            self.set_parameters_of("trajectory_server", values)
 
     def heard_since(self, name: str, moment: float) -> bool:
         """Whether a node has told of itself since a moment of the monotonic clock, s."""
@@ -227,11 +230,23 @@ class Operator(Node):
             Unreached: no controller answers.
         """
         try:
-            self.call(Trigger, "controller/stop", Trigger.Request(), through=True)
+            self.stop_controller()
         finally:
-            server = self._client(Trigger, "trajectory_server/stop")
-            if self.until(server.service_is_ready, SERVER, through=True):  # a robot may do without one
-                self.until(server.call_async(Trigger.Request()).done, SERVER, through=True)
+            self.stop_server()
+
+    def stop_controller(self) -> None:
+        """Ask for a safe stop alone.
+
+        Raises:
+            Unreached: no controller answers.
+        """
+        self.call(Trigger, STOPS[0], Trigger.Request(), through=True)
+
+    def stop_server(self) -> None:
+        """Ask that nothing that is still planned begins."""
+        server = self._client(Trigger, STOPS[1])
+        if self.until(server.service_is_ready, SERVER, through=True):  # a robot may do without one
+            self.until(server.call_async(Trigger.Request()).done, SERVER, through=True)
 
     def at_rest(self) -> bool:
         """Whether a stop is over: the robot holds, or has no torque."""
@@ -248,6 +263,38 @@ class Operator(Node):
         self.hear("recorder")
         recorder = self.status.get("recorder", {})
         return recorder.get("bag", "") if recorder.get("recording") == "True" else ""
+
+    def ask_controller(self, kind: Any, name: str, request: Any) -> str:
+        """Have the controller do something at once; its state afterwards, in words.
+
+        Raises:
+            Unreached: it refuses, or no one controller answers.
+        """
+        self.find("controller")
+        self.alone("controller")
+        answer = self.call(kind, f"controller/{name}", request)
+        if not answer.success:
+            raise Unreached(answer.message)
+        since = time.monotonic()
+        self.until(lambda: self.heard_since("controller", since), SILENCE)
+        return self.state()
+
+    def trip(self, values: Mapping[str, Any], show: Callable[[str, float], None], say: Callable[[str], object]) -> bool:
+        """Set the task, have it planned and started, and follow it; whether it was done and each planned crossing crossed.
+
+        Args:
+            values: parameters of the trajectory server; what is not given stays as it was set last.
+            show, say: as ``Trip`` takes them.
+
+        Raises:
+            Unreached: nothing is started; says why and what to do.
+            ParameterError: the task is refused.
+        """
+        self.prepare(values)
+        trip = Trip(self, show, say)
+        trip.start()
+        trip.follow()
+        return trip.end()
 
     def state(self) -> str:
         """Phase and reason, and what to do next, as the controller told them last."""
@@ -435,15 +482,10 @@ def go(arguments: argparse.Namespace) -> int:
     """Start a trip and follow it; the exit code."""
     values, console = task_values(vars(arguments)), Terminal()
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn())
-    with operator(arguments.namespace) as me:
-        me.prepare(values)
-        with Steps(*columns, console=console, transient=True) as bars:
-            bar = bars.add_task("planning", total=1.0)
-            trip = Trip(me, lambda text, share: bars.update(bar, description=text, completed=share),
-                        lambda text: console.print(text, soft_wrap=True))  # fmt: skip
-            trip.start()
-            trip.follow()
-        good = trip.end()
+    with operator(arguments.namespace) as me, Steps(*columns, console=console, transient=True) as bars:
+        bar = bars.add_task("planning", total=1.0)
+        good = me.trip(values, lambda text, share: bars.update(bar, description=text, completed=share),
+                       lambda text: console.print(text, soft_wrap=True))  # fmt: skip
         me.stop.check()
     return 0 if good else EXIT_FAILED
 
@@ -469,14 +511,7 @@ def reset(arguments: argparse.Namespace) -> int:
 
 def _ask_controller(arguments: argparse.Namespace, kind: Any, name: str, request: Any) -> int:
     with operator(arguments.namespace) as me:
-        me.find("controller")
-        me.alone("controller")
-        answer = me.call(kind, f"controller/{name}", request)
-        if not answer.success:
-            raise Unreached(answer.message)
-        since = time.monotonic()
-        me.until(lambda: me.heard_since("controller", since), SILENCE)
-        say(me.state())
+        say(me.ask_controller(kind, name, request))
     return 0
 
 

@@ -61,24 +61,33 @@ class Scene:
 
     Args:
         robot: its geometry and working mode.
+
+    Attributes:
+        motors: (2, 2) axes, m.
+        workspace: corners (2,) of a box that holds every place it reaches, m.
+        arcs: of the locus in that working mode.
+        path: (m, 2) of the trajectory that is served, m; empty without one.
+        crossings: (k, 2) of it with the locus, m.
     """
 
     def __init__(self, robot: RobotParameters) -> None:
         self._model = planning_model(robot)
-        self._arcs = trace_locus(robot, (robot.working_mode,), robot.min_type1_distance)
-        self._path = np.empty((0, 2))
-        self._crossings = np.empty((0, 2))
+        self.arcs = trace_locus(robot, (robot.working_mode,), robot.min_type1_distance)
+        self.motors = self.linkage(np.zeros(2), np.zeros(2))[[0, 4]]
+        self.workspace = self._model.workspace
+        self.path = np.empty((0, 2))
+        self.crossings = np.empty((0, 2))
 
     def set_path(self, trajectory: Trajectory | None) -> None:
         """The trajectory that is served; None for none."""
-        self._path, self._crossings = np.empty((0, 2)), np.empty((0, 2))
+        self.path, self.crossings = np.empty((0, 2)), np.empty((0, 2))
         if trajectory is None:
             return
-        self._path = trajectory.table(np.linspace(0.0, trajectory.duration, PATH_POINTS))[0]
-        s = self._model.sides(self._path).s[:, 0]
+        self.path = trajectory.table(np.linspace(0.0, trajectory.duration, PATH_POINTS))[0]
+        s = self._model.sides(self.path).s[:, 0]
         before = np.flatnonzero(s[:-1] * s[1:] < 0.0)
         share = (s[before] / (s[before] - s[before + 1]))[:, None]
-        self._crossings = (1.0 - share) * self._path[before] + share * self._path[before + 1]
+        self.crossings = (1.0 - share) * self.path[before] + share * self.path[before + 1]
 
     def platform(self, view: View) -> Array:
         """Where to draw the end effector (2,), m: the estimate, else the direct model in the believed assembly mode."""
@@ -86,20 +95,20 @@ class Scene:
             return view.x_hat
         return self._model.direct_geometric_model(view.q_a, view.scalars.get("assembly_mode", 1.0), np.zeros(2))
 
-    def _linkage(self, q_a: Array, x: Array) -> Array:
+    def linkage(self, q_a: Array, x: Array) -> Array:
+        """(5, 2) motor, elbow, end effector, elbow, motor, m."""
         linkage: Array = self._model.mechanism.linkage(q_a, x, self._model.numbers)
         return linkage
 
     def still(self) -> list[Marker]:
         """Base, locus, path and its crossings."""
-        base = self._linkage(np.zeros(2), np.zeros(2))[[0, 4]]
-        markers = [_marker("base", 0, Marker.LINE_LIST, base, STALE, LINE),
-                   _marker("base", 1, Marker.SPHERE_LIST, base, JOINT, 1.4 * JOINT_SIZE)]  # fmt: skip
-        for number, arc in enumerate(self._arcs):
+        markers = [_marker("base", 0, Marker.LINE_LIST, self.motors, STALE, LINE),
+                   _marker("base", 1, Marker.SPHERE_LIST, self.motors, JOINT, 1.4 * JOINT_SIZE)]  # fmt: skip
+        for number, arc in enumerate(self.arcs):
             color = STRETCHED if arc.family is Family.STRETCHED else FOLDED
             markers.append(_marker("locus", number, Marker.LINE_STRIP, arc.x[::4], color, LINE))
-        markers.append(_marker("path", 0, Marker.LINE_STRIP, self._path, PATH, FINE, layer=1))
-        markers.append(_marker("crossings", 0, Marker.SPHERE_LIST, self._crossings, KERNEL, DOT, layer=1))
+        markers.append(_marker("path", 0, Marker.LINE_STRIP, self.path, PATH, FINE, layer=1))
+        markers.append(_marker("crossings", 0, Marker.SPHERE_LIST, self.crossings, KERNEL, DOT, layer=1))
         return [_living(marker, STILL_LIFETIME) for marker in markers]
 
     def moving(self, view: View, trail: Sequence[Array] = (), *, text: bool = True) -> list[Marker]:
@@ -111,9 +120,9 @@ class Scene:
             text: whether to write phase and scalars.
         """
         x = self.platform(view)
-        points, opacity = self._linkage(view.q_a, x), 0.4 if view.stale else 1.0
+        points, opacity = self.linkage(view.q_a, x), 0.4 if view.stale else 1.0
         proximal, distal, elbows = points[[0, 1, 4, 3]], points[[1, 2, 3, 2]], points[[1, 3]]
-        phase = self._phase(view)
+        phase = self.phase(view)
         markers = [
             _marker("linkage", 0, Marker.LINE_LIST, proximal, PROXIMAL, LINK, 3, opacity),
             _marker("linkage", 1, Marker.LINE_LIST, distal, DISTAL, 0.7 * LINK, 4, opacity),
@@ -128,15 +137,20 @@ class Scene:
             markers.append(self._text(view, phase))
         return [_living(marker, MOVING_LIFETIME) for marker in markers]
 
-    def _phase(self, view: View) -> str:
+    def phase(self, view: View) -> str:
+        """Its name; empty where it is not known."""
         number = view.scalars.get("phase", np.nan)
         names = list(PHASES)
         return names[int(number)] if 0 <= number < len(names) else ""
 
-    def _kernel(self, view: View, x: Array) -> Marker:
-        """t_s: an arrow that fades with the distance to the locus, where it is the direction the torques cannot hold."""
+    def kernel(self, view: View, x: Array) -> tuple[Array, float]:
+        """t_s (2,), the direction that the torques cannot hold on the locus, and s."""
         state = self._model.state(view.q_a, x, np.zeros(2))
-        t_s, s = state.t_s, float(state.s[0])
+        return state.t_s, float(state.s[0])
+
+    def _kernel(self, view: View, x: Array) -> Marker:
+        """t_s: an arrow that fades with the distance to the locus."""
+        t_s, s = self.kernel(view, x)
         opacity = max(FAINTEST, 1.0 - 2.0 * abs(s)) if np.isfinite(s) else 0.0
         ends = np.stack([x, x + KERNEL_LENGTH * t_s])
         marker = _marker("t_s", 0, Marker.ARROW, ends, KERNEL, KERNEL_SHAFT, 7, opacity)

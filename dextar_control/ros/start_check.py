@@ -12,11 +12,13 @@ from dextar_control.contract.parameters import Parameter, settled
 from dextar_control.contract.resources import node_defaults
 from dextar_control.ros.controller_node import ControllerNode
 from dextar_control.ros.marker_node import MarkerNode
+from dextar_control.ros.panel_node import PanelNode
 from dextar_control.ros.recorder_node import RecorderNode
 from dextar_control.ros.task import Task
 from dextar_control.ros.trajectory_server import TrajectoryServer
 
-KINDS: dict[str, type[DextarNode]] = {kind.NAME: kind for kind in (ControllerNode, TrajectoryServer, RecorderNode, MarkerNode)}
+NODES = ControllerNode, TrajectoryServer, RecorderNode, MarkerNode, PanelNode
+KINDS: dict[str, type[DextarNode]] = {kind.NAME: kind for kind in NODES}
 
 
 def check_start(node: str, changes: Mapping[str, Any], *files: Path, namespace: str = "") -> dict[str, Any]:

@@ -12,15 +12,26 @@ from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.checks import certify
 from dextar_control.planning.excitation import plan_excitation
 from dextar_control.planning.locus import locus_point
-from dextar_control.planning.planner import Criterion, Plan, plan_crossing, plan_return_trip, plan_return_trip_through
+from dextar_control.planning.planner import (
+    PLAN_RESIDUAL,
+    Criterion,
+    Plan,
+    plan_approach,
+    plan_crossing,
+    plan_return_trip,
+    plan_return_trip_through,
+)
 from dextar_control.planning.regular import side_of
 from dextar_control.planning.search import LOCUS_TIMES, Progress, silent
 from dextar_control.planning.tour import plan_tour
+from dextar_control.planning.trajectory import join
 from dextar_control.symbols.types import Array
 
 LEAST_DURATION = 0.02  # s
+AT_START = 1e-4  # m, closer than this needs no approach
 MOST_LINES = 24  # of a certificate in words
 CRITERIA = tuple(criterion.name.lower() for criterion in Criterion)
 
@@ -136,6 +147,22 @@ class Task:
         return plan_crossing(
             robot, start, goal, self.duration, criterion=self.criterion, locus_time=self.locus_time, progress=progress
         )
+
+
+def plan_from(robot: RobotParameters, origin: Array, plan: Plan, speed: float) -> Plan:
+    """A planned trip with the way from where the robot stands before it.
+
+    Args:
+        origin: (2,) m, where it stands.
+        speed: peak speed of that way, m/s.
+
+    Raises:
+        DextarError: there is no such way on one side of the locus.
+    """
+    start, trajectory = plan.trajectory.at(0.0).x, plan.trajectory
+    if float(np.hypot(*(origin - start))) >= AT_START:
+        trajectory = join([plan_approach(robot, origin, start, speed), trajectory])
+    return Plan(trajectory, certify(robot, trajectory, max_residual=PLAN_RESIDUAL))
 
 
 def _pair(numbers: Any) -> tuple[float, float]:

@@ -19,15 +19,14 @@ from dextar_control.contract.node import EXIT_USAGE, DextarNode, qos, run_node
 from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.topics import DIAGNOSTICS, MAX_TRAJECTORY_POINTS, TRAJECTORY
 from dextar_control.planning.certificate import Certificate
-from dextar_control.planning.checks import certify
-from dextar_control.planning.planner import PLAN_RESIDUAL, Plan, plan_approach
+from dextar_control.planning.planner import Plan
 from dextar_control.planning.profile import sample_times
 from dextar_control.planning.search import Progress
-from dextar_control.planning.trajectory import Trajectory, join
+from dextar_control.planning.trajectory import Trajectory
 from dextar_control.ros import messages, task
 from dextar_control.ros.next_step import command, why_not
 from dextar_control.ros.planning import Done, GivenUp, Worker
-from dextar_control.ros.task import Task, in_words
+from dextar_control.ros.task import Task, in_words, plan_from
 from dextar_control.symbols.types import Array
 
 PARAMETERS = (
@@ -39,7 +38,6 @@ PARAMETERS = (
 )
 
 FRESH = 2.0  # s, age of the controller's diagnostics that still tells where the robot stands
-AT_START = 1e-4  # m, closer than this needs no approach
 COARSEST = 0.005  # s between the served points of a long tour
 RESOLUTION = 130  # dots per inch of the drawing
 MOST_TOLD = 60  # crossings that the diagnostics repeat each second
@@ -145,11 +143,7 @@ class TrajectoryServer(DextarNode):
 
         def work() -> Served:
             wanted, plan = plan_now()
-            start = plan.trajectory.at(0.0).x
-            trajectory = plan.trajectory
-            if float(np.hypot(*(origin - start))) >= AT_START:
-                trajectory = join([plan_approach(self.robot, origin, start, speed), trajectory])
-            certificate = certify(self.robot, trajectory, max_residual=PLAN_RESIDUAL)
+            trajectory, certificate = plan_from(self.robot, origin, plan, speed)
             times = served_times(trajectory, certificate, period)
             return Served(plan, wanted, certificate, messages.from_trajectory(trajectory, times))
 

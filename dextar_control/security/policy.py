@@ -102,7 +102,7 @@ STATES = (JOINT_STATES,)
 COMMANDS = (JOINT_COMMANDS, EFFORT_COMMANDS)
 EVERY_SERVICE = (
     *(service.name for service in SERVICES),
-    *(f"{node}/{name}" for node in (*PARAMETERS_OF, "recorder", "markers") for name in PARAMETER_SERVICES),
+    *(f"{node}/{name}" for node in (*PARAMETERS_OF, "recorder", "markers", "panel") for name in PARAMETER_SERVICES),
 )
 TRIPS = (
     "controller/stop", "trajectory_server/start", "trajectory_server/stop", "trajectory_server/set_parameters_atomically",
@@ -136,6 +136,9 @@ ENCLAVES = (
     )),
     Enclave("go_server", "offers the action go; it starts and stops trips, and may command no torque", (
         Profile("go_server", (), (DIAGNOSTICS.name,), (), TRIPS, actions=(GO,)),
+    )),
+    Enclave("panel", "the page in the browser, which asks as an operator does", (
+        _profile("panel"), Profile("operator", (), (*OBSERVES, "/parameter_events"), (), EVERY_SERVICE),
     )),
     Enclave("operator", "whoever starts, stops and tunes the nodes: the demo, `dextar go` and its like, `ros2 ...`; it may"
             " command no torque", (

@@ -1,0 +1,1 @@
+"""The panel in the browser: one page, and the server that lets it watch and drive. No ROS here."""

@@ -1,0 +1,318 @@
+"""The panel's server: the page, a stream of what is seen, and commands by one driver at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import logging
+import socket
+from collections.abc import Callable, Mapping
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_sockets
+from tornado.web import Application, Finish, RequestHandler
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+from dextar_control.contract import style
+from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.panel.access import Access
+
+Answer = Callable[[bool, str, Mapping[str, Any]], None]
+PORTS_TRIED = 10  # from the wanted one on
+PING, PATIENCE = 6.0, 6.0  # s between questions to a page whether it is there; s until one that is silent counts as gone
+LONGEST_MESSAGE = 65536  # bytes of a command
+MOST_VIEWERS = 100
+MOST_OWED = 200  # messages that a page has not taken yet
+FOR_ALL = ("stop", "drive")  # what a page may ask that does not drive
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "Content-Security-Policy": POLICY, "Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY",
+}  # fmt: skip
+
+
+class Backend(Protocol):
+    """What the server shows and asks; its methods are called in the server's thread and do not wait."""
+
+    def setup(self) -> Mapping[str, Any]:
+        """What a page needs once."""
+
+    def ask(self, name: str, arguments: Mapping[str, Any], answer: Answer) -> None:
+        """A command of the driver, or a stop of anybody; ``answer`` is called in the server's thread."""
+
+    def watched(self, viewers: int) -> None:
+        """How many pages look on."""
+
+    def told(self, text: str) -> None:
+        """What an operator should know of."""
+
+    def report(self) -> Path | None:
+        """The last run's page, where one has been made."""
+
+
+def to_json(value: Any) -> str:
+    """JSON that every browser reads: a number that is not finite is null."""
+    return json.dumps(_plain(value), separators=(",", ":"), allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+class PanelServer:
+    """Serves the page on the first free port from the wanted one on.
+
+    Args:
+        backend: what it shows and asks.
+        host: address that it binds to.
+        port: 0 is any free one.
+
+    Attributes:
+        address: of the page, with the token where one is needed.
+
+    Raises:
+        ParameterError: the address cannot be bound to.
+    """
+
+    def __init__(self, backend: Backend, host: str, port: int) -> None:
+        self.backend, self.access = backend, Access(host)
+        self.pages: list[Stream] = []
+        self.driver: Stream | None = None
+        self.kept: dict[str, str] = {}  # the last message of each kind that a page needs which comes later
+        logging.getLogger("tornado.access").setLevel(logging.ERROR)
+        application = Application(
+            [(r"/", Page, {"server": self, "file": "panel.html"}), (r"/(panel\.js|panel\.css)", Page, {"server": self}),
+             (r"/stream", Stream, {"server": self}), (r"/report", Report, {"server": self}), (r"/why", Why, {"server": self})],
+            websocket_ping_interval=PING, websocket_ping_timeout=PATIENCE, websocket_max_message_size=LONGEST_MESSAGE,
+        )  # fmt: skip
+        self._sockets, self.moved = _bound(host, port)
+        self._http = HTTPServer(application)
+        number = self._sockets[0].getsockname()[1]
+        name = {"0.0.0.0": socket.gethostname(), "::": socket.gethostname(), "": socket.gethostname()}.get(host, host)
+        query = f"?token={self.access.token}" if self.access.token else ""
+        self.address = f"http://{f'[{name}]' if ':' in name else name}:{number}/{query}"
+
+    def begin(self) -> None:
+        """Answer requests, in the loop that runs."""
+        self._http.add_sockets(self._sockets)
+
+    def send(self, kind: str, value: Mapping[str, Any], *, keep: bool = False) -> None:
+        """To every page; one that is still busy with the last message is passed over, unless this is kept for it."""
+        text = to_json({"kind": kind, **value})
+        if keep:
+            self.kept[kind] = text
+        for page in self.pages:
+            page.push(kind, text, keep)
+
+    def joined(self, page: Stream, wants: bool) -> None:
+        """A page is there; it drives where it wants to and nobody else does."""
+        self.pages.append(page)
+        self.backend.watched(len(self.pages))
+        page.say("setup", self.backend.setup())
+        for kind, text in self.kept.items():
+            page.push(kind, text, True)
+        self.take_over(page if wants and self.driver is None else self.driver)
+
+    def left(self, page: Stream) -> None:
+        """A page is gone: nothing is asked of the robot, which stays to the controller's own rules."""
+        if page in self.pages:
+            self.pages.remove(page)
+            self.backend.watched(len(self.pages))
+            self.take_over(None if page is self.driver else self.driver)
+
+    def take_over(self, page: Stream | None) -> None:
+        """This page drives from now on, all others watch; None: nobody does."""
+        self.driver = page
+        for one in self.pages:
+            one.say("driver", {"driver": "you" if one is page else "another" if page else "nobody", "viewers": len(self.pages)})
+
+    def close(self) -> None:
+        """Let go of the port and the pages."""
+        self._http.stop()
+        for page in list(self.pages):
+            page.close(1001, "the panel ends")
+
+
+def _bound(host: str, port: int) -> tuple[list[socket.socket], bool]:
+    """Sockets on the first free port, and whether that is another than the wanted one."""
+    last = port + (PORTS_TRIED if port else 1)
+    for number in range(port, min(last, 65536)):
+        try:
+            sockets = bind_sockets(number, host)
+        except OSError as error:
+            if error.errno == errno.EADDRINUSE:
+                continue
+            why = error.strerror or error
+            raise ParameterError(f"parameter 'host' = {host!r}, port {number} cannot be bound to: {why}") from error
+        if not number and len(sockets) > 1:  # localhost is two addresses, each with a free port of its own
+            for extra in sockets[1:]:
+                extra.close()
+        return sockets[:1] if not number else sockets, number != port
+    others = last - port - 1
+    raise ParameterError(f"parameter 'port' = {port}; it and the {others} after it are taken on {host}: name another, 0 is any")
+
+
+class _Guarded(RequestHandler):
+    """A request that is let in, or refused with a sentence."""
+
+    server: PanelServer
+
+    def prepare(self) -> None:
+        """Refuse what is not let in."""
+        headers = self.request.headers
+        origin = headers.get("Origin") or headers.get("Sec-Websocket-Origin")
+        why = self.server.access.refusal(self.request.host, origin, self.get_query_argument("token", ""))
+        if why:
+            self.server.backend.told(f"refused a request of {self.request.remote_ip}: {why}")
+            self.set_status(403)
+            self.set_header("Content-Type", "text/plain; charset=utf-8")
+            raise Finish(f"{why}\n")
+
+    def set_default_headers(self) -> None:
+        """What a browser may do with it."""
+        for name, value in HEADERS.items():
+            self.set_header(name, value)
+        self.clear_header("Server")
+
+
+class Page(_Guarded):
+    """The page's files."""
+
+    def initialize(self, server: PanelServer, file: str = "") -> None:
+        """Which file, unless the address names it."""
+        self.server, self._file = server, file
+
+    def prepare(self) -> None:
+        """Style and script are no secret, and carry no token; the page itself explains what is missing."""
+        if self.server.access.token:
+            return
+        super().prepare()
+
+    def get(self, name: str = "") -> None:
+        """A file of ``static``; the style begins with the package's own."""
+        name = self._file or name
+        text = files("dextar_control.panel").joinpath("static").joinpath(name).read_text(encoding="utf-8")
+        self.set_header("Content-Type", {"html": "text/html", "js": "text/javascript", "css": "text/css"}[name.rpartition(".")[2]]
+                        + "; charset=utf-8")  # fmt: skip
+        self.finish(f"{style.css()}\n{text}" if name.endswith(".css") else text)
+
+
+class Why(_Guarded):
+    """Why a stream would be refused, for the page, which a browser does not tell; nothing where it would not."""
+
+    def initialize(self, server: PanelServer) -> None:
+        """Whose."""
+        self.server = server
+
+    def get(self) -> None:
+        """It is let in."""
+
+
+class Report(_Guarded):
+    """The page of the last run."""
+
+    def initialize(self, server: PanelServer) -> None:
+        """Whose."""
+        self.server = server
+
+    async def get(self) -> None:
+        """As it was made; its scripts may draw, but not ask the panel."""
+        page = self.server.backend.report()
+        if page is None:
+            self.set_status(404)
+            self.set_header("Content-Type", "text/plain; charset=utf-8")
+            self.finish("no report has been made yet: ask the panel for one\n")
+            return
+        self.set_header("Content-Security-Policy", "sandbox allow-scripts allow-popups")
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+        self.finish(await asyncio.to_thread(page.read_bytes))
+
+
+class Stream(_Guarded, WebSocketHandler):
+    """One page: what it is told and what it asks."""
+
+    def initialize(self, server: PanelServer) -> None:
+        """Whose page."""
+        self.server = server
+        self._flight: asyncio.Future[None] | None = None
+        self._owed: dict[str, str] = {}
+
+    def check_origin(self, origin: str) -> bool:
+        """``prepare`` has looked at it."""
+        return True
+
+    def open(self, *_: str, **__: str) -> None:
+        """Show everything from now on."""
+        self.set_nodelay(True)
+        if len(self.server.pages) >= MOST_VIEWERS:
+            self.close(1013, f"{MOST_VIEWERS} pages look on already; close one")
+            return
+        self.server.joined(self, self.get_query_argument("drive", "1") == "1")
+
+    def on_close(self) -> None:
+        """The page is gone, or asleep for too long."""
+        self.server.left(self)
+
+    def say(self, kind: str, value: Mapping[str, Any]) -> None:
+        """To this page alone."""
+        number = value.get("number", "")  # answers are all of them kept
+        self.push(f"{kind}{number}", to_json({"kind": kind, **value}), True)
+
+    def push(self, kind: str, text: str, keep: bool) -> None:
+        """Send a text, unless the last one is still under way: then the newest of what is kept is sent after it."""
+        if self._flight is not None and not self._flight.done():
+            if keep:
+                self._owed[kind] = text
+            if len(self._owed) > MOST_OWED:
+                self.close(1008, "the page does not read what it asks for")
+            return
+        self._flight = asyncio.ensure_future(self._write([text]))
+
+    async def _write(self, texts: list[str]) -> None:
+        try:
+            while texts:
+                for text in texts:
+                    await self.write_message(text)
+                texts, self._owed = list(self._owed.values()), {}
+        except WebSocketClosedError:
+            self._owed = {}
+
+    def on_message(self, message: str | bytes) -> None:
+        """A command: ``{"ask": name, "number": n, ...}``; each is answered with its number."""
+        try:
+            asked = json.loads(message)
+            name, number = str(asked["ask"]), int(asked["number"])
+        except (ValueError, KeyError, TypeError):
+            self.say("answer", {"number": 0, "ok": False, "text": "that is no command of this panel: load the page again"})
+            return
+        answer = partial(self._answer, number)
+        if name == "drive":
+            self.server.take_over(self)
+            answer(True, "this page drives", {})
+        elif name not in FOR_ALL and self.server.driver is not self:
+            who = "another page drives" if self.server.driver else "nobody drives"
+            answer(False, f"this page watches, and {who}: take over first", {})
+        else:
+            try:
+                self.server.backend.ask(name, asked, answer)
+            except DextarError as error:
+                answer(False, str(error), {})
+            except (KeyError, TypeError, ValueError) as error:
+                answer(False, f"'{name}' cannot be done with that: {error!r}", {})
+
+    def _answer(self, number: int, ok: bool, text: str, more: Mapping[str, Any]) -> None:
+        self.say("answer", {"number": number, "ok": ok, "text": text, **more})

@@ -1,0 +1,63 @@
+"""What a page says of a robot: why it has no torque and what mends that, and how near its watches are to their limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+GREATER = ("locus",)  # watches whose value is to stay above the limit
+WITH_TORQUE = ("APPROACH", "HOLD", "TRACK", "CROSSING")
+
+
+def mend(namespace: str, told: Mapping[str, str], nodes: Mapping[str, Any]) -> tuple[str, str]:
+    """Why there is no torque, in a sentence, and the command of the panel that mends it; both empty where there is torque.
+
+    Args:
+        namespace: of the robot.
+        told: by the controller lately; empty where it is silent.
+        nodes: that have told of themselves lately.
+    """
+    if not told:
+        others = f"; only {', '.join(sorted(nodes))} tell of themselves" if nodes else ""
+        robot = f" in {namespace}" if namespace.strip("/") else ""
+        return f"No controller is heard of{robot}{others}. Start it: this page goes on by itself.", ""
+    lifecycle, phase, reason = told.get("lifecycle", ""), told.get("phase", ""), told.get("reason", "")
+    if lifecycle != "active":
+        return f"The controller is {lifecycle}: it answers no joint state.", "activate" if lifecycle != "finalized" else ""
+    if phase in WITH_TORQUE:
+        return "", ""
+    because = f": {reason}" if reason else ""
+    if phase == "SAFE_STOP":
+        if told.get("stopped") != "True":
+            return f"The robot is being brought to rest{because}.", ""
+        return f"Safe stop{because}. The torque is gone until it is reset and enabled.", "reset"
+    if phase == "FAULT":
+        return f"Fault{because}. The torque is gone until it is reset and enabled.", "reset"
+    if told.get("enabling") == "waiting":
+        trouble = told.get("last_trouble", "")
+        return (f"The controller waits for joint states to be healthy, {told.get('healthy', '0')} s so far"
+                f"{f' (last trouble: {trouble})' if trouble else ''}; it gives torque by itself then."), ""  # fmt: skip
+    if told.get("enabling", "").startswith("refused"):
+        return f"Torque was {told['enabling']}.", "enable"
+    return f"The torque is switched off{because}.", "enable"
+
+
+def shown_margins(told: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Of each watch that the controller tells: name, value and limit as told, and what share of the limit is used up, 0 to 1."""
+    rows = []
+    for key, text in told.items():
+        if not key.startswith("watch_"):
+            continue
+        value, _, limit = text.partition(" of ")
+        name = key.removeprefix("watch_")
+        rows.append({"name": name, "value": value, "limit": limit, "used": _used(name, value, limit)})
+    return sorted(rows, key=lambda row: -row["used"])
+
+
+def _used(name: str, value: str, limit: str) -> float:
+    try:
+        number, bound = float(value), float(limit)
+    except ValueError:
+        return 0.0
+    share = bound / number if name in GREATER and number > 0.0 else number / bound if bound > 0.0 else float(number > 0.0)
+    return min(max(share, 0.0), 1.0) if share == share else 1.0
