@@ -56,7 +56,7 @@ DOORS = {  # each room, and those that it may import beside itself and the contr
     "dextar_sim": _rooms("symbols", "mechanisms"),
 }
 NO_ROS_MODULES = {"dextar_control/contract": {"robot.py", "topics.py", "tables.py", "errors.py", "resources.py",
-                                             "decoding.py"},
+                                             "decoding.py", "style.py"},
                   "dextar_sim": {"plant.py", "body_plant.py", "cartesian.py", "platform_motion.py", "rig.py", "state.py",
                                  "sensors.py", "geometry.py", "tree.py", "urdf.py", "world.py", "replay.py"}}  # fmt: skip
 
