@@ -51,7 +51,6 @@ ROSDEP = {  # the rosdep key that brings a requirement of setup.py
     "scipy": "python3-scipy",
     "casadi": "casadi-pip",
     "matplotlib": "python3-matplotlib",
-    "bokeh": "python3-bokeh-pip",
     "jinja2": "python3-jinja2",
     "pyyaml": "python3-yaml",
     "rich": "python3-rich",
