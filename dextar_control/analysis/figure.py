@@ -26,6 +26,7 @@ LINE = 0.2  # inches, of words
 MOST_REASONS, MOST_PLACES = 3, 6
 
 
+@matplotlib.rc_context(style.matplotlib_settings(LIGHT))
 def draw_run(run: Run, metrics: Metrics) -> Figure:
     """The figure of one run: path to scale, torques, errors, criterion and s over time; of many crossings each by itself."""
     shown, many, plane = panels(run, metrics), around(run, metrics), plane_of(run, metrics)
@@ -33,22 +34,21 @@ def draw_run(run: Run, metrics: Metrics) -> Figure:
     words = [] if many else _places(metrics)
     left = min(LEFT * WIDTH * float(tall / wide), LEFT * WIDTH) + 1.3 + LINE * len(words)
     over_time = PANEL * max(len(shown), 1)
-    with matplotlib.rc_context(style.matplotlib_settings(LIGHT)):
-        lines = _title(metrics).count("\n") + 2
-        heights = [LINE * lines, left, over_time] if many else [LINE * lines, max(left, over_time)]
-        figure = Figure(figsize=(WIDTH, sum(heights)), layout="constrained")
-        FigureCanvasAgg(figure)
-        head, *parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-        color = {True: "good", False: "bad", None: "ink"}[metrics.success]
-        head.text(0.012, 0.35, _title(metrics), fontsize=11.0, color=LIGHT[color], weight="bold", va="center", parse_math=False)
-        beside, right = parts[0].subfigures(1, 2, width_ratios=(LEFT, 1.0 - LEFT))
-        draw_plane(beside.subplots(), plane)
-        low = max(1.0 - left / heights[1], 0.0) + 0.01
-        beside.text(0.1, low, "\n".join(words), va="bottom", linespacing=1.5, parse_math=False)
-        outcomes = [crossing.outcome or crossing.verdict or "" for crossing in metrics.crossings]
-        for place, one in zip(right.subfigures(max(len(many), 1), 1, squeeze=False)[:, 0], many, strict=False):
-            draw_around(place, one, outcomes)
-        _over_time(parts[1] if many else right, shown, metrics)
+    lines = _title(metrics).count("\n") + 2
+    heights = [LINE * lines, left, over_time] if many else [LINE * lines, max(left, over_time)]
+    figure = Figure(figsize=(WIDTH, sum(heights)), layout="constrained")
+    FigureCanvasAgg(figure)
+    head, *parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    color = {True: "good", False: "bad", None: "ink"}[metrics.success]
+    head.text(0.012, 0.35, _title(metrics), fontsize=11.0, color=LIGHT[color], weight="bold", va="center", parse_math=False)
+    beside, right = parts[0].subfigures(1, 2, width_ratios=(LEFT, 1.0 - LEFT))
+    draw_plane(beside.subplots(), plane)
+    low = max(1.0 - left / heights[1], 0.0) + 0.01
+    beside.text(0.1, low, "\n".join(words), va="bottom", linespacing=1.5, parse_math=False)
+    outcomes = [crossing.outcome or crossing.verdict or "" for crossing in metrics.crossings]
+    for place, one in zip(right.subfigures(max(len(many), 1), 1, squeeze=False)[:, 0], many, strict=False):
+        draw_around(place, one, outcomes)
+    _over_time(parts[1] if many else right, shown, metrics)
     return figure
 
 

@@ -28,28 +28,28 @@ HEADROOM = 1.15  # of the torque axis over the peak
 GRID = 90  # points along each axis where a locus has no closed form
 
 
+@matplotlib.rc_context(style.matplotlib_settings(LIGHT))
 def draw_plan(robot: AnyRobot, plan: Plan) -> Figure:
     """The figure of a plan: path to scale on the locus of its working mode, torques and s over time."""
     certificate = plan.certificate
-    with matplotlib.rc_context(style.matplotlib_settings(LIGHT)):
-        figure = Figure(figsize=SIZE, layout="constrained")
-        FigureCanvasAgg(figure)
-        grid = figure.add_gridspec(2, 2, width_ratios=(0.85, 1.0))
-        _path(figure.add_subplot(grid[:, 0]), robot, certificate)
-        first = figure.add_subplot(grid[0, 1])
-        panels, times = _panels(robot, certificate), certificate.crossing_times.tolist()
-        for axes, panel in zip((first, figure.add_subplot(grid[1, 1], sharex=first)), panels, strict=True):
-            draw_panel(axes, panel, times, panel is panels[-1])
-        axes.axhline(0.0, **SCREEN.line(Line("mid", (), 0.9)))
-        axes.set_xlim(0.0, certificate.duration)
-        axes.set_xlabel(f"{style.label('time')}; dotted: crossings")
-        name = robot.name if isinstance(robot, RobotParameters) else robot.mechanism.name
-        mode = ", ".join(f"{side:+d}" for side in robot.working_mode)
-        title = (
-            f"{name}: {counted(len(certificate.crossings), 'crossing')} in {certificate.duration:.2f} s, peak torque"
-            f" {certificate.peak_torque:.3f} of {robot.max_torque:g} {certificate.joint.effort_unit}"
-        )
-        figure.suptitle(f"{title}; working mode {mode}" if mode else title, x=0.01, ha="left", weight="bold", parse_math=False)
+    figure = Figure(figsize=SIZE, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 2, width_ratios=(0.85, 1.0))
+    _path(figure.add_subplot(grid[:, 0]), robot, certificate)
+    first = figure.add_subplot(grid[0, 1])
+    panels, times = _panels(robot, certificate), certificate.crossing_times.tolist()
+    for axes, panel in zip((first, figure.add_subplot(grid[1, 1], sharex=first)), panels, strict=True):
+        draw_panel(axes, panel, times, panel is panels[-1])
+    axes.axhline(0.0, **SCREEN.line(Line("mid", (), 0.9)))
+    axes.set_xlim(0.0, certificate.duration)
+    axes.set_xlabel(f"{style.label('time')}; dotted: crossings")
+    name = robot.name if isinstance(robot, RobotParameters) else robot.mechanism.name
+    mode = ", ".join(f"{side:+d}" for side in robot.working_mode)
+    title = (
+        f"{name}: {counted(len(certificate.crossings), 'crossing')} in {certificate.duration:.2f} s, peak torque"
+        f" {certificate.peak_torque:.3f} of {robot.max_torque:g} {certificate.joint.effort_unit}"
+    )
+    figure.suptitle(f"{title}; working mode {mode}" if mode else title, x=0.01, ha="left", weight="bold", parse_math=False)
     return figure
 
 
