@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser import Page
 from recorded_run import lockstep_bag
 from synthetic_run import write_run
 
+from dextar_control.analysis import compute_metrics, load_run
 from dextar_control.analysis.compare import compare_bags, write_comparison
+from dextar_control.analysis.page import render_report
 from dextar_control.analysis.report import analyze
 from dextar_control.commands.pdf import find_browser, write_pdf
 
@@ -130,6 +134,20 @@ def test_reports_of_runs_that_lack_something_draw_too(tmp_path: Path, options: d
     with opened(tmp_path / "report.html") as page:
         is_drawn(page)
         is_legible(page, 420)
+        assert page.errors == []
+
+
+def test_many_crossings_and_what_is_no_number_draw_too(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.mcap", bounce=True)
+    run = load_run(tmp_path / "run.mcap")
+    run.criterion.s[200:] = run.commands.effort[300:400] = np.nan
+    metrics = compute_metrics(run)
+    many = dataclasses.replace(metrics, crossings=metrics.crossings * 12)
+    (tmp_path / "report.html").write_text(render_report(run, many), encoding="utf-8")
+    with opened(tmp_path / "report.html") as page:
+        is_drawn(page)
+        for width in (420, 1280):
+            is_legible(page, width)
         assert page.errors == []
 
 

@@ -10,13 +10,15 @@ import tempfile
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from recorded_run import lockstep_bag
-from synthetic_run import CROSSINGS, TRUE_OFFSET, robot, write_run
+from synthetic_run import CROSSINGS, NEAR_TORQUE, TRUE_OFFSET, robot, write_run
 
 from dextar_control import cli
 from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
-from dextar_control.analysis.curves import panels
+from dextar_control.analysis.curves import around, panels
+from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.page import render_report
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.report import analyze, summary_lines
@@ -288,3 +290,47 @@ def test_a_bag_of_joint_states_alone_is_not_called_a_failure() -> None:
     words = dict(summary_lines(metrics))
     assert words["peak torque"] == words["estimated error"] == "nothing recorded"
     assert words["crossed"] == "unknown without a plan"
+
+
+@pytest.mark.parametrize("part", ["control", "criterion", "commands", "truth", "states", "all"])
+def test_what_is_no_number_is_drawn_as_a_gap(part: str) -> None:
+    run, _, _ = made()
+    names = ["control", "criterion", "commands", "truth", "states"] if part == "all" else [part]
+    changed = {}
+    for name in names:
+        own = getattr(run, name)
+        floats = {field.name: np.full_like(getattr(own, field.name), np.nan) for field in dataclasses.fields(own)
+                  if getattr(getattr(own, field.name), "dtype", None) == np.float64}  # fmt: skip
+        changed[name] = dataclasses.replace(own, **floats)
+    broken = dataclasses.replace(run, **changed)
+    metrics = compute_metrics(broken)
+    assert re.search(r"\bnan\b", Text(render_report(broken, metrics)).text, re.IGNORECASE) is None
+    draw_run(broken, metrics).canvas.draw()
+
+
+def test_many_crossings_are_drawn_one_by_one_over_their_mean() -> None:
+    run, metrics, _ = made(bounce=True, says=(1, 1))
+    six = dataclasses.replace(metrics, crossings=metrics.crossings * 3)
+    torque, error = around(run, six)
+    assert (torque.label, error.label) == ("largest torque (N m)", "true error (mm)")
+    middle = len(torque.time) // 2
+    assert torque.time[middle] == 0.0 and torque.each[0][middle] == pytest.approx(NEAR_TORQUE, rel=0.1)
+    assert torque.mean[middle] == pytest.approx(np.mean([own[middle] for own in torque.each]))
+    assert around(run, metrics) == []
+    page = render_report(run, six)
+    assert page.count('data-figure="around0-') == 6 and '"1 bounced"' in page
+    draw_run(run, six).canvas.draw()
+
+
+def test_what_is_not_the_default_stands_first() -> None:
+    run, metrics, _ = made()
+    own = {**run.parameters["controller"], "zone": 0.25, "robot.end_effector_mass": 0.06}
+    page = Text(render_report(dataclasses.replace(run, parameters={"controller": own}), metrics))
+    assert ["zone", "0.25", "0.2"] in page.rows and ["end_effector_mass", "0.06", "0.05"] in page.rows
+    assert not any(row[:1] == ["law"] for row in page.rows)
+
+
+def test_the_plan_is_a_table_beside_its_limits() -> None:
+    run, _, page = made()
+    row = next(row for row in page.rows if row[:1] == ["peak torque"])
+    assert row[2:] == ["-", f"{run.robot.max_torque:g}", "N m"] and float(row[1]) > 0.0

@@ -230,16 +230,17 @@ def _passed(margin: Margin) -> bool:
 
 
 def _margin_in_words(margin: Margin) -> str:
+    value = number(margin.value, ".3g", "unknown")
     unit = f" {margin.unit}" if margin.unit not in ("", "1") else ""
-    text = f"{margin.value:.3g} of {margin.limit:.3g}{unit}"
+    text = f"{value} of {margin.limit:.3g}{unit}"
     if margin.name == "locus":
-        text = f"{margin.value:.3g}, at least {margin.limit:.3g}"
+        text = f"{value}, at least {margin.limit:.3g}"
     elif margin.name == "joint_range" and margin.value < 0.0:
         text = f"inside by {-margin.value:.3g}{unit}, {margin.limit:.3g}{unit} beyond is the limit"
     if margin.lasted > 0.0:
         text += f", passed for {1e3 * margin.lasted:.3g} of {1e3 * margin.allowed:.3g} ms"
     if math.isfinite(margin.time):
-        text += f"; at {margin.time:.3f} s, |s| = {abs(margin.s):.2f}"
+        text += f"; at {margin.time:.3f} s, |s| = {number(abs(margin.s), '.2f', 'unknown')}"
     return f"{text}; {margin.note}" if margin.note else text
 
 

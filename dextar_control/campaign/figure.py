@@ -38,7 +38,7 @@ def draw_summary(config: CampaignConfig, groups: Sequence[Group], plant: str) ->
         y = names.index(group.case) + _offset(combinations.index(group.name), len(combinations))
         _point(success, y, 100.0 * group.success, style)
         _range(error, y, 1e3 * group.median_error, 1e3 * group.max_error, style)
-        _point(torque, y, group.peak_ratio_near, style)
+        _point(torque, y, min(max(group.peak_ratio_near, TORQUE_RANGE[0]), TORQUE_RANGE[1]), style)  # the axis ends there
         if group.judged:
             _bars(success, error, torque, names.index(group.case), config.cases[group.case].bars)
     for axes in (success, error, torque):
