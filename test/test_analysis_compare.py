@@ -133,12 +133,13 @@ def test_what_differs_most_stands_first_and_what_is_of_the_machine_apart(compari
     assert len(matter) + len(alike) + len(machine) == len(comparison.lines)
 
 
-def test_the_command_writes_page_text_and_numbers(tmp_path: Path) -> None:
+def test_the_command_writes_page_text_and_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("a", "b"):
         write_run(tmp_path / f"{name}.mcap")
     assert cli.main(["compare", str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap"), "--output", str(tmp_path / "out")]) == 0
     page = (tmp_path / "out" / "comparison.html").read_text(encoding="utf-8")
     assert "Crossing by crossing" in page
+    assert capsys.readouterr().out.startswith(f"bag: {tmp_path.name}/a.mcap | {tmp_path.name}/b.mcap\n")
     _, text = (tmp_path / "out" / "comparison.md").read_text().split("## Side by side")
     rows = [row for row in text.splitlines() if row.startswith("|")]
     assert len({row.replace("\\|", "").count("|") for row in rows}) == 1

@@ -325,3 +325,4 @@ document.addEventListener("click", (event) => {
   for (const other of document.querySelectorAll("button.key")) if (other.dataset.tag === tag) other.setAttribute("aria-pressed", shown);
   for (const shape of document.querySelectorAll("svg g[data-tag]")) if (shape.dataset.tag === tag) shape.setAttribute("display", shown ? "inline" : "none");
 });
+addEventListener("beforeprint", () => { for (const one of document.querySelectorAll("details")) one.open = true; });
