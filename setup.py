@@ -30,7 +30,7 @@ setup(
     maintainer_email=maintainer.get("email"),
     packages=find_packages(include=["dextar_control", "dextar_control.*", "dextar_sim", "dextar_sim.*"]),
     package_data={
-        "dextar_control": ["py.typed"], "dextar_sim": ["py.typed"], "dextar_control.analysis": ["templates/*.html"],
+        "dextar_control": ["py.typed"], "dextar_sim": ["py.typed"], "dextar_control.analysis": ["templates/*"],
         "dextar_control.panel": ["static/*"],
     },
     data_files=[
@@ -48,7 +48,6 @@ setup(
         "scipy",
         "casadi>=3.7",
         "matplotlib",
-        "bokeh>=3",
         "jinja2",
         "pyyaml",
         "rich",

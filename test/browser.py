@@ -79,10 +79,6 @@ class Page:
         """A window of this width, px."""
         self._call("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
 
-    def scheme(self, scheme: str) -> None:
-        """The desktop's: light or dark."""
-        self._call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-
     def click(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
         """With the mouse, on an element, at these shares of its width and height."""
         box = self.evaluate(
@@ -97,6 +93,17 @@ class Page:
         """A key, on what has the focus."""
         for kind in ("keyDown", "keyUp"):
             self._call("Input.dispatchKeyEvent", type=kind, code=code, key=key, windowsVirtualKeyCode=ord(key))
+
+    def prefers(self, scheme: str) -> None:
+        """A reader whose system is light or dark."""
+        self._call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+
+    def drag(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
+        """With the pointer, px."""
+        middle = 0.5 * (begin[0] + end[0]), 0.5 * (begin[1] + end[1])
+        for kind, (x, y), held in (("mousePressed", begin, 1), ("mouseMoved", middle, 1), ("mouseMoved", end, 1),
+                                   ("mouseReleased", end, 0)):  # fmt: skip
+            self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=held, clickCount=1)
 
     def screenshot(self, file: Path) -> None:
         file.write_bytes(base64.b64decode(self._call("Page.captureScreenshot", captureBeyondViewport=True)["data"]))

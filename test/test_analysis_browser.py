@@ -1,59 +1,73 @@
-"""The pages in a real browser: they draw, they zoom, they complain of nothing and ask for nothing."""
+"""The pages in a real browser: they draw, they zoom, no word is cut or lies on another; they complain of and ask for nothing."""
 
 from __future__ import annotations
 
+import dataclasses
+import json
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser import Page
 from recorded_run import lockstep_bag
 from synthetic_run import write_run
 
+from dextar_control.analysis import compute_metrics, load_run
 from dextar_control.analysis.compare import compare_bags, write_comparison
+from dextar_control.analysis.page import render_report
 from dextar_control.analysis.report import analyze
 from dextar_control.commands.pdf import find_browser, write_pdf
 
 CHROMIUM = find_browser()
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt install chromium to look at the pages")
 
-IDLE = "window.Bokeh !== undefined && Bokeh.documents.length > 0 && Bokeh.documents[0].is_idle"
-INK = """(() => {
-  const found = [];
-  const look = (node) => {
-    let ink = 0, size = 0;
-    for (const inner of node.querySelectorAll("*")) {
-      if (inner.tagName === "CANVAS" && inner.width > 0 && inner.height > 0) {
-        const copy = document.createElement("canvas");
-        copy.width = inner.width;
-        copy.height = inner.height;
-        const context = copy.getContext("2d", {willReadFrequently: true});
-        context.drawImage(inner, 0, 0);
-        const data = context.getImageData(0, 0, copy.width, copy.height).data;
-        for (let k = 0; k < data.length; k += 4) if (data[k + 3] > 128 && data[k] < 128) ink += 1;
-        size += 1;
-      }
-      if (inner.shadowRoot) look(inner.shadowRoot);
-    }
-    if (size > 0 && node.host && node.host.classList.contains("bk-Canvas")) found.push(ink);
-  };
-  look(document);
+WIDTHS = (420, 768, 1280, 1920)
+CURVES = "[...document.querySelectorAll('figure svg[role=img]')].map((svg) => svg.querySelectorAll('path, line').length)"
+WORDS = """(() => {
+  const found = [], wide = document.documentElement.clientWidth;
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  for (let node = walker.nextNode(); node; node = walker.nextNode()) {
+    const parent = node.parentElement;
+    if (!node.data.trim() || parent.closest("script, style, noscript, .readout") || !parent.checkVisibility()) continue;
+    const range = document.createRange();
+    range.selectNodeContents(node);
+    const scrolled = parent.closest(".scroll, .drawn");
+    for (const box of range.getClientRects())
+      if (box.width > 1)
+        found.push([box.left, box.top, box.right, box.bottom, node.data.trim().slice(0, 30), scrolled !== null, wide]);
+  }
   return found;
-})()"""  # dark pixels of each figure
-LEAST_INK = 200  # dark pixels: axes and numbers alone have about 500, an empty canvas none
-FIGURES = "Bokeh.documents[0].roots().filter((one) => one.type === 'Figure')"
+})()"""  # each line of text: its box, px, its words, whether its container scrolls, the page's width
+SLACK = 2.0  # px: a font's box is taller than its letters
+SIDEWAYS = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
 
 
 def opened(file: Path) -> Page:
     assert CHROMIUM is not None
-    page = Page(CHROMIUM, file.as_uri())
-    page.wait(IDLE)
-    return page
+    return Page(CHROMIUM, file.as_uri())
 
 
-def drawn(page: Page) -> None:
-    """Wait until each figure has something on its canvas."""
-    count = page.evaluate(f"{FIGURES}.length")
-    page.wait(f"(() => {{ const ink = {INK}; return ink.length === {count} && ink.every((dark) => dark > {LEAST_INK}); }})()")
+def is_drawn(page: Page) -> None:
+    """Each figure has axes, and at least one of its curves or marks."""
+    counts = page.evaluate(CURVES)
+    assert counts and min(counts) > 5, counts
+
+
+def is_legible(page: Page, width: int) -> None:
+    """No word is cut by the page's edge, and no two lie on each other."""
+    page.resize(width)
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    assert not page.evaluate(SIDEWAYS), width
+    boxes = sorted(page.evaluate(WORDS), key=lambda box: box[1])
+    assert len(boxes) > 20
+    for index, (left, top, right, bottom, words, scrolls, wide) in enumerate(boxes):
+        assert scrolls or (left >= 0.0 and right <= wide), (width, words, left, right)
+        for other in boxes[index + 1 :]:
+            if other[1] >= bottom - SLACK:
+                break
+            apart = other[0] >= right - SLACK or other[2] <= left + SLACK or other[3] <= top + SLACK
+            assert apart or scrolls != other[5], (width, words, other[4], (left, top, right, bottom), other[:4])
 
 
 @pytest.fixture(scope="module")
@@ -63,40 +77,77 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "report.html"
 
 
-def test_the_report_draws_every_figure_without_a_word_on_the_console(report: Path) -> None:
-    with opened(report) as page:
-        assert page.evaluate(f"{FIGURES}.length") in (10, 11)  # plane, four panels, observer, two histograms, phases
-        drawn(page)
-        assert page.errors == []
-        assert page.requests and all(address.startswith(("file:", "data:", "blob:")) for address in page.requests)
+@pytest.fixture(scope="module")
+def page(report: Path) -> Iterator[Page]:
+    """One browser for the tests that only look."""
+    with opened(report) as found:
+        yield found
 
 
-def test_its_panels_zoom_together(report: Path) -> None:
-    with opened(report) as page:
-        page.evaluate(
-            "Bokeh.documents[0].roots().find((one) => one.y_range.end === 1.05).x_range.setv({start: 0.3, end: 0.4})"
-        )
-        page.wait(IDLE)
-        ranges = page.evaluate(f"{FIGURES}.map((one) => one.x_range.start).filter((start) => start === 0.3).length")
-        tools = page.evaluate(f"{FIGURES}.filter((one) => one.toolbar.tools.some((tool) => tool.type === 'BoxZoomTool')).length")
-        assert ranges == 4
-        assert tools in (8, 9)
-        assert page.errors == []
+def test_the_report_draws_every_figure_without_a_word_on_the_console(page: Page) -> None:
+    assert len(page.evaluate(CURVES)) in (11, 12)  # plane, four panels, observer, its innovation, two histograms, phases
+    is_drawn(page)
+    assert page.errors == []
+    assert page.requests and all(address.startswith(("file:", "data:", "blob:")) for address in page.requests)
 
 
-@pytest.mark.parametrize("width", [420, 768, 1280])
-def test_a_page_needs_no_sideways_scrolling(report: Path, width: int) -> None:
-    with opened(report) as page:
-        page.resize(width)
-        page.wait("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+@pytest.mark.parametrize("width", WIDTHS)
+def test_no_word_of_the_report_is_cut_or_lies_on_another(page: Page, width: int) -> None:
+    page.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    is_legible(page, width)
 
 
-@pytest.mark.parametrize("options", [{"truth": False}, {"phase": 2}, {"bounce": True, "says": (2, 1)}])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_page_has_the_readers_background(page: Page, scheme: str) -> None:
+    page.prefers(scheme)
+    light = page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert light == (scheme == "light")
+    assert page.evaluate("new Set([...document.querySelectorAll('.curve')].map((one) => getComputedStyle(one).stroke)).size") > 2
+
+
+def test_its_panels_zoom_together_and_back(page: Page) -> None:
+    page.resize(1280)
+    ranges = "drawings.filter((one) => one.figure.group === 'time').map((one) => one.x.low)"
+    box = json.loads(page.evaluate("JSON.stringify(drawings[1].svg.getBoundingClientRect())"))
+    middle = box["top"] + 0.5 * box["height"]
+    page.drag((box["left"] + 200.0, middle), (box["left"] + 300.0, middle))
+    zoomed = page.evaluate(ranges)
+    assert len(set(zoomed)) == 1 < len(zoomed) and zoomed[0] > 0.1
+    page.evaluate("document.querySelector('button.all:not([hidden])').click()")
+    assert set(page.evaluate(ranges)) == {0.0}
+    assert page.errors == []
+
+
+def test_pointing_at_a_curve_tells_its_value_and_a_key_hides_it(page: Page) -> None:
+    page.evaluate("drawings[2].tell(200, 60)")
+    assert page.evaluate("drawings[2].said.innerText").count("\n") == 2  # the time, estimated, true
+    page.evaluate("drawings[2].root.querySelector('button.key').click()")
+    page.evaluate("drawings[2].tell(200, 60)")
+    assert page.evaluate("drawings[2].said.innerText").count("\n") == 1
+    page.evaluate("drawings[2].root.querySelector('button.key').click()")
+
+
+@pytest.mark.parametrize("options", [{"truth": False}, {"phase": 2}, {"bounce": True, "says": (2, 1)}, {"says": None}])
 def test_reports_of_runs_that_lack_something_draw_too(tmp_path: Path, options: dict[str, object]) -> None:
     write_run(tmp_path / "run.mcap", **options)  # type: ignore[arg-type]
     analyze(tmp_path / "run.mcap")
     with opened(tmp_path / "report.html") as page:
-        drawn(page)
+        is_drawn(page)
+        is_legible(page, 420)
+        assert page.errors == []
+
+
+def test_many_crossings_and_what_is_no_number_draw_too(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.mcap", bounce=True)
+    run = load_run(tmp_path / "run.mcap")
+    run.criterion.s[200:] = run.commands.effort[300:400] = np.nan
+    metrics = compute_metrics(run)
+    many = dataclasses.replace(metrics, crossings=metrics.crossings * 12)
+    (tmp_path / "report.html").write_text(render_report(run, many), encoding="utf-8")
+    with opened(tmp_path / "report.html") as page:
+        is_drawn(page)
+        for width in (420, 1280):
+            is_legible(page, width)
         assert page.errors == []
 
 
@@ -104,8 +155,10 @@ def test_the_comparison_draws_too(tmp_path: Path) -> None:
     write_run(tmp_path / "rig.mcap", truth=False)
     write_comparison(compare_bags([lockstep_bag(), tmp_path / "rig.mcap"]), tmp_path)
     with opened(tmp_path / "comparison.html") as page:
-        assert page.evaluate(f"{FIGURES}.length") == 6
-        drawn(page)
+        assert len(page.evaluate(CURVES)) == 6
+        is_drawn(page)
+        for width in WIDTHS:
+            is_legible(page, width)
         assert page.errors == []
 
 
@@ -115,12 +168,20 @@ def test_a_page_is_printed_beside_itself(report: Path) -> None:
     assert len(content) > 100_000  # with its figures
 
 
-def test_this_test_sees_errors_and_requests(tmp_path: Path) -> None:
+def test_this_test_sees_errors_requests_and_words_that_collide(tmp_path: Path) -> None:
     file = tmp_path / "bad.html"
-    file.write_text("<script>console.error('words'); nothing.at.all</script><img src='http://127.0.0.1:9/none.png'>")
-    assert CHROMIUM is not None
-    with Page(CHROMIUM, file.as_uri()) as page:
+    lines = "".join(f"<p>{number}</p>" for number in range(30))
+    file.write_text(
+        "<script>console.error('words'); nothing.at.all</script><img src='http://127.0.0.1:9/none.png'>"
+        f"<p style='margin-bottom: -1.6em'>over the next</p>{lines}<svg><text x='-30' y='10'>cut at the left</text></svg>"
+    )
+    with opened(file) as page:
         page.evaluate("new Promise((done) => setTimeout(done, 200))")
         assert any("words" in error for error in page.errors)
         assert any("nothing is not defined" in error for error in page.errors)
         assert any(address.startswith("http:") for address in page.requests)
+        with pytest.raises(AssertionError, match="over the next"):
+            is_legible(page, 420)
+        page.evaluate("document.querySelector('p').remove()")
+        with pytest.raises(AssertionError, match="cut at the left"):
+            is_legible(page, 420)

@@ -13,7 +13,7 @@ from synthetic_run import CROSSINGS, TRUE_OFFSET, path, write_run
 
 from dextar_control import cli
 from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
-from dextar_control.analysis.compare import QUANTITIES, Comparison, compare_runs, overlaid
+from dextar_control.analysis.compare import QUANTITIES, Comparison, by_matter, compare_runs, overlaid, render_comparison
 
 ESTIMATED_ERROR = 0.02  # mm
 FARTHER = 3.0e-4  # m, added to the true y of the second run
@@ -80,14 +80,14 @@ def test_curves_over_each_other_are_the_true_ones_where_every_run_has_them(compa
     panels = overlaid(both)
     assert [panel.key for panel in panels] == ["torque0", "torque1", "error", "residual", "s"]
     error = panels[2]
-    assert (error.label, panels[4].label) == ("true error (mm)", "true s (1), 0 on the locus")
+    assert (error.label, panels[4].label) == ("true error (mm)", "true s, 0 on the locus (1)")
     assert [curve.name for curve in error.curves] == ["good", "worse"]
     assert np.nanmax(error.curves[1].values) == pytest.approx(1e3 * (TRUE_OFFSET + FARTHER), rel=1e-9)
 
 
 def test_beside_a_run_without_truth_the_estimated_curves_of_all_are_drawn(comparison: Comparison) -> None:
     error, s = (panel for panel in overlaid(comparison) if panel.key in ("error", "s"))
-    assert (error.label, s.label) == ("estimated error (mm)", "estimated s (1), 0 on the locus")
+    assert (error.label, s.label) == ("estimated error (mm)", "estimated s, 0 on the locus (1)")
     assert [curve.name for curve in error.curves] == ["good", "worse", "rig"]
     for curve in error.curves:
         assert np.nanmax(curve.values) == pytest.approx(ESTIMATED_ERROR, rel=1e-9)
@@ -112,13 +112,36 @@ def test_other_plans_and_robots_are_remarked(good: Run) -> None:
     assert len(found.crossings) == 1
 
 
-def test_the_command_writes_page_text_and_numbers(tmp_path: Path) -> None:
+def test_what_differs_is_listed_and_names_the_runs(good: Run) -> None:
+    metrics = compute_metrics(good)
+    own = {**good.parameters["controller"], "zone": 0.25, "robot.left.distal_mass": 0.1}
+    other = dataclasses.replace(good, parameters={"controller": own})
+    found = compare_runs([good, other], [metrics, dataclasses.replace(metrics, reasons=["too far"], success=False)])
+    assert [one.name for one in found.differences] == ["controller.zone", "robot.left.distal_mass", "bag"]
+    assert found.differences[0].values == ["–", "0.25"]
+    assert found.names == ["consistent / observer, zone –", "consistent / observer, zone 0.25"]
+    page = render_comparison(found)
+    assert page.index("too far") < page.index("What differs") < page.index("robot.left.distal_mass") < page.index("matters")
+    assert "| controller.zone | – | 0.25 |" in found.to_markdown()
+
+
+def test_what_differs_most_stands_first_and_what_is_of_the_machine_apart(comparison: Comparison) -> None:
+    matter, alike, machine = by_matter(comparison.lines)
+    finite = [line.matter for line in matter if math.isfinite(line.matter)]
+    assert finite == sorted(finite, reverse=True)
+    assert "peak torque" in {line.name for line in alike} and "round trip, median" in {line.name for line in machine}
+    assert len(matter) + len(alike) + len(machine) == len(comparison.lines)
+
+
+def test_the_command_writes_page_text_and_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("a", "b"):
         write_run(tmp_path / f"{name}.mcap")
     assert cli.main(["compare", str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap"), "--output", str(tmp_path / "out")]) == 0
     page = (tmp_path / "out" / "comparison.html").read_text(encoding="utf-8")
     assert "Crossing by crossing" in page
-    rows = [row for row in (tmp_path / "out" / "comparison.md").read_text().splitlines() if row.startswith("|")]
+    assert capsys.readouterr().out.startswith(f"bag: {tmp_path.name}/a.mcap | {tmp_path.name}/b.mcap\n")
+    _, text = (tmp_path / "out" / "comparison.md").read_text().split("## Side by side")
+    rows = [row for row in text.splitlines() if row.startswith("|")]
     assert len({row.replace("\\|", "").count("|") for row in rows}) == 1
     numbers = json.loads((tmp_path / "out" / "comparison.json").read_text())
     assert all(math.isfinite(value) for entry in numbers["quantities"] for value in entry["differences"] if value is not None)

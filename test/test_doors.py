@@ -22,12 +22,12 @@ ALLOWED_OUTSIDE = {
     "dextar_control.bags": {"numpy", "mcap", "rosbags", "yaml", "zstandard"},
     "dextar_control.campaign": {"numpy", "matplotlib", "rich", "yaml", "pydantic", "pydantic_core", "dask", "distributed",
                                 "pyarrow"},
-    "dextar_control.identification": {"numpy", "scipy", "casadi", "bokeh", "rich"},
+    "dextar_control.identification": {"numpy", "scipy", "casadi", "rich"},
     "dextar_control.rig_check": {"numpy"},
     "dextar_control.faults": {"numpy", "matplotlib", "rich", "yaml", "pydantic", "pydantic_core", "mcap"},
     "dextar_control.panel": {"numpy", "tornado"},
-    "dextar_control.analysis": {"numpy", "scipy", "matplotlib", "mcap", "rosbags", "rich", "yaml", "zstandard", "bokeh", "jinja2",
-                                "pyarrow", "imageio_ffmpeg"},
+    "dextar_control.analysis": {"numpy", "scipy", "matplotlib", "mcap", "rosbags", "rich", "yaml", "zstandard", "jinja2",
+                                "markupsafe", "pyarrow", "imageio_ffmpeg"},
 }
 ROS = {"rclpy", "builtin_interfaces", "rcl_interfaces", "sensor_msgs", "trajectory_msgs", "nav_msgs", "geometry_msgs",
        "std_msgs", "std_srvs", "diagnostic_msgs", "lifecycle_msgs", "rosgraph_msgs", "visualization_msgs"}  # fmt: skip

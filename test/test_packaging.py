@@ -52,7 +52,6 @@ ROSDEP = {  # the rosdep key that brings a requirement of setup.py
     "tornado": "python3-tornado",
     "casadi": "casadi-pip",
     "matplotlib": "python3-matplotlib",
-    "bokeh": "python3-bokeh-pip",
     "jinja2": "python3-jinja2",
     "pyyaml": "python3-yaml",
     "rich": "python3-rich",

@@ -118,5 +118,5 @@ def test_the_figure_shows_both_families_and_numbers_the_crossings(robot: RobotPa
     figure.canvas.draw()
     path = figure.axes[0]
     names = path.get_legend_handles_labels()[1]
-    assert {"locus, stretched", "locus, folded", "path", "start", "end"} <= set(names)
-    assert [text.get_text() for text in path.texts if text.get_text()] == [f"{n}, {n + 6}" for n in range(1, 7)]
+    assert {"Type 2 locus, stretched", "Type 2 locus, folded", "path", "$t_{s}$ at a crossing"} <= set(names)
+    assert [text.get_text() for text in path.texts if text.get_text()] == [*(f"{n}, {n + 6}" for n in range(1, 7)), "start"]

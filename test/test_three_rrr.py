@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from plain_loop import ExactPlant, PyBulletPlant, drive, heavier
 
+from dextar_control.analysis.plan_figure import draw_plan
 from dextar_control.contract.errors import GeometryError, ParameterError, TrajectoryError
 from dextar_control.contract.resources import config_file
 from dextar_control.control.phases import Phase
@@ -63,6 +64,16 @@ def test_places_spread_over_the_locus_can_be_crossed_both_ways(three_rrr: Robot)
             np.testing.assert_allclose(certificate.crossing_points[0], place.x, rtol=0.0, atol=1e-9)
     with pytest.raises(GeometryError, match=r"places of the Type 2 locus that can be crossed were found there; 5 are wanted"):
         spread_places(three_rrr, [0.0, 0.0, 0.0], [0.01, 0.01, 0.01], 5)
+
+
+def test_it_is_drawn_with_its_links_and_locus(three_rrr: Robot, trips: list[Plan]) -> None:
+    model = Model.of(three_rrr)
+    at = trips[0].certificate.crossing_points[0]
+    links = model.mechanism.linkage(model.place(at).q_a, at, model.mechanism.named(model.p))
+    lengths = np.hypot(*np.diff(links, axis=0).T)
+    assert lengths == pytest.approx(np.tile([0.12] * 4 + [0.06 * np.sqrt(3.0)], 3), abs=1e-9)
+    path, torque, _ = draw_plan(three_rrr, trips[0]).axes
+    assert path.collections and len(torque.get_legend_handles_labels()[1]) == 3
 
 
 def test_the_planned_torque_is_an_independent_engines(three_rrr: Robot, trips: list[Plan]) -> None:

@@ -1,4 +1,4 @@
-"""A run as an animation: linkage, locus, path, torques and t_s, to a GIF or an MP4."""
+"""A run as an animation: linkage, locus, path, torques and t_s, to a GIF, a WebP or an MP4."""
 
 from __future__ import annotations
 
@@ -16,48 +16,52 @@ from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from dextar_control.analysis.curves import Curve, Panel
+from dextar_control.analysis.drawing import SCREEN, Look, draw_line, draw_locus, draw_panel, finish_plane
 from dextar_control.analysis.motion import Motion
-from dextar_control.analysis.plane import locus_of
-from dextar_control.analysis.thin import thin, thin_path
+from dextar_control.analysis.plane import corners, locus_of
+from dextar_control.contract import style
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.signals import caused_by_interrupt
+from dextar_control.contract.style import LINES, Line
 
-MOST_FRAMES = {".gif": 1500, ".mp4": 20_000}  # a GIF's frames are held in memory until it is written
+MOST_FRAMES = {".gif": 1500, ".webp": 1500, ".mp4": 20_000}  # frames of the first two are held in memory until they are written
 SIZE = (10.0, 5.0)  # inches
 RESOLUTION = 96  # dots per inch: 960 x 480 pixels
-T_S_LENGTH = 0.012  # m, half of what is drawn of t_s
+T_S_HALF = 0.016  # m, of what is drawn of t_s
 ARC_RADIUS = 0.014  # m, of the arcs that show the torques
-ARC_TURN = 1.5 * math.pi  # rad, of such an arc at the torque limit of the axis
-BLACK, GREY, LIGHT, ACCENT = "#000000", "#767676", "#c4c4c4", "#a3260f"
-MARGIN = 0.02  # m
-TRACE: Any = {"color": BLACK, "linewidth": 1.0}
-LINKAGE: Any = {"color": GREY, "linewidth": 4.0, "marker": "o", "markersize": 6, "solid_capstyle": "round", "alpha": 0.8}
-T_S: Any = {"color": ACCENT, "linewidth": 3.0}
+ARC_TURN = 2.0 * math.pi  # rad, of such an arc at the torque axis' end
+TRACE, LINKS, T_S = Line("accent", (), 2.0), Line("mid", (), 5.0), Line("bad", (), 4.0)
+RING, ARC, CURSOR = Line("line", (), 3.0), Line("ink", (), 3.0), Line("bad", (), 2.0)
+PHASES = {"TRACK": "on its way", "CROSSING": "crossing the locus", "SAFE_STOP": "safe stop", "FAULT": "fault", "HOLD": "at rest",
+          "IDLE": "idle", "APPROACH": "to its start"}  # fmt: skip
 
 
 def animate(
-    motion: Motion, file: Path, speed: float, frames_per_second: int, progress: Callable[[int, int], None]
+    motion: Motion, file: Path, speed: float, frames_per_second: int, progress: Callable[[int, int], None], look: Look = SCREEN
 ) -> None:
     """Write the animation.
 
     Args:
         motion: its frames lie speed / frames_per_second s apart.
-        file: ``.gif`` or ``.mp4``; one that is there is replaced once the new one is whole.
+        file: ``.gif``, ``.webp`` or ``.mp4``; one that is there is replaced once the new one is whole.
         speed: s of the run in a second of the animation; printed.
         frames_per_second: of the animation.
         progress: told (frames done, frames in all).
+        look: of the pictures.
 
     Raises:
         ParameterError: another kind of file, too many frames, or an MP4 without ffmpeg.
         BagError: the file cannot be written.
     """
     check_output(file, len(motion.time))
-    if file.suffix.lower() == ".gif":
+    if file.suffix.lower() != ".mp4":
         writer: Any = PillowWriter(fps=frames_per_second)
     else:
         matplotlib.rcParams["animation.ffmpeg_path"] = find_ffmpeg()
         writer = FFMpegWriter(fps=frames_per_second, codec="libx264", extra_args=["-pix_fmt", "yuv420p"])
-    scene = _Scene(motion, speed)
+    with matplotlib.rc_context(style.matplotlib_settings(look.palette)):
+        scene = _Scene(motion, speed, look)
     partial = file.with_name(f".{file.stem}.partial{file.suffix}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -86,7 +90,7 @@ def check_output(file: Path, frames: int = 0) -> None:
     """
     most = MOST_FRAMES.get(file.suffix.lower())
     if most is None or file.is_dir():
-        raise ParameterError(f"--output {file}: it must be a file whose name ends in {' or '.join(MOST_FRAMES)}")
+        raise ParameterError(f"--output {file}: it must be a file whose name ends in {', '.join(MOST_FRAMES)}")
     if frames > most:
         raise ParameterError(
             f"{frames} frames; a {file.suffix} may have {most}: raise --speed, lower --fps, or name a part with --from and --to"
@@ -120,11 +124,11 @@ class _Scene:
     What stands still is drawn once and lies under the rest as an image: a frame then takes a tenth of the time.
     """
 
-    def __init__(self, motion: Motion, speed: float) -> None:
-        self._motion = motion
+    def __init__(self, motion: Motion, speed: float, look: Look = SCREEN) -> None:
+        self._motion, self._look = motion, look
         still = Figure(figsize=SIZE, dpi=RESOLUTION, layout="constrained")
         canvas = FigureCanvasAgg(still)
-        grid = still.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
+        grid = still.add_gridspec(2, 2, width_ratios=(1.0, 1.1))
         plane = still.add_subplot(grid[:, 0])
         torque = still.add_subplot(grid[0, 1])
         measure = still.add_subplot(grid[1, 1], sharex=torque)
@@ -132,19 +136,19 @@ class _Scene:
         self._limit = 1.15 * max(float(finite.max()) if finite.size else 0.0, 1e-3)
         self._draw_plane(plane)
         self._draw_time(torque, measure)
-        still.suptitle(" ", fontsize=10)
+        still.suptitle(" ", fontsize=11.0)
         canvas.draw()
         self.figure = Figure(figsize=SIZE, dpi=RESOLUTION)
         FigureCanvasAgg(self.figure)
         self.figure.figimage(np.array(canvas.buffer_rgba()), origin="upper", zorder=-1)
         moving = [self._over(axes) for axes in (plane, torque, measure)]
-        (self._trace,) = moving[0].plot([], [], **TRACE)
-        (self._linkage,) = moving[0].plot([], [], **LINKAGE)
-        (self._t_s,) = moving[0].plot([], [], **T_S)
-        self._arcs = [moving[0].plot([], [], color=BLACK, linewidth=2.5)[0] for _ in range(2)]
-        self._heads = [moving[0].plot([], [], color=BLACK, marker="o", markersize=5, linestyle="none")[0] for _ in range(2)]
-        self._cursors = [axes.axvline(motion.time[0], color=ACCENT, linewidth=1.5) for axes in moving[1:]]
-        self._title = self.figure.text(0.5, 0.965, "", ha="center", fontsize=10, family="monospace")
+        (self._trace,) = moving[0].plot([], [], **look.line(TRACE))
+        (self._linkage,) = moving[0].plot([], [], **look.line(LINKS, marker="o", markersize=6, alpha=0.85))
+        (self._t_s,) = moving[0].plot([], [], **look.line(T_S))
+        self._arcs = [moving[0].plot([], [], **look.line(ARC))[0] for _ in motion.torque.T]
+        self._heads = [moving[0].plot([], [], **look.line(ARC, marker="o", markersize=6))[0] for _ in motion.torque.T]
+        self._cursors = [axes.axvline(motion.time[0], **look.line(CURSOR)) for axes in moving[1:]]
+        self._title = self.figure.text(0.012, 0.955, "", fontsize=11.0, weight="bold", parse_math=False)
         self._words = f"{'true motion' if motion.true else 'estimated motion'}, {speed:g} × real time"
 
     def _over(self, axes: Any) -> Any:
@@ -161,64 +165,51 @@ class _Scene:
         links, x = motion.chain(frame), motion.x[frame]
         self._linkage.set_data(*links.T)
         self._trace.set_data(*motion.x[: frame + 1].T)
-        along = T_S_LENGTH * motion.t_s[frame]
+        along = T_S_HALF * motion.t_s[frame]
         self._t_s.set_data(*np.stack([x - along, x + along]).T)
         self._t_s.set_alpha(max(0.15, 1.0 - abs(float(motion.s[frame]))) ** 2)
         for arc, base, torque in zip(self._arcs, links[[0, 4]], motion.torque[frame], strict=True):
-            turn = ARC_TURN * (torque / self._limit if math.isfinite(torque) else 0.0)
-            angles = 0.5 * math.pi + np.linspace(0.0, turn, 40)
-            arc.set_data(*(base + ARC_RADIUS * np.stack([np.cos(angles), np.sin(angles)], axis=1)).T)
-            head = base + ARC_RADIUS * np.array([math.cos(angles[-1]), math.sin(angles[-1])])
-            self._heads[self._arcs.index(arc)].set_data(*head[:, None])
+            around = _arc(base, torque / self._limit if math.isfinite(torque) else 0.0)
+            arc.set_data(*around.T)
+            self._heads[self._arcs.index(arc)].set_data(*around[-1:].T)
         for cursor in self._cursors:
             cursor.set_xdata([motion.time[frame]] * 2)
         time, s = (round(float(value), 3) + 0.0 for value in (motion.time[frame], motion.s[frame]))  # no -0.000
-        self._title.set_text(f"{time:8.3f} s   {motion.phase[frame]:<9}   s {s:+.3f}   {self._words}")
+        phase = PHASES.get(motion.phase[frame], motion.phase[frame].lower())
+        self._title.set_text(f"{time:.3f} s: {phase or 'phase unknown'}, s = {s:+.3f}  ({self._words})".replace("-", "−"))
 
     def _draw_plane(self, axes: Any) -> None:
-        motion = self._motion
-        named = set()
-        for family, arc in locus_of(motion.robot):
-            axes.plot(*arc.T, color=GREY, linestyle="--" if family == "stretched" else ":", linewidth=1.2,
-                      label=None if family in named else f"locus, {family}")  # fmt: skip
-            named.add(family)
-        if len(motion.planned):
-            axes.plot(*motion.planned[thin_path(motion.planned)].T, color=ACCENT, linewidth=4.0, alpha=0.25, label="planned path")
-        axes.plot([], [], label="path so far", **TRACE)
-        axes.plot([], [], label="weak direction ($t_s$ on the locus)", **T_S)
-        axes.plot([], [], color=BLACK, linewidth=2.5, marker="o", markersize=5, label="torque at each motor")
-        reach = np.concatenate([motion.planned, motion.x, *[motion.chain(row) for row in _some(len(motion.time))]])
-        reach = reach[np.isfinite(reach).all(axis=1) & (np.abs(reach) < 1.0).all(axis=1)]
-        low, high = reach.min(axis=0) - MARGIN, reach.max(axis=0) + MARGIN
-        axes.set_aspect("equal")
+        motion, look, locus = self._motion, self._look, locus_of(self._motion.robot)
+        draw_locus(axes, locus, look)
+        draw_line(axes, motion.planned, LINES["planned", 0], "planned path", look)
+        axes.plot([], [], label="path so far", **look.line(TRACE))
+        axes.plot([], [], label=style.mathtext("weak direction, t_s on the locus"), **look.line(T_S))
+        axes.plot([], [], label=f"motor's torque, whole ring {self._limit:.2g} N m", **look.line(ARC, marker="o", markersize=6))
+        for base in motion.chain(0)[[0, -1]]:
+            axes.plot(*_arc(base, 1.0).T, **look.line(RING))
+        reach = [motion.planned, motion.x, *[motion.chain(row) for row in _some(len(motion.time))]]
+        low, high = corners([part[(np.abs(part) < 1.0).all(axis=1)] for part in (*reach, *(arc for _, arc in locus))], [])
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
-        axes.set_xlabel("x (m)")
-        axes.set_ylabel("y (m)")
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, fontsize=7, frameon=False)
+        finish_plane(axes)
 
     def _draw_time(self, torque: Any, measure: Any) -> None:
         motion = self._motion
-        for part, style in enumerate(("-", "--")):
-            rows = thin(motion.course_time, motion.course[:, part])
-            torque.plot(motion.course_time[rows], motion.course[rows, part], BLACK, linestyle=style, linewidth=1.0,
-                        label=f"τ{part + 1}")  # fmt: skip
-        rows = thin(motion.time, motion.s)
-        measure.plot(motion.time[rows], motion.s[rows], BLACK, linewidth=1.0)
-        measure.axhline(0.0, color=GREY, linewidth=0.8, linestyle="--")
-        torque.set_ylim(-self._limit, self._limit)
-        measure.set_ylim(-1.05, 1.05)
+        curves = [Curve(f"τ{part + 1}", motion.course_time, values, "commanded", part)
+                  for part, values in enumerate(motion.course.T)]  # fmt: skip
+        draw_panel(torque, Panel("torque", style.label("torque"), curves, -self._limit, self._limit), [], False, self._look)
+        s = [Curve("s", motion.time, motion.s, "seen")]
+        draw_panel(measure, Panel("s", style.label("s"), s, -1.05, 1.05), [], True, self._look)
+        measure.axhline(0.0, **self._look.line(Line("mid", (), 0.9)))
         torque.set_xlim(motion.time[0], motion.time[-1] if len(motion.time) > 1 else motion.time[0] + 1e-3)
-        torque.set_ylabel("torque (N m)")
-        measure.set_ylabel("s (1), 0 on the locus")
-        measure.set_xlabel("time since the trajectory's start (s)")
-        torque.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=7, ncols=2, frameon=False, borderaxespad=0.0)
-        torque.tick_params(labelbottom=False)
-        for axes in (torque, measure):
-            axes.grid(color="#e6e6e6", linewidth=0.5)
+        measure.set_xlabel(style.label("time"))
+
+
+def _arc(base: Any, share: float) -> Any:
+    """(40, 2) around a motor, m, by a share of what a whole ring stands for, from the top."""
+    angles = 0.5 * math.pi + np.linspace(0.0, ARC_TURN * share, 40)
+    return base + ARC_RADIUS * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 def _some(count: int) -> range:
     return range(0, count, max(count // 20, 1))
-
-

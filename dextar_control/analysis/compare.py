@@ -9,23 +9,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bokeh.embed import components
 from rich.measure import Measurement
 from rich.table import Table
 
 from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.crossings import CrossingMetrics
 from dextar_control.analysis.curves import Curve, Panel, beyond, error_height, panels
+from dextar_control.analysis.differences import Difference, differing, shown_name
 from dextar_control.analysis.load import load_run
 from dextar_control.analysis.metrics import Metrics, compute_metrics, saturated
 from dextar_control.analysis.page import NO_TRUTH, Cell, Column, number, render, signed
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import Run
-from dextar_control.analysis.web_figures import in_plane, over_time, run_keys
+from dextar_control.analysis.web_figures import WebFigure, in_plane, over_time, run_tag
 from dextar_control.bags.damage import damage_lines
 from dextar_control.bags.scan import Progress
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.style import RUNS
 from dextar_control.contract.terminal import Terminal, title
 from dextar_control.contract.words import counted
 
@@ -40,6 +41,7 @@ class Quantity(NamedTuple):
         name, unit, form: of the number.
         of: its value from a run's metrics.
         truth: whether it needs the true motion.
+        machine: whether it is of the machine that ran it, not of the robot.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Quantity(NamedTuple):
     form: str
     of: Callable[[Metrics], Value]
     truth: bool = False
+    machine: bool = False
 
 
 class CrossingQuantity(NamedTuple):
@@ -78,13 +81,14 @@ QUANTITIES = (
     Quantity("the same over the plan's peak", "1", ".3f", lambda m: m.torque_ratio_near),
     Quantity("saturated commands", "", "d", lambda m: m.saturated if saturated(m).isdigit() else None),
     Quantity("duration of the trajectory", "s", ".3f", lambda m: m.duration),
-    Quantity("states without a command", "", "d", lambda m: m.missed),
-    Quantity("longest run of such states", "", "d", lambda m: m.timing.longest_miss),
-    Quantity("rate of the states, median", "Hz", ".0f", lambda m: m.loop_rate),
-    Quantity("period of the states, 99 %", "µs", ".0f", lambda m: 1e6 * m.timing.state_period.p99),
-    Quantity("round trip, median", "µs", ".0f", lambda m: 1e6 * m.timing.round_trip.median),
-    Quantity("round trip, 99 %", "µs", ".0f", lambda m: 1e6 * m.timing.round_trip.p99),
-    Quantity("samples lost in recording", "", "d", lambda m: sum(n or 0 for n in m.lost.values()) if m.lost else None),
+    Quantity("states without a command", "", "d", lambda m: m.missed, machine=True),
+    Quantity("longest run of such states", "", "d", lambda m: m.timing.longest_miss, machine=True),
+    Quantity("rate of the states, median", "Hz", ".0f", lambda m: m.loop_rate, machine=True),
+    Quantity("period of the states, 99 %", "µs", ".0f", lambda m: 1e6 * m.timing.state_period.p99, machine=True),
+    Quantity("round trip, median", "µs", ".0f", lambda m: 1e6 * m.timing.round_trip.median, machine=True),
+    Quantity("round trip, 99 %", "µs", ".0f", lambda m: 1e6 * m.timing.round_trip.p99, machine=True),
+    Quantity("samples lost in recording", "", "d", lambda m: sum(n or 0 for n in m.lost.values()) if m.lost else None,
+             machine=True),
 )
 CROSSING_QUANTITIES = (
     CrossingQuantity("outcome", "", "", lambda c: c.outcome, truth=True),
@@ -102,9 +106,12 @@ CROSSING_QUANTITIES = (
     CrossingQuantity("estimated error before", "mm", ".3f", lambda c: 1e3 * c.estimated_error_before),
     CrossingQuantity("estimated error after", "mm", ".3f", lambda c: 1e3 * c.estimated_error_after),
 )
-TRUE_OR_ESTIMATED = {"error": "{} error (mm)", "s": "{} s (1), 0 on the locus"}  # labels of the panels that can be either
+TRUE_OR_ESTIMATED = {"error": "{} error (mm)", "s": "{} s, 0 on the locus (1)"}  # labels of the panels that can be either
 MOST_HEADING = 80  # characters
 MOST_CROSSINGS = 24  # written out one by one; the JSON has them all
+MOST_DIFFERENCES = 40  # that the page and the text list; the JSON has them all
+MATTERS = 1.02  # ratio of two runs' numbers from which on the page counts them as different
+WAYS_TO_NAME = 3  # differences that may be part of a run's name
 
 
 class Line(NamedTuple):
@@ -116,6 +123,7 @@ class Line(NamedTuple):
         differences: of each further run to the first; None where one of the two is not a number.
         truth: whether it needs the true motion.
         missing: per run, what stands for a value that is not there.
+        machine: whether it is of the machine that ran it, not of the robot.
     """
 
     name: str
@@ -125,6 +133,18 @@ class Line(NamedTuple):
     differences: list[float | None]
     truth: bool
     missing: list[str]
+    machine: bool = False
+
+    @property
+    def matter(self) -> float:
+        """How much the runs differ in it: by a word (infinity), or the largest ratio of two numbers; 1 is not at all."""
+        known = [value for value in self.values if isinstance(value, (int, float))]
+        if len(known) < len(self.values):
+            return math.inf if len(set(self.values)) > 1 else 1.0
+        low, high = min(map(abs, known)), max(map(abs, known))
+        if min(known) < 0.0 < max(known) or low == 0.0:
+            return math.inf if high > 0.0 else 1.0
+        return high / low
 
 
 @dataclass(frozen=True)
@@ -137,6 +157,7 @@ class Comparison:
         lines: of the whole runs.
         crossings: lines per crossing number, of those that every run has planned.
         remarks: what makes the runs less comparable.
+        differences: of bags, laws, estimators, robots and parameters; those in which all runs agree are left out.
     """
 
     names: list[str]
@@ -145,12 +166,14 @@ class Comparison:
     lines: list[Line]
     crossings: list[list[Line]]
     remarks: list[str]
+    differences: list[Difference]
 
     def to_json(self) -> str:
         """Strict JSON: what is not known is null."""
         return json.dumps(
             {
                 "runs": [{"name": name, "bag": str(run.path)} for name, run in zip(self.names, self.runs, strict=True)],
+                "differences": [one._asdict() for one in self.differences],
                 "remarks": self.remarks,
                 "quantities": [_entry(line) for line in self.lines],
                 "crossings": [[_entry(line) for line in lines] for lines in self.crossings],
@@ -162,13 +185,22 @@ class Comparison:
         """The tables as Markdown."""
         text = ["# Comparison", ""]
         text += [f"- **{name}**: `{run.path}`" for name, run in zip(self.names, self.runs, strict=True)]
-        text += ["", "Differences (Δ) are to the first run.", *[f"\n{remark}" for remark in self.remarks], ""]
+        differences = [[one.name, *one.values] for one in self.shown_differences]
+        text += ["", "## What differs", "", *_rows(["", *self.names], differences)]
+        text += [f"\n... and {more} more in comparison.json." if (more := len(self.differences) - MOST_DIFFERENCES) > 0 else ""]
+        text += ["", "## Side by side", "", "Differences (Δ) are to the first run."]
+        text += [*[f"\n{remark}" for remark in self.remarks], ""]
         text += _markdown(self, self.lines)
         for index, lines in enumerate(self.crossings[:MOST_CROSSINGS], start=1):
             text += ["", f"## Crossing {index}", "", *_markdown(self, lines)]
         if len(self.crossings) > MOST_CROSSINGS:
             text += ["", f"... and {len(self.crossings) - MOST_CROSSINGS} more crossings in comparison.json."]
         return "\n".join(text) + "\n"
+
+    @property
+    def shown_differences(self) -> list[Difference]:
+        """Those that the page and the text have room for."""
+        return self.differences[:MOST_DIFFERENCES]
 
 
 def compare_runs(runs: Sequence[Run], metrics: Sequence[Metrics], names: Sequence[str] | None = None) -> Comparison:
@@ -186,8 +218,9 @@ def compare_runs(runs: Sequence[Run], metrics: Sequence[Metrics], names: Sequenc
         [_line(quantity, [one.crossings[index] for one in metrics], truths) for quantity in CROSSING_QUANTITIES]
         for index in range(common)
     ]
-    names = list(names) if names is not None else name_runs(runs, metrics)
-    return Comparison(names, list(runs), list(metrics), lines, crossings, _remarks(names, runs, metrics))
+    differences = differing(runs, metrics)
+    names = list(names) if names is not None else name_runs(runs, metrics, differences)
+    return Comparison(names, list(runs), list(metrics), lines, crossings, _remarks(names, runs, metrics), differences)
 
 
 def compare_bags(
@@ -225,34 +258,34 @@ def write_comparison(comparison: Comparison, folder: Path) -> None:
 
 def render_comparison(comparison: Comparison) -> str:
     """The comparison as one self-contained page."""
-    drawn: dict[str, Any] = {}
+    figures: dict[str, WebFigure] = {}
     over = overlaid(comparison)
     if over:
         durations = [one.duration if math.isfinite(one.duration) else one.tracked_until for one in comparison.metrics]
         duration = max((value for value in durations if math.isfinite(value)), default=1.0)
         instants = [crossing.planned_time for crossing in comparison.metrics[0].crossings]
-        for index, axes in enumerate(over_time(over, instants, duration, comparison.names)):
-            drawn[f"time{index}"] = axes
+        figures = {f"time-{index}": one for index, one in enumerate(over_time(over, instants, duration, comparison.names))}
     planes = [plane_of(run, one) for run, one in zip(comparison.runs, comparison.metrics, strict=True)]
     if not planes[0].empty:
-        drawn["plane"] = in_plane(planes, comparison.names)
-    script, places = components(drawn, wrap_script=False)
+        figures["plane"] = in_plane(planes, comparison.names)
     first, *others = comparison.names
-    columns = [Column("", text=True), Column("unit", text=True), Column(first)]
+    columns = [Column("", text=True), Column(first)]
     for name in others:
-        columns += [Column(name), Column("Δ", "to the first")]
+        columns += [Column(name), Column("Δ")]
     shown = comparison.crossings[:MOST_CROSSINGS]
     heading = f"{first} against {', '.join(others)}"
     if len(heading) > MOST_HEADING:
         heading = f"{first} against {counted(len(others), 'other run')}"
+    told = {"verdict", *(one.name for one in comparison.differences)}
+    matter, alike, machine = by_matter([line for line in comparison.lines if line.name not in told])
     return render(
-        "comparison.html", script,
+        "comparison.html", figures,
         title=heading,
         heading=heading,
         notes=[f"{panel.label}: {panel.note}" for panel in over if panel.note],
         bags=[
             {
-                "name": name, "path": f"{run.path.absolute().parent.name}/{run.path.name}", "verdict": line,
+                "name": name, "path": shown_name(run), "verdict": line, "reasons": one.reasons,
                 "kind": {True: "good", False: "bad", None: ""}[one.success],
             }
             for name, run, one, line in zip(
@@ -260,14 +293,27 @@ def render_comparison(comparison: Comparison) -> str:
             )
         ],
         remarks=comparison.remarks,
-        figures={"plane": places.get("plane", ""), "time": [div for name, div in places.items() if name.startswith("time")]},
-        keys=run_keys(comparison.names),
+        differences=(
+            [Column("", text=True), *(Column(name, text=True) for name in comparison.names)],
+            [[Cell(one.name), *map(Cell, one.values)] for one in comparison.shown_differences],
+        ),
+        more_differences=len(comparison.differences) - len(comparison.shown_differences),
+        keys=[{"name": name, "tag": run_tag(index), "line": RUNS[index % len(RUNS)]}
+              for index, name in enumerate(comparison.names)],
         columns=columns,
-        lines=[_cells(line) for line in comparison.lines],
-        crossings=[[_cells(line) for line in lines] for lines in shown],
+        lines={name: [_cells(line, joined=True) for line in lines]
+               for name, lines in (("matter", matter), ("alike", alike), ("machine", machine))},
+        crossings=[[_cells(line, joined=True) for line in lines] for lines in shown],
         more=len(comparison.crossings) - len(shown),
         footer="Made by dextar compare. Δ: difference to the first run. All numbers stand in comparison.json beside this page.",
     )  # fmt: skip
+
+
+def by_matter(lines: Sequence[Line]) -> tuple[list[Line], list[Line], list[Line]]:
+    """What the runs differ in, the most first; what they agree in; what is of the machine."""
+    own = [line for line in lines if not line.machine]
+    differ = sorted((line for line in own if line.matter >= MATTERS), key=lambda line: -line.matter)
+    return differ, [line for line in own if line.matter < MATTERS], [line for line in lines if line.machine]
 
 
 def overlaid(comparison: Comparison) -> list[Panel]:
@@ -291,7 +337,7 @@ def overlaid(comparison: Comparison) -> list[Panel]:
                 )  # fmt: skip
     if "error" in found:
         found["error"] = found["error"]._replace(high=error_height(found["error"].curves))
-    ordered = [found[key] for key in ("torque0", "torque1", "error", "residual", "s") if key in found]
+    ordered = [found[key] for key in (*sorted(key for key in found if key.startswith("torque")), "error", "residual", "s")]
     return [panel._replace(note=beyond(panel)) for panel in ordered]
 
 
@@ -312,20 +358,23 @@ def _table(comparison: Comparison, differences: bool) -> Table:
             table.add_column("Δ", justify="right", no_wrap=True)
     step = 1 if differences else 2
     for line in comparison.lines:
-        unit = f" ({line.unit})" if line.unit not in ("", "1") else ""
-        first, *others = (cell.text for cell in _cells(line)[2:])
-        table.add_row(f"{line.name}{unit}", first, *others[::step])
+        name, first, *others = (cell.text for cell in _cells(line, joined=True))
+        table.add_row(name, first, *others[::step])
     return table
 
 
-def name_runs(runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[str]:
-    """Short names that differ: by law and estimator, then by whether the truth is known, then by folder, then by number."""
+def name_runs(runs: Sequence[Run], metrics: Sequence[Metrics], differences: Sequence[Difference]) -> list[str]:
+    """Short names that differ: by law and estimator, whether the truth is known, what else differs, the folder, the number."""
     ways: list[list[str]] = [
         [run.record.get("name", "") or (f"{one.law or 'law unknown'} / {one.estimator or 'estimator unknown'}"
                                         if one.law or one.estimator else run.path.absolute().parent.name)
          for run, one in zip(runs, metrics, strict=True)],
     ]  # fmt: skip
     ways.append([f"{name}, {'simulation' if run.truth else 'no truth'}" for name, run in zip(ways[0], runs, strict=True)])
+    told = [one for one in differences if one.parameter][:WAYS_TO_NAME]
+    for count in range(1, len(told) + 1):
+        ways.append([", ".join([name, *(f"{one.name.rpartition('.')[2]} {one.values[row]}" for one in told[:count])])
+                     for row, name in enumerate(ways[0])])  # fmt: skip
     folders = [run.path.absolute().parent.name for run in runs]
     ways.append([name if name == folder else f"{name}, {folder}" for name, folder in zip(ways[0], folders, strict=True)])
     ways.append([f"{name}, {index}" for index, name in enumerate(ways[0], start=1)])
@@ -379,7 +428,8 @@ def _line(quantity: Quantity | CrossingQuantity, of: Sequence[Any], truths: Sequ
         value - first if isinstance(value, (int, float)) and isinstance(first, (int, float)) else None for value in values[1:]
     ]
     missing = [NO_TRUTH if quantity.truth and not known else "-" for known in truths]
-    return Line(quantity.name, quantity.unit, quantity.form, values, differences, quantity.truth, missing)
+    machine = isinstance(quantity, Quantity) and quantity.machine
+    return Line(quantity.name, quantity.unit, quantity.form, values, differences, quantity.truth, missing, machine)
 
 
 def _known(value: Value) -> Value:
@@ -388,12 +438,14 @@ def _known(value: Value) -> Value:
 
 def _entry(line: Line) -> dict[str, Any]:
     entry = line._asdict()
-    del entry["form"], entry["missing"]
+    del entry["form"], entry["missing"], entry["machine"]
     return entry
 
 
-def _cells(line: Line) -> list[Cell]:
-    cells = [Cell(line.name), Cell(line.unit)]
+def _cells(line: Line, joined: bool = False) -> list[Cell]:
+    """Name, unit, and each run's value with its difference; name and unit in one cell where they are joined."""
+    unit = f" ({line.unit})" if line.unit not in ("", "1") else ""
+    cells = [Cell(f"{line.name}{unit}")] if joined else [Cell(line.name), Cell(line.unit)]
     for index, value in enumerate(line.values):
         known = value if isinstance(value, str) else number(value, line.form, line.missing[index])
         cells.append(Cell(known))
@@ -407,8 +459,12 @@ def _markdown(comparison: Comparison, lines: Sequence[Line]) -> list[str]:
     head = ["", "unit"]
     for index, name in enumerate(comparison.names):
         head += [name, "Δ"] if index else [name]
-    rows = [head, ["---", "---"] + ["---:"] * (len(head) - 2), *([cell.text for cell in _cells(line)] for line in lines)]
-    return [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows]
+    return _rows(head, [[cell.text for cell in _cells(line)] for line in lines], numbers_from=2)
+
+
+def _rows(head: Sequence[str], rows: Sequence[Sequence[str]], numbers_from: int = 1000) -> list[str]:
+    marks = ["---:" if column >= numbers_from else "---" for column in range(len(head))]
+    return [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in (head, marks, *rows)]
 
 
 def _kind(key: str, shown: Sequence[Sequence[Panel]]) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.run import Floats, Run, Stamps
 from dextar_control.analysis.tracking import Tracked, plan_of, tracked
+from dextar_control.contract import style
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import JOINT_NAMES
 from dextar_control.planning.certificate import Certificate
@@ -20,6 +21,10 @@ MOST_TORQUE = 3.0  # of the plan's peak, to which the axis reaches at most
 MOST_RESIDUAL = 3.0  # the same for the criterion's residual
 ERROR_CEILING = 10.0  # mm
 TOGETHER = 20  # squares of innovations that are drawn as their mean
+MANY = 4  # crossings, from more of which on each is shown by itself beside their mean
+BESIDE = 3.0  # of a crossing's time within |s| < 0.1, shown before and after it
+AROUND = 81  # points of a curve around a crossing
+MOST_AROUND = 24  # crossings that are shown so
 
 
 class Curve(NamedTuple):
@@ -48,6 +53,7 @@ class Panel(NamedTuple):
         curves: in drawing order.
         low, high: of the axis; nan where the curves decide.
         note: what is missing and why; "" when nothing is.
+        limit: which the values keep on either side, in the panel's unit; nan where there is none.
     """
 
     key: str
@@ -56,6 +62,25 @@ class Panel(NamedTuple):
     low: float
     high: float
     note: str = ""
+    limit: float = math.nan
+
+
+class Around(NamedTuple):
+    """One quantity about each crossing.
+
+    Attributes:
+        label: what it is, with its unit.
+        time: (n,) s since the planned crossing.
+        each: (n,) of each of the first MOST_AROUND crossings, in the label's unit; nan where nothing is known.
+        mean: (n,) of all crossings.
+        high: of the axis, which begins at 0.
+    """
+
+    label: str
+    time: Floats
+    each: list[Floats]
+    mean: Floats
+    high: float
 
 
 def checked_plan(run: Run) -> Certificate | None:
@@ -73,8 +98,33 @@ def panels(run: Run, metrics: Metrics) -> list[Panel]:
         return []
     plan = checked_plan(run)
     return [
-        _torque(metrics, track, plan), _error(run, track), _residual(run, track, plan), _singularity(run, track, plan)
+        _torque(run, metrics, track, plan), _error(run, track), _residual(run, track, plan), _singularity(run, track, plan)
     ]  # fmt: skip
+
+
+def around(run: Run, metrics: Metrics) -> list[Around]:
+    """Largest torque and error about each crossing of a run that has many; they have no sign, so that they have a mean."""
+    track, plan = tracked(run), checked_plan(run)
+    if track is None or plan is None or len(metrics.crossings) <= MANY:
+        return []
+    instants = np.array([crossing.planned_time for crossing in metrics.crossings])
+    least = 0.5 * float(np.diff(instants).min())
+    width = min(BESIDE * float(np.median([crossing.near_time for crossing in plan.crossings])), max(least, 5e-3))
+    time = np.linspace(-width, width, AROUND)
+    true = len(track.true_error) > 0
+    error = (track.true_time, 1e3 * track.true_error) if true else (track.time, 1e3 * track.estimated_error)
+    found = []
+    for label, (clock, values) in (
+        ("largest torque (N m)", (track.torque_time, np.abs(track.torque).max(axis=1))),
+        (f"{'true' if true else 'estimated'} error (mm)", error),
+    ):
+        each = [np.interp(instant + time, clock, values, math.nan, math.nan) for instant in instants] if len(clock) else []
+        known = np.array([own for own in each if np.isfinite(own).any()])
+        if len(known):
+            high = 1.1 * max(float(np.nanmax(known)), 1e-6)
+            counts = np.maximum(np.isfinite(known).sum(axis=0), 1)
+            found.append(Around(label, time, each[:MOST_AROUND], np.nansum(known, axis=0) / counts, high))
+    return found
 
 
 def observer_panels(run: Run, metrics: Metrics) -> list[Panel]:
@@ -89,16 +139,17 @@ def observer_panels(run: Run, metrics: Metrics) -> list[Panel]:
     if found.disturbance:
         curves = [Curve(f"joint {name}", time[inside], 1e3 * run.criterion.disturbance[inside, part], "commanded", part)
                   for part, name in enumerate(JOINT_NAMES)]  # fmt: skip
-        panels.append(Panel("disturbance", "disturbance (mN m)", curves, math.nan, math.nan))
+        panels.append(Panel("disturbance", style.label("disturbance"), curves, math.nan, math.nan))
     square = np.convolve(run.criterion.innovation_square[inside], np.full(TOGETHER, 1.0 / TOGETHER), "same")
     expected = Curve("as its noise has it", track.time[[0, -1]], np.full(2, found.innovation.expected), "planned")
     curves = [expected, Curve(f"mean of {TOGETHER} samples", time[inside], square, "seen")]
-    return [*panels, Panel("innovation", "square of the innovation (1)", curves, math.nan, math.nan)]
+    return [*panels, Panel("innovation", style.label("innovation"), curves, math.nan, math.nan)]
 
 
-def _torque(metrics: Metrics, track: Tracked, plan: Certificate | None) -> Panel:
+def _torque(run: Run, metrics: Metrics, track: Tracked, plan: Certificate | None) -> Panel:
     curves = []
-    for part, name in enumerate(("τ1", "τ2")):
+    for part in range(track.torque.shape[1]):
+        name = f"τ{part + 1}"
         if plan is not None:
             curves.append(Curve(f"{name} planned", plan.profile.time, plan.profile.torque[:, part], "planned", part))
         curves.append(Curve(f"{name} commanded", track.torque_time, track.torque[:, part], "commanded", part))
@@ -106,7 +157,8 @@ def _torque(metrics: Metrics, track: Tracked, plan: Certificate | None) -> Panel
     planned, found = metrics.planned_peak_torque, metrics.peak_torque
     if math.isfinite(planned) and math.isfinite(found):
         high = HEADROOM * min(max(planned, found), max(MOST_TORQUE * planned, 1e-6))
-    return _noted(Panel("torque", "torque (N m)", curves, -high, high, "" if plan else "no plan to compare with"))
+    limit = run.robot.max_torque if run.robot is not None else math.nan
+    return _noted(Panel("torque", style.label("torque"), curves, -high, high, "" if plan else "no plan to compare with", limit))
 
 
 def _error(run: Run, track: Tracked) -> Panel:
@@ -115,7 +167,7 @@ def _error(run: Run, track: Tracked) -> Panel:
         shown = _inside(track.true_time, track)
         curves.append(Curve("true", track.true_time[shown], 1e3 * track.true_error[shown], "true"))
     note = "" if run.truth is not None else "the true error needs the true motion, which this bag does not hold"
-    return _noted(Panel("error", "tracking error (mm)", curves, 0.0, error_height(curves), note))
+    return _noted(Panel("error", style.label("error"), curves, 0.0, error_height(curves), note))
 
 
 def error_height(curves: Sequence[Curve]) -> float:
@@ -160,7 +212,7 @@ def _residual(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
         ceiling = MOST_RESIDUAL * max(float(np.nanmax(np.abs(plan.profile.residual))), 1e-3)
         finite = np.concatenate([seen[np.isfinite(seen)], plan.profile.residual])
         low, high = 1.1 * max(float(finite.min()), -ceiling), 1.1 * min(float(finite.max()), ceiling)
-    return _noted(Panel("residual", "t_s·w_d (N)", curves, low, high))
+    return _noted(Panel("residual", style.label("residual"), curves, low, high))
 
 
 def _singularity(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
@@ -178,4 +230,4 @@ def _singularity(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
         shown = _inside(track.true_time, track)
         curves.append(Curve("true", track.true_time[shown], track.true_s[shown], "true"))
         note = ""
-    return Panel("s", "s (1), 0 on the locus", curves, -1.05, 1.05, note)
+    return Panel("s", style.label("s"), curves, -1.05, 1.05, note)

@@ -1,111 +1,144 @@
-"""What the figures of a run share, drawn by matplotlib: the plane to scale, and a panel over time.
-
-Read in grey as in colour: line styles, widths and marks differ, not only shades.
-"""
+"""What the figures share that Matplotlib draws: the plane to scale, a panel over time, a figure as part of a page."""
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import offset_copy
 
-from dextar_control.analysis.curves import Panel
-from dextar_control.analysis.plane import Plane
+from dextar_control.analysis.curves import Around, Panel
+from dextar_control.analysis.plane import Place, Plane, crossing_title, numbers_in_words
+from dextar_control.analysis.run import Floats
 from dextar_control.analysis.thin import thin, thin_path
+from dextar_control.contract import style
+from dextar_control.contract.style import LIGHT, LINES, MARKS, Line
 
-BLACK, GREY, LIGHT, ACCENT = "#000000", "#6b6b6b", "#b8b8b8", "#a3260f"
-BAND = "#e8bfb7"  # what was planned lies as a wide light band under what was measured
-LINES: dict[tuple[str, int], tuple[str, Any, float]] = {
-    ("commanded", 0): (BLACK, "-", 0.9),
-    ("commanded", 1): (BLACK, "--", 0.9),
-    ("planned", 0): (BAND, "-", 2.6),
-    ("planned", 1): (BAND, (0, (1.2, 0.8)), 2.6),
-    ("true", 0): (BLACK, "-", 0.9),
-    ("estimated", 0): (GREY, "--", 0.8),
-    ("seen", 0): (BLACK, "-", 0.8),
-    ("confidence", 0): (GREY, "-.", 0.7),
-}  # of a curve's kind and part: colour, style, width in points of a figure one column wide
-VERDICT_MARKS = {"crossed": "o", "bounced": "X", "undecided": "s", "": "D"}
-NUMBER_SIZE = 5.5  # points, of the crossings' numbers
 LEGEND_DROP = 4.0  # of the axis label's size, from the frame to the legend: numbers and label lie between
-MOST_NUMBERS = 6  # of crossings at one place, the rest as dots
+FEW, SEVERAL = 3, 6  # numbers on a small and on a large axis
+ACROSS = 6  # small figures side by side
+BESIDE = 4.5  # px, of a word from its mark
+PLACES = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # beside a mark, where a word may lie
+INSTANT = Line("mid", style.DOTTED, 0.9)
 
 
-def draw_plane(axes: Any, plane: Plane, scale: float = 1.0) -> None:
+class Look(NamedTuple):
+    """Of a figure.
+
+    Attributes:
+        scale: points for a pixel of the style's widths.
+        palette: the colours.
+    """
+
+    scale: float = 0.75
+    palette: dict[str, str] = LIGHT
+
+    def line(self, line: Line, **more: Any) -> dict[str, Any]:
+        """The arguments of Matplotlib's ``plot`` for a line."""
+        return style.matplotlib_line(line, self.palette, self.scale) | more
+
+
+SCREEN, PAPER = Look(), Look(0.42)  # of a page's width, of a column of a paper
+
+def draw_plane(axes: Any, plane: Plane, look: Look = SCREEN) -> None:
     """Path to scale with locus, linkage, crossings and t_s; its legend lies under it.
 
     Args:
         axes: matplotlib's.
         plane: what is there.
-        scale: of lines and marks; 1 for a figure one column wide.
+        look: of it.
     """
     if plane.empty:
         axes.set_axis_off()
         axes.text(0.5, 0.5, "no position of the end effector in the bag", ha="center", transform=axes.transAxes)
         return
-    named: set[str] = set()
-
-    def once(name: str) -> str | None:
-        new = name not in named
-        named.add(name)
-        return name if new else None
-
-    def line(x: np.ndarray, color: str, style: str, width: float, name: str | None = None, **more: Any) -> None:
-        axes.plot(*x.T, color=color, linestyle=style, linewidth=width * scale, label=name, **more)
-
-    for family, arc in plane.locus:
-        line(arc, GREY, "--" if family == "stretched" else ":", 0.8, once(f"Type 2 locus, {family}"))
+    draw_locus(axes, plane.locus, look)
     if len(plane.linkage):
-        line(plane.linkage, LIGHT, "-", 1.8, zorder=1, marker="o", markersize=2.0 * scale)
-        line(plane.linkage[[0, 4]], BLACK, "none", 0.0, marker="^", markersize=4.5 * scale, zorder=4)
-    if len(plane.planned):
-        line(plane.planned[thin_path(plane.planned)], *LINES["planned", 0], "planned")
-    path, style, name = (plane.true, "-", "true") if len(plane.true) else (plane.estimated, "--", "estimated")
-    if len(path):
-        line(path[thin_path(path)], BLACK, style, 0.7, name)
-    for place in plane.places:
-        line(place.t_s, BLACK, "-", 1.6, once("$t_s$ at a crossing"), zorder=3)
-        label = f"crossing, estimator: {place.verdict}" if place.verdict else "planned crossing"
-        line(place.x[None], BLACK, "none", 0.0, once(label), marker=VERDICT_MARKS[place.verdict], markerfacecolor="white",
-             markersize=3.4 * scale, markeredgewidth=0.7 * scale, zorder=5)  # fmt: skip
-        if len(plane.places) > 1:
-            shown = ", ".join(map(str, place.numbers[:MOST_NUMBERS])) + (" ..." if len(place.numbers) > MOST_NUMBERS else "")
-            _say(axes, shown, place.x, scale, fontsize=NUMBER_SIZE * scale)
-    for name, point in _ends(plane):
-        line(point[None], BLACK, "none", 0.0, marker="o", markersize=2.5 * scale, zorder=5)
-        _say(axes, name, point, scale, weight="bold")
-    axes.set_aspect("equal", anchor="N")
+        draw_line(axes, plane.linkage, LINES["linkage", 0], "robot at a crossing" if plane.places else "robot", look,
+                  zorder=2)
+        mark(axes, plane.linkage, "o", 2.6, look, zorder=2)
+        mark(axes, plane.motors, "^", 4.0, look, fill="ink", zorder=4)
+    draw_line(axes, plane.planned, LINES["planned", 0], "planned", look, zorder=2.5)
+    kind = "true" if len(plane.true) else "estimated"
+    draw_line(axes, plane.true if len(plane.true) else plane.estimated, LINES[kind, 0], kind, look, zorder=3)
+    draw_places(axes, plane.places, plane.ends, look)
     axes.set_xlim(plane.low[0], plane.high[0])
     axes.set_ylim(plane.low[1], plane.high[1])
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
-    if named or len(plane.planned) or len(path):
-        under = offset_copy(axes.transAxes, axes.figure, y=-LEGEND_DROP * axes.xaxis.label.get_size(), units="points")
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=under, frameon=False, ncols=2, handlelength=2.6,
-                    labelspacing=0.25, columnspacing=1.2, borderaxespad=0.0)  # fmt: skip
+    finish_plane(axes)
 
 
-def _ends(plane: Plane) -> list[tuple[str, np.ndarray]]:
-    """A and B of a trip as in the paper; the start of a tour."""
-    if not len(plane.planned):
-        return []
-    if len(plane.places) > 1:
-        return [("start", plane.planned[0])]
-    far = plane.planned[np.hypot(*(plane.planned - plane.planned[0]).T).argmax()]
-    return [("A", plane.planned[0]), ("B", far)]
+def draw_locus(axes: Any, locus: Sequence[tuple[str, Floats]], look: Look) -> None:
+    """The arcs of the Type 2 locus."""
+    for family, arc in locus:
+        draw_line(axes, arc, LINES[family, 0], f"Type 2 locus, {family}", look)
 
 
-def _say(axes: Any, words: str, point: np.ndarray, scale: float, **more: Any) -> None:
-    axes.annotate(words, point, xytext=(2.6 * scale, 2.0 * scale), textcoords="offset points", annotation_clip=True, zorder=6,
-                  **more)  # fmt: skip
+def draw_line(axes: Any, x: Floats, line: Line, name: str, look: Look, **more: Any) -> None:
+    """A path (n, 2), named once in the legend."""
+    if len(x):
+        label = style.mathtext(name)
+        named = label in axes.get_legend_handles_labels()[1]
+        axes.plot(*x[thin_path(x)].T, label=None if named else label, **look.line(line, **more))
 
 
-def draw_panel(
-    axes: Any, panel: Panel, instants: Sequence[float], last: bool, scale: float = 1.0, names: dict[str, str] | None = None
-) -> None:
+def draw_places(axes: Any, places: Sequence[Place], ends: Sequence[tuple[str, Floats]], look: Look) -> None:
+    """Crossings with their numbers and t_s, and the path's ends, each word where no other is."""
+    taken = [place.x for place in places] + [point for _, point in ends]
+    for place in places:
+        draw_line(axes, place.t_s, LINES["t_s", 0], "t_s at a crossing", look, zorder=4)
+        label = f"crossing, estimator: {place.verdict}" if place.verdict else "planned crossing"
+        mark(axes, place.x[None], MARKS[place.verdict], 4.5, look, label)
+    for _, point in ends:
+        mark(axes, point[None], "o", 3.0, look, fill="ink")
+    for words, point in [*((numbers_in_words(place.numbers), place.x) for place in places), *ends]:
+        if np.isfinite(point).all():
+            _write(axes, words, point, taken, look)
+
+
+def mark(axes: Any, x: Floats, shape: str, size: float, look: Look, name: str = "",
+         fill: str = "paper", zorder: float = 5) -> None:  # fmt: skip
+    """Marks at places (n, 2), of a half width in pixels."""
+    named = not name or name in axes.get_legend_handles_labels()[1]
+    axes.plot(*x.T, linestyle="none", marker=shape, markersize=2.0 * size * look.scale, markerfacecolor=look.palette[fill],
+              markeredgecolor=look.palette["ink"], markeredgewidth=1.2 * look.scale, zorder=zorder,
+              label=None if named else name)  # fmt: skip
+
+
+def _write(axes: Any, words: str, point: Floats, taken: list[Floats], look: Look) -> None:
+    """Beside a point, on the side where the nearest of what is taken is farthest."""
+    size = 0.8 * axes.xaxis.label.get_size()
+    span = float(np.ptp(axes.dataLim.get_points(), axis=0).max()) or 1.0
+    aside = 0.03 * span * np.array([1.0 + 0.35 * len(words), 1.0])
+    gaps = [min((float(np.hypot(*(point + aside * side - other))) for other in taken if other is not point), default=span)
+            for side in PLACES]  # fmt: skip
+    best = int(np.argmax(np.minimum(gaps, 0.08 * span)))
+    right, up = PLACES[best]
+    taken.append(point + aside * PLACES[best])
+    axes.annotate(words, point, xytext=(BESIDE * right * look.scale, BESIDE * up * look.scale), textcoords="offset points",
+                  ha="left" if right > 0 else "right", va="bottom" if up > 0 else "top", fontsize=size, weight="bold", zorder=6,
+                  annotation_clip=True, bbox={"boxstyle": "square,pad=0.05", "facecolor": look.palette["paper"],
+                                              "edgecolor": "none", "alpha": 0.7})  # fmt: skip
+
+
+def finish_plane(axes: Any) -> None:
+    """To scale, with its axes named and its legend under it."""
+    axes.set_aspect("equal", anchor="N")
+    axes.grid(linewidth=0.4)
+    axes.set_axisbelow(True)
+    axes.xaxis.set_major_locator(MaxNLocator(SEVERAL))
+    axes.set_xlabel(style.label("x"))
+    axes.set_ylabel(style.label("y"))
+    under = offset_copy(axes.transAxes, axes.figure, y=-LEGEND_DROP * axes.xaxis.label.get_size(), units="points")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=under, ncols=2, handlelength=2.6,
+                labelspacing=0.25, columnspacing=1.2, borderaxespad=0.0)  # fmt: skip
+
+
+def draw_panel(axes: Any, panel: Panel, instants: Sequence[float], last: bool, look: Look = SCREEN) -> None:
     """Curves over time with their legend above, where it hides none; dotted lines at some instants, s.
 
     Args:
@@ -113,19 +146,48 @@ def draw_panel(
         panel: what it shows.
         instants: of the planned crossings, s.
         last: it carries the time axis' numbers.
-        scale: of the lines; 1 for a figure one column wide.
-        names: shorter ones of curves.
+        look: of it.
     """
     for instant in instants:
-        axes.axvline(instant, color=GREY, linewidth=0.5 * scale, linestyle=(0, (1, 2)))
+        axes.axvline(instant, **look.line(INSTANT))
     for curve in panel.curves:
         rows = thin(curve.time, curve.values, instants)
-        color, style, width = LINES[curve.kind, curve.part]
-        axes.plot(curve.time[rows], curve.values[rows], color=color, linestyle=style, linewidth=width * scale,
-                  label=(names or {}).get(curve.name, curve.name))  # fmt: skip
+        axes.plot(curve.time[rows], curve.values[rows], label=style.mathtext(curve.name),
+                  **look.line(LINES[curve.kind, curve.part]))  # fmt: skip
+    if math.isfinite(panel.limit) and panel.limit < panel.high:
+        for limit in (-panel.limit, panel.limit):
+            axes.axhline(limit, **look.line(LINES["limit", 0]))
     if math.isfinite(panel.high):
         axes.set_ylim(panel.low, panel.high)
-    axes.grid(color="#e6e6e6", linewidth=0.4 * scale)
+    axes.grid(linewidth=0.4)
     axes.tick_params(labelbottom=last)
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, frameon=False, handlelength=2.2, columnspacing=1.0,
+    axes.set_ylabel(style.mathtext(panel.label))
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, handlelength=2.2, columnspacing=1.0,
                 borderaxespad=0.0, borderpad=0.15)  # fmt: skip
+
+
+def draw_around(figure: Any, found: Around, outcomes: Sequence[str], look: Look = SCREEN) -> None:
+    """Each crossing by itself over the mean of all, in a figure of small ones, whose places are given: a layout takes seconds."""
+    rows = -(-len(found.each) // ACROSS)
+    for number, (own, outcome) in enumerate(zip(found.each, outcomes, strict=False), start=1):
+        row, column = divmod(number - 1, ACROSS)
+        wide, tall = 0.93 / ACROSS, 0.88 / rows
+        axes = figure.add_axes((0.07 + wide * column, 0.89 - tall * (row + 0.92), 0.86 * wide, 0.66 * tall))
+        axes.plot(1e3 * found.time, found.mean, **look.line(LINES["mean", 0]))
+        axes.plot(1e3 * found.time, own, **look.line(LINES["each", 0]))
+        axes.axvline(0.0, **look.line(INSTANT))
+        axes.set_title(crossing_title(number, outcome), fontsize=7.0, pad=1.5, loc="center")
+        axes.tick_params(labelbottom=False, labelleft=column == 0, labelsize=7.0, length=2.0)
+        axes.set_ylim(0.0, found.high)
+        axes.yaxis.set_major_locator(MaxNLocator(FEW))
+    figure.text(0.02, 0.93, f"{found.label}, {1e3 * found.time[-1]:.0f} ms around each crossing; wide: the mean")
+
+
+def svg(figure: Figure) -> str:
+    """A figure that was drawn in the light palette, as part of a page, in whose colours it then is."""
+    stream = io.StringIO()
+    figure.savefig(stream, format="svg")
+    text = stream.getvalue()
+    for name, color in LIGHT.items():
+        text = text.replace(color, f"var(--{name})")
+    return text[text.index("<svg") :]

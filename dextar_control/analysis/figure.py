@@ -4,59 +4,68 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dextar_control.analysis.curves import panels
-from dextar_control.analysis.drawing import ACCENT, BLACK, GREY, VERDICT_MARKS, draw_panel, draw_plane
+from dextar_control.analysis.curves import Panel, around, panels
+from dextar_control.analysis.drawing import SCREEN, draw_around, draw_panel, draw_plane, mark
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import Run
+from dextar_control.contract import style
+from dextar_control.contract.style import LIGHT, MARKS
 
-SIZE = (13.0, 8.6)  # inches
-SCALE = 1.6  # of lines and marks
-VERDICT_HEIGHT = -0.92  # of the marks of the estimator's verdicts, on the axis of s
-MOST_REASONS = 3
-SETTINGS: Any = {"font.size": 9.0, "legend.fontsize": 8.0}
+WIDTH, PANEL = 12.0, 1.6  # inches: the figure's width, the height of a panel over time
+LEFT = 0.44  # share of the width for the path
+LINE = 0.2  # inches, of words
+MOST_REASONS, MOST_PLACES = 3, 6
 
 
+@matplotlib.rc_context(style.matplotlib_settings(LIGHT))
 def draw_run(run: Run, metrics: Metrics) -> Figure:
-    """The figure of one run: path to scale, torques, errors, criterion and s over time."""
-    shown = panels(run, metrics)
-    with matplotlib.rc_context(SETTINGS):
-        figure = Figure(figsize=SIZE, layout="constrained")
-        FigureCanvasAgg(figure)
-        grid = figure.add_gridspec(max(len(shown), 1), 2, width_ratios=(1.0, 1.25))
-        path = figure.add_subplot(grid[:, 0])
-        draw_plane(path, plane_of(run, metrics), SCALE)
-        path.set_title("(a) path to scale", loc="left", fontsize=9.0)
-        instants = [crossing.planned_time for crossing in metrics.crossings]
-        first: Any = None
-        for row, panel in enumerate(shown):
-            axes = figure.add_subplot(grid[row, 1], sharex=first)
-            first = first or axes
-            if panel.key == "s":
-                axes.axhline(0.0, color=GREY, linewidth=0.8)
-                _verdicts(axes, metrics)
-            draw_panel(axes, panel, instants, row == len(shown) - 1, SCALE)
-            if panel.key == "torque" and run.robot is not None and run.robot.max_torque < panel.high:
-                for limit in (-run.robot.max_torque, run.robot.max_torque):
-                    axes.axhline(limit, color=GREY, linewidth=0.8)
-            axes.set_ylabel(panel.label)
-        if first is not None:
-            first.set_xlim(0.0, metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until)
-            first.set_title("(b)", loc="left", fontsize=9.0)
-            axes.set_xlabel("time since the trajectory's start (s); dotted: planned crossings")
-        else:
-            empty = figure.add_subplot(grid[0, 1])
-            empty.set_axis_off()
-            empty.text(0.5, 0.5, "nothing to draw over time: no tracked trajectory in the bag", ha="center")
-        colour = ACCENT if metrics.success is False else BLACK
-        figure.suptitle(_title(metrics), fontsize=10, color=colour, parse_math=False)
+    """The figure of one run: path to scale, torques, errors, criterion and s over time; of many crossings each by itself."""
+    shown, many, plane = panels(run, metrics), around(run, metrics), plane_of(run, metrics)
+    wide, tall = np.maximum(plane.high - plane.low, 1e-3)
+    words = [] if many else _places(metrics)
+    left = min(LEFT * WIDTH * float(tall / wide), LEFT * WIDTH) + 1.3 + LINE * len(words)
+    over_time = PANEL * max(len(shown), 1)
+    lines = _title(metrics).count("\n") + 2
+    heights = [LINE * lines, left, over_time] if many else [LINE * lines, max(left, over_time)]
+    figure = Figure(figsize=(WIDTH, sum(heights)), layout="constrained")
+    FigureCanvasAgg(figure)
+    head, *parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    color = {True: "good", False: "bad", None: "ink"}[metrics.success]
+    head.text(0.012, 0.35, _title(metrics), fontsize=11.0, color=LIGHT[color], weight="bold", va="center", parse_math=False)
+    beside, right = parts[0].subfigures(1, 2, width_ratios=(LEFT, 1.0 - LEFT))
+    draw_plane(beside.subplots(), plane)
+    low = max(1.0 - left / heights[1], 0.0) + 0.01
+    beside.text(0.1, low, "\n".join(words), va="bottom", linespacing=1.5, parse_math=False)
+    outcomes = [crossing.outcome or crossing.verdict or "" for crossing in metrics.crossings]
+    for place, one in zip(right.subfigures(max(len(many), 1), 1, squeeze=False)[:, 0], many, strict=False):
+        draw_around(place, one, outcomes)
+    _over_time(parts[1] if many else right, shown, metrics)
     return figure
+
+
+def _over_time(figure: Any, shown: Sequence[Panel], metrics: Metrics) -> None:
+    if not shown:
+        figure.text(0.5, 0.5, "nothing to draw over time: no tracked trajectory in the bag", ha="center")
+        return
+    every = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
+    instants = [crossing.planned_time for crossing in metrics.crossings]
+    for axes, panel in zip(every, shown, strict=True):
+        if panel.key == "s":
+            axes.axhline(0.0, **SCREEN.line(style.Line("mid", (), 0.9)))
+            _verdicts(axes, metrics)
+        draw_panel(axes, panel, instants, panel is shown[-1])
+    every[0].set_xlim(0.0, metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until)
+    every[-1].set_xlabel(f"{style.label('time')}; dotted: planned crossings")
+    figure.align_ylabels()
 
 
 def _verdicts(axes: Any, metrics: Metrics) -> None:
@@ -64,14 +73,26 @@ def _verdicts(axes: Any, metrics: Metrics) -> None:
     for verdict in ("crossed", "bounced"):
         times = [crossing.verdict_time for crossing in metrics.crossings if crossing.verdict == verdict]
         if times:
-            axes.plot(times, [VERDICT_HEIGHT] * len(times), VERDICT_MARKS[verdict], color=BLACK, markerfacecolor="white",
-                      markersize=5, label=f"says {verdict}")  # fmt: skip
+            mark(axes, np.stack([times, np.zeros(len(times))], axis=1), MARKS[verdict], 4.0, SCREEN, f"says {verdict}")
+
+
+def _places(metrics: Metrics) -> list[str]:
+    """Where and when it crossed, in words."""
+    lines = []
+    for number, one in enumerate(metrics.crossings[:MOST_PLACES], start=1):
+        x = ", ".join(f"{1e3 * value:.1f}" for value in one.point)
+        when = f"at {one.true_time:.3f} s" if one.true_time is not None else f"planned at {one.planned_time:.3f} s"
+        says = one.verdict or "nothing recorded"
+        lines.append(f"crossing {number} at ({x}) mm {when}: {one.outcome or 'outcome unknown'}; estimator: {says}")
+    if len(metrics.crossings) > MOST_PLACES:
+        lines.append(f"and {len(metrics.crossings) - MOST_PLACES} more")
+    return lines
 
 
 def _title(metrics: Metrics) -> str:
-    law = f"{metrics.robot or 'robot unknown'}, law: {metrics.law or 'unknown'}, estimator: {metrics.estimator or 'unknown'}"
+    law = f"{metrics.robot or 'robot unknown'}, law {metrics.law or 'unknown'}, estimator {metrics.estimator or 'unknown'}"
     verdict = {True: "crossed as planned", False: "FAILED", None: "not decidable"}[metrics.success]
-    lines = [f"{law} - {verdict}", *metrics.reasons[:MOST_REASONS]]
+    lines = [f"{law}: {verdict}", *metrics.reasons[:MOST_REASONS]]
     if len(metrics.reasons) > MOST_REASONS:
         lines[-1] += f" (and {len(metrics.reasons) - MOST_REASONS} more)"
     return "\n".join(textwrap.shorten(line, 150) for line in lines)

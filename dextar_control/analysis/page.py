@@ -1,23 +1,25 @@
-"""One self-contained HTML page of a run: it opens offline, and its figures zoom."""
+"""One self-contained HTML page of a run: it opens offline, and its figures zoom.
+
+``templates/figures.js`` draws them: the code of a plotting library (Bokeh's is 1.3 MB) would be many times the rest of the page.
+"""
 
 from __future__ import annotations
 
 import json
 import math
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from typing import Any, NamedTuple
 
-import bokeh
 import numpy as np
-from bokeh.embed import components
-from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
 
 from dextar_control.analysis.clock import clock_in_words
 from dextar_control.analysis.crossings import CrossingMetrics, crossed_in_words
-from dextar_control.analysis.curves import checked_plan, observer_panels, panels
+from dextar_control.analysis.curves import around, checked_plan, observer_panels, panels
+from dextar_control.analysis.differences import nodes_of, shown_name
 from dextar_control.analysis.margins import LAGS, Innovation, Margin, Margins
 from dextar_control.analysis.metrics import Metrics, saturated
 from dextar_control.analysis.plane import plane_of
@@ -25,14 +27,23 @@ from dextar_control.analysis.run import RecordedTopic, Run
 from dextar_control.analysis.thin import POINTS
 from dextar_control.analysis.timing import Spread, lockstep, periods, round_trips, within
 from dextar_control.analysis.tracking import tracked
-from dextar_control.analysis.web_figures import histogram, in_plane, over_time, phase_band, residuals
+from dextar_control.analysis.web_figures import (
+    WebFigure,
+    histogram,
+    in_plane,
+    over_time,
+    phase_band,
+    residuals,
+)
+from dextar_control.analysis.web_figures import around as around_crossings
 from dextar_control.bags.damage import end_in_words, in_words, unreadable_lines
+from dextar_control.contract import style
 from dextar_control.contract.topics import TOPICS
 from dextar_control.contract.words import counted
 from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 
 NO_TRUTH = "needs truth"
-MOST_PLAN_LINES = 40
+MOST_PLAN_LINES = 40  # crossings in the plan's table
 TICK = 1.5e-3  # s
 LACKING = 0.5  # correlation of an innovation with the next one, from which on it is no noise
 WORDS = {True: ("good", "Success."), False: ("bad", "Failed."), None: ("", "Not decidable.")}
@@ -69,66 +80,62 @@ def signed(value: float, form: str) -> str:
 def render_report(run: Run, metrics: Metrics) -> str:
     """The page of one run."""
     plane = plane_of(run, metrics)
-    drawn: dict[str, Any] = {"plane": in_plane([plane])} if not plane.empty else {}
+    figures: dict[str, WebFigure] = {} if plane.empty else {"plane": in_plane([plane])}
     shown = panels(run, metrics)
     duration = metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until
     instants = [crossing.planned_time for crossing in metrics.crossings]
-    for index, axes in enumerate(over_time(shown, instants, duration)):
-        drawn[f"time{index}"] = axes
-    for index, axes in enumerate(_timing_figures(run)):
-        drawn[f"timing{index}"] = axes
-    if metrics.phases:
-        drawn["phases"] = phase_band(metrics.phases, metrics)
-    for index, panel in enumerate(observer_panels(run, metrics)):
-        (drawn[f"observed{index}"],) = over_time([panel], instants, duration)
+    many, outcomes = around(run, metrics), [crossing.outcome or crossing.verdict or "" for crossing in metrics.crossings]
+    for name, drawn in (
+        ("time", over_time(shown, instants, duration)),
+        ("timing", _timing_figures(run)),
+        ("phases", [phase_band(metrics.phases)] if metrics.phases else []),
+        ("observed", [over_time([panel], instants, duration)[0] for panel in observer_panels(run, metrics)]),
+        *((f"around{index}", around_crossings(one, outcomes)) for index, one in enumerate(many)),
+    ):
+        figures |= {f"{name}-{index}": one for index, one in enumerate(drawn)}
     if (found := metrics.margins.innovation) is not None:
-        drawn["white"] = residuals(
+        figures["observed-white"] = residuals(
             np.array(found.correlations), np.full(len(found.correlations), 0.5 * found.bound),
             np.ones(len(found.correlations), dtype=bool), "correlation of the innovation (1)", "samples between",
         )  # fmt: skip
-    script, places = components(drawn, wrap_script=False)
     plan = checked_plan(run)
     most = max((len(curve.time) for panel in shown for curve in panel.curves), default=0)
     return render(
-        "report.html", script,
+        "report.html", figures,
         title=f"{metrics.robot or 'run'}: {metrics.law or 'law unknown'}, {verdict(metrics)['word']}",
         heading=f"{metrics.robot or 'robot unknown'}: law {metrics.law or 'unknown'}, estimator {metrics.estimator or 'unknown'}",
         subheading=_subheading(run),
         verdict=verdict(metrics),
         tiles=_tiles(metrics),
-        figures={
-            "plane": places.get("plane", ""),
-            "time": [div for name, div in places.items() if name.startswith("time") and name[4:].isdigit()],
-            "timing": [div for name, div in places.items() if name.startswith("timing")],
-            "phases": places.get("phases", ""),
-        },
+        around=[{"label": one.label, "drawn": [key for key in figures if key.startswith(f"around{index}-")]}
+                for index, one in enumerate(many)],
+        around_width=f"{1e3 * many[0].time[-1]:.0f} ms" if many else "",
         thinned=f"Drawn are the extremes of {1e3 * 2 * duration / POINTS:.0f} ms bins and, about each crossing, every sample"
         " as far as there is room; the numbers below use every sample." if most > POINTS else "",
         notes=[f"{panel.label}: {panel.note}" for panel in shown if panel.note],
         margins=_margins(metrics.margins),
-        observed=[div for name, div in places.items() if name.startswith("observed") or name == "white"],
         crossings=_crossings(run, metrics),
         timing=_timing(metrics),
         recording=_recording(run),
-        plan=_shortened(plan.lines(), MOST_PLAN_LINES) if plan else [],
+        plan=_plan(run, plan),
         no_plan=next((reason for reason in metrics.reasons if "plan" in reason), "The bag holds no trajectory."),
-        certificate=_certificate(run, plan),
         versions=_versions(run),
-        nodes=_nodes(run),
+        nodes=nodes_of(run),
         changes=_changes(run),
         footer=f"Made by dextar analyze from {run.path.name}. Times are seconds since the trajectory's start unless said"
         " otherwise; all numbers stand in metrics.json beside this page.",
     )  # fmt: skip
 
 
-def render(template: str, script: str, **values: Any) -> str:
-    """A page, with Bokeh's code inside it where there is a script for it."""
+def render(template: str, figures: Mapping[str, WebFigure], **values: Any) -> str:
+    """A page with its figures, by their names; what is text in it has its symbols typeset by the filter ``symbols``."""
     environment = Environment(
         loader=PackageLoader("dextar_control.analysis"), autoescape=select_autoescape(), undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    code = "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw) if script else ""
-    page = environment.get_template(template).render(bokeh=code.replace("</script", "<\\/script"), script=script, **values)
+    environment.filters["symbols"] = lambda text: Markup(style.html(text))
+    numbers = Markup(json.dumps(figures, allow_nan=False, separators=(",", ":")).replace("</", "<\\/"))
+    page = environment.get_template(template).render(figures=list(figures), numbers=numbers, colors=Markup(style.css()), **values)
     return f"{page}\n"
 
 
@@ -223,16 +230,17 @@ def _passed(margin: Margin) -> bool:
 
 
 def _margin_in_words(margin: Margin) -> str:
+    value = number(margin.value, ".3g", "unknown")
     unit = f" {margin.unit}" if margin.unit not in ("", "1") else ""
-    text = f"{margin.value:.3g} of {margin.limit:.3g}{unit}"
+    text = f"{value} of {margin.limit:.3g}{unit}"
     if margin.name == "locus":
-        text = f"{margin.value:.3g}, at least {margin.limit:.3g}"
+        text = f"{value}, at least {margin.limit:.3g}"
     elif margin.name == "joint_range" and margin.value < 0.0:
         text = f"inside by {-margin.value:.3g}{unit}, {margin.limit:.3g}{unit} beyond is the limit"
     if margin.lasted > 0.0:
         text += f", passed for {1e3 * margin.lasted:.3g} of {1e3 * margin.allowed:.3g} ms"
     if math.isfinite(margin.time):
-        text += f"; at {margin.time:.3f} s, |s| = {abs(margin.s):.2f}"
+        text += f"; at {margin.time:.3f} s, |s| = {number(abs(margin.s), '.2f', 'unknown')}"
     return f"{text}; {margin.note}" if margin.note else text
 
 
@@ -279,7 +287,23 @@ def _crossings(run: Run, metrics: Metrics) -> dict[str, Any]:
     if not has_truth:
         notes.insert(0, "This bag holds no true motion: instant, outcome and the check of the verdict need it; errors and speed"
                      " are the estimator's.")  # fmt: skip
-    return {"columns": _crossing_columns(has_truth), "rows": rows, "notes": notes, "empty": _no_crossings(metrics)}
+    return {"columns": _crossing_columns(has_truth), "rows": rows, "notes": notes, "empty": _no_crossings(metrics),
+            "places": _crossed_places(metrics, has_truth)}  # fmt: skip
+
+
+def _crossed_places(metrics: Metrics, has_truth: bool) -> tuple[list[Column], list[list[Cell]]] | None:
+    """Where and when, for beside the path."""
+    if not metrics.crossings:
+        return None
+    columns = [Column("crossing"), Column("place", "mm"), Column("crossed at", "s"), Column("outcome"),
+               Column("estimator")]  # fmt: skip
+    missing = "-" if has_truth else NO_TRUTH
+    return columns, [
+        [Cell(str(index)), Cell(", ".join(f"{1e3 * value:.1f}" for value in one.point)),
+         Cell(number(one.true_time, ".3f", missing)), Cell(one.outcome or missing, one.outcome in ("bounced", "not reached")),
+         Cell(one.verdict or "not recorded", one.verdict_correct is False)]
+        for index, one in enumerate(metrics.crossings, start=1)
+    ]  # fmt: skip
 
 
 def _no_crossings(metrics: Metrics) -> str:
@@ -420,7 +444,7 @@ def _short(time: str) -> str:
 
 def _subheading(run: Run) -> str:
     parts = [run.record["name"]] if run.record.get("name") else []
-    parts += [f"{run.path.absolute().parent.name}/{run.path.name}", _short(run.record.get("started", ""))]
+    parts += [shown_name(run), _short(run.record.get("started", ""))]
     simulated = run.truth is not None
     parts.append("simulation: the true motion is in the bag" if simulated else "no true motion in the bag, as from a rig")
     parts += [run.record[key] for key in ("notes", "tags") if run.record.get(key)]
@@ -431,7 +455,7 @@ def _versions(run: Run) -> list[tuple[str, str]]:
     recorded = {"dextar": run.version} | _parsed(run.record.get("versions", ""), dict)
     known = [(f"recorded with {name}", str(text)) for name, text in recorded.items() if text] or [("recorded with", "unknown")]
     known += [(key, text) for key, text in sorted(run.record.items()) if key not in PRINTED and 0 < len(text) < 200]
-    known += [("analysed with numpy", np.__version__), ("drawn with bokeh", bokeh.__version__)]
+    known += [("analysed with numpy", np.__version__)]
     return [*known, ("analysed with python", platform.python_version())]
 
 
@@ -461,55 +485,60 @@ def _changes(run: Run) -> list[str]:
     return lines
 
 
-def _certificate(run: Run, plan: Certificate | None) -> list[str]:
-    """What the recorded certificate says, and how far the plan computed anew is from it."""
+def _plan(run: Run, plan: Certificate | None) -> dict[str, Any]:
+    """Extremes and crossings of the plan as computed anew, beside what was recorded of it and the robot's limits."""
     recorded = _parsed(run.record.get("certificate", ""), dict)
-    if not recorded:
-        return []
-    listed = recorded.get("crossings")
-    crossings = [one for one in listed if isinstance(one, dict)] if isinstance(listed, list) else []
-    lines = [
-        f"{words} {number(recorded[name], '.6g')}{unit}"
-        for name, words, unit in (
-            ("duration", "duration", " s"), ("peak_torque", "peak torque", " N m"),
-            ("peak_torque_near", f"peak torque within |s| < {NEAR_LOCUS}", " N m"),
-            ("peak_joint_speed", "peak joint speed", " rad/s"),
-            ("peak_platform_speed", "peak platform speed", " m/s"), ("least_type1", "least distance to Type 1", ""),
-        )
-        if isinstance(recorded.get(name), (int, float))
-    ]  # fmt: skip
-    lines.append(f"{counted(len(crossings), 'crossing')} listed")
+    listed = [one for one in _listed(recorded.get("crossings")) if isinstance(one, dict)]
+    rows = []
+    names = "max_torque", "max_joint_speed", "max_platform_speed", "min_type1_distance"
+    torque, speed, platform, type1 = (getattr(run.robot, name, None) for name in names)
+    for name, words, unit, limit in (
+        ("duration", "duration", "s", ""),
+        ("peak_torque", "peak torque", "N m", number(torque, "g", "")),
+        ("peak_torque_near", f"peak torque within |s| < {NEAR_LOCUS}", "N m", ""),
+        ("peak_joint_speed", "peak joint speed", "rad/s", number(speed, "g", "")),
+        ("peak_platform_speed", "peak platform speed", "m/s", number(platform, "g", "")),
+        ("least_type1", "least distance to Type 1", "1", "" if type1 is None else f"at least {type1:g}"),
+    ):
+        kept = recorded.get(name)
+        texts = number(getattr(plan, name, None), ".4g"), number(kept if isinstance(kept, (int, float)) else None, ".4g")
+        rows.append([Cell(words), *map(Cell, texts), Cell(limit), Cell(unit)])
+    columns = [Column("", text=True), Column("computed anew"), Column("recorded"), Column("limit"), Column("unit", text=True)]
+    text = ""
     if plan is not None and isinstance(recorded.get("peak_torque"), (int, float)):
-        torque = abs(plan.peak_torque - recorded["peak_torque"])
-        instants = [abs(one["time"] - time) for one, time in zip(crossings, plan.crossing_times, strict=False)
-                    if isinstance(one.get("time"), (int, float))]  # fmt: skip
-        lines.append(
-            f"the plan computed anew differs by {torque:.2g} N m in peak torque"
-            + (f" and by at most {max(instants):.2g} s in the instants of the crossings" if instants else "")
+        torque_gap = abs(plan.peak_torque - recorded["peak_torque"])
+        gaps = [abs(one["time"] - time) for one, time in zip(listed, plan.crossing_times, strict=False)
+                if isinstance(one.get("time"), (int, float))]  # fmt: skip
+        text = (
+            f"Certificate recorded with the run: {counted(len(listed), 'crossing')} listed; the plan computed anew differs by"
+            f" {torque_gap:.2g} N m in peak torque"
+            + (f" and by at most {max(gaps):.2g} s in the instants of the crossings." if gaps else ".")
         )
-    return lines
+    return {
+        "table": (columns, rows) if plan is not None or recorded else None,
+        "crossings": _planned_crossings(plan), "note": text,
+        "more": max(len(plan.crossings) - MOST_PLAN_LINES, 0) if plan else 0,
+    }  # fmt: skip
 
 
-def _nodes(run: Run) -> list[dict[str, Any]]:
-    """The robot once, then each node's own parameters; its robot too where it is another."""
-    robots = {
-        node: {key: value for key, value in values.items() if key.startswith("robot.")}
-        for node, values in run.parameters.items()
-    }
-    robot = next((values for values in (robots.get("controller"), *robots.values()) if values), {})
-    described = _texts((key.removeprefix("robot."), value) for key, value in robot.items())
-    nodes = [{"name": "robot", "entries": described}] if robot else []
-    for node in sorted(run.parameters):
-        same = robots[node] == robot
-        own = run.parameters[node].items()
-        values = ((key, value) for key, value in own if not (same and key.startswith("robot.")))
-        nodes.append({"name": node, "entries": _texts(values)})
-    return nodes
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
 
 
-def _texts(pairs: Any) -> list[tuple[str, str]]:
-    return [(key, value if isinstance(value, str) else json.dumps(value)) for key, value in sorted(pairs)]
+def _planned_crossings(plan: Certificate | None) -> tuple[list[Column], list[list[Cell]]] | None:
+    if plan is None or not plan.crossings:
+        return None
+    columns = [Column("no."), Column("at", "s"), Column("locus", text=True), Column("to s"), Column("place", "mm"),
+               Column("along t_s", "m/s"), Column(f"|s| < {NEAR_LOCUS}", "ms"), Column("|t_s·w_d|", "N"),
+               Column("multiplier", "N/m"), Column("torque", plan.joint.effort_unit)]  # fmt: skip
 
+    def several(values: Sequence[float], form: str) -> Cell:
+        return Cell(", ".join(format(value, form) for value in values))
 
-def _shortened(lines: Sequence[str], most: int) -> list[str]:
-    return [*lines[:most], f"... and {len(lines) - most} more"] if len(lines) > most else list(lines)
+    rows = [
+        [Cell(str(index)), Cell(f"{one.time:.4f}"), Cell(one.family), Cell("> 0" if one.sign > 0 else "< 0"),
+         several([1e3 * value for value in one.x], ".2f"), Cell(f"{one.speed:.3f}"), Cell(f"{1e3 * one.near_time:.0f}"),
+         Cell(f"{one.residual:.1e}"), several(one.multipliers, ".3f"), several(one.torque, ".4f")]
+        for index, one in enumerate(plan.crossings[:MOST_PLAN_LINES], start=1)
+    ]  # fmt: skip
+    return columns, rows

@@ -12,11 +12,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from dextar_control.analysis.curves import panels
-from dextar_control.analysis.drawing import draw_panel, draw_plane
+from dextar_control.analysis.curves import Panel, panels
+from dextar_control.analysis.drawing import PAPER, draw_panel, draw_plane
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import Run
+from dextar_control.contract import style
 from dextar_control.contract.errors import BagError
 
 FORMATS = ("png", "svg", "pdf")
@@ -26,21 +27,20 @@ INCH = 25.4  # mm
 PANEL = 27.0  # mm, height of a panel over time
 LEGEND = 22.0  # mm, under the path
 RESOLUTION = 600  # dots per inch, of the PNG
-SETTINGS: Any = {
-    "font.family": "DejaVu Sans", "font.size": 7.0, "axes.labelsize": 7.0, "legend.fontsize": 6.0, "xtick.labelsize": 6.5,
-    "ytick.labelsize": 6.5, "axes.linewidth": 0.6, "xtick.major.width": 0.6, "ytick.major.width": 0.6,
+SETTINGS: Any = style.matplotlib_settings(style.LIGHT, 7.0) | {
+    "legend.fontsize": 6.0, "xtick.labelsize": 6.5, "ytick.labelsize": 6.5, "axes.linewidth": 0.6, "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
     "pdf.fonttype": 42,  # TrueType, embedded: publishers refuse Type 3
     "svg.fonttype": "path",  # outlines: the same everywhere
     "svg.hashsalt": "dextar",
 }  # fmt: skip
-SHORT = {"seen by the controller": "seen", "τ1 commanded": r"$\tau_1$", "τ2 commanded": r"$\tau_2$",
-         "τ1 planned": r"$\tau_1$ planned", "τ2 planned": r"$\tau_2$ planned"}  # fmt: skip
-LABELS = {"torque": "torque (N m)", "error": "error (mm)", "residual": r"$t_s \cdot w_d$ (N)"}
+SHORT = {"seen by the controller": "seen", "τ1 commanded": "τ1", "τ2 commanded": "τ2"}
+KEYS = {"torque", "error", "residual"}
 
 
 def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
     """The paper's Figure 4 of a run, ``width`` mm wide; without a tracked trajectory the path alone."""
-    shown = [panel for panel in panels(run, metrics) if panel.key in LABELS]
+    shown = [_shortened(panel) for panel in panels(run, metrics) if panel.key in KEYS]
     plane = plane_of(run, metrics)
     span = np.maximum(plane.high - plane.low, 1e-3)
     beside = width >= WIDE and bool(shown)
@@ -57,7 +57,7 @@ def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
             grid = figure.add_gridspec(1 + len(shown), 1, height_ratios=[path, *[PANEL] * len(shown)])
             places = [grid[row, 0] for row in range(1 + len(shown))]
         axes = figure.add_subplot(places[0])
-        draw_plane(axes, plane)
+        draw_plane(axes, plane, PAPER)
         axes.xaxis.set_major_locator(MaxNLocator(5))
         axes.set_title("(a)", loc="left", fontsize=7.0, pad=2.0)
         instants = [crossing.planned_time for crossing in metrics.crossings]
@@ -65,14 +65,19 @@ def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
         for place, panel in zip(places[1:], shown, strict=True):
             axes = figure.add_subplot(place, sharex=first)
             first = first or axes
-            draw_panel(axes, panel, instants, panel is shown[-1], names=SHORT)
-            axes.set_ylabel(LABELS[panel.key])
+            draw_panel(axes, panel, instants, panel is shown[-1], PAPER)
         if first is not None:
             axes.set_xlabel("time (s)")
             first.set_xlim(0.0, metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until)
             first.set_title("(b)", loc="left", fontsize=7.0, pad=2.0)
             figure.align_ylabels()
     return figure
+
+
+def _shortened(panel: Panel) -> Panel:
+    """With the names of its curves as a column has room for them."""
+    return panel._replace(label=panel.label.removeprefix("tracking "),
+                          curves=[curve._replace(name=SHORT.get(curve.name, curve.name)) for curve in panel.curves])  # fmt: skip
 
 
 def write_paper(run: Run, metrics: Metrics, folder: Path, formats: list[str], width: float = COLUMN) -> list[Path]:

@@ -1,82 +1,97 @@
-"""A plan before it runs: its path across the locus, and what it asks of the motors over time."""
+"""A plan before it runs: its path across the locus, and what it asks of the motors over time; of any mechanism."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from dextar_control.analysis.curves import Curve, Panel
+from dextar_control.analysis.drawing import SCREEN, draw_line, draw_locus, draw_panel, draw_places, finish_plane, mark
+from dextar_control.analysis.plane import T_S_LENGTH, Place, corners, locus_of
+from dextar_control.analysis.run import Floats
+from dextar_control.analysis.words import counted
+from dextar_control.contract import style
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.contract.style import LIGHT, LINES, Line
+from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.certificate import Certificate, Plan
-from dextar_control.planning.locus import Family, trace_locus
 from dextar_control.planning.model import states_model
 
-BLACK, GREY, LIGHT = "#000000", "#6b6b6b", "#b8b8b8"
-LOCUS_STYLES = {Family.STRETCHED: ("dashed", "locus, stretched"), Family.FOLDED: ("dotted", "locus, folded")}
-ARROW = 9e-3  # m, of a crossing's direction and of t_s
-LABEL_GAP = 7e-3  # m, of a crossing's numbers from its point
+SIZE = (12.0, 6.4)  # inches
+ARROW = 14e-3  # m, of a crossing's direction
 SAME_PLACE = 1e-4  # m, crossings closer than this share a label
-MARGIN = 0.03  # m around the path
-MOST_LABELS = 12  # numbers of crossings in one label, the rest counted
-HEADROOM = 1.2  # of the torque axis over the peak
+HEADROOM = 1.15  # of the torque axis over the peak
+GRID = 90  # points along each axis where a locus has no closed form
 
 
-def draw_plan(robot: RobotParameters, plan: Plan) -> Figure:
+@matplotlib.rc_context(style.matplotlib_settings(LIGHT))
+def draw_plan(robot: AnyRobot, plan: Plan) -> Figure:
     """The figure of a plan: path to scale on the locus of its working mode, torques and s over time."""
-    figure = Figure(figsize=(12.0, 7.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
-    path = figure.add_subplot(grid[:, 0])
-    torque = figure.add_subplot(grid[0, 1])
-    measure = figure.add_subplot(grid[1, 1], sharex=torque)
-    _path(path, robot, plan.certificate)
-    _over_time(torque, measure, robot, plan.certificate)
     certificate = plan.certificate
-    figure.suptitle(
-        f"{robot.name}, working mode {list(robot.working_mode)}: {len(certificate.crossings)} crossings in"
-        f" {certificate.duration:.2f} s, peak torque {certificate.peak_torque:.3f} N m (limit {robot.max_torque:g})",
-        fontsize=10, parse_math=False,
+    figure = Figure(figsize=SIZE, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 2, width_ratios=(0.85, 1.0))
+    _path(figure.add_subplot(grid[:, 0]), robot, certificate)
+    first = figure.add_subplot(grid[0, 1])
+    panels, times = _panels(robot, certificate), certificate.crossing_times.tolist()
+    for axes, panel in zip((first, figure.add_subplot(grid[1, 1], sharex=first)), panels, strict=True):
+        draw_panel(axes, panel, times, panel is panels[-1])
+    axes.axhline(0.0, **SCREEN.line(Line("mid", (), 0.9)))
+    axes.set_xlim(0.0, certificate.duration)
+    axes.set_xlabel(f"{style.label('time')}; dotted: crossings")
+    name = robot.name if isinstance(robot, RobotParameters) else robot.mechanism.name
+    mode = ", ".join(f"{side:+d}" for side in robot.working_mode)
+    title = (
+        f"{name}: {counted(len(certificate.crossings), 'crossing')} in {certificate.duration:.2f} s, peak torque"
+        f" {certificate.peak_torque:.3f} of {robot.max_torque:g} {certificate.joint.effort_unit}"
     )
+    figure.suptitle(f"{title}; working mode {mode}" if mode else title, x=0.01, ha="left", weight="bold", parse_math=False)
     return figure
 
 
-def _path(axes: Any, robot: RobotParameters, certificate: Certificate) -> None:
-    labelled = set()
-    for arc in trace_locus(robot, (robot.working_mode,), robot.min_type1_distance):
-        style, name = LOCUS_STYLES[arc.family]
-        axes.plot(*arc.x.T, color=GREY, linestyle=style, linewidth=1.5, label=name if name not in labelled else None)
-        labelled.add(name)
-    x = certificate.profile.x
-    axes.plot(*x.T, color=BLACK, linewidth=1.0, label="path", zorder=2)
-    axes.plot(*x[0], "o", color=BLACK, markersize=8, zorder=5, label="start")
-    axes.plot(*x[-1], "o", color=BLACK, markerfacecolor="none", markersize=13, zorder=5, label="end")
+def _path(axes: Any, robot: AnyRobot, certificate: Certificate) -> None:
+    model, x, crossings = states_model(robot), certificate.profile.x, certificate.crossings
+    locus = locus_of(robot) if isinstance(robot, RobotParameters) else []
+    draw_locus(axes, locus, SCREEN)
+    at = np.array(crossings[0].x) if crossings else x[0]
+    links = np.asarray(model.mechanism.linkage(model.place(at).q_a, at, model.numbers))
+    draw_line(axes, links, LINES["linkage", 0], "robot at the first crossing" if crossings else "robot", SCREEN, zorder=2)
+    if len(links):
+        mark(axes, links, "o", 2.6, SCREEN, zorder=2)
+    draw_line(axes, x[:, :2], Line("ink", (), 1.4), "path", SCREEN, zorder=3)
+    places = []
     for numbers, row in _places(certificate):
-        crossing = certificate.crossings[row]
-        point, velocity = np.array(crossing.x), np.array(crossing.x_dot)
-        t_s = states_model(robot).place(point).t_s
-        along, across = velocity / np.hypot(*velocity), np.array([-velocity[1], velocity[0]]) / np.hypot(*velocity)
-        axes.plot(*np.stack([point - 0.6 * ARROW * t_s, point + 0.6 * ARROW * t_s]).T, color=LIGHT, linewidth=4.0, zorder=3)
-        axes.annotate(
-            "", point + ARROW * along, point, arrowprops={"arrowstyle": "-|>", "color": BLACK, "linewidth": 1.2}, zorder=6
-        )
-        axes.plot(*point, "s", color=BLACK, markerfacecolor="white", markersize=5, zorder=4)
-        axes.text(
-            *(point + LABEL_GAP * across), _numbers(numbers), fontsize=8, ha="center", va="center", zorder=7,
-            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
-        )  # fmt: skip
-    axes.plot([], [], color=LIGHT, linewidth=4.0, label="$t_s$ at a crossing")
-    motors = np.array([leg.axis for leg in robot.legs])
-    axes.plot(*motors.T, "k^", markersize=9, zorder=4, label="motor axes")
-    everything = np.vstack([x, motors])
-    axes.set_xlim(everything[:, 0].min() - MARGIN, everything[:, 0].max() + MARGIN)
-    axes.set_ylim(everything[:, 1].min() - MARGIN, everything[:, 1].max() + MARGIN)
-    axes.set_aspect("equal")
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
-    axes.set_title("(a) path; arrows: direction of the numbered crossings", fontsize=9)
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), fontsize=8, ncols=4, frameon=False)
+        point, velocity = np.array(crossings[row].x), np.array(crossings[row].x_dot)[:2]
+        t_s = T_S_LENGTH * model.place(point).t_s[:2]
+        places.append(Place(numbers, point[:2], np.stack([point[:2] - t_s, point[:2] + t_s]), ""))
+        if speed := float(np.hypot(*velocity)):
+            axes.annotate("", point[:2] + ARROW * velocity / speed, point[:2], zorder=6,
+                          arrowprops={"arrowstyle": "-|>", "color": LIGHT["ink"], "linewidth": 1.2})  # fmt: skip
+    ends = [("start", x[0, :2])] if np.hypot(*(x[-1, :2] - x[0, :2])) < SAME_PLACE else [("start", x[0, :2]), ("end", x[-1, :2])]
+    draw_places(axes, places, ends, SCREEN)
+    low, high = corners([x[:, :2], links, *(arc for _, arc in locus)], [])
+    if not isinstance(robot, RobotParameters):
+        _contour(axes, model, at, low, high)
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    finish_plane(axes)
+
+
+def _contour(axes: Any, model: Any, at: Floats, low: Floats, high: Floats) -> None:
+    """The locus in the plane through a place (n,), its other coordinates being that place's."""
+    across, up = np.linspace(low[0], high[0], GRID), np.linspace(low[1], high[1], GRID)
+    places = np.tile(at, (GRID * GRID, 1))
+    places[:, :2] = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
+    s = model.sides(places).s[:, 0].reshape(GRID, GRID)
+    if np.isfinite(s).any() and np.nanmin(s) < 0.0 < np.nanmax(s):
+        line = SCREEN.line(LINES["stretched", 0])
+        axes.contour(across, up, np.ma.masked_invalid(s), levels=[0.0], colors=[line["color"]], linestyles=[line["linestyle"]],
+                     linewidths=[line["linewidth"]])  # fmt: skip
+        axes.plot([], [], label="Type 2 locus as the platform is turned there" if len(at) > 2 else "Type 2 locus", **line)
 
 
 def _places(certificate: Certificate) -> list[tuple[list[int], int]]:
@@ -85,7 +100,7 @@ def _places(certificate: Certificate) -> list[tuple[list[int], int]]:
     for row, crossing in enumerate(certificate.crossings):
         for numbers, first in places:
             other = certificate.crossings[first]
-            if crossing.sign == other.sign and np.hypot(*np.subtract(crossing.x, other.x)) < SAME_PLACE:
+            if crossing.sign == other.sign and np.linalg.norm(np.subtract(crossing.x, other.x)) < SAME_PLACE:
                 numbers.append(row + 1)
                 break
         else:
@@ -93,31 +108,12 @@ def _places(certificate: Certificate) -> list[tuple[list[int], int]]:
     return places
 
 
-def _numbers(numbers: list[int]) -> str:
-    shown = ", ".join(str(number) for number in numbers[:MOST_LABELS])
-    return shown if len(numbers) <= MOST_LABELS else f"{shown} and {len(numbers) - MOST_LABELS} more"
-
-
-def _over_time(torque: Any, measure: Any, robot: RobotParameters, certificate: Certificate) -> None:
-    profile = certificate.profile
-    for index, (name, style) in enumerate((("left", "-"), ("right", "--"))):
-        torque.plot(profile.time, profile.torque[:, index], BLACK, linestyle=style, linewidth=1.0, label=f"{name} motor")
-    ceiling = HEADROOM * certificate.peak_torque
-    if robot.max_torque < ceiling:
-        for limit in (-robot.max_torque, robot.max_torque):
-            torque.axhline(limit, color=GREY, linewidth=0.8)
-    torque.set_ylim(-ceiling, 1.3 * ceiling)
-    torque.set_ylabel("planned torque (N m)")
-    torque.set_title("(b) over time; dotted: crossings", fontsize=9)
-    torque.legend(loc="upper right", fontsize=8, ncols=2)
-    torque.tick_params(labelbottom=False)
-    measure.plot(profile.time, profile.s, BLACK, linewidth=1.0)
-    measure.axhline(0.0, color=GREY, linewidth=0.6)
-    measure.set_ylim(-1.05, 1.05)
-    measure.set_ylabel("s (1)")
-    measure.set_xlabel("time (s)")
-    measure.set_xlim(0.0, certificate.duration)
-    for axes in (torque, measure):
-        axes.grid(color="#e6e6e6", linewidth=0.5)
-        for crossing in certificate.crossings:
-            axes.axvline(crossing.time, color=GREY, linewidth=0.8, linestyle=(0, (1, 2)))
+def _panels(robot: AnyRobot, certificate: Certificate) -> list[Panel]:
+    profile, ceiling = certificate.profile, HEADROOM * certificate.peak_torque
+    tall = max(1.05, 1.05 * float(np.nanmax(np.abs(profile.s))))
+    torques = [Curve(f"τ{part + 1}, {side}", profile.time, profile.torque[:, part], "commanded", part)
+               for part, side in enumerate(robot.sides)]  # fmt: skip
+    return [
+        Panel("torque", f"planned torque ({certificate.joint.effort_unit})", torques, -ceiling, ceiling, limit=robot.max_torque),
+        Panel("s", style.label("s"), [Curve("s", profile.time, profile.s, "seen")], -tall, tall),
+    ]

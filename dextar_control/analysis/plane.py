@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,9 @@ from dextar_control.planning.locus import trace_locus
 from dextar_control.planning.model import states_model
 
 T_S_LENGTH = 6.0e-3  # m, half of what is drawn of t_s
-MARGIN = 0.02  # m around everything
+MARGIN = 0.012  # m around everything
+NEAR_BY = 0.25  # of the size of what is worth seeing, within which an arc of the locus is shown whole
+MOST_NUMBERS = 4  # of crossings at one place, the rest as dots
 SAME_PLACE = 1e-3  # m, crossings nearer than this share their marks
 WORST_FIRST = ("bounced", "undecided", "", "crossed")  # verdicts
 
@@ -37,6 +40,8 @@ class Plane(NamedTuple):
         places: of the crossings.
         linkage: (5, 2) motor, elbow, end effector, elbow, motor at the first crossing, or at the path's start; empty without
             a robot.
+        motors: (k, 2) their axes.
+        ends: A and B of a trip as in the paper, or the start of a tour, each with its place (2,).
         low, high: (2,) corners of what is worth seeing.
     """
 
@@ -46,6 +51,8 @@ class Plane(NamedTuple):
     estimated: Floats
     places: list[Place]
     linkage: Floats
+    motors: Floats
+    ends: list[tuple[str, Floats]]
     low: Floats
     high: Floats
 
@@ -68,11 +75,30 @@ def plane_of(run: Run, metrics: Metrics) -> Plane:
     linkage = none
     if run.robot is not None and (places or len(planned)):
         linkage = linkage_at(run.robot, places[0].x if places else planned[0])
-    seen = [planned if len(planned) else estimated, linkage]
-    everything = np.concatenate([part for part in seen if len(part)] or [np.zeros((1, 2))])
-    everything = everything[np.isfinite(everything).all(axis=1)]
-    low, high = everything.min(axis=0) - MARGIN, everything.max(axis=0) + MARGIN
-    return Plane(locus_of(run.robot), planned, true, estimated, places, linkage, low, high)
+    locus = locus_of(run.robot)
+    low, high = corners([planned if len(planned) else estimated, linkage], [arc for _, arc in locus])
+    motors = np.array([leg.axis for leg in run.robot.legs]) if run.robot is not None else none
+    return Plane(locus, planned, true, estimated, places, linkage, motors, ends_of(planned, len(places)), low, high)
+
+
+def corners(seen: Sequence[Floats], arcs: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """(2,) lower left and upper right of what is worth seeing, (n, 2) each, and of the arcs of the locus near by."""
+    known = [part[np.isfinite(part).all(axis=1)] for part in seen]
+    everything = np.concatenate([part for part in known if len(part)] or [np.zeros((1, 2))])
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    rest = NEAR_BY * float((high - low).max())
+    near = [arc for arc in arcs if (arc >= low - rest).all() and (arc <= high + rest).all()]
+    everything = np.concatenate([everything, *near])
+    return everything.min(axis=0) - MARGIN, everything.max(axis=0) + MARGIN
+
+
+def ends_of(path: Floats, places: int) -> list[tuple[str, Floats]]:
+    """A and B of a trip as in the paper, the start of a tour through several places."""
+    if not len(path):
+        return []
+    if places > 1:
+        return [("start", path[0])]
+    return [("A", path[0]), ("B", path[np.hypot(*(path - path[0]).T).argmax()])]
 
 
 def locus_of(robot: RobotParameters | None) -> list[tuple[str, Floats]]:
@@ -118,3 +144,13 @@ def _places(robot: RobotParameters | None, metrics: Metrics) -> list[Place]:
                 ends = np.stack([x - along, x + along])
             places.append(Place([number], x, ends, verdict))
     return places
+
+
+def numbers_in_words(numbers: Sequence[int]) -> str:
+    """Of crossings at one place."""
+    return ", ".join(map(str, numbers[:MOST_NUMBERS])) + (" …" if len(numbers) > MOST_NUMBERS else "")
+
+
+def crossing_title(number: int, outcome: str) -> str:
+    """A crossing's number, and what became of it where it was not crossed."""
+    return str(number) if outcome == "crossed" else f"{number} {outcome}"

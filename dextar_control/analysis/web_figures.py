@@ -1,91 +1,38 @@
-"""Figures for a page that zoom: what ``curves`` and ``plane`` say, drawn by Bokeh.
-
-Read in grey as in colour: line styles and widths differ, and the shades differ in lightness.
-"""
+"""Figures for a page that zoom: what ``curves`` and ``plane`` say, as numbers for ``templates/figures.js``, which draws them."""
 
 from __future__ import annotations
 
+import base64
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from bokeh.core.properties import value
-from bokeh.models import (
-    BoxZoomTool,
-    ColumnDataSource,
-    CrosshairTool,
-    DataRange1d,
-    FactorRange,
-    FixedTicker,
-    HoverTool,
-    PanTool,
-    Range1d,
-    ResetTool,
-    SaveTool,
-    WheelZoomTool,
-)
-from bokeh.models.annotations import Span
-from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from dextar_control.analysis.curves import Curve, Panel
-from dextar_control.analysis.metrics import Metrics
-from dextar_control.analysis.plane import Plane
+from dextar_control.analysis.curves import Around, Panel
+from dextar_control.analysis.plane import Plane, crossing_title, numbers_in_words
 from dextar_control.analysis.run import Floats
 from dextar_control.analysis.thin import thin, thin_path
 from dextar_control.analysis.timing import PhaseSpan
+from dextar_control.contract import style
+from dextar_control.contract.style import LINES, MARKS, RUNS, Line
 
-BLACK, GREY, LIGHT, ACCENT, BLUE = "#111111", "#767676", "#c4c4c4", "#b3260f", "#2f6fb5"
-BAND = "#e8bfb7"  # what was planned lies as a wide light band under what was measured
-FONT = "system-ui, -apple-system, 'Segoe UI', Helvetica, Arial, sans-serif"
-HEIGHT = 200  # px, of a panel over time
-LAST = 40  # px more for the one with the axis
-PLANE_WIDTH, PLANE_REST = 450, 170  # px, of the frame in the plane, and beside its height for axis and legend
-VERDICT_MARKS = {"crossed": ("circle", 10), "bounced": ("x", 13), "undecided": ("square", 10), "": ("diamond", 12)}
-DASHES = {"solid": "", "dashed": "6", "dotted": "2 4", "dotdash": "2 4 6 4"}  # as Bokeh draws them
+WebFigure = dict[str, Any]
+HEIGHT, SMALL = 132, 52  # px, of the frame of a panel over time, and of one of many
+TALLEST_PLANE = 560  # px
 BINS = 80  # of a histogram
-
-
-class Style(NamedTuple):
-    """How a line is drawn."""
-
-    color: str
-    dash: str
-    width: float
-
-
-STYLES = {
-    ("commanded", 0): Style(BLACK, "solid", 1.8),
-    ("commanded", 1): Style(BLACK, "dashed", 1.8),
-    ("planned", 0): Style(BAND, "solid", 5.0),
-    ("planned", 1): Style(BAND, "dashed", 5.0),
-    ("true", 0): Style(BLACK, "solid", 1.8),
-    ("estimated", 0): Style(BLUE, "dashed", 1.4),
-    ("seen", 0): Style(BLACK, "solid", 1.6),
-    ("confidence", 0): Style(GREY, "dotdash", 1.4),
-}
-RUN_STYLES = (
-    Style(BLACK, "solid", 1.8), Style(ACCENT, "dashed", 1.6), Style(BLUE, "dotdash", 1.6), Style(GREY, "dotted", 2.0),
-    Style("#1b7f5c", "solid", 1.0), Style("#7a4fa3", "dashed", 1.0),
-)  # fmt: skip
+MARK, SQUARE = Line("ink", (), 1.4), 3.5  # of a crossing; px
+INSTANT, ZERO = Line("mid", style.DOTTED, 1.0), Line("mid", (), 1.0)
+PHASE_LINES = {"TRACK": "mid", "CROSSING": "ink", "SAFE_STOP": "bad", "FAULT": "bad"}
 
 
 def run_tag(index: int) -> str:
-    """What all curves of one of several runs carry, so that the page's key can show and hide them together."""
+    """What all curves of one of several runs carry, so that one key shows and hides them together."""
     return f"run {index}"
 
 
-def run_keys(names: Sequence[str]) -> list[dict[str, Any]]:
-    """One key of several runs for all their figures: name, tag of the curves, and how they are drawn."""
-    styles = [RUN_STYLES[index % len(RUN_STYLES)] for index in range(len(names))]
-    return [
-        {"name": name, "tag": run_tag(index), "color": style.color, "dash": DASHES[style.dash], "width": style.width}
-        for index, (name, style) in enumerate(zip(names, styles, strict=True))
-    ]
-
-
-def over_time(panels: Sequence[Panel], instants: Sequence[float], duration: float, names: Sequence[str] = ()) -> list[Any]:
+def over_time(panels: Sequence[Panel], instants: Sequence[float], duration: float, names: Sequence[str] = ()) -> list[WebFigure]:
     """One figure for each panel, with a common time axis and cross-hair.
 
     Args:
@@ -94,202 +41,142 @@ def over_time(panels: Sequence[Panel], instants: Sequence[float], duration: floa
         duration: of the time axis, s.
         names: of the runs, where there are several.
     """
-    common: Any = Range1d(start=0.0, end=max(duration, 1e-3))
-    hair = Span(dimension="height", line_color=GREY, line_width=1)
     drawn = []
     for index, panel in enumerate(panels):
-        last = index == len(panels) - 1
-        axes = _axes(panel.label, HEIGHT + LAST * last, common)
-        if math.isfinite(panel.high):
-            axes.y_range = Range1d(start=panel.low, end=panel.high)
-        for instant in instants:
-            axes.add_layout(Span(location=instant, dimension="height", line_color=GREY, line_dash="dotted", line_width=1))
+        series = []
         for curve in panel.curves:
-            style = RUN_STYLES[int(curve.kind) % len(RUN_STYLES)] if names else STYLES[curve.kind, curve.part]
-            _line(axes, curve, style, instants, legend=not names)
-        axes.xaxis.visible = last
-        if last:
-            axes.xaxis.axis_label = "time since the trajectory's start (s)"
-        axes.add_tools(CrosshairTool(overlay=hair), HoverTool(tooltips=[("", "$name"), ("s", "@x{0.0000}"), ("", "@y")],
-                                                               mode="vline", line_policy="nearest"))  # fmt: skip
-        _legend(axes)
-        drawn.append(axes)
+            rows = thin(curve.time, curve.values, instants)
+            line = RUNS[int(curve.kind) % len(RUNS)] if names else LINES[curve.kind, curve.part]
+            tag = run_tag(int(curve.kind)) if names else f"{panel.key} {curve.name}"
+            series.append(_series(curve.time[rows], curve.values[rows], line, curve.name, tag, legend=not names))
+        rules = [_rule("x", instants, INSTANT)]
+        if math.isfinite(panel.limit) and panel.limit < panel.high:
+            rules.append(_rule("y", [-panel.limit, panel.limit], LINES["limit", 0]))
+        last = index == len(panels) - 1
+        drawn.append({
+            "label": style.html(panel.label), "xlabel": style.label("time") if last else "", "height": HEIGHT, "bare": not last,
+            "group": "time", "x": _range(0.0, duration), "y": _range(panel.low, panel.high), "series": series, "rules": rules,
+        })  # fmt: skip
     return drawn
 
 
-def in_plane(planes: Sequence[Plane], names: Sequence[str] = ()) -> Any:
+def around(found: Around, outcomes: Sequence[str]) -> list[WebFigure]:
+    """One small figure for each crossing: its own curve over the mean of all; what became of one that was not crossed is said."""
+    mean = _series(found.time, found.mean, LINES["mean", 0], "mean of all")
+    return [
+        {"label": crossing_title(number, outcome), "height": SMALL, "left": 34, "bare": True, "group": "around",
+         "x": _range(found.time[0], found.time[-1]), "y": [0.0, found.high], "rules": [_rule("x", [0.0], INSTANT)],
+         "series": [mean, _series(found.time, own, LINES["each", 0], f"crossing {number}")]}
+        for number, (own, outcome) in enumerate(zip(found.each, outcomes, strict=False), start=1)
+    ]  # fmt: skip
+
+
+def in_plane(planes: Sequence[Plane], names: Sequence[str] = ()) -> WebFigure:
     """The path to scale, with locus, linkage, crossings and t_s; the true paths of several runs where they have names."""
-    plane = planes[0]
-    width, height = np.maximum(plane.high - plane.low, 1e-3)
-    pixels = min(PLANE_WIDTH * height / width + PLANE_REST, 4 * HEIGHT + LAST)
-    axes = _axes("y (m)", round(pixels), DataRange1d(range_padding=0.0), plane=True)
-    axes.y_range = DataRange1d(range_padding=0.0)
-    axes.match_aspect = True
-    axes.xaxis.axis_label = "x (m)"
-    corners = axes.scatter(*np.stack([plane.low, plane.high]).T, alpha=0.0)
-    axes.x_range.renderers = axes.y_range.renderers = [corners]
+    plane, series = planes[0], []
+
+    def path(x: Floats, line: Line, name: str, tag: str = "", legend: bool = True) -> None:
+        if len(x):
+            shown = x[thin_path(x)]
+            series.append(_series(shown[:, 0], shown[:, 1], line, name, tag or name, legend))
+
     for family, arc in plane.locus:
-        dash = "dashed" if family == "stretched" else "dotted"
-        _trace(axes, arc, Style(GREY, dash, 1.6), f"Type 2 locus, {family}")
-    _trace(axes, plane.linkage, Style(LIGHT, "solid", 4.0), "linkage at a crossing" if plane.places else "linkage")
+        path(arc, LINES[family, 0], f"Type 2 locus, {family}")
+    path(plane.linkage, LINES["linkage", 0], "robot at a crossing" if plane.places else "robot")
     if len(plane.linkage):
-        axes.scatter(*plane.linkage[[0, 4]].T, marker="triangle", size=13, color=BLACK)
-        axes.scatter(*plane.linkage[1:4].T, marker="circle", size=6, color=GREY)
-    _trace(axes, plane.planned, STYLES["planned", 0], "planned, first run" if names else "planned")
+        series.append(_marks(plane.linkage, "o", LINES["linkage", 0]._replace(width=1.4), 3.0, "robot"))
+        series.append(_marks(plane.motors, "^", MARK, 5.0, "motor axis", fill="ink"))
+    path(plane.planned, LINES["planned", 0], "planned, first run" if names else "planned")
     if names:
         true = all(len(other.true) or not len(other.estimated) for other in planes)
         for index, other in enumerate(planes):
-            path = other.true if true else other.estimated
-            _trace(axes, path, RUN_STYLES[index % len(RUN_STYLES)], tag=run_tag(index))
+            path(other.true if true else other.estimated, RUNS[index % len(RUNS)], names[index], run_tag(index), legend=False)
     elif len(plane.true):
-        _trace(axes, plane.true, Style(BLACK, "solid", 1.6), "true")
+        path(plane.true, LINES["true", 0], "true")
     else:
-        _trace(axes, plane.estimated, Style(BLUE, "dashed", 1.6), "estimated (no truth in this bag)")
+        path(plane.estimated, LINES["estimated", 0], "estimated (no truth in this bag)")
     for place in plane.places:
-        axes.line(*place.t_s.T, color=BLACK, line_width=3.0, legend_label="t_s at a crossing")
+        series.append(_series(place.t_s[:, 0], place.t_s[:, 1], LINES["t_s", 0], "t_s at a crossing", "t_s", legend=True))
         verdict = "" if names else place.verdict
-        marker, size = VERDICT_MARKS[verdict]
-        axes.scatter([place.x[0]], [place.x[1]], marker=marker, size=size, fill_color="white", line_color=BLACK, line_width=1.5,
-                     legend_label=f"crossing, estimator: {verdict}" if verdict else "planned crossing")  # fmt: skip
-        text = ", ".join(map(str, place.numbers[:6])) + (" ..." if len(place.numbers) > 6 else "")
-        axes.text([place.x[0]], [place.x[1]], text=[text], x_offset=10, y_offset=-6, text_font_size="12px", text_font=value(FONT))
-    if len(plane.planned):
-        axes.scatter(*plane.planned[:1].T, marker="circle", size=7, color=BLACK)
-        axes.text(*plane.planned[:1].T, text=["start"], x_offset=8, y_offset=-4, text_font_size="12px", text_font=value(FONT))
-    _legend(axes, "below", 2)
-    return axes
+        name = f"crossing, estimator: {verdict}" if verdict else "planned crossing"
+        series.append(_marks(place.x[None], MARKS[verdict], MARK, 4.5, name, [numbers_in_words(place.numbers)], legend=True))
+    for name, point in plane.ends:
+        series.append(_marks(point[None], "o", MARK, 3.0, name, [name], fill="ink"))
+    low, high = np.min([one.low for one in planes], axis=0), np.max([one.high for one in planes], axis=0)
+    return {
+        "label": "", "xlabel": f"{style.label('x')}, {style.label('y')} upwards", "height": TALLEST_PLANE, "to_scale": True,
+        "x": _range(low[0], high[0]), "y": _range(low[1], high[1]), "series": series,
+    }  # fmt: skip
 
 
-def histogram(values: Floats, label: str, unit: float = 1e6) -> Any:
+def histogram(values: Floats, label: str, unit: float = 1e6) -> WebFigure:
     """Counts of durations (n,), s, on a logarithmic axis in microseconds."""
     good = values[np.isfinite(values) & (values > 0.0)] * unit
     low, high = math.floor(math.log10(max(good.min(), 1e-3)) * 4) / 4, math.ceil(math.log10(good.max()) * 4) / 4
     counts, edges = np.histogram(np.log10(good), bins=BINS, range=(low, max(high, low + 0.25)))
-    top = max(2.0 * counts.max(), 2.0)
-    axes = figure(height=HEIGHT, sizing_mode="stretch_width", x_axis_type="log", y_axis_type="log", toolbar_location=None,
-                  tools="", y_range=Range1d(start=0.7, end=top))  # fmt: skip
-    _dress(axes, "count")
-    axes.xaxis.axis_label = label
-    for axis, first, last in ((axes.xaxis, 10.0 ** edges[0], 10.0 ** edges[-1]), (axes.yaxis, 1.0, top)):
-        ticks = log_ticks(first, last)
-        axis.ticker = FixedTicker(ticks=ticks)
-        axis.major_label_overrides = {tick: f"{tick:,.9g}".replace(",", "\u2009") for tick in ticks}
-    axes.quad(top=np.maximum(counts, 0.7), bottom=0.7, left=10.0 ** edges[:-1], right=10.0 ** edges[1:], fill_color=LIGHT,
-              line_color=GREY, line_width=0.5)  # fmt: skip
-    for percent, dash in ((50.0, "solid"), (99.0, "dashed")):
-        place = float(np.percentile(good, percent))
-        axes.add_layout(Span(location=place, dimension="height", line_color=BLACK, line_dash=dash, line_width=1.5))
-    return axes
+    edges, some = 10.0**edges, counts > 0
+    bars = _series(edges[:-1][some], np.full(int(some.sum()), 0.7), Line("mid"), "count", legend=False)
+    bars |= {"x2": _packed(edges[1:][some]), "y2": _packed(counts[some]), "fill": True}
+    rules = [_rule("x", [float(np.percentile(good, percent))], Line("bad", dash, 1.6))
+             for percent, dash in ((50.0, ()), (99.0, style.DASHED))]  # fmt: skip
+    return {"label": "count", "xlabel": label, "height": HEIGHT, "log": "xy", "x": _range(edges[0], edges[-1]),
+            "y": [0.7, max(2.0 * float(counts.max()), 2.0)], "series": [bars], "rules": rules}  # fmt: skip
 
 
-def residuals(values: Floats, deviations: Floats, used: NDArray[np.bool_], label: str, name: str) -> Any:
+def residuals(values: Floats, deviations: Floats, used: NDArray[np.bool_], label: str, name: str) -> WebFigure:
     """What is left of some observations (n,), by number, two standard deviations (n,) either way; those used set the scale."""
     numbers = np.arange(1, len(values) + 1)
-    axes = _axes(label, HEIGHT + LAST, DataRange1d())
-    axes.xaxis.axis_label = name
-    axes.add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_width=1))
     low, high = values - 2.0 * deviations, values + 2.0 * deviations
-    axes.segment(numbers, low, numbers, high, line_color=BLACK)
-    for counts, marker in ((True, "square"), (False, "x")):
+    bars = np.stack([low, high, np.full(len(values), np.nan)], axis=1).ravel()
+    series = [_series(np.repeat(numbers, 3), bars, Line("ink", (), 1.2))]
+    for counts, mark, text in ((True, "s", "counts"), (False, "X", "does not count")):
         rows = used == counts
-        axes.scatter(numbers[rows], values[rows], marker=marker, size=7, color=BLACK if counts else ACCENT)
+        if rows.any():
+            series.append(_marks(np.stack([numbers[rows], values[rows]], axis=1), mark, MARK if counts else Line("bad", (), 1.4),
+                                 SQUARE, text, fill="ink", legend=not used.all()))  # fmt: skip
+    span: list[float | None] = [None, None]
     if used.any():
         rest = 0.1 * float(np.ptp(np.concatenate([low[used], high[used], [0.0]])))
-        axes.y_range = Range1d(start=min(0.0, float(low[used].min())) - rest, end=max(0.0, float(high[used].max())) + rest)
-    return axes
+        span = _range(min(0.0, float(low[used].min())) - rest, max(0.0, float(high[used].max())) + rest)
+    return {"label": style.html(label), "xlabel": name, "height": HEIGHT, "x": [0.5, len(values) + 0.5], "y": span,
+            "series": series, "rules": [_rule("y", [0.0], ZERO)]}  # fmt: skip
 
 
-def log_ticks(low: float, high: float) -> list[float]:
-    """Round numbers for a logarithmic axis, as many as there is room for: about nine in three decades, one a decade beyond."""
-    decades = math.log10(high / low)
-    steps = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0) if decades <= 1.0 else (1.0, 2.0, 5.0) if decades <= 3.0 else (1.0,)
-    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    return [tick for power in powers for step in steps if low <= (tick := round(step * 10.0**power, 9)) <= high]
-
-
-def phase_band(spans: Sequence[PhaseSpan], metrics: Metrics) -> Any:
+def phase_band(spans: Sequence[PhaseSpan]) -> WebFigure:
     """The phases one under the other over time."""
-    names = list(dict.fromkeys(span.phase for span in spans))
-    axes = figure(height=60 + 26 * len(names), sizing_mode="stretch_width", y_range=FactorRange(factors=names[::-1]),
-                  toolbar_location="right",
-                  tools=[PanTool(dimensions="width"), BoxZoomTool(dimensions="width"), ResetTool()],
-                  x_axis_label="time since the trajectory's start (s)")  # fmt: skip
-    _dress(axes, "")
-    axes.toolbar.logo = None
-    axes.toolbar.autohide = True
-    shades = {"TRACK": GREY, "CROSSING": BLACK, "SAFE_STOP": ACCENT, "FAULT": ACCENT}
-    source = ColumnDataSource(
-        {
-            "phase": [span.phase for span in spans], "left": [span.start for span in spans],
-            "right": [max(span.end, span.start + 1e-3) for span in spans],
-            "color": [shades.get(span.phase, LIGHT) for span in spans], "ticks": [span.ticks for span in spans],
-        }
-    )  # fmt: skip
-    axes.hbar(y="phase", left="left", right="right", height=0.6, fill_color="color", line_color=None, source=source)
-    shown = [("", "@phase"), ("from", "@left{0.000} s"), ("to", "@right{0.000} s"), ("ticks", "@ticks")]
-    axes.add_tools(HoverTool(tooltips=shown))
-    return axes
+    names = list(dict.fromkeys(span.phase for span in spans))[::-1]
+    series = []
+    for row, name in enumerate(names):
+        own = [span for span in spans if span.phase == name]
+        left, right = np.array([span.start for span in own]), np.array([max(span.end, span.start + 1e-3) for span in own])
+        bars = _series(left, np.full(len(own), row - 0.3), Line(PHASE_LINES.get(name, "link")), name)
+        series.append(bars | {"x2": _packed(right), "y2": _packed(np.full(len(own), row + 0.3)), "fill": True})
+    ends = [span.start for span in spans] + [span.end for span in spans]
+    return {"label": "", "xlabel": style.label("time"), "height": 26 * len(names), "left": 84, "names": names,
+            "x": _range(min(ends), max(ends)), "y": [-0.5, len(names) - 0.5], "series": series}  # fmt: skip
 
 
-def _axes(label: str, height: int, x_range: Any, plane: bool = False) -> Any:
-    dimensions: Any = "both" if plane else "width"
-    axes = figure(
-        height=height, sizing_mode="stretch_width", x_range=x_range, toolbar_location="right", output_backend="canvas",
-        tools=[BoxZoomTool(dimensions="both", match_aspect=plane), PanTool(dimensions="both"),
-               WheelZoomTool(dimensions=dimensions), ResetTool(), SaveTool()],
-    )  # fmt: skip
-    axes.toolbar.logo = None
-    axes.toolbar.autohide = True
-    _dress(axes, label)
-    return axes
+def _series(x: Floats, y: Floats, line: Line, name: str = "", tag: str = "", legend: bool = False) -> dict[str, Any]:
+    return {"name": style.html(name), "tag": tag, "legend": legend, "line": _line(line), "x": _packed(x), "y": _packed(y)}
 
 
-def _dress(axes: Any, label: str) -> None:
-    axes.yaxis.axis_label = label
-    axes.min_border_left = 76
-    axes.grid.grid_line_color = "#ececec"
-    axes.outline_line_color = "#bbbbbb"
-    axes.axis.axis_label_text_font_style = "normal"
-    for name in ("axis_label_text_font", "major_label_text_font"):
-        setattr(axes.axis, name, FONT)
-    axes.axis.axis_label_text_font_size = "12px"
-    axes.axis.major_label_text_font_size = "11px"
-    axes.axis.minor_tick_line_color = None
+def _marks(x: Floats, mark: str, line: Line, size: float, name: str, text: Sequence[str] = (), legend: bool = False,
+           fill: str = "paper") -> dict[str, Any]:  # fmt: skip
+    return _series(x[:, 0], x[:, 1], line, name, name, legend) | {"mark": mark, "size": size, "text": list(text), "fill": fill}
 
 
-def _legend(axes: Any, side: str = "above", columns: int = 0) -> None:
-    """The legend outside the frame, where it hides no curve."""
-    if not axes.legend:
-        return
-    legend = axes.legend[0]
-    axes.center.remove(legend)
-    axes.add_layout(legend, side)
-    axes.legend.location = "left" if side == "below" else "right"
-    axes.legend.orientation = "horizontal"
-    if columns:
-        axes.legend.ncols = columns
-    axes.legend.click_policy = "hide"
-    axes.legend.label_text_font = FONT
-    axes.legend.label_text_font_size = "11px"
-    axes.legend.padding, axes.legend.margin, axes.legend.spacing = 1, 2, 10
-    axes.legend.glyph_width = 34
-    axes.legend.background_fill_alpha = 0.85
-    axes.legend.border_line_color = None
+def _rule(axis: str, at: Sequence[float], line: Line) -> dict[str, Any]:
+    return {"axis": axis, "at": [float(place) for place in at if math.isfinite(place)], "line": _line(line)}
 
 
-def _line(axes: Any, curve: Curve, style: Style, instants: Sequence[float], legend: bool) -> None:
-    rows = thin(curve.time, curve.values, instants)
-    source = ColumnDataSource({"x": curve.time[rows].astype(np.float32), "y": curve.values[rows].astype(np.float32)})
-    drawn = axes.line("x", "y", source=source, name=curve.name, color=style.color, line_dash=style.dash, line_width=style.width,
-                      **({"legend_label": curve.name} if legend else {}))  # fmt: skip
-    if not legend:
-        drawn.tags = [run_tag(int(curve.kind))]
+def _line(line: Line) -> dict[str, Any]:
+    return line._asdict() | {"dash": list(line.dash)}
 
 
-def _trace(axes: Any, x: Floats, style: Style, name: str = "", tag: str = "") -> None:
-    if len(x) == 0:
-        return
-    shown = x[thin_path(x)].astype(np.float32)
-    drawn = axes.line(shown[:, 0], shown[:, 1], color=style.color, line_dash=style.dash, line_width=style.width,
-                      **({"legend_label": name} if name else {}))  # fmt: skip
-    drawn.tags = [tag] if tag else []
+def _range(low: float, high: float) -> list[float | None]:
+    """Of an axis; null where the curves decide."""
+    return [float(low), float(high)] if math.isfinite(low) and math.isfinite(high) and low < high else [None, None]
+
+
+def _packed(values: Any) -> str:
+    return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")

@@ -6,20 +6,23 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dextar_control.campaign.config import CampaignConfig, sweep_case
 from dextar_control.campaign.summary import Group
+from dextar_control.contract.style import LIGHT, matplotlib_settings
 
-BLACK, GREY, LIGHT = "#000000", "#6b6b6b", "#dddddd"
+BLACK, GREY, LINE = (LIGHT[name] for name in ("ink", "soft", "line"))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "h", "p", "*")
-FILLS = ("#9a9a9a", "white", "#4d4d4d", "#cfcfcf")
+FILLS = tuple(LIGHT[name] for name in ("link", "paper", "soft", "band"))
 BAND = 0.8  # of a case's height, for its combinations
 ERROR_RANGE = (1e-2, 1e3)  # mm
 TORQUE_RANGE = (1e-1, 1e2)
 
 
+@matplotlib.rc_context(matplotlib_settings(LIGHT))
 def draw_summary(config: CampaignConfig, groups: Sequence[Group], plant: str) -> Figure:
     """The figure of one plant: a row for each case, a marker for each combination, a line for each bar."""
     groups = [group for group in groups if group.plant == plant]
@@ -35,7 +38,7 @@ def draw_summary(config: CampaignConfig, groups: Sequence[Group], plant: str) ->
         y = names.index(group.case) + _offset(combinations.index(group.name), len(combinations))
         _point(success, y, 100.0 * group.success, style)
         _range(error, y, 1e3 * group.median_error, 1e3 * group.max_error, style)
-        _point(torque, y, group.peak_ratio_near, style)
+        _point(torque, y, min(max(group.peak_ratio_near, TORQUE_RANGE[0]), TORQUE_RANGE[1]), style)  # the axis ends there
         if group.judged:
             _bars(success, error, torque, names.index(group.case), config.cases[group.case].bars)
     for axes in (success, error, torque):
@@ -50,9 +53,11 @@ def draw_summary(config: CampaignConfig, groups: Sequence[Group], plant: str) ->
         success.plot([], [], linestyle="", label=name.replace("/", " / "), **styles[name])
     success.plot([], [], color=BLACK, linewidth=2.0, label=f"bar for {config.default.law} / {config.default.estimator}")
     figure.legend(loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    figure.draw_without_rendering()  # ticks take their colours when they are first drawn
     return figure
 
 
+@matplotlib.rc_context(matplotlib_settings(LIGHT))
 def draw_frontier(config: CampaignConfig, groups: Sequence[Group]) -> Figure:
     """Share of the trials that crossed, and that were ok, over the levels of each sweep, by the default combination."""
     default, columns = config.default, 3
@@ -65,7 +70,7 @@ def draw_frontier(config: CampaignConfig, groups: Sequence[Group]) -> Figure:
     for axes, (name, sweep) in zip(every, config.sweeps.items(), strict=False):
         levels = [level for level in sweep.levels if sweep_case(name, level) in found]
         places = [sweep.scale * level for level in levels]
-        for share, label, style, fill in (("crossed", "crossed", "o-", BLACK), ("success", "ok", "s--", "white")):
+        for share, label, style, fill in (("crossed", "crossed", "o-", BLACK), ("success", "ok", "s--", LIGHT["paper"])):
             values = [100.0 * getattr(found[sweep_case(name, level)], share) for level in levels]
             axes.plot(places, values, style, color=BLACK, markerfacecolor=fill, markersize=5, linewidth=1.2, label=label,
                       clip_on=False)  # fmt: skip
@@ -77,7 +82,7 @@ def draw_frontier(config: CampaignConfig, groups: Sequence[Group]) -> Figure:
         axes.set_xticks([], minor=True)
         axes.set_ylim(-4.0, 104.0)
         axes.tick_params(axis="y", labelsize=7)
-        axes.grid(axis="y", color=LIGHT, linewidth=0.6)
+        axes.grid(axis="y", color=LINE, linewidth=0.6)
         axes.set_title(sweep.title, fontsize=9, parse_math=False)
         axes.set_xlabel(sweep.unit, fontsize=8, parse_math=False)
     for axes in every[len(config.sweeps) :]:
@@ -86,6 +91,7 @@ def draw_frontier(config: CampaignConfig, groups: Sequence[Group]) -> Figure:
         axes.set_ylabel("of the trials (%)", fontsize=8)
     labelled = {label: line for axes in every for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(labelled.values(), labelled.keys(), loc="outside upper center", ncols=3, fontsize=8, frameon=False)
+    figure.draw_without_rendering()  # ticks take their colours when they are first drawn
     return figure
 
 
@@ -135,8 +141,8 @@ def _bars(success: Any, error: Any, torque: Any, row: int, bars: dict[str, float
 
 def _bands(axes: Any, count: int) -> None:
     for row in range(0, count, 2):
-        axes.axhspan(row - 0.5, row + 0.5, color="#f4f4f4", zorder=0)
-    axes.grid(axis="x", color=LIGHT, linewidth=0.6, zorder=1)
+        axes.axhspan(row - 0.5, row + 0.5, color=LIGHT["wash"], zorder=0)
+    axes.grid(axis="x", color=LINE, linewidth=0.6, zorder=1)
     axes.tick_params(axis="y", length=0)
 
 

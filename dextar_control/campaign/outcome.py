@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import platform
@@ -11,6 +10,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from dextar_control.analysis.drawing import svg
 from dextar_control.analysis.page import Cell, Column, render
 from dextar_control.campaign import design, reliability, report, summary
 from dextar_control.campaign.config import CampaignConfig
@@ -138,7 +138,7 @@ def _page(
     columns = [Column(name, text=index < 2) for index, name in enumerate(report.HEADINGS)]
     shown = failed[:LISTED_FAILURES]
     return render(
-        "campaign.html", "",
+        "campaign.html", {},
         title=f"campaign: {verdict}",
         heading=f"{config.default.law} / {config.default.estimator}: {counted(len(config.cases), 'case')}",
         subheading=_what(config, rows),
@@ -148,11 +148,11 @@ def _page(
         groups=(columns, [[Cell(cell, bool(group.missed) and index == len(columns) - 1)
                            for index, cell in enumerate(report.cells(group, many))] for group in groups]),
         legend=report.LEGEND,
-        frontier=_svg(others["frontier"]) if "frontier" in others else "",
-        figures=[_svg(figure) for figure in figures],
+        frontier=svg(others["frontier"]) if "frontier" in others else "",
+        drawn=[svg(figure) for figure in figures],
         reliability={
             "sentences": [reliability.in_words(estimator, bins) for estimator, bins in sure.items()],
-            "drawn": _svg(others["reliability"]) if "reliability" in others else "",
+            "drawn": svg(others["reliability"]) if "reliability" in others else "",
             "legend": "Clear of the locus, of the runs that stated a confidence of the range (grey, its mean marked), for how"
             " much of the time they were right; the axes are logarithmic in the chance to be wrong. Below the dashed line it is"
             " too sure.",
@@ -161,14 +161,6 @@ def _page(
         more=f"And {len(failed) - len(shown)} more in failures.md." if len(failed) > len(shown) else "",
         footer=f"Made by dextar campaign; one core runs {speed}. All numbers stand in summary.json and rows.parquet beside it.",
     )  # fmt: skip
-
-
-def _svg(figure: Figure) -> str:
-    """A figure as part of a page."""
-    stream = io.StringIO()
-    figure.savefig(stream, format="svg")
-    text = stream.getvalue()
-    return text[text.index("<svg") :]
 
 
 def _json(

@@ -6,17 +6,20 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
+import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dextar_control.campaign.trial import SAID
 from dextar_control.campaign.worker import Row
+from dextar_control.contract.style import LIGHT, matplotlib_settings
 
 SURE = 1.96  # deviations of a 95 % interval
 END = 3e-4  # chance to be wrong by which the axes' end, 1, is away
 TICKS = (0.0, 0.5, 0.8, 0.9, 0.99, 0.999, 1.0)
-MARKERS = (("o", "#000000"), ("s", "#ffffff"), ("^", "#9a9a9a"), ("v", "#4d4d4d"))
+INK, PAPER, MID = (LIGHT[name] for name in ("ink", "paper", "mid"))
+MARKERS = (("o", INK), ("s", PAPER), ("^", LIGHT["link"]), ("v", LIGHT["soft"]))
 VERDICTS = "verdicts"
 
 
@@ -84,6 +87,7 @@ def in_words(estimator: str, bins: dict[str, Bin]) -> str:
     )
 
 
+@matplotlib.rc_context(matplotlib_settings(LIGHT))
 def draw_reliability(found: dict[str, dict[str, Bin]]) -> Figure:
     """Share right over stated confidence, both on a scale that is logarithmic in the chance to be wrong."""
     figure = Figure(figsize=(4.8, 4.8), layout="constrained")
@@ -92,31 +96,32 @@ def draw_reliability(found: dict[str, dict[str, Bin]]) -> Figure:
     for scale in (axes.set_xscale, axes.set_yscale):
         scale("function", functions=(_forward, _backward))
     lowest = min((one.least for bins in found.values() for one in bins.values()), default=0.5)
-    axes.plot(TICKS[1:], TICKS[1:], color="#9a9a9a", linestyle="--", linewidth=1.2, label="as sure as right")
+    axes.plot(TICKS[1:], TICKS[1:], color=MID, linestyle="--", linewidth=1.2, label="as sure as right")
     for index, (estimator, bins) in enumerate(found.items()):
         marker, fill = MARKERS[index % len(MARKERS)]
         for key, one in bins.items():
-            style: dict[str, Any] = {"color": "#000000", "linewidth": 1.0, "zorder": 3}
+            style: dict[str, Any] = {"color": INK, "linewidth": 1.0, "zorder": 3}
             axes.plot([one.stated] * 2, [one.least, one.most], **style)
             if key != VERDICTS:
-                axes.plot([one.low, one.high], [one.right] * 2, **style | {"color": "#9a9a9a", "zorder": 2})
-            shape, face = ("D", "#ffffff") if key == VERDICTS else (marker, fill)
-            axes.plot([one.stated], [one.right], shape, markersize=7, markerfacecolor=face, markeredgecolor="#000000", zorder=4,
+                axes.plot([one.low, one.high], [one.right] * 2, **style | {"color": MID, "zorder": 2})
+            shape, face = ("D", PAPER) if key == VERDICTS else (marker, fill)
+            axes.plot([one.stated], [one.right], shape, markersize=7, markerfacecolor=face, markeredgecolor=INK, zorder=4,
                       clip_on=False)  # fmt: skip
             axes.annotate(str(one.runs), (one.stated, one.least), xytext=(0, -3), textcoords="offset points", ha="center",
                           va="top", fontsize=7, annotation_clip=False)  # fmt: skip
-        axes.plot([], [], marker=marker, markerfacecolor=fill, markeredgecolor="#000000", linestyle="", label=estimator)
-    axes.plot([], [], marker="D", markerfacecolor="#ffffff", markeredgecolor="#000000", linestyle="", label="its verdicts")
+        axes.plot([], [], marker=marker, markerfacecolor=fill, markeredgecolor=INK, linestyle="", label=estimator)
+    axes.plot([], [], marker="D", markerfacecolor=PAPER, markeredgecolor=INK, linestyle="", label="its verdicts")
     beyond = 1.0 + 0.5 * END
     axes.set_xlim(0.47, beyond)
     axes.set_ylim(min(lowest, 0.47), beyond)
     for axis, low in ((axes.xaxis, 0.5), (axes.yaxis, min(lowest, 0.5))):
         axis.set_ticks([tick for tick in TICKS if tick >= low], [f"{tick:g}" for tick in TICKS if tick >= low])
         axis.set_ticks([], minor=True)
-    axes.grid(color="#dddddd", linewidth=0.6)
+    axes.grid(color=LIGHT["line"], linewidth=0.6)
     axes.set_xlabel("confidence stated")
     axes.set_ylabel("share right (95 % intervals, number of runs)")
     figure.legend(loc="outside upper center", ncols=3, fontsize=8, frameon=False)
+    figure.draw_without_rendering()  # ticks take their colours when they are first drawn
     return figure
 
 

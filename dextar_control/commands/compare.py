@@ -9,9 +9,9 @@ from dextar_control.commands.bags import add_robot, exit_code_of, given_robot, s
 
 SUMMARY = "recorded runs side by side, with their differences"
 DESCRIPTION = (
-    "Puts two or more runs side by side, law against law or rig against simulation: comparison.html (curves over each other),"
-    " comparison.md and comparison.json. Differences are to the first bag. Exit code 0, 1 when a bag is"
-    " damaged or breaks off and what is left was compared, 2 for a bad file."
+    "Puts two or more runs side by side, law against law or rig against simulation: first what differs, then by how much it"
+    " matters, in comparison.html (curves over each other), comparison.md and comparison.json. Differences are to the first bag."
+    " Exit code 0, 1 when a bag is damaged or breaks off and what is left was compared, 2 for a bad file."
 )
 
 
@@ -32,6 +32,8 @@ def run(arguments: argparse.Namespace) -> int:
         comparison = compare_bags(arguments.bag, shown.stage, arguments.namespace, shown.read, given_robot(arguments))
         shown.stage(f"writing to {arguments.output}")
         write_comparison(comparison, arguments.output)
+    for one in comparison.shown_differences:
+        console.print(f"{one.name}: {' | '.join(one.values)}", soft_wrap=True)
     console.print(summary_table(comparison, console.width))
     for remark in comparison.remarks:
         console.print(remark)

@@ -15,8 +15,8 @@ from dextar_control.contract.errors import ParameterError
 SUMMARY = "animate a recorded run"
 DESCRIPTION = (
     "Draws the linkage with the Type 2 locus, the path, the motors' torques and t_s over time, from the true motion where the"
-    " bag holds it and else from the estimate, and writes a GIF or an MP4; or shows it in PyBullet's window. Exit code 0, 1 when"
-    " the bag is damaged or breaks off and what is left was drawn, 2 for a bad file."
+    " bag holds it and else from the estimate, and writes a GIF, a WebP (the smallest) or an MP4; or shows it in PyBullet's"
+    " window. Exit code 0, 1 when the bag is damaged or breaks off and what is left was drawn, 2 for a bad file."
 )
 WINDOW_MODULE = "dextar_sim.replay"
 
@@ -25,11 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     parser.add_argument("bag", type=Path, help="an .mcap file, or the run's folder")
     add_robot(parser)
-    parser.add_argument("--output", type=Path, metavar="FILE", help=".gif or .mp4 (default: replay.gif beside the bag)")
+    parser.add_argument("--output", type=Path, metavar="FILE", help=".gif, .webp or .mp4 (default: replay.gif beside the bag)")
     parser.add_argument("--speed", type=_positive, default=0.2, metavar="X", help="times real time (default: %(default)g)")
     parser.add_argument("--fps", type=_frames, default=20, metavar="N", help="frames per second (default: %(default)g)")
     parser.add_argument("--from", type=float, metavar="S", dest="begin", help="begin, s since the trajectory's start")
     parser.add_argument("--to", type=float, metavar="S", dest="end", help="end, s since the trajectory's start")
+    parser.add_argument("--dark", action="store_true", help="light on a dark background")
     parser.add_argument("--window", action="store_true", help="show it in PyBullet's window instead (needs a display)")
 
 
@@ -54,8 +55,10 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.progress import BarColumn, TimeRemainingColumn
 
     from dextar_control.analysis.animate import animate, check_output
+    from dextar_control.analysis.drawing import SCREEN, Look
     from dextar_control.analysis.load import load_run
     from dextar_control.analysis.motion import motion_of
+    from dextar_control.contract.style import DARK
     from dextar_control.contract.terminal import Steps, Terminal, TextColumn, spoken_warnings
 
     if arguments.window and not os.environ.get("DISPLAY"):
@@ -77,6 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeRemainingColumn())
     with Steps(*columns, console=Terminal(stderr=True)) as progress:
         bar = progress.add_task("frames", total=len(motion.time))
-        animate(motion, output, arguments.speed, arguments.fps, lambda done, total: progress.update(bar, completed=done))
+        look = Look(palette=DARK) if arguments.dark else SCREEN
+        animate(motion, output, arguments.speed, arguments.fps, lambda done, total: progress.update(bar, completed=done), look)
     console.print(f"{output}", soft_wrap=True)
     return exit_code_of(recorded)

@@ -39,17 +39,19 @@ class Line(NamedTuple):
 
 
 DASHED, DOTTED, DASHDOT = (6.0, 3.0), (1.5, 3.0), (8.0, 3.0, 1.5, 3.0)
-LINES = {  # of a curve's kind and part, 1 for the second motor
+LINES = {  # of a curve's kind and part, 1 and 2 for the second and third motor
     ("commanded", 0): Line("ink"),
     ("commanded", 1): Line("accent", DASHED),
     ("planned", 0): Line("band", (), 5.0),
     ("planned", 1): Line("band", (10.0, 5.0), 5.0),
+    ("commanded", 2): Line("good", DASHDOT),
+    ("planned", 2): Line("band", (4.0, 4.0), 5.0),
     ("true", 0): Line("ink"),
     ("estimated", 0): Line("accent", DASHED, 1.4),
     ("seen", 0): Line("ink"),
     ("confidence", 0): Line("mid", DASHDOT, 1.4),
-    ("each", 0): Line("link", (), 0.8),
-    ("mean", 0): Line("ink", (), 2.0),
+    ("each", 0): Line("ink", (), 1.4),
+    ("mean", 0): Line("band", (), 5.0),
     ("limit", 0): Line("bad", DASHDOT, 1.0),
     ("target", 0): Line("accent", DOTTED, 1.4),
     ("t_s", 0): Line("bad", (), 3.5),
@@ -65,7 +67,7 @@ MARKS = {"crossed": "o", "bounced": "X", "undecided": "s", "": "D"}  # of an est
 
 SYMBOLS = {  # as plain text has it: the letter and its index
     "t_s": ("t", "s"), "w_d": ("w", "d"), "A_r": ("A", "r"), "A_q": ("A", "q"), "M_q": ("M", "q"),
-    "τ1": ("τ", "1"), "τ2": ("τ", "2"), "τ3": ("τ", "3"), "q11": ("q", "11"), "q21": ("q", "21"),
+    "τ1": ("τ", "1"), "τ2": ("τ", "2"), "τ3": ("τ", "3"), "q11": ("q", "11"), "q21": ("q", "21"), "q31": ("q", "31"),
 }  # fmt: skip
 _SYMBOL = re.compile(rf"(?<!\w)(?:{'|'.join(map(re.escape, SYMBOLS))})(?!\w)")
 AXES = {  # label and unit of what is drawn
@@ -112,7 +114,7 @@ def css() -> str:
     )
 
 
-def matplotlib_settings(palette: dict[str, str], size: float = 9.0) -> dict[str, Any]:
+def matplotlib_settings(palette: dict[str, str], size: float = 9.0) -> Any:
     """Settings of a figure on this palette, in a font of this size, points."""
     return {
         "figure.facecolor": palette["paper"], "savefig.facecolor": palette["paper"], "axes.facecolor": palette["paper"],

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bokeh.embed import components
 from rich.table import Table
 
 from dextar_control.analysis.page import Cell, Column, number, render
@@ -113,10 +112,10 @@ def sentence(calibration: Calibration) -> str:
 def render_calibration(calibration: Calibration, predictions: Sequence[Prediction]) -> str:
     """The page."""
     fit, folds = calibration.fit, calibration.folds
-    script, figures = components([
-        residuals(UM * calibration.gaps_before, 0.0 * fit.spreads, fit.used, "gap before (µm)", "crossing"),
-        residuals(UM * calibration.gaps_after, UM * fit.spreads, fit.used, "gap after (µm)", "crossing"),
-    ], wrap_script=False)  # fmt: skip
+    figures = {
+        "before": residuals(UM * calibration.gaps_before, 0.0 * fit.spreads, fit.used, "gap before (µm)", "crossing"),
+        "after": residuals(UM * calibration.gaps_after, UM * fit.spreads, fit.used, "gap after (µm)", "crossing"),
+    }
     rows: list[list[Cell]] = []
     for index, (fold, one, used) in enumerate(zip(folds, fit.touches, fit.used, strict=True)):
         rows.append([
@@ -141,7 +140,6 @@ def render_calibration(calibration: Calibration, predictions: Sequence[Predictio
             f"{direction.name}: ± {UNITS[direction.unit][1] * deviation:.4f} {UNITS[direction.unit][0]}"
             for direction, deviation in zip(fit.directions, fit.deviations, strict=True)
         ],
-        "figures": figures,
         "observed": "Crossing by crossing",
         "observation": OBSERVATION,
         "observations": (
@@ -157,7 +155,7 @@ def render_calibration(calibration: Calibration, predictions: Sequence[Predictio
         ),
         "footer": f"Made by dextar calibrate. {ROBOT_FILE} beside this page is a robot file for every node.",
     }  # fmt: skip
-    return render("identification.html", script, **values)
+    return render("identification.html", figures, **values)
 
 
 def write_identification(identification: Identification, predictions: Sequence[TorquePrediction], folder: Path) -> None:
@@ -199,16 +197,16 @@ def render_identification(identification: Identification, predictions: Sequence[
     """The page."""
     fit, names = identification.fit, ", ".join(short(motion.recorded.path) for motion in identification.motions)
     none = np.zeros(len(fit.rest))
-    script, figures = components([
-        residuals(MNM * rest[:, joint], none, fit.used, f"{side}, {when} (mN m)", "instant")
+    figures = {
+        f"{side}-{when}": residuals(MNM * rest[:, joint], none, fit.used, f"{side}, {when} (mN m)", "instant")
         for joint, side in enumerate(SIDES) for when, rest in (("before", fit.rest_before), ("after", fit.rest))
-    ], wrap_script=False)  # fmt: skip
+    }  # fmt: skip
     checked = [
         [Cell(str(one.path)), Cell(str(one.instants)),
          *(Cell(number(MNM * value, ".2f")) for value in (one.torque, one.before, one.after))] for one in predictions
     ]  # fmt: skip
     return render(
-        "identification.html", script,
+        "identification.html", figures,
         title=f"{identification.after.name}: masses and friction identified",
         heading=f"{identification.after.name}: masses and friction by {names}",
         verdict="Identified.",
@@ -219,7 +217,6 @@ def render_identification(identification: Identification, predictions: Sequence[
         directions=identification.told,
         observed="Instant by instant",
         observation=TORQUES,
-        figures=figures,
         observations=None,
         predictions=(
             [Column("bag", text=True), Column("instants"), Column("RMS torque", "mN m"), Column("unexplained before", "mN m"),

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from dextar_control.mechanisms.bodies import Bodies, Link, Pin
 from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter
@@ -23,7 +24,7 @@ from dextar_control.mechanisms.planar import (
     rod,
     two_link_angle,
 )
-from dextar_control.symbols.types import Symbol
+from dextar_control.symbols.types import Array, Symbol
 
 LEGS = ("leg1", "leg2", "leg3")
 ANGLES = tuple(ca.pi * (0.5 + 2.0 * leg / 3.0) for leg in range(3))  # rad, of motor axes and platform corners
@@ -51,11 +52,11 @@ class ThreeRRR(Mechanism):
         """e_i (2,), m."""
         return p.base_radius * direction(ANGLES[leg])
 
-    def elbow(self, leg: int, angle: Symbol, p: Any) -> Symbol:
+    def elbow(self, leg: int, angle: Symbol | float, p: Any) -> Symbol:
         """P_i (2,), m, at a motor's angle."""
         return self.base(leg, p) + getattr(p, LEGS[leg]).proximal_length * direction(angle)
 
-    def corner(self, leg: int, x: Symbol, p: Any) -> Symbol:
+    def corner(self, leg: int, x: Symbol | ca.DM, p: Any) -> Symbol:
         """C_i (2,), m."""
         return x[:2] + p.platform_radius * direction(ANGLES[leg] + x[2] / p.rotation_radius)
 
@@ -99,6 +100,12 @@ class ThreeRRR(Mechanism):
 
     def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> None:
         """None: up to six solutions, of a polynomial of the sixth degree."""
+
+    def linkage(self, q_a: Array, x: Array, p: Any) -> Array:
+        """(16, 2) from each corner to its motor and back, along the platform's edges to the first again."""
+        legs = [(self.corner(leg, ca.DM(x), p), self.elbow(leg, float(q_a[leg]), p), self.base(leg, p)) for leg in range(3)]
+        ways = [point for corner, elbow, base in legs for point in (corner, elbow, base, elbow, corner)]
+        return np.array([ca.DM(point).full().ravel() for point in (*ways, legs[0][0])])
 
     def bodies(self, p: Any) -> Bodies:
         """The first leg carries the platform by its corner, at q13; the other legs are pinned to it."""
