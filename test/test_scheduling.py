@@ -48,8 +48,14 @@ def test_each_wish_that_is_not_permitted_costs_one_warning_and_nothing_else() ->
 
 
 def test_who_stands_back_is_run_in_batches_unless_the_user_chose_another_way() -> None:
-    code = "import os; {}; from dextar_control.contract.scheduling import stand_back as s; s(); print(os.sched_getscheduler(0))"
-    for chosen, found in (("pass", "SCHED_BATCH"), ("os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))", "SCHED_IDLE")):
+    code = """
+import os
+{}
+from dextar_control.contract.scheduling import stand_back
+stand_back()
+print(os.sched_getscheduler(0))
+"""
+    for chosen, found in (("", "SCHED_BATCH"), ("os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))", "SCHED_IDLE")):
         command = [sys.executable, "-c", code.format(chosen)]
         answer = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
         assert int(answer.stdout) == getattr(os, found)

@@ -180,11 +180,12 @@ class DextarNode(Node):
         """Take live changes, already in ``values``; raise a DextarError to refuse them all."""
 
     def too_many_publishers(self, topic: str) -> str:
-        """Who publishes a topic that may have one publisher, in words, where it has more; empty otherwise.
+        """Who publishes a topic, by its full name, that may have one publisher, in words, where it has more; empty otherwise.
 
         The graph keeps a publisher that was killed for some time (Fast DDS: up to 20 s), and knows it before its node's name.
         """
-        count = self.count_publishers(topic)
+        with self.handle:
+            count = self.handle.get_count_publishers(topic)
         if count <= 1:
             return ""
         infos = [info for info in self.get_publishers_info_by_topic(topic) if "UNKNOWN" not in info.node_name]

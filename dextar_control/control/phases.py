@@ -6,6 +6,7 @@ from enum import IntEnum
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dextar_control.control.law import OUTPUT
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
@@ -74,6 +75,12 @@ def _place(n: int, part: str, field: str) -> slice | int:
     within, layout = frame_of(n)[part]
     place, shape = layout.places[field]
     return within.start + place if shape is None else slice(within.start + place.start, within.start + place.stop)
+
+
+def indices_of(n: int, *fields: str) -> NDArray[np.int64]:
+    """Where the numbers of these fields, each PART.NAME, lie in a frame, in this order."""
+    every = np.arange(max(place.stop for place, _ in frame_of(n).values()))
+    return np.concatenate([np.atleast_1d(every[_place(n, *field.split("."))]) for field in fields])
 
 
 def _field(part: str, name: str, doc: str) -> property:

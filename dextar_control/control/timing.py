@@ -29,7 +29,7 @@ class Window:
 
     def __init__(self, size: int) -> None:
         self._numbers = np.zeros(size)
-        self._count = 0
+        self.clear()
 
     def add(self, number: float) -> None:
         """One more; the oldest goes once the window is full."""
@@ -39,21 +39,23 @@ class Window:
     def clear(self) -> None:
         """Forget all."""
         self._count = 0
+        self._found = 0, Regularity(math.nan, math.nan, math.nan, math.nan)
 
     @property
     def numbers(self) -> np.ndarray:
         """(n,), in no particular order."""
         return self._numbers[: min(self._count, len(self._numbers))]
 
-    def percentile(self, percent: float) -> float:
+    def percentiles(self, *percents: float) -> list[float]:
         """Nan without numbers."""
-        return float(np.percentile(self.numbers, percent)) if self._count else math.nan
+        return np.percentile(self.numbers, percents).tolist() if self._count else [math.nan] * len(percents)
 
     def regularity(self) -> Regularity:
-        """Of intervals, s."""
-        if not self._count:
-            return Regularity(math.nan, math.nan, math.nan, math.nan)
-        numbers = self.numbers
-        mean = float(numbers.mean())
-        rate = 1.0 / mean if mean > 0.0 else math.nan
-        return Regularity(rate, float(numbers.std()), self.percentile(99.0), float(numbers.max()))
+        """Of intervals, s; computed once for the same ones."""
+        if self._found[0] != self._count:
+            numbers = self.numbers
+            mean = float(numbers.mean())
+            rate = 1.0 / mean if mean > 0.0 else math.nan
+            p99 = self.percentiles(99.0)[0]
+            self._found = self._count, Regularity(rate, float(numbers.std()), p99, float(numbers.max()))
+        return self._found[1]

@@ -186,10 +186,12 @@ class ControllerNode(ManagedNode):
         self._pose_note = ""
         self._pose_told = -math.inf
         self._states: Any = None
+        self._state_topic = self.resolve_topic_name(JOINT_STATES.name)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(Trigger, "~/stop", self._on_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._watched = self._diagnosed = 0.0
+        self._situation: tuple[bytes, str, dict[str, object]] | None = None
         sys.setswitchinterval(SWITCH_INTERVAL)
         if self.values["autostart"]:
             for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
@@ -302,7 +304,7 @@ class ControllerNode(ManagedNode):
         return None if self._lockstep else time.perf_counter()
 
     def turn(self, executor: Any) -> None:
-        """The states that have come, or come soon, and what is due besides: that is done when they are answered.
+        """The states that have come, or come soon, and what is due besides: that is done, in parts, when they are answered.
 
         No executor serves the states: its callbacks, and timers that fire when the next state comes, would make its answer late.
         """
@@ -317,14 +319,16 @@ class ControllerNode(ManagedNode):
                     break
                 self._hear(*taken)
         now = time.perf_counter()
-        if now - self._watched < WATCH_PERIOD:
-            return
-        self._watched = now
-        self._watch()
-        if now - self._diagnosed >= DIAGNOSTICS_PERIOD:
-            self._diagnosed = now
-            self._diagnose()
+        if self._situation is not None:
+            self.publish_diagnostics(*self._situation)
+            self._situation = None
             executor.spin_once(timeout_sec=0.0)
+        elif now - self._diagnosed >= DIAGNOSTICS_PERIOD:
+            self._diagnosed = now
+            self._situation = self._look_about()
+        elif now - self._watched >= WATCH_PERIOD:
+            self._watched = now
+            self._watch()
 
     def _hear(self, raw: bytes, info: Mapping[str, int]) -> None:
         """A state, and what the middleware tells of it: its publisher's number, and when it was sent."""
@@ -445,6 +449,7 @@ class ControllerNode(ManagedNode):
         if loop is None:
             return
         self._others = self._outputs.others()
+        self._outputs.look()
         self._look_at_publishers()
         if not self._active:
             return
@@ -462,7 +467,7 @@ class ControllerNode(ManagedNode):
             self._say()
 
     def _look_at_publishers(self) -> None:
-        self._rivals = self.too_many_publishers(self.resolve_topic_name(JOINT_STATES.name))
+        self._rivals = self.too_many_publishers(self._state_topic)
 
     @property
     def _contested(self) -> bool:
@@ -599,12 +604,17 @@ class ControllerNode(ManagedNode):
         return response
 
     def _diagnose(self) -> None:
+        """Tell at once."""
+        self._situation = None
+        self.publish_diagnostics(*self._look_about())
+
+    def _look_about(self) -> tuple[bytes, str, dict[str, object]]:
+        """Level, message and values for ``/diagnostics``."""
         values: dict[str, object] = {"lifecycle": self.lifecycle}
         values |= {name: self.values[name] for name in ("law", "estimator")}
         loop = self._loop
         if loop is None:
-            self.publish_diagnostics(DiagnosticStatus.OK, self.lifecycle, {**values, "phase": "", "reason": ""})
-            return
+            return DiagnosticStatus.OK, self.lifecycle, {**values, "phase": "", "reason": ""}
         self._tell_crossings(loop)
         limit = self.values["state_timeout"]
         values |= {
@@ -620,11 +630,10 @@ class ControllerNode(ManagedNode):
         warnings = self._warnings(limit)
         values |= self._statistics.report(loop.saturated_ticks)
         if self._active and loop.phase in LATCHED:
-            self.publish_diagnostics(DiagnosticStatus.ERROR, loop.reason, values)
-        elif warnings:
-            self.publish_diagnostics(DiagnosticStatus.WARN, "; ".join(warnings), values)
-        else:
-            self.publish_diagnostics(DiagnosticStatus.OK, loop.phase.name if self._active else self.lifecycle, values)
+            return DiagnosticStatus.ERROR, loop.reason, values
+        if warnings:
+            return DiagnosticStatus.WARN, "; ".join(warnings), values
+        return DiagnosticStatus.OK, loop.phase.name if self._active else self.lifecycle, values
 
     def _tell_crossings(self, loop: ControlLoop) -> None:
         """Log each verdict on a planned crossing once, and how a trajectory ended."""

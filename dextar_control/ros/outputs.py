@@ -13,9 +13,16 @@ from trajectory_msgs.msg import JointTrajectory
 from dextar_control.contract.cdr import NANOSECONDS, canonical, places_in
 from dextar_control.contract.layouts import template
 from dextar_control.contract.node import DextarNode, qos
+from dextar_control.contract.robot import JOINT_NAMES
 from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, EFFORT_COMMANDS, JOINT_COMMANDS
-from dextar_control.control.phases import Tick
+from dextar_control.control.phases import Tick, indices_of
 from dextar_control.ros.readable import Readable
+
+STATE = ("reference.x", "reference.x_dot", "reference.x_ddot", "estimate.x", "estimate.x_dot", "output.error", "output.error_dot",
+         "output.u", "output.force")  # fmt: skip
+JUDGED = ("output.residual", "output.s", "output.sigma_min", "output.weight", "estimate.assembly_mode", "estimate.confidence",
+          "output.limit", "estimate.innovation_square", "estimate.innovation", "estimate.b", "estimate.d")  # fmt: skip
+"""What of a tick is told on ``controller_state``, and on ``criterion``, where phase and verdict stand about the confidence."""
 
 
 class EffortArray:
@@ -55,6 +62,8 @@ class Outputs:
         self._efforts = node.create_publisher(Float64MultiArray, EFFORT_COMMANDS.name, qos(EFFORT_COMMANDS)) if array else None
         self._command_topics = [p.topic_name for p in (self._commands, self._efforts) if p is not None]
         self._readable = Readable(node) if readable else None
+        self._state_of, self._judged_of = (indices_of(len(JOINT_NAMES), *fields) for fields in (STATE, JUDGED))
+        self._read = True, True
         self._last = (b"", b"")
         self.stamp = -1
 
@@ -69,19 +78,23 @@ class Outputs:
         self._send(self._commands_out.pack(stamp, torque), self._array_out.pack(torque) if self._array_out is not None else b"")
 
     def tell(self, stamp: int, tick: Tick, verdict: float) -> None:
-        """What was thought of the state that was answered."""
-        reference, estimate, output = tick.reference, tick.estimate, tick.output
-        told = (reference.x, reference.x_dot, reference.x_ddot, estimate.x, estimate.x_dot, output.error, output.error_dot,
-                output.u, output.force)
-        values = [number for vector in told for number in vector.tolist()]
-        reference_time = round(tick.reference_time * NANOSECONDS)
-        self._states.publish(self._state_out.pack(stamp, values, reference_time))
-        criterion = [output.residual, output.s, output.sigma_min, output.weight, estimate.assembly_mode, float(tick.phase),
-                     estimate.confidence, verdict, output.limit, estimate.innovation_square,
-                     *estimate.innovation.tolist(), *estimate.b.tolist(), *estimate.d.tolist()]
-        self._criterion.publish(self._criterion_out.pack(stamp, criterion))
+        """What was thought of the state that was answered, to those who read it."""
+        states_read, criterion_read = self._read
+        state, judged, reference_time = [], [], round(tick.reference_time * NANOSECONDS)
+        if states_read:
+            state = tick.numbers[self._state_of].tolist()
+            self._states.publish(self._state_out.pack(stamp, state, reference_time))
+        if criterion_read:
+            judged = tick.numbers[self._judged_of].tolist()
+            judged[5:6] = float(tick.phase), judged[5], verdict
+            self._criterion.publish(self._criterion_out.pack(stamp, judged))
         if self._readable is not None:
-            self._readable.publish(stamp, values, reference_time, criterion)
+            self._readable.publish(stamp, state, reference_time, judged)
+
+    def look(self) -> None:
+        """Who reads what: for topics that nobody does, as in a bare loop, no message is made. About 10 us."""
+        if self._readable is None:  # which needs both
+            self._read = self._states.get_subscription_count() > 0, self._criterion.get_subscription_count() > 0
 
     def repeat(self) -> None:
         """The last command once more."""

@@ -138,10 +138,10 @@ class Statistics:
             **self.counts, "rate": round(found.rate, 2), "jitter_us": _us(found.jitter), "interval_p99_us": _us(found.p99),
             "interval_max_us": _us(found.longest), "state_age": round(time.perf_counter() - self._arrival, 4),
             "saturated_ticks": saturated, "saturated_share": round(min(more / ticks, 1.0), 4) if ticks else 0.0,
-            "callback_p50_us": _us(self._work.percentile(50.0)), "callback_p99_us": _us(self._work.percentile(99.0)),
         }  # fmt: skip
-        if len(self._latencies.numbers):
-            values |= {f"latency_p{percent}_us": _us(self._latencies.percentile(percent)) for percent in (50, 99)}
+        for name, window in (("callback", self._work), *([("latency", self._latencies)] if len(self._latencies.numbers) else [])):
+            middle, p99 = window.percentiles(50.0, 99.0)
+            values |= {f"{name}_p50_us": _us(middle), f"{name}_p99_us": _us(p99)}
         return values
 
 
