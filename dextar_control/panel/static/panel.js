@@ -4,7 +4,7 @@
   const $ = (id) => document.getElementById(id);
   const SIGNS = {idle: "\u25CB", approach: "\u2192", hold: "\u25A0", track: "\u25B6", crossing: "\u2715", safe_stop: "\u25B2", fault: "\u26A0\uFE0E"};
   const MOVING = ["approach", "track", "crossing"], LIMP = ["safe_stop", "fault"];
-  const SPAN = 8, SAMPLES = 1200, TRAIL = 60;  // s of a strip; samples that are kept, whatever the rate; places of the trail
+  const SPAN = 8, SPANS = [0.8, 2, 4, 8, 20, 40, 80], SAMPLES = 1200, TRAIL = 60;  // s of a strip, on the clock and, where the simulation has a pace of its own, by it; samples that are kept, whatever the rate; places of the trail
   const BORDER = 0.012;  // m around the workspace
   const ARROW = 0.03;  // m, of t_s
   const MENDS = {enable: "Torque on", reset: "Reset", activate: "Activate the controller"};
@@ -511,11 +511,16 @@
     context.textAlign = "start";
     return {left, right, top, bottom, y};
   }
+  function span() {  // s by the states' stamps
+    const pace = Number(status?.plant.real_time_factor);
+    return pace > 0 ? SPANS.find((one) => one >= 0.7 * SPAN * pace) || SPANS.at(-1) : SPAN;
+  }
   function strip(id, low, high, digits, curves) {
     const [context, width, height] = blank($(id)), {left, right, top, bottom, y} = axes(context, width, height, low, high, digits);
-    const end = ring.count ? ring.time[(ring.at + SAMPLES - 1) % SAMPLES] : 0, x = (time) => right - (right - left) * (end - time) / SPAN;
+    const end = ring.count ? ring.time[(ring.at + SAMPLES - 1) % SAMPLES] : 0, seconds = span();
+    const x = (time) => right - (right - left) * (end - time) / seconds;
     context.fillStyle = color.soft;
-    context.fillText(`${SPAN} s ago`, left, height - 4);
+    context.fillText(`${seconds} s ago`, left, height - 4);
     context.textAlign = "right";
     context.fillText("now", right, height - 4);
     context.textAlign = "start";
@@ -527,7 +532,7 @@
       const points = [];
       for (let k = ring.count; k > 0; k -= 1) {
         const at = (ring.at + SAMPLES - k) % SAMPLES;
-        if (ring.time[at] < end - SPAN - 1) continue;
+        if (ring.time[at] < end - 1.2 * seconds) continue;
         points.push([x(ring.time[at]), typeof numbers === "number" ? y(numbers) : y(numbers[at])]);
       }
       pen(context, line);
