@@ -13,10 +13,10 @@ from dextar_control.analysis.curves import Curve, Panel
 from dextar_control.analysis.drawing import SCREEN, draw_line, draw_locus, draw_panel, draw_places, finish_plane, mark
 from dextar_control.analysis.plane import T_S_LENGTH, Place, corners, locus_of
 from dextar_control.analysis.run import Floats
-from dextar_control.analysis.words import counted
 from dextar_control.contract import style
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.style import LIGHT, LINES, Line
+from dextar_control.contract.words import counted
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.certificate import Certificate, Plan
 from dextar_control.planning.model import states_model

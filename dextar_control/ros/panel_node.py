@@ -16,7 +16,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from dextar_control.contract import style
 from dextar_control.contract.errors import DextarError
-from dextar_control.contract.node import DextarNode, Parameter, run_node
+from dextar_control.contract.node import DextarNode, run_node
+from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_STATES, PHASES

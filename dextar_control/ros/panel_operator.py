@@ -17,7 +17,8 @@ from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import DextarError, ParameterError
-from dextar_control.contract.node import Parameter, check_value
+from dextar_control.contract.node import check_value
+from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.signals import Interrupted
 from dextar_control.ros import controller_node, recorder_node, trajectory_server
