@@ -134,7 +134,7 @@ def render(template: str, figures: Mapping[str, WebFigure], **values: Any) -> st
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.filters["symbols"] = lambda text: Markup(style.html(text))
-    numbers = Markup(json.dumps(figures, allow_nan=False, separators=(",", ":")).replace("</", "<\\/"))
+    numbers = Markup(json.dumps(figures, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"))
     page = environment.get_template(template).render(figures=list(figures), numbers=numbers, colors=Markup(style.css()), **values)
     return f"{page}\n"
 

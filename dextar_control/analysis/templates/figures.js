@@ -139,7 +139,7 @@ class Drawing {
     }
     const log = figure.log ?? "";
     this.x = new Axis(x, [left, left + inner], log.includes("x"), 68);
-    this.y = new Axis(y, [TOP + high, TOP], log.includes("y"), 26, figure.names?.map((name, row) => [row, name]));
+    this.y = new Axis(y, [TOP + high, TOP], log.includes("y"), figure.to_scale ? 52 : 26, figure.names?.map((name, row) => [row, name]));
     const height = TOP + high + bottom;
     this.svg?.remove();
     const svg = this.svg = make("svg", {viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": this.words()}, frame);
