@@ -23,7 +23,7 @@ JITTER = 0.25
 EARLY = 2.0e-5
 """s by which a sample may be out before its deadline: no sleep is as short."""
 SERVED_EACH = 0.01
-"""s after which timers and services are served; the executor does that by itself while there is longer to wait."""
+"""s after which timers and services are served where the loop does not sleep."""
 SERVED_AT_ONCE = 4
 """Of them."""
 MOST_BEHIND = 50_000_000
@@ -218,32 +218,25 @@ def cycle(node: Paced, executor: Any) -> None:
         else:
             _await_command(node, executor)
             return
-    while node.paced and (left := schedule.left(time.monotonic_ns(), node.awaited)) > EARLY and not node.paused:
-        _sleep(executor, left)
+    if node.paced:
+        while (left := schedule.left(time.monotonic_ns(), node.awaited)) > EARLY and not node.paused:
+            executor.spin_once(timeout_sec=left)
+    elif schedule.serve(time.monotonic_ns()):
+        _serve(executor)
     if node.paused:
         return
     if node.paced:
         schedule.met(time.monotonic_ns(), node.awaited)
     node.publish()
-    if schedule.serve(time.monotonic_ns()):
-        _serve(executor)
 
 
 def _pass(node: Paced, executor: Any, left: float) -> None:
     """Some of the time until the work begins; a sample that makes lateness up waits for its command, to begin with it."""
     soonest = node.schedule.left_to_work(time.monotonic_ns(), False)
     if soonest > 0.0:
-        _sleep(executor, soonest)
+        executor.spin_once(timeout_sec=soonest)
     else:
         node.wait(left)
-
-
-def _sleep(executor: Any, seconds: float) -> None:
-    """Some of this time; an executor's wait costs several times as much as a sleep, so only a long one is left to it."""
-    if seconds > SERVED_EACH:
-        executor.spin_once(timeout_sec=seconds)
-    else:
-        time.sleep(seconds)
 
 
 def _await_command(node: Paced, executor: Any) -> None:

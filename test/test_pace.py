@@ -128,7 +128,7 @@ def test_a_pause_is_neither_late_nor_run() -> None:
 
 
 class MadeUp:
-    """A clock, sleeps and an executor's waits that let it go on, and a rig that keeps when it published."""
+    """A clock, an executor whose waits let it go on, and a rig that keeps when it published."""
 
     lockstep = finished = paused = False
     paced = True
@@ -150,8 +150,6 @@ class MadeUp:
 
     def spin_once(self, timeout_sec: float) -> None:
         self.now += min(1 + int(1.0e9 * timeout_sec), PERIOD // 10)
-
-    sleep = spin_once
 
     def listen(self) -> None:
         self.answered = self.answers and bool(self.published) and self.now >= self.published[-1] + self.takes
