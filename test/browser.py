@@ -79,8 +79,8 @@ class Page:
         """A window of this width, px."""
         self._call("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
 
-    def scheme(self, scheme: str) -> None:
-        """The desktop's: light or dark."""
+    def prefers(self, scheme: str) -> None:
+        """A reader whose system is light or dark."""
         self._call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
 
     def click(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:

@@ -342,7 +342,7 @@ def test_nothing_is_cut_or_lies_over_something_else(page: Page, robot: Robot, wi
     page.wait(f"innerWidth === {width}")
     assert page.evaluate(CUT) == []
     for scheme in ("light", "dark"):
-        page.scheme(scheme)
+        page.prefers(scheme)
         page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 100))))")
         page.screenshot(tmp_path / f"panel_{width}_{scheme}.png")
 
