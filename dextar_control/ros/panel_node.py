@@ -32,8 +32,9 @@ from dextar_control.ros.task import Task, in_words, plan_from
 from dextar_control.symbols.types import Array
 
 PARAMETERS = (
-    Parameter("host", "address that the page is served at; another than this machine's own needs a token, which is told with it"),
-    Parameter("port", "of it, or the first free one after it; 0 is any", 0, 65535),
+    Parameter("host", "address that the page is served at; another than this machine's own needs a token, which is told with it;"
+              " dextar panel --host ADDRESS for short"),
+    Parameter("port", "of it, or the first free one after it; 0 is any; --port for short", 0, 65535),
     Parameter("rate", "of what is shown", 5.0, 60.0, unit="Hz"),
 )
 OPTIONS = {"--host": "host", "--port": "port"}

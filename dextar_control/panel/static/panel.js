@@ -6,6 +6,7 @@
   const MOVING = ["approach", "track", "crossing"], LIMP = ["safe_stop", "fault"];
   const SPAN = 8, SPANS = [0.8, 2, 4, 8, 20, 40, 80], SAMPLES = 1200, TRAIL = 60;  // s of a strip, on the clock and, where the simulation has a pace of its own, by it; samples that are kept, whatever the rate; places of the trail
   const BORDER = 0.012;  // m around the workspace
+  const READING = 100;  // ms between two changes of what is read: a page that lays itself out less often hears a click sooner
   const ARROW = 0.03;  // m, of t_s
   const MENDS = {enable: "Torque on", reset: "Reset", activate: "Activate the controller"};
   const store = {get: (key) => { try { return sessionStorage.getItem(key); } catch { return null; } },
@@ -593,8 +594,15 @@
     for (const name of ["paper", "wash", "ink", "soft", "line", "mid", "band", "link", "accent", "bad", "good"]) color[name] = styles.getPropertyValue(`--${name}`).trim();
     dirty = true;
   }
-  function draw() {
-    if (dirty && setup) { dirty = false; phases(); plane(); strips(); preview(); numbers(); }
+  let read = 0;
+  function draw(now) {
+    if (dirty && setup) {
+      dirty = false;
+      phases();
+      plane();
+      strips();
+      if (now - read > READING) { read = now; preview(); numbers(); }
+    }
     requestAnimationFrame(draw);
   }
 
