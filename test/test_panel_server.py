@@ -303,6 +303,10 @@ def test_why_there_is_no_torque_and_what_mends_it(told: dict[str, str], words: s
     assert mended == action
 
 
+def test_who_is_heard_of_is_named_where_the_controller_is_not() -> None:
+    assert mend("/left", {}, {"panel": 0, "plant": 0})[0].startswith("No controller is heard of in /left; heard of: plant.")
+
+
 def test_the_watch_that_is_nearest_to_its_limit_comes_first() -> None:
     told = {"watch_locus": "0.3 of 0.15", "watch_tracking_error": "0.019 of 0.02", "watch_joint_range": "-1 of 0.05",
             "watch_finite": "0 of 0", "watch_estimator": "nan of 0.04", "phase": "HOLD"}  # fmt: skip

@@ -18,9 +18,10 @@ def mend(namespace: str, told: Mapping[str, str], nodes: Mapping[str, Any]) -> t
         nodes: that have told of themselves lately.
     """
     if not told:
-        others = f"; only {', '.join(sorted(nodes))} tell of themselves" if nodes else ""
+        others = ", ".join(sorted(set(nodes) - {"panel"}))
         robot = f" in {namespace}" if namespace.strip("/") else ""
-        return f"No controller is heard of{robot}{others}. Start it: this page goes on by itself.", ""
+        heard = f"; heard of: {others}" if others else ""
+        return f"No controller is heard of{robot}{heard}. Start it: this page goes on by itself.", ""
     lifecycle, phase, reason = told.get("lifecycle", ""), told.get("phase", ""), told.get("reason", "")
     if lifecycle != "active":
         return f"The controller is {lifecycle}: it answers no joint state.", "activate" if lifecycle != "finalized" else ""

@@ -191,7 +191,7 @@ def run_bench(seconds: float) -> int:
     told = ", ".join(f"{name} {share:.3f}" for name, share in cores.items())
     console.print(f"cores at 1 kHz in real time: {told}, together {sum(cores.values()):.3f}")
     console.print(
-        f"panel: {panel.watched:.3f} cores while a page looks on, {panel.unwatched:.3f} else, {panel.pictures:.1f} pictures a s;"
+        f"panel: {panel.watched:.3f} cores while a page looks on, {panel.unwatched:.3f} else, {panel.pictures:.1f} pictures/s;"
         f" a stop is answered after {1e3 * float(np.median(panel.stops)):.1f} ms, {1e3 * max(panel.stops):.1f} ms at most of"
         f" {len(panel.stops)}; steps without their command {panel.late_watched:.1%}, {panel.late_unwatched:.1%} without a page"
     )
