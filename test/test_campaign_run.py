@@ -274,6 +274,22 @@ def test_a_campaign_that_only_dies_is_given_up(
         list(pool.map(call, job, [trials[:2]]))
 
 
+def test_workers_that_are_gone_are_asked_for_again(job: Job, trials: list[Trial], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool_module, "LOOK_AFTER", 0.2)
+    with Pool(workers=1) as pool:
+        assert pool._cluster is not None
+        pool._cluster.scale(0)
+        while pool._client.nthreads():
+            time.sleep(0.05)
+        assert [len(rows) for _, rows in pool.map(run_trials, job, [trials[:1]])] == [1]
+        monkeypatch.setattr(pool_module, "GONE_AFTER", 0.0)
+        pool._cluster.scale(0)
+        while pool._client.nthreads():
+            time.sleep(0.05)
+        with pytest.raises(CampaignError, match="all workers have been gone for"):
+            list(pool.map(run_trials, job, [trials[:1]]))
+
+
 def test_a_worker_with_other_code_is_refused(job: Job, trials: list[Trial]) -> None:
     with pytest.raises(CampaignError, match="a worker runs other code"):
         run_trials(job._replace(code="0" * 16), trials)

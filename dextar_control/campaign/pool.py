@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -26,6 +27,9 @@ AHEAD = 2  # batches in flight for each core: one runs, one waits beside it
 ATTEMPTS = 2  # of a trial that runs alone and whose worker dies each time
 MANY_DEATHS = 20  # such trials without a finished one between them end the campaign
 CONNECT_TIMEOUT = 10.0  # s
+POLL = 0.005  # s
+LOOK_AFTER = 5.0  # s without a result until it is seen whether there are workers
+GONE_AFTER = 60.0  # s without any worker that end the campaign
 DIED = "worker died"
 
 Call = Callable[[Job, Sequence[Trial]], list[Row]]
@@ -121,7 +125,7 @@ class Pool:
                     submit(waiting.popleft())
                 if not running:
                     return
-                future = next(done)
+                future = self._next(done)
                 trials, deaths = running.pop(future)
                 if future is alone:
                     alone, deaths = None, deaths + 1
@@ -138,6 +142,27 @@ class Pool:
                     yield trials, [failed_row(DIED)]
         finally:
             self._client.cancel(list(running))
+
+    def _next(self, done: as_completed) -> Future:
+        """What is done next. Dask now and then starts no other worker for one that died: without any one is asked for.
+
+        Raises:
+            CampaignError: none comes.
+        """
+        seen = asked = time.monotonic()
+        while not done.has_ready():
+            time.sleep(POLL)
+            now = time.monotonic()
+            if now - asked < LOOK_AFTER:
+                continue
+            asked = now
+            if self._client.nthreads():
+                seen = now
+            elif now - seen > GONE_AFTER:
+                raise CampaignError(f"all workers have been gone for {now - seen:.0f} s; call the command again to go on")
+            elif self._cluster is not None:
+                self._cluster.scale(self.workers)
+        return next(done)
 
     def _local(self, workers: int) -> Client:
         with _uninterrupted(), dask.config.set({"distributed.scheduler.allowed-failures": 0}):
