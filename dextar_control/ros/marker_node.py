@@ -15,6 +15,7 @@ from visualization_msgs.msg import MarkerArray
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.node import DextarNode, qos, run_node
 from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.scheduling import stand_back
 from dextar_control.contract.topics import JOINT_STATES, MARKERS
 from dextar_control.ros.newest import UNCHANGED, Newest
 from dextar_control.ros.scene import Scene, View, to_array, wipe
@@ -124,7 +125,8 @@ class MarkerNode(DextarNode):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry."""
+    """Console entry; who only shows does not interrupt who moves the robot."""
+    stand_back()
     return run_node(MarkerNode, args)
 
 

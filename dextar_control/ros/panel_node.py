@@ -19,6 +19,7 @@ from dextar_control.contract.errors import DextarError
 from dextar_control.contract.node import DextarNode, run_node
 from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.resources import node_defaults
+from dextar_control.contract.scheduling import stand_back
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_STATES, PHASES
 from dextar_control.panel.server import Answer, PanelServer
@@ -359,7 +360,8 @@ def ros_arguments(words: list[str]) -> list[str]:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry."""
+    """Console entry; who only shows does not interrupt who moves the robot."""
+    stand_back()
     return run_node(PanelNode, ros_arguments(sys.argv[1:] if args is None else args), spin)
 
 
