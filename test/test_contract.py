@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib
 import math
+import re
 import signal
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,7 @@ from dextar_control.contract.node import qos
 from dextar_control.contract.parameters import Parameter, check_value
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, flatten, from_flat, load_robot
-from dextar_control.contract.settings import default_settings
+from dextar_control.contract.settings import SETTINGS, Estimation, Law, Settings, default_settings
 from dextar_control.contract.topics import (
     CONTROLLER_STATE,
     CRITERION,
@@ -34,6 +36,8 @@ from dextar_control.contract.topics import (
     JOINT_STATES,
     MARKERS,
     PHASES,
+    READABLE_CRITERION,
+    READABLE_STATE,
     SERVICES,
     TOPICS,
     Service,
@@ -110,7 +114,30 @@ def test_every_parameter_has_one_default_and_every_default_a_parameter(node: str
     defaults = node_defaults(node)
     for spec in SPECS[node]:
         assert check_value(spec, defaults[spec.name], defaults[spec.name]) == defaults[spec.name]
-        assert spec.description
+
+
+def test_each_parameter_is_described_by_a_short_sentence_of_its_own() -> None:
+    described = {spec for specs in SPECS.values() for spec in specs}
+    for spec in described:
+        text = spec.description
+        assert text[0].isupper() and text.endswith(".") and len(text.split()) > 3 and len(text) <= 160, f"{spec.name}: {text}"
+    assert len({spec.description for spec in described}) == len(described)
+
+
+@pytest.mark.parametrize("entry", [*TOPICS, READABLE_STATE, READABLE_CRITERION, *SERVICES], ids=lambda entry: entry.name)
+def test_each_topic_and_service_is_described_in_sentences(entry: Topic | Service) -> None:
+    assert entry.meaning[0].isupper() and entry.meaning.endswith(".") and len(entry.meaning.split()) > 3
+
+
+@pytest.mark.parametrize("node", SPECS)
+def test_the_file_of_defaults_tells_each_parameters_unit(node: str) -> None:
+    section = config_file(NODES_FILE).read_text().partition(f"/**/{node}:")[2].partition("\n/**")[0]
+    told = dict(re.findall(r"^    (\S+): [^#\n]*?(?: # (.*))?$", section, re.MULTILINE))
+    assert told == {spec.name: spec.unit.removesuffix("1") for spec in SPECS[node] if spec.name in told}
+
+
+def test_each_setting_of_the_loop_is_a_described_parameter() -> None:
+    assert sorted(spec.name for spec in SETTINGS) == sorted(field.name for field in fields(Settings))
 
 
 @pytest.mark.parametrize(
@@ -144,8 +171,8 @@ def test_an_array_that_may_be_empty_is_one_of_floats(value: object, taken: list[
 
 
 def test_the_command_line_offers_every_law_and_estimator() -> None:
-    assert sorted(demo.LAWS) == sorted(controller_node.LAWS)
-    assert sorted(demo.ESTIMATORS) == sorted(controller_node.ESTIMATORS)
+    assert sorted(demo.LAWS) == sorted(law.name.lower() for law in Law)
+    assert sorted(demo.ESTIMATORS) == sorted(kind.name.lower() for kind in Estimation)
 
 
 @pytest.mark.parametrize("entry", [*TOPICS, *SERVICES], ids=lambda entry: entry.name)

@@ -24,13 +24,10 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
 from dextar_control.contract.node import qos
-from dextar_control.contract.parameters import check_value
-from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import BASE_FRAME, CONTROLLER_STATE, CRITERION, CRITERION_NAMES, JOINT_STATES, MARKERS, PHASES
 from dextar_control.planning.planner import Plan
 from dextar_control.ros import messages
-from dextar_control.ros.marker_node import PARAMETERS
 from dextar_control.ros.scene import Scene, View, to_array
 
 ROUNDING = 1e-9  # m; all is computed in double precision from lengths of 0.1 m
@@ -158,13 +155,6 @@ def test_everything_drawn_can_be_told_from_the_background(robot: RobotParameters
 def _corners() -> Marker:
     """Nothing, as wide as the robot."""
     return Marker(type=Marker.POINTS, points=[Point(x=-0.15, y=-0.1), Point(x=0.15, y=0.2)])
-
-
-def test_the_markers_parameters_have_defaults_within_their_limits() -> None:
-    defaults = node_defaults("markers")
-    for spec in PARAMETERS:
-        assert check_value(spec, defaults[spec.name], defaults[spec.name]) == defaults[spec.name]
-        assert spec.description
 
 
 class Display(Rig):

@@ -83,13 +83,13 @@ def _parameters(node: str, specs: Iterable[Parameter], robot: bool) -> str:
         lines += [textwrap.indent(line, " " * 6) for line in words]
     if robot:
         file = resources.config_file(resources.ROBOT_FILE)
-        lines += [f"  robot.* = those of {file}", "      the robot description, of a whole parameter file; fixed"]
+        lines += [f"  robot.* = those of {file}", "      A whole parameter file describes the robot; it is fixed."]
     return _section("parameters, with default, unit where a number has one, range", lines)
 
 
 def _words(spec: Parameter) -> str:
     """The description, the choices behind it."""
-    return spec.description + (f"; one of {', '.join(spec.choices)}" if spec.choices else "")
+    return spec.description + (f" The choices are {', '.join(spec.choices)}." if spec.choices else "")
 
 
 def _value(default: Any) -> str:

@@ -17,7 +17,7 @@ class Parameter:
 
     Attributes:
         name: dotted name.
-        description: in words.
+        description: one sentence, which a stranger understands without the name beside it.
         minimum, maximum: inclusive bounds of a number (or of each of an array).
         choices: the allowed words of a string.
         size: length of an array; 0 is any. An array whose default is empty may be empty.
@@ -37,14 +37,15 @@ class Parameter:
     @property
     def measured(self) -> str:
         """The description with its unit, as ``ros2 param describe`` shows it."""
-        return self.description if self.unit in ("", "1") else f"{self.description} [{self.unit}]"
+        return self.description if self.unit in ("", "1") else f"{self.description} Unit: {self.unit}."
 
 
 SCHEDULING = (
-    Parameter("thread_priority", "of all threads under SCHED_FIFO; 0 is the usual scheduling", 0, 99, unit="1"),
-    Parameter("cpu_affinity", "processors that the threads run on; [] is any", unit="1"),
-    Parameter("lock_memory", "keep the process's memory out of the swap"),
-)
+    Parameter("thread_priority", "The kernel schedules all threads by SCHED_FIFO at this priority; 0 leaves its usual"
+              " scheduling.", 0, 99, unit="1"),
+    Parameter("cpu_affinity", "The threads run on the processors with these numbers; [] allows any.", unit="1"),
+    Parameter("lock_memory", "The process keeps its memory out of the swap."),
+)  # fmt: skip
 """Of nodes with a loop that must be on time, named as ros2_control's; see ``scheduling.ask_kernel``."""
 
 

@@ -23,7 +23,7 @@ from dextar_control.contract.layouts import template
 from dextar_control.contract.node import qos, run_node
 from dextar_control.contract.parameters import SCHEDULING, Parameter
 from dextar_control.contract.scheduling import ask_kernel, precise_timers
-from dextar_control.contract.settings import Estimation, Law, Settings
+from dextar_control.contract.settings import SETTINGS, Estimation, Settings
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
 from dextar_control.control.loop import ControlLoop
@@ -41,100 +41,31 @@ from dextar_control.ros.progress import crossing_line, trip_line
 from dextar_control.ros.reference import ReferenceReader
 from dextar_control.ros.statistics import Statistics
 
-LAWS = tuple(law.name.lower() for law in Law)
-ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
-
 PARAMETERS = (
     *SCHEDULING,
-    Parameter("law", "multipliers near the locus", choices=LAWS),
-    Parameter("estimator", "of the platform state and the assembly mode", choices=ESTIMATORS),
-    Parameter("autostart", "configure and activate at the node's start; false waits for the lifecycle services"),
-    Parameter("enabled", "enable by itself, once, when the states have been healthy for healthy_time"),
-    Parameter("healthy_time", "for which states must have come without a gap, a refusal, a repetition or a step back before "
-              "torque; 0 is at once", 0.0, 60.0, unit="s", live=True),
-    Parameter("lockstep", "states arrive reliably and at any pace"),
-    Parameter("assembly_mode", "sign of s where the robot stands; live without torque", -1, 1, live=True),
-    Parameter("task.sample_period", "of the control loop", 1e-4, 0.1, unit="s"),
-    Parameter("state_timeout", "longest gap between two states: by their stamps a fault, on the steady clock no torque until "
-              "the next one", 1e-3, 10.0, unit="s", live=True),
-    Parameter("stall_timeout", "without a state on the steady clock, after which it is a fault; not in lockstep",
-              1e-3, 60.0, unit="s", live=True),
-    Parameter("reference_timeout", "for which a trajectory may wait for its start or for the enabling; then it is dropped: "
-              "nobody expects it any more", 0.0, 3600.0, unit="s", live=True),
-    Parameter("max_reference_age", "of a trajectory when it arrives, since it was served or, by the clocks, before it was: a "
-              "delayed or latched one moves nothing", 1e-3, 3600.0, unit="s", live=True),
-    Parameter("publish_effort_array", "the torques as effort_commands too, for drivers that read an array"),
-    Parameter("publish_readable", "controller_state and criterion as messages of dextar_interfaces too, on .../readable"),
-    Parameter("natural_frequency", "of the platform error", 1.0, 500.0, unit="rad/s", live=True),
-    Parameter("damping_ratio", "of the platform error", 0.1, 5.0, unit="1", live=True),
-    Parameter("integral_frequency", "of the integral term; 0 is off", 0.0, 50.0, unit="1/s", live=True),
-    Parameter("zone", "|s| in the middle of the law's transition", 0.0, 0.9, unit="1", live=True),
-    Parameter("zone_width", "of the law's transition in |s|", 0.0, 0.9, unit="1", live=True),
-    Parameter("band", "|s| of the band of the laws projected and multi_model", 0.0, 0.9, unit="1", live=True),
-    Parameter("hold_zone", "|s| below which dgm does not call the direct model", 0.0, 0.9, unit="1", live=True),
-    Parameter("hold_width", "of the zone around it that still counts as a crossing, in |s|", 0.0, 0.9, unit="1", live=True),
-    Parameter("filter_bandwidth", "of the joint filter of dgm and plain", 10.0, 2000.0, unit="rad/s", live=True),
-    Parameter("return_time", "over which dgm takes the direct model again after a crossing", 0.0, 1.0, unit="s", live=True),
-    Parameter("encoder_deviation", "of a joint sample, as the observer is told", 1e-7, 0.1, unit="rad", live=True),
-    Parameter("scatter_gain", "of the scatter that the observer sees in the samples, in their variance; 0 is off", 0.0, 1e6,
-              unit="1", live=True),
-    Parameter("bias_deviation", "of the joint angles that a wrong geometry explains", 1e-9, 0.1, unit="rad", live=True),
-    Parameter("bias_walk", "of their random walk as the joints move", 0.0, 0.1, unit="rad/sqrt(rad)", live=True),
-    Parameter("torque_deviation", "of a sample's torque", 1e-6, 10.0, unit="N m", live=True),
-    Parameter("acceleration_deviation", "of a sample's platform acceleration", 0.0, 1e3, unit="m/s^2", live=True),
-    Parameter("disturbance_deviation", "of the torque at a joint that the model lacks, at the start", 0.0, 10.0, unit="N m",
-              live=True),
-    Parameter("disturbance_walk", "of its random walk", 0.0, 100.0, unit="N m/sqrt(s)", live=True),
-    Parameter("shock_gate", "innovation of the joints that only a blow explains", 1.0, 1e6, unit="deviations", live=True),
-    Parameter("shock_speed", "by which a blow may change the platform's speed", 0.0, 100.0, unit="m/s", live=True),
-    Parameter("passage_armed", "|s| within which the assembly mode counts as unknown", 0.0, 0.9, unit="1", live=True),
-    Parameter("passage_begin", "|s| at which the test of crossed against bounced begins", 0.0, 0.9, unit="1", live=True),
-    Parameter("passage_log_odds", "that decide the test", 0.1, 20.0, unit="1", live=True),
-    Parameter("passage_encoder_deviation", "of a joint sample, as the test is told", 1e-7, 0.1, unit="rad", live=True),
-    Parameter("passage_bias_deviation", "of the joint angles that a wrong geometry explains, as the test is told", 1e-9, 0.1,
-              unit="rad", live=True),
-    Parameter("passage_torque_deviation", "of a sample's torque, as the test is told", 1e-6, 10.0, unit="N m", live=True),
-    Parameter("passage_acceleration_deviation", "of a sample's platform acceleration, as the test is told",
-              0.0, 1e3, unit="m/s^2", live=True),
-    Parameter("passage_disturbance", "torque at a joint that the model may lack and the test allows for",
-              0.0, 10.0, unit="N m", live=True),
-    Parameter("pose_deviation", "of an external position", 1e-6, 0.1, unit="m", live=True),
-    Parameter("pose_gate", "distance beyond which an external position is refused", 1.0, 1e3, unit="deviations", live=True),
-    Parameter("pose_timeout", "without an external position, after which its absence is told", 1e-3, 10.0, unit="s", live=True),
-    Parameter("friction_compensation", "fraction of the modelled friction fed forward", 0.0, 1.5, unit="1", live=True),
-    Parameter("disturbance_compensation", "fraction of the estimated disturbance torque taken off the law's", 0.0, 1.5, unit="1",
-              live=True),
-    Parameter("max_tracking_error", "ends a motion in a safe stop", 1e-4, 0.2, unit="m", live=True),
-    Parameter("max_start_distance", "between the robot and a trajectory's start", 1e-5, 0.05, unit="m", live=True),
-    Parameter("max_residual", "of the criterion at an accepted crossing", 1e-12, 10.0, unit="N", live=True),
-    Parameter("verdict_s", "|s| of the reference outside which the believed assembly mode is compared",
-              0.0, 0.9, unit="1", live=True),
-    Parameter("verdict_confidence", "in the assembly mode from which on it counts", 0.6, 0.99999999, unit="1", live=True),
-    Parameter("side_time", "clear of the locus without knowing the side, after which a motion or a hold ends in a safe stop",
-              0.0, 1e3, unit="s", live=True),
-    Parameter("side_error", "of the estimate since the side was known, up to which an unknown side is borne", 0.0, 0.2,
-              unit="m", live=True),
-    Parameter("watch_ratio", "torque over planned peak that a crossing trajectory is held below", 1.0, 1e6, unit="1", live=True),
-    Parameter("watch_torque", "that it is always allowed", 0.0, 100.0, unit="N m", live=True),
-    Parameter("watch_time", "at a torque limit that ends a motion in a safe stop", 0.0, 10.0, unit="s", live=True),
-    Parameter("brake_gain", "of the safe stop", 0.0, 10.0, unit="N m s/rad", live=True),
-    Parameter("brake_time", "after which the safe stop's torque is gone", 0.0, 10.0, unit="s", live=True),
-    Parameter("brake_constant", "of the safe stop on a known side: the velocity's time constant",
-              0.005, 1.0, unit="s", live=True),
-    Parameter("coast_s", "|s| within which the safe stop coasts", 0.02, 0.9, unit="1", live=True),
-    Parameter("stop_s", "|s| clear of which the safe stop comes to rest", 0.02, 0.9, unit="1", live=True),
-    Parameter("coast_time", "of the safe stop's coasting, after which it gives no torque any more",
-              0.0, 10.0, unit="s", live=True),
-    Parameter("rest_time", "for which the joints rest until the safe stop is over", 0.01, 10.0, unit="s", live=True),
-    Parameter("speed_margin", "times the robot's speed limits beyond which a motion is stopped", 1.0, 10.0, unit="1", live=True),
-    Parameter("speed_time", "beyond them, which ends a motion in a safe stop", 0.0, 10.0, unit="s", live=True),
-    Parameter("joint_margin", "by which a joint may leave its range", 0.0, 1.0, unit="rad", live=True),
-    Parameter("max_joint_jump", "of a joint beside where the last estimate expected it", 1e-4, 3.2, unit="rad", live=True),
-    Parameter("max_joint_misfit", "of a joint beside that of the estimated platform", 1e-4, 3.2, unit="rad", live=True),
-    Parameter("misfit_time", "of that misfit, which ends a motion in a safe stop", 0.0, 10.0, unit="s", live=True),
-    Parameter("locus_s", "|s| nearer than which the robot may come in phase CROSSING only", 0.0, 0.9, unit="1", live=True),
-    Parameter("max_torque_rate", "of a torque, over the robot's max_torque", 1.0, 1e6, unit="1/s", live=True),
-    Parameter("torque_rate_time", "of that rate, which ends a motion in a safe stop", 0.0, 10.0, unit="s", live=True),
+    Parameter("autostart", "The controller configures and activates itself at its start; if false, it waits for the lifecycle"
+              " services."),
+    Parameter("enabled", "The controller enables itself once the joint states have been healthy for healthy_time; if false, it"
+              " waits for ~/enable."),
+    Parameter("healthy_time", "Joint states must have come without gap, refusal, repetition or step back for this long before"
+              " torque is allowed; 0 allows it at once.", 0.0, 60.0, unit="s", live=True),
+    Parameter("lockstep", "Joint states are read reliably and may come at any pace, as from a plant in lockstep."),
+    Parameter("assembly_mode", "The robot stands in the assembly mode with this sign of s, +1 or -1; it changes only while no"
+              " torque acts.", -1, 1, live=True),
+    Parameter("task.sample_period", "The control loop expects a joint state once in this period.", 1e-4, 0.1, unit="s"),
+    Parameter("state_timeout", "A gap longer than this between the stamps of two states is a fault; a silence this long takes the"
+              " torque away until the next state.", 1e-3, 10.0, unit="s", live=True),
+    Parameter("stall_timeout", "A silence of the joint states that is longer than this by the steady clock is a fault, except in"
+              " lockstep.", 1e-3, 60.0, unit="s", live=True),
+    Parameter("reference_timeout", "A trajectory is dropped when it has to wait longer than this for its start or for the"
+              " controller to be enabled.", 0.0, 3600.0, unit="s", live=True),
+    Parameter("max_reference_age", "A trajectory is refused when it arrives more than this after it was served, or before it by"
+              " the clocks.", 1e-3, 3600.0, unit="s", live=True),
+    Parameter("publish_effort_array", "The controller publishes its torques on effort_commands too, for drivers that read an"
+              " array."),
+    Parameter("publish_readable", "The controller publishes its state and criterion on .../readable too, as messages of"
+              " dextar_interfaces."),
+    *SETTINGS,
 )  # fmt: skip
 
 SWITCH_INTERVAL = 2e-4  # s until the thread that checks a trajectory lets the control thread go on

@@ -22,11 +22,11 @@ from dextar_control.ros.scene import Scene, View, to_array, wipe
 from dextar_control.symbols.types import Array
 
 PARAMETERS = (
-    Parameter("enabled", "draw; false reads nothing and clears the display", live=True),
-    Parameter("rate", "of the drawing", 1.0, 60.0, unit="Hz"),
-    Parameter("trail", "how long the way of the end effector stays", 0.0, 60.0, unit="s", live=True),
-    Parameter("text", "write phase and scalars below the robot", live=True),
-)
+    Parameter("enabled", "The node draws; if false, it reads nothing and clears the display.", live=True),
+    Parameter("rate", "The drawing is renewed at this rate.", 1.0, 60.0, unit="Hz"),
+    Parameter("trail", "The path of the end effector stays visible for this long.", 0.0, 60.0, unit="s", live=True),
+    Parameter("text", "The drawing shows the phase and scalars as text below the robot.", live=True),
+)  # fmt: skip
 
 STILL_PERIOD = 1.0  # s
 DIAGNOSTICS_PERIOD = 1.0  # s

@@ -33,11 +33,11 @@ from dextar_control.ros.task import Task, in_words, plan_from
 from dextar_control.symbols.types import Array
 
 PARAMETERS = (
-    Parameter("host", "address that the page is served at; another than this machine's own needs a token, which is told with it;"
-              " dextar panel --host ADDRESS for short"),
-    Parameter("port", "of it, or the first free one after it; 0 is any; --port for short", 0, 65535),
-    Parameter("rate", "of what is shown", 5.0, 60.0, unit="Hz"),
-)
+    Parameter("host", "The page is served at this address (option --host); any but this machine's own asks for a token, which is"
+              " printed."),
+    Parameter("port", "The page is served at this port (option --port) or the first free one after it; 0 takes any.", 0, 65535),
+    Parameter("rate", "The page is renewed at this rate.", 5.0, 60.0, unit="Hz"),
+)  # fmt: skip
 OPTIONS = {"--host": "host", "--port": "port"}
 """Of the command ``dextar panel``, for short; ``--namespace`` besides."""
 

@@ -30,19 +30,21 @@ LAST_WORDS = 0.3  # s given to samples under way when the recording ends
 LEAST_SPLIT = 65536  # bytes
 
 SPECS = (
-    Parameter("output", "path of the new .mcap file; its folder becomes the bag; {stamp} is the UTC time of the start"),
-    Parameter("record_from_start", "false waits for ~/start"),
-    Parameter("name", "of the run, into the bag", live=True),
-    Parameter("notes", "on the run, into the bag", live=True),
-    Parameter("tags", "of the run, separated by spaces, into the bag", live=True),
-    Parameter("max_bag_size", "of a file, from which on the next one begins; 0 does not split", 0, unit="bytes"),
-    Parameter("max_bag_duration", "of a file, after which the next one begins; 0 does not split", 0.0, unit="s"),
-    Parameter("sync_period", "between two times that the disk is waited for: what a power cut can cost", 0.1, 3600.0, unit="s"),
-    Parameter("reliable", "ask the publishers to repeat lost samples; false costs them less"),
-    Parameter("compression", "of each chunk", choices=tuple(COMPRESSIONS)),
-    Parameter("parameters_of", "nodes whose parameters go into the bag, separated by spaces"),
-    Parameter("extra_topics", "further topics to record, separated by spaces; their types are found"),
-)
+    Parameter("output", "The recording is written to this .mcap file, whose folder becomes the bag; {stamp} is its start"
+              " in UTC."),
+    Parameter("record_from_start", "The recorder begins a bag at its start; if false, it waits for ~/start."),
+    Parameter("name", "The bag keeps this name of the run.", live=True),
+    Parameter("notes", "The bag keeps these notes on the run.", live=True),
+    Parameter("tags", "The bag keeps these tags of the run, which are separated by spaces.", live=True),
+    Parameter("max_bag_size", "The recorder begins the next file when one reaches this size; 0 does not split.", 0, unit="bytes"),
+    Parameter("max_bag_duration", "The recorder begins the next file when one lasts this long; 0 does not split.", 0.0, unit="s"),
+    Parameter("sync_period", "The recorder waits for the disk at this interval, which is what a power cut can cost.",
+              0.1, 3600.0, unit="s"),
+    Parameter("reliable", "The recorder asks the publishers to repeat lost samples; false costs them less."),
+    Parameter("compression", "The recorder compresses each chunk of a bag by this method.", choices=tuple(COMPRESSIONS)),
+    Parameter("parameters_of", "The bag keeps the parameters of these nodes, whose names are separated by spaces."),
+    Parameter("extra_topics", "The recorder records these further topics too, whose names are separated by spaces."),
+)  # fmt: skip
 
 
 class RecorderNode(DextarNode):

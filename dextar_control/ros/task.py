@@ -36,23 +36,30 @@ MOST_LINES = 24  # of a certificate in words
 CRITERIA = tuple(criterion.name.lower() for criterion in Criterion)
 
 PARAMETERS = (
-    Parameter("task.start", "A; where the robot stands when nothing is known of it", size=2, unit="m", live=True),
-    Parameter("task.goal", "B, of the trip A -> B -> A", size=2, unit="m", live=True),
-    Parameter("point", "of the locus through which a return trip leads instead; [] is off", size=2, unit="m", live=True),
-    Parameter("direction", "sign of s after that point; 0 leads away from the side of A", -1, 1, live=True),
-    Parameter("tour", "crossings spread over the locus instead, the other way round where negative; 0 is off", -1000, 1000,
-              live=True),
-    Parameter("tour_points", "x, y of each point of a tour instead; [] is off", unit="m", live=True),
-    Parameter("tour_seed", "of the spread", 0, 2**31 - 1, live=True),
-    Parameter("excite", "of a motion that tells masses and friction (dextar identify) instead; 0 is off", 0.0, 300.0, unit="s",
-              live=True),
-    Parameter("duration", "of one way; 0 leaves it to the planner", 0.0, 60.0, unit="s", live=True),
-    Parameter("dwell", "at rest before, between and after", 0.01, 60.0, unit="s", live=True),
-    Parameter("repeat", "return trips, or laps of the tour", 1, 1000, live=True),
-    Parameter("locus_time", "near the locus that the planner counts as much as a peak torque of 0.3 of the limit: with more it"
-              " asks for less torque and rushes less through", *LOCUS_TIMES, unit="s", live=True),
-    Parameter("criterion", "at a crossing; zero_wrench is what the law multi_model needs", choices=CRITERIA, live=True),
-)
+    Parameter("task.start", "The trip begins at this end effector position A, where the robot is taken to stand until it is"
+              " heard.", size=2, unit="m", live=True),
+    Parameter("task.goal", "The trip A -> B -> A turns round at this end effector position B.", size=2, unit="m", live=True),
+    Parameter("point", "A return trip through this point of the locus replaces the trip A -> B -> A; [] plans none.",
+              size=2, unit="m", live=True),
+    Parameter("direction", "A return trip has this sign of s behind its point; 0 leads away from the side of A.",
+              -1, 1, live=True),
+    Parameter("tour", "A tour of this many crossings spread over the locus replaces the trip, the other way round if negative; 0"
+              " plans none.", -1000, 1000, live=True),
+    Parameter("tour_points", "A tour through these points of the locus, x, y, x, y, ..., replaces the trip; [] plans none.",
+              unit="m", live=True),
+    Parameter("tour_seed", "This seed of the random numbers decides where a tour's crossings are spread.",
+              0, 2**31 - 1, live=True),
+    Parameter("excite", "A motion that lasts about this long, to tell masses and friction (dextar identify), replaces the trip;"
+              " 0 plans none.", 0.0, 300.0, unit="s", live=True),
+    Parameter("duration", "One way of the trip lasts this long; 0 lets the planner choose.", 0.0, 60.0, unit="s", live=True),
+    Parameter("dwell", "The robot rests this long before, between and after the motions of a plan.",
+              0.01, 60.0, unit="s", live=True),
+    Parameter("repeat", "The plan repeats its return trip, or the laps of its tour, this often.", 1, 1000, live=True),
+    Parameter("locus_time", "This time near the locus costs the planner as much as a peak torque of 0.3 of the limit; a larger"
+              " one yields less torque.", *LOCUS_TIMES, unit="s", live=True),
+    Parameter("criterion", "The planned motion satisfies this criterion at each crossing; the law multi_model needs zero_wrench.",
+              choices=CRITERIA, live=True),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

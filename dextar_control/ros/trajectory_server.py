@@ -31,11 +31,15 @@ from dextar_control.symbols.types import Array
 
 PARAMETERS = (
     *task.PARAMETERS,
-    Parameter("approach_speed", "peak speed of the way to the start", 1e-3, 2.0, unit="m/s", live=True),
-    Parameter("sample_period", "of the served trajectory's points; longer for a long one", 1e-4, 0.02, unit="s", live=True),
-    Parameter("autostart", "serve the trip once it is planned and an active controller holds or waits to be enabled"),
-    Parameter("drawing", "a .png to which each plan is drawn before it runs, autostart's at the end; empty: none", live=True),
-)
+    Parameter("approach_speed", "The robot moves to the start of the trip with at most this speed.",
+              1e-3, 2.0, unit="m/s", live=True),
+    Parameter("sample_period", "The points of a served trajectory are this far apart in time, and farther apart in a very long"
+              " one.", 1e-4, 0.02, unit="s", live=True),
+    Parameter("autostart", "The server serves the trip once it is planned and an active controller holds or waits to be"
+              " enabled."),
+    Parameter("drawing", "The server draws each plan to this .png before it runs, autostart's at the end; an empty name draws"
+              " none.", live=True),
+)  # fmt: skip
 
 FRESH = 2.0  # s, age of the controller's diagnostics that still tells where the robot stands
 COARSEST = 0.005  # s between the served points of a long tour

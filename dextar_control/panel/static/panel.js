@@ -342,7 +342,7 @@
       const range = spec.choices.length ? "" : spec.minimum !== null && spec.maximum !== null ? `${spec.minimum} to ${spec.maximum}`
         : spec.minimum !== null ? `at least ${spec.minimum}` : spec.maximum !== null ? `at most ${spec.maximum}` : "";
       const unit = spec.unit && spec.unit !== "1" ? spec.unit : "";
-      about.textContent = `${spec.description}. ${[range, unit].filter(Boolean).join(" ")}${range || unit ? ", " : ""}default ${shown(spec.default)}`;
+      about.textContent = `${spec.description} ${[range, unit].filter(Boolean).join(" ")}${range || unit ? ", " : ""}default ${shown(spec.default)}`;
       const words = spec.choices.length ? spec.choices : typeof spec.default === "boolean" ? ["true", "false"] : null;
       const input = words ? document.createElement("select") : document.createElement("input");
       if (words) options(input, words); else input.type = "text";
