@@ -7,6 +7,7 @@ import math
 import signal
 import subprocess
 import sys
+from array import array
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +123,7 @@ def test_every_parameter_has_one_default_and_every_default_a_parameter(node: str
         (Parameter("count", ""), 1.5, 5, "it must be an integer"),
         (Parameter("point", "", size=2), [1.0], [0.0, 0.0], "it must be 2 numbers"),
         (Parameter("point", "", size=2), [1.0], [], r"it must be 2 numbers or \[\]"),
+        (Parameter("point", "", size=2), array("d", [float("nan"), 1.0]), [], r"'point' = \[nan, 1.0\]; it must be finite"),
         (Parameter("points", ""), ["a"], [], "it must be numeric"),
         (Parameter("law", "", choices=("a", "b")), "c", "a", "it must be one of a, b"),
         (Parameter("flag", ""), 1, True, "it must be true or false"),
