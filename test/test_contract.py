@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+from array import array
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -149,6 +150,7 @@ def test_each_setting_of_the_loop_is_a_described_parameter() -> None:
         (Parameter("count", ""), 1.5, 5, "it must be an integer"),
         (Parameter("point", "", size=2), [1.0], [0.0, 0.0], "it must be 2 numbers"),
         (Parameter("point", "", size=2), [1.0], [], r"it must be 2 numbers or \[\]"),
+        (Parameter("point", "", size=2), array("d", [float("nan"), 1.0]), [], r"'point' = \[nan, 1.0\]; it must be finite"),
         (Parameter("points", ""), ["a"], [], "it must be numeric"),
         (Parameter("law", "", choices=("a", "b")), "c", "a", "it must be one of a, b"),
         (Parameter("flag", ""), 1, True, "it must be true or false"),

@@ -214,7 +214,8 @@ def test_without_nodes_it_says_how_to_start_some(
     for command in ("go", "stop", "status", "enable", "reset"):
         assert main([command]) == 2
         told = capsys.readouterr().err
-        assert told.startswith(f"dextar {command}: /controller does not run (ROS_DOMAIN_ID {os.environ['ROS_DOMAIN_ID']}, ")
+        domain = os.environ["ROS_DOMAIN_ID"]
+        assert told.startswith(f"dextar {command}: no word of /controller within 0.5 s (ROS_DOMAIN_ID {domain}, ")
         assert "start the nodes (ros2 launch dextar crossing.launch.py, or each alone)" in told
     assert main(["status", "--namespace", "1 bad"]) == 2
     assert "namespace" in capsys.readouterr().err

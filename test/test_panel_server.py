@@ -41,6 +41,8 @@ class Robot:
             raise DextarError("it is 3; the limit is 2")
         if name == "broken":
             raise KeyError("start")
+        if name == "unlike":
+            arguments["values"].items()
         self.asked.append(name)
         answer(True, f"{name} was asked for", {})
 
@@ -186,11 +188,13 @@ def test_one_page_drives_and_the_others_watch_until_one_takes_over() -> None:
 def test_what_makes_no_sense_is_answered_in_words() -> None:
     async def work(server: PanelServer, robot: Robot, at: str) -> None:
         page = await opened(at)
-        for text in ("no json", "[]", '{"ask": "go"}', '{"ask": "go", "number": "x"}'):
+        numbers = ('{"ask": "go"}', '{"ask": "go", "number": "x"}', '{"ask": "go", "number": 1e400}')
+        for text in ("no json", "[]", "[" * 60000, *numbers):
             await page.socket.write_message(text)
             assert "that is no command of this panel" in (await page.hear("answer"))["text"]
         assert (await page.ask("refused"))["text"] == "it is 3; the limit is 2"
         assert "'broken' cannot be done with that" in (await page.ask("broken"))["text"]
+        assert "'unlike' cannot be done with that" in (await page.ask("unlike", values=[1]))["text"]
         assert (await page.ask("go"))["ok"]
 
     served(work)

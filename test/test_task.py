@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.errors import DextarError, ParameterError, TrajectoryError
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import MAX_TRAJECTORY_POINTS
 from dextar_control.planning.checks import certify
 from dextar_control.planning.planner import PLAN_RESIDUAL, Criterion, Plan
 from dextar_control.planning.trajectory import join
-from dextar_control.ros.task import MOST_LINES, Task, in_words
+from dextar_control.ros.task import MOST_LINES, Task, in_words, plan_from
 from dextar_control.ros.trajectory_server import COARSEST, served_times
 
 STRETCHED = (0.09**2 - (0.09 - 0.059) ** 2) ** 0.5  # m, y of the stretched posture on the axis x = 0
@@ -66,6 +66,15 @@ def test_a_tour_of_given_points_begins_in_a(robot: RobotParameters) -> None:
     plan = Task.from_values(values | {"criterion": "reciprocal"}).plan(robot)
     np.testing.assert_allclose(plan.trajectory.at(0.0).x, values["task.start"])
     assert len(plan.certificate.crossings) == 2
+
+
+def test_a_robot_on_the_other_side_of_the_locus_is_told_what_to_do_and_that_works(robot: RobotParameters) -> None:
+    across = _values()["task.goal"]
+    trip = Task.from_values(_values()).plan(robot)
+    with pytest.raises(TrajectoryError, match=r"no way around was found: let the trip begin where the robot stands"):
+        plan_from(robot, np.array(across), trip, speed=0.2)
+    home = Task.from_values(_values(**{"task.start": across, "task.goal": _values()["task.start"]})).plan(robot)
+    assert plan_from(robot, np.array(across), home, speed=0.2).certificate.crossing_signs.tolist() == [1, -1]
 
 
 def test_progress_may_end_a_plan(robot: RobotParameters) -> None:

@@ -171,7 +171,7 @@ class Pool:
                 threads_per_worker=1,
                 processes=True,
                 host="127.0.0.1",
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",  # without one Dask takes port 8787, and warns where that is taken
                 silence_logs=logging.CRITICAL,
             )
             return Client(self._cluster)

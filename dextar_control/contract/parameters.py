@@ -57,7 +57,8 @@ def check_value(spec: Parameter, value: Any, default: Any) -> Any:
     """
 
     def fail(limit: str) -> ParameterError:
-        return ParameterError(f"parameter '{spec.name}' = {value!r}; it must be {limit}")
+        shown = value.tolist() if hasattr(value, "tolist") else value  # ROS hands over arrays
+        return ParameterError(f"parameter '{spec.name}' = {shown!r}; it must be {limit}")
 
     if isinstance(default, bool):
         if not isinstance(value, bool):

@@ -343,8 +343,9 @@ def _kept(robot: RobotParameters, found: DynamicFit, stiffnesses: Sequence[Stiff
         )
     for side, leg, told in zip(SIDES, robot.legs, stiffnesses, strict=True):
         if told is None:
+            was = f"at {leg.transmission_stiffness:g} N m/rad" if leg.transmission_stiffness else "as rigid"
             kept.append(
                 f"{side}.transmission_stiffness is not told without encoders at the motor and external poses that show the link"
-                f" lag behind: it was kept at {leg.transmission_stiffness:g} N m/rad."
+                f" lag behind: it was kept {was}."
             )
     return kept

@@ -296,7 +296,7 @@ class Stream(_Guarded, WebSocketHandler):
         try:
             asked = json.loads(message)
             name, number = str(asked["ask"]), int(asked["number"])
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
             self.say("answer", {"number": 0, "ok": False, "text": "that is no command of this panel: load the page again"})
             return
         answer = partial(self._answer, number)
@@ -311,7 +311,7 @@ class Stream(_Guarded, WebSocketHandler):
                 self.server.backend.ask(name, asked, answer)
             except DextarError as error:
                 answer(False, str(error), {})
-            except (KeyError, TypeError, ValueError) as error:
+            except (KeyError, TypeError, ValueError, AttributeError) as error:
                 answer(False, f"'{name}' cannot be done with that: {error!r}", {})
 
     def _answer(self, number: int, ok: bool, text: str, more: Mapping[str, Any]) -> None:

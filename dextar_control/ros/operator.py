@@ -139,8 +139,9 @@ class Operator(Node):
         if name in [node for node, _ in nodes]:
             return f"no word of {self.full(name)} for {SILENCE:.0f} s, though it is there ({where}): see its log"
         return (
-            f"{self.full(name)} does not run ({where}): start the nodes (ros2 launch dextar crossing.launch.py, or each alone),"
-            " or set ROS_DOMAIN_ID to theirs; dextar demo starts its own and tells its domain first"
+            f"no word of {self.full(name)} within {DISCOVERY:g} s ({where}): start the nodes"
+            " (ros2 launch dextar crossing.launch.py, or each alone), or set ROS_DOMAIN_ID to theirs; dextar demo starts its own"
+            " and tells its domain first"
         )
 
     def count_nodes(self, name: str) -> int:
@@ -469,6 +470,8 @@ class Trip:
                 self._say(crossing_line(index, len(verdicts), *verdicts[index]))
         if self.begun:
             self._say(f"{'done' if self.done else 'not done'}: {trip_line(crossed, len(verdicts), float(told['largest_error']))}")
+        elif not self.trouble:
+            self._say("not done: the trip was dropped before it began")
         self.bag = me.bag()
         if self.bag:
             self._say(f"recorded in {self.bag}")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.errors import ParameterError, TrajectoryError
 from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.certificate import Certificate
@@ -32,6 +32,10 @@ from dextar_control.symbols.types import Array
 
 LEAST_DURATION = 0.02  # s
 AT_START = 1e-4  # m, closer than this needs no approach
+UNREACHED = (
+    "let the trip begin where the robot stands (task.start of the trajectory server, A of the panel), or move the robot without"
+    " torque and tell its side (assembly_mode of the controller)"
+)
 MOST_LINES = 24  # of a certificate in words
 CRITERIA = tuple(criterion.name.lower() for criterion in Criterion)
 
@@ -168,7 +172,11 @@ def plan_from(robot: RobotParameters, origin: Array, plan: Plan, speed: float) -
     """
     start, trajectory = plan.trajectory.at(0.0).x, plan.trajectory
     if float(np.hypot(*(origin - start))) >= AT_START:
-        trajectory = join([plan_approach(robot, origin, start, speed), trajectory])
+        try:
+            approach = plan_approach(robot, origin, start, speed)
+        except TrajectoryError as error:
+            raise TrajectoryError(f"{error}: {UNREACHED}") from error
+        trajectory = join([approach, trajectory])
     return Plan(trajectory, certify(robot, trajectory, max_residual=PLAN_RESIDUAL))
 
 
