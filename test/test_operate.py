@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -116,6 +116,36 @@ def test_one_kind_of_task_switches_the_others_off_and_what_is_not_given_stays() 
     assert operator.task_values(nothing | {"point": [0.0, 0.08], "duration": 2.0}) == {
         "tour": 0, "point": [0.0, 0.08], "excite": 0.0, "tour_points": [], "direction": 0, "duration": 2.0,
     }  # fmt: skip
+
+
+def test_a_stop_reaches_a_trajectory_server_that_is_found_late() -> None:
+    class Busy:
+        """A client whose time passes only while it waits."""
+
+        now, stopped = 0.0, False
+
+        def _client(self, *_: object) -> Busy:
+            return self
+
+        def service_is_ready(self) -> bool:
+            return self.now >= 3.0
+
+        def call_async(self, _: object) -> Busy:
+            self.stopped = True
+            return self
+
+        def done(self) -> bool:
+            return self.stopped
+
+        def until(self, condition: Callable[[], object], seconds: float, *, through: bool) -> bool:
+            end = self.now + seconds
+            while not condition() and self.now < end:
+                self.now += 0.1
+            return bool(condition())
+
+    busy = Busy()
+    operator.Operator.stop_server(busy)  # type: ignore[arg-type]
+    assert busy.stopped
 
 
 def test_a_trip_is_followed_to_its_end(robot: Robot) -> None:

@@ -31,7 +31,7 @@ from dextar_control.ros.progress import crossing_line, crossings, trip_line, unh
 DISCOVERY = 5.0  # s in which a node that runs is heard of
 ANSWER = 10.0  # s in which a service answers that does not plan
 SILENCE = 10.0  # s without a word of a node that speaks each second, after which it counts as gone
-SERVER = 1.0  # s for the trajectory server's part of a stop
+SERVER = 5.0  # s for the trajectory server's part of a stop; on a busy machine it is found up to 3 s after the controller
 STOPPING = 30.0  # s in which a stop is over
 TICK = 0.05  # s
 MOVING = ("APPROACH", "TRACK", "CROSSING")
