@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import re
 import signal
 import subprocess
 import sys
@@ -35,6 +36,8 @@ from dextar_control.contract.topics import (
     JOINT_STATES,
     MARKERS,
     PHASES,
+    READABLE_CRITERION,
+    READABLE_STATE,
     SERVICES,
     TOPICS,
     Service,
@@ -119,6 +122,18 @@ def test_each_parameter_is_described_by_a_short_sentence_of_its_own() -> None:
         text = spec.description
         assert text[0].isupper() and text.endswith(".") and len(text.split()) > 3 and len(text) <= 160, f"{spec.name}: {text}"
     assert len({spec.description for spec in described}) == len(described)
+
+
+@pytest.mark.parametrize("entry", [*TOPICS, READABLE_STATE, READABLE_CRITERION, *SERVICES], ids=lambda entry: entry.name)
+def test_each_topic_and_service_is_described_in_sentences(entry: Topic | Service) -> None:
+    assert entry.meaning[0].isupper() and entry.meaning.endswith(".") and len(entry.meaning.split()) > 3
+
+
+@pytest.mark.parametrize("node", SPECS)
+def test_the_file_of_defaults_tells_each_parameters_unit(node: str) -> None:
+    section = config_file(NODES_FILE).read_text().partition(f"/**/{node}:")[2].partition("\n/**")[0]
+    told = dict(re.findall(r"^    (\S+): [^#\n]*?(?: # (.*))?$", section, re.MULTILINE))
+    assert told == {spec.name: spec.unit.removesuffix("1") for spec in SPECS[node] if spec.name in told}
 
 
 def test_each_setting_of_the_loop_is_a_described_parameter() -> None:

@@ -105,10 +105,10 @@ def test_a_parameter_file_that_no_node_can_read_is_refused_before_they_start(tmp
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("    law: consistent ", "    lwa: consistent ", "controller: unknown parameter 'lwa' for node controller"),
-        ("    substeps: 4 ", "    substepz: 4 ", "plant: unknown parameter 'substepz' for node plant"),
-        ("    repeat: 1 ", "    repeat: 0 ", "trajectory_server: parameter 'repeat' = 0; it must be >= 1"),
-        ("    law: consistent ", "    law: clasic ", "controller: parameter 'law' = 'clasic'; it must be one of"),
+        ("    law: consistent", "    lwa: consistent", "controller: unknown parameter 'lwa' for node controller"),
+        ("    substeps: 4", "    substepz: 4", "plant: unknown parameter 'substepz' for node plant"),
+        ("    repeat: 1", "    repeat: 0", "trajectory_server: parameter 'repeat' = 0; it must be >= 1"),
+        ("    law: consistent", "    law: clasic", "controller: parameter 'law' = 'clasic'; it must be one of"),
     ],
 )
 def test_what_a_node_would_refuse_of_its_parameter_file_is_refused_before_it_starts(

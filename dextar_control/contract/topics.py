@@ -38,7 +38,7 @@ class Topic:
         depth: history depth of the publisher (KEEP_LAST).
         latched: transient-local durability, offered and asked for.
         rate: nominal rate in Hz, the highest where publishers differ; 0 for on change.
-        meaning: fields, units, stamp.
+        meaning: fields and units, in sentences.
         subscriber: who reads it.
         reliable: whether the publisher offers reliability.
         read_reliable: whether the control path asks for it (in lockstep it always does).
@@ -93,7 +93,7 @@ class Service:
     Attributes:
         name: relative name: node, slash, service.
         type: ROS type, ``package/srv/Type``.
-        meaning: what it does.
+        meaning: what it does, in a sentence.
     """
 
     name: str
@@ -130,80 +130,81 @@ PHASES = {
 
 JOINT_STATES = Topic(
     "joint_states", "sensor_msgs/msg/JointState", "rig or plant", STREAM_DEPTH, False, 1000.0,
-    "q11, q21 by name: position (rad), velocity (rad/s), effort applied since the last state (N m); stamp of the sample",
+    "It tells of q11 and q21, by name, position (rad), velocity (rad/s) and the effort applied since the last state (N m).",
     subscriber="controller", read_reliable=False, unit="rad, rad/s, N m", joints=JOINT_NAMES, stamp="of the sample",
     timeouts=(TimeOut("controller", "state_timeout", "fault, no torque"),),
 )  # fmt: skip
 JOINT_COMMANDS = Topic(
     "joint_commands", "sensor_msgs/msg/JointState", "controller", STREAM_DEPTH, False, 1000.0,
-    "q11, q21 by name: effort (N m), nothing else; stamp of the state it answers. Only one publisher: with a second one"
-    " nobody's commands are taken. Without joints it is, in lockstep only, a bare acknowledgement: no command for this state",
+    "It gives q11 and q21, by name, an effort (N m) and nothing else. There is one publisher: with a second one nobody's"
+    " commands are taken. In lockstep a message without joints acknowledges the state and commands nothing.",
     subscriber="rig or plant", read_reliable=False, unit="N m", joints=JOINT_NAMES, stamp="of the state it answers",
     timeouts=(TimeOut("plant", "command_timeout", "no torque"),),
 )  # fmt: skip
 EFFORT_COMMANDS = Topic(
     "effort_commands", "std_msgs/msg/Float64MultiArray", "controller", STREAM_DEPTH, False, 1000.0,
-    "data [q11, q21]: effort (N m) in this order, the layout of the `~/commands` of forward_command_controller and"
-    " JointGroupEffortController. The type has no stamp, so no reader can tell how old a command is: it counts from its"
-    " arrival. The same torques as joint_commands, in the same tick; a robot reads one of the two",
+    "The data are the efforts (N m) of q11 and q21 in this order, the layout of the `~/commands` of forward_command_controller"
+    " and JointGroupEffortController. The type has no stamp, so no reader can tell how old a command is: it counts from its"
+    " arrival. It carries the same torques as joint_commands, in the same tick; a robot reads one of the two.",
     subscriber="rig or plant", read_reliable=False, unit="N m", joints=JOINT_NAMES, stamp="none",
     timeouts=(TimeOut("plant", "command_timeout", "no torque"),), switch="controller.publish_effort_array",
 )  # fmt: skip
 EXTERNAL_POSE = Topic(
     "external_pose", "geometry_msgs/msg/PoseStamped", "camera or plant", STREAM_DEPTH, False, 0.0,
-    "measured end effector position (m) in frame base, at the sensor's own rate; stamp of the instant when it was true",
+    "It tells the measured end effector position (m) in frame base, at the sensor's own rate.",
     subscriber="controller", read_reliable=False, unit="m", stamp="when it was true", rate_text="the sensor's",
     timeouts=(TimeOut("controller", "pose_timeout", "a warning"),), switch="plant.pose_rate",
 )  # fmt: skip
 TRAJECTORY = Topic(
     "trajectory", "trajectory_msgs/msg/MultiDOFJointTrajectory", "trajectory server", 1, True, 0.0,
-    "end effector (m, m/s, m/s^2) over time_from_start; stamp 0 starts at once; no points means stop",
+    "It gives the end effector's motion (m, m/s, m/s^2) over time_from_start; no points mean stop.",
     subscriber="controller", unit="m, m/s, m/s²", joints=(END_EFFECTOR_NAME,), stamp="of the start, 0 is now",
 )  # fmt: skip
 CONTROLLER_STATE = Topic(
     "controller_state", "trajectory_msgs/msg/JointTrajectory", "controller", STREAM_DEPTH, False, 1000.0,
-    "x, y: points[0] reference (m, m/s, m/s^2), [1] estimate (m, m/s), [2] error (m, m/s), "
-    "[3] output (auxiliary acceleration m/s^2, effort = J_inv^T tau in N); stamp of the state",
+    "It tells of x and y, in points[0] the reference (m, m/s, m/s^2), [1] the estimate (m, m/s), [2] the error (m, m/s) and"
+    " [3] the output (auxiliary acceleration, m/s^2, and effort J_inv^T tau, N).",
     unit="m, m/s, m/s², N", joints=PLATFORM_NAMES, stamp="of the state",
 )  # fmt: skip
 CRITERION = Topic(
     "criterion", "sensor_msgs/msg/JointState", "controller", STREAM_DEPTH, False, 1000.0,
-    "position by name: residual (N), s (1), sigma_min (1), projection_weight (1), assembly_mode (+1/-1), phase (enum), "
-    "mode_confidence (in the assembly mode, 0.5 to 1), verdict (on the planned crossing that began last: 0 undecided, "
-    "1 crossed, 2 bounced), torque_limit (at which the torques are cut, N m); of the observer innovation_JOINT (rad),"
+    "It tells, as positions by name, residual (N), s (1), sigma_min (1), projection_weight (1), assembly_mode (+1/-1), phase"
+    " (enum), mode_confidence (in the assembly mode, 0.5 to 1), verdict (on the planned crossing that began last: 0 undecided,"
+    " 1 crossed, 2 bounced), torque_limit (at which the torques are cut, N m); of the observer innovation_JOINT (rad),"
     " innovation_square (over its covariance, 2 on average where the observer is right), bias_JOINT (of a wrong geometry, rad)"
-    " and disturbance_JOINT (torque that the model lacks, N m), 0 with other estimators; stamp of the state",
+    " and disturbance_JOINT (torque that the model lacks, N m), 0 with other estimators.",
     unit="SI, by name", stamp="of the state",
 )  # fmt: skip
 SIM_END_EFFECTOR = Topic(
     "sim/end_effector", "nav_msgs/msg/Odometry", "plant", STREAM_DEPTH, False, 1000.0,
-    "true position (m) and velocity (m/s), both in frame base; stamp of the state",
+    "It tells the true position (m) and velocity (m/s) in frame base.",
     subscriber="analysis only", unit="m, m/s", stamp="of the state",
 )  # fmt: skip
 SIM_JOINT_STATES = Topic(
     "sim/joint_states", "sensor_msgs/msg/JointState", "plant", STREAM_DEPTH, False, 1000.0,
-    "q11, q12, q21, q22: true position (rad; passive joints relative to their proximal link), velocity (rad/s), "
-    "applied effort (N m, 0 on passive joints); stamp of the state",
+    "It tells the true position (rad; of passive joints relative to their proximal link), velocity (rad/s) and applied effort"
+    " (N m, 0 on passive joints) of q11, q12, q21 and q22.",
     subscriber="analysis only", unit="rad, rad/s, N m", joints=SIM_JOINT_NAMES, stamp="of the state",
 )  # fmt: skip
 ROBOT_DESCRIPTION = Topic(
     "robot_description", "std_msgs/msg/String", "plant", 1, True, 0.0,
-    "URDF of both legs with joints q11, q12, q21, q22, as robot_state_publisher and RViz read it; the loop is not closed in it",
+    "It holds the URDF of both legs with joints q11, q12, q21, q22, as robot_state_publisher and RViz read it. The loop"
+    " is not closed in it.",
     unit="SI, in the text", stamp="none", joints=SIM_JOINT_NAMES,
 )  # fmt: skip
 CLOCK = Topic(
     "clock", "rosgraph_msgs/msg/Clock", "plant", STREAM_DEPTH, False, 100.0,
-    "simulated time, that of the states' stamps, for nodes with use_sim_time; in lockstep only",
+    "It tells simulated time, that of the states' stamps, to nodes with use_sim_time, in lockstep only.",
     unit="s", stamp="none", switch="plant.clock_rate",
 )  # fmt: skip
 MARKERS = Topic(
     "markers", "visualization_msgs/msg/MarkerArray", "markers", 10, False, 25.0,
-    "linkage, end effector, reference, trail, t_s and text at the rate of the display; base, locus, path and crossings once a"
-    " second; frame base, m; stamp of the drawing",
+    "It draws linkage, end effector, reference, trail, t_s and text at the rate of the display, and base, locus, path and"
+    " crossings once a second (m, in frame base).",
     unit="m", stamp="of the drawing", switch="markers.enabled",
 )  # fmt: skip
 DIAGNOSTICS = Topic(
-    "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "all nodes", 10, False, 5.0, "health of each node",
+    "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "all nodes", 10, False, 5.0, "It tells the health of each node.",
     unit="by key", stamp="when published", rate_text="5 Hz controller, 1 Hz others",
 )  # fmt: skip
 
@@ -220,12 +221,12 @@ WITHOUT_INTERFACES = (
 )
 READABLE_STATE = Topic(
     f"{CONTROLLER_STATE.name}/readable", f"{INTERFACES}/msg/ControllerState", "controller", STREAM_DEPTH, False, 1000.0,
-    "controller_state, a name for each vector", unit=CONTROLLER_STATE.unit, joints=PLATFORM_NAMES, stamp="of the state",
-    switch="controller.publish_readable",
+    "It is controller_state with a name for each vector.", unit=CONTROLLER_STATE.unit, joints=PLATFORM_NAMES,
+    stamp="of the state", switch="controller.publish_readable",
 )  # fmt: skip
 READABLE_CRITERION = Topic(
     f"{CRITERION.name}/readable", f"{INTERFACES}/msg/Criterion", "controller", STREAM_DEPTH, False, 1000.0,
-    "criterion, a field for each name", unit="SI", stamp="of the state", switch="controller.publish_readable",
+    "It is criterion with a field for each name.", unit="SI", stamp="of the state", switch="controller.publish_readable",
 )  # fmt: skip
 GO = "go"
 """The action's name; its type is ``dextar_interfaces/action/Go``, and the node go_server offers it."""
@@ -243,21 +244,24 @@ NODES = {
 """The package's nodes, by name."""
 
 SERVICES = (
-    Service("plant/pause", "std_srvs/srv/SetBool", "true pauses the simulated time, false lets it run"),
-    Service("plant/step", "std_srvs/srv/Trigger", "advances `step_count` samples while paused"),
-    Service("plant/reset", "std_srvs/srv/Trigger", "back to the start, at rest"),
-    Service("controller/enable", "std_srvs/srv/SetBool", "torque on and off"),
-    Service("controller/stop", "std_srvs/srv/Trigger", "safe stop; a crossing that has begun is finished first"),
-    Service("controller/reset", "std_srvs/srv/Trigger", "leaves a fault or a safe stop, without torque"),
-    Service("controller/change_state", "lifecycle_msgs/srv/ChangeState", "configure, activate, deactivate, cleanup, shutdown"),
-    Service("controller/get_state", "lifecycle_msgs/srv/GetState", "unconfigured, inactive, active or finalized"),
-    Service("controller/get_available_states", "lifecycle_msgs/srv/GetAvailableStates", "all states there are"),
-    Service("controller/get_available_transitions", "lifecycle_msgs/srv/GetAvailableTransitions", "those from this state"),
-    Service("controller/get_transition_graph", "lifecycle_msgs/srv/GetAvailableTransitions", "all transitions there are"),
-    Service("recorder/start", "std_srvs/srv/Trigger", "begins a new bag"),
-    Service("recorder/stop", "std_srvs/srv/Trigger", "finishes the bag"),
-    Service("trajectory_server/plan", "std_srvs/srv/Trigger", "plans again"),
-    Service("trajectory_server/start", "std_srvs/srv/Trigger", "serves the trip or tour from where the robot stands"),
-    Service("trajectory_server/stop", "std_srvs/srv/Trigger", "safe stop"),
-    Service("trajectory_server/get_plan", "nav_msgs/srv/GetPlan", "one way between two poses, as a path"),
+    Service("plant/pause", "std_srvs/srv/SetBool", "True pauses the simulated time, false lets it run on."),
+    Service("plant/step", "std_srvs/srv/Trigger", "It advances a paused plant by `step_count` samples."),
+    Service("plant/reset", "std_srvs/srv/Trigger", "It puts the plant back to its start, at rest."),
+    Service("controller/enable", "std_srvs/srv/SetBool", "True switches the torque on, false off."),
+    Service("controller/stop", "std_srvs/srv/Trigger", "It begins a safe stop; a crossing that has begun is finished first."),
+    Service("controller/reset", "std_srvs/srv/Trigger", "It leaves a fault or a safe stop, without torque."),
+    Service("controller/change_state", "lifecycle_msgs/srv/ChangeState",
+            "It configures, activates, deactivates, cleans up or shuts down."),
+    Service("controller/get_state", "lifecycle_msgs/srv/GetState",
+            "It tells the state: unconfigured, inactive, active or finalized."),
+    Service("controller/get_available_states", "lifecycle_msgs/srv/GetAvailableStates", "It lists all states."),
+    Service("controller/get_available_transitions", "lifecycle_msgs/srv/GetAvailableTransitions",
+            "It lists the transitions from here."),
+    Service("controller/get_transition_graph", "lifecycle_msgs/srv/GetAvailableTransitions", "It lists all transitions."),
+    Service("recorder/start", "std_srvs/srv/Trigger", "It begins a new bag."),
+    Service("recorder/stop", "std_srvs/srv/Trigger", "It finishes the bag."),
+    Service("trajectory_server/plan", "std_srvs/srv/Trigger", "It plans the trip or tour again."),
+    Service("trajectory_server/start", "std_srvs/srv/Trigger", "It serves the trip or tour from where the robot stands."),
+    Service("trajectory_server/stop", "std_srvs/srv/Trigger", "It begins a safe stop."),
+    Service("trajectory_server/get_plan", "nav_msgs/srv/GetPlan", "It plans one way between two poses and tells its path."),
 )  # fmt: skip

@@ -30,7 +30,8 @@ LAST_WORDS = 0.3  # s given to samples under way when the recording ends
 LEAST_SPLIT = 65536  # bytes
 
 SPECS = (
-    Parameter("output", "The recording is written to this .mcap file, whose folder becomes the bag; {stamp} is the start in UTC."),
+    Parameter("output", "The recording is written to this .mcap file, whose folder becomes the bag; {stamp} is its start"
+              " in UTC."),
     Parameter("record_from_start", "The recorder begins a bag at its start; if false, it waits for ~/start."),
     Parameter("name", "The bag keeps this name of the run.", live=True),
     Parameter("notes", "The bag keeps these notes on the run.", live=True),
