@@ -35,14 +35,7 @@ FASTEST = 1.0
 class Effects:
     """What the robot's description does not say of the drives, the same at each motor.
 
-    Attributes:
-        friction: how Coulomb friction changes sign: ``stick`` holds a joint at rest, ``smooth`` is the description's tanh.
-        encoder_at: of a compliant transmission: its ``motor`` or its ``link`` side.
-        backlash: of the transmission, from one end to the other, rad.
-        cogging: amplitude of the motor's torque over its angle, N m.
-        cogging_periods: of it in one revolution.
-        drive_lag: time constant of a torque, s.
-        torque_step: to whole multiples of which commands are rounded, N m; 0 does not.
+    Each field is the plant's parameter of its name, with its meaning and unit; see ``parameters.PARAMETERS``.
     """
 
     friction: str = "stick"

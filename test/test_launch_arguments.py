@@ -222,3 +222,7 @@ def test_only_what_was_given_overrides_the_parameter_files(monkeypatch: pytest.M
     assert nodes["trajectory_server"] == {"autostart": True, "tour": 6, "duration": 2.0, "criterion": "zero_wrench"}
     output = nodes["recorder"]["output"]
     assert (output.given, output.named) == (("a: b #1.mcap",), {"value_type": str})
+
+
+def test_each_argument_is_described_by_a_sentence() -> None:
+    assert [name for name, each in ARGUMENTS.items() if not (each.told[0].isupper() and each.told.endswith("."))] == []

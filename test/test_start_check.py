@@ -64,7 +64,7 @@ def test_a_file_given_with_params_is_held_to_the_same_rules(
 ) -> None:
     text = config_file(NODES_FILE).read_text(encoding="utf-8")
     file = tmp_path / "params.yaml"
-    file.write_text(text.replace("    law: consistent ", "    lwa: consistent "), encoding="utf-8")
+    file.write_text(text.replace("    law: consistent", "    lwa: consistent"), encoding="utf-8")
     assert cli.main(["demo", "--output", str(tmp_path / "runs"), "--params", str(file)]) == 2
     assert "controller: unknown parameter 'lwa'" in capsys.readouterr().err
     assert not started and not (tmp_path / "runs").exists()

@@ -14,7 +14,7 @@ from rclpy.validate_namespace import validate_namespace
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.parameters import Parameter, check_value
 from dextar_control.contract.resources import node_defaults
-from dextar_control.contract.settings import Estimation, Law
+from dextar_control.contract.settings import SETTINGS
 from dextar_control.contract.topics import INTERFACES
 from dextar_control.contract.yaml_text import load_parameters
 from dextar_control.ros import task
@@ -23,7 +23,8 @@ from dextar_control.ros.start_check import check_start
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 """In any case; launch's own conditions take the first two of each."""
 TASK = {spec.name: spec for spec in task.PARAMETERS}
-PACE = Parameter("real_time_factor", "of the plant, which says its own upper limit", 0.0)
+LOOP = {spec.name: spec for spec in SETTINGS}
+PACE = Parameter("real_time_factor", "Simulated time runs at most this many times as fast as real time; 0 sets no limit.", 0.0)
 
 
 class Argument(NamedTuple):
@@ -45,34 +46,30 @@ class Argument(NamedTuple):
     def told(self) -> str:
         """The description with what may be given."""
         choices = ("true", "false") if self.kind == "switch" else self.choices
-        return f"{self.description}. One of: {', '.join(choices)}" if choices else self.description
+        return f"{self.description} The choices are {', '.join(choices)}." if choices else self.description
 
 
+LEFT = "Empty leaves it to params_file."
 ARGUMENTS = {
-    "law": Argument("", "near the locus; empty: params_file's", "word", tuple(law.name.lower() for law in Law)),
-    "estimator": Argument("", "of the platform state; external needs poses, of a camera or the plant's pose_rate; empty:"
-                          " params_file's", "word", tuple(estimator.name.lower() for estimator in Estimation)),
-    "tour": Argument("", "crossings spread over the locus; empty: params_file's", "number"),
-    "excite": Argument("", "about how long a motion is that tells dextar identify masses and friction, s; empty: params_file's",
-                       "number"),
-    "real_time": Argument("false", "the plant runs on whether or not a command came, as a rig does; false: each simulated step"
-                          " waits for its command"),
-    "real_time_factor": Argument("", "pace of the simulation where its steps wait; 0 is as fast as possible; empty:"
-                                 " params_file's", "number"),
-    "duration": Argument("", "of one way, s; empty: params_file's", "number"),
-    "window": Argument("false", "PyBullet's own window"),
-    "record": Argument("true", "start the recorder"),
-    "markers": Argument("false", "draw for RViz and Foxglove"),
-    "panel": Argument("false", "serve a page that watches and drives the robot, at an address that is printed"),
-    "output": Argument("", "the recording, .mcap; empty: params_file's", "bag"),
-    "autostart": Argument("true", "serve the trip as soon as it is planned"),
-    "activate": Argument("true", "configure and activate the controller at its start; false: ros2 lifecycle set does"),
-    "plant": Argument("true", "start the simulated rig; false where a real one publishes the joint states"),
-    "namespace": Argument("/", "of all nodes, e.g. /left: two robots in one domain", "namespace"),
-    "robot_file": Argument("", "parameter file of the robot", "parameter file"),
-    "params_file": Argument("", "parameter file of the nodes", "parameter file"),
-    "enclaves": Argument("false", "each node in its enclave of config/sros2/policy.xml; with ROS_SECURITY_ENABLE=true"),
-    "discovery_range": Argument("", "who may see and command the nodes; LOCALHOST: this machine only", "word",
+    "law": Argument("", f"{LOOP['law'].description} {LEFT}", "word", LOOP["law"].choices),
+    "estimator": Argument("", f"{LOOP['estimator'].description} {LEFT}", "word", LOOP["estimator"].choices),
+    **{name: Argument("", f"{TASK[name].measured} {LEFT}", "number") for name in ("tour", "excite", "duration")},
+    "real_time": Argument("false", "The plant runs on whether or not a command came, as a rig does; if false, each simulated step"
+                          " waits for its command."),
+    "real_time_factor": Argument("", f"{PACE.description} {LEFT}", "number"),
+    "window": Argument("false", "The plant opens PyBullet's own window."),
+    "record": Argument("true", "The recorder is started."),
+    "markers": Argument("false", "The node that draws for RViz and Foxglove is started."),
+    "panel": Argument("false", "A page that watches and drives the robot is served at an address that is printed."),
+    "output": Argument("", f"The recording is written to this .mcap file. {LEFT}", "bag"),
+    "autostart": Argument("true", "The trip is served as soon as it is planned."),
+    "activate": Argument("true", "The controller activates itself at its start; if false, ros2 lifecycle set does."),
+    "plant": Argument("true", "The simulated rig is started; false is for a real one that publishes the joint states."),
+    "namespace": Argument("/", "All nodes run in this namespace, e.g. /left for one of two robots in a domain.", "namespace"),
+    "robot_file": Argument("", "This parameter file describes the robot.", "parameter file"),
+    "params_file": Argument("", "This parameter file sets the parameters of the nodes.", "parameter file"),
+    "enclaves": Argument("false", "Each node runs in its enclave of config/sros2/policy.xml (with ROS_SECURITY_ENABLE=true)."),
+    "discovery_range": Argument("", "Machines in this range may see and command the nodes; LOCALHOST is this one only.", "word",
                                 ("LOCALHOST", "SUBNET", "OFF", "SYSTEM_DEFAULT")),
 }  # fmt: skip
 """Every argument of the launch file; where its default depends on the installation the launch file sets it."""
