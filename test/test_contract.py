@@ -27,7 +27,7 @@ from dextar_control.contract.layouts import template
 from dextar_control.contract.node import qos
 from dextar_control.contract.parameters import Parameter, check_value
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
-from dextar_control.contract.robot import RobotParameters, flatten, from_flat, load_robot
+from dextar_control.contract.robot import ROBOT_KEYS, RobotParameters, flatten, from_flat, load_robot
 from dextar_control.contract.settings import SETTINGS, Estimation, Law, Settings, default_settings
 from dextar_control.contract.topics import (
     CONTROLLER_STATE,
@@ -118,11 +118,10 @@ def test_every_parameter_has_one_default_and_every_default_a_parameter(node: str
 
 
 def test_each_parameter_is_described_by_a_short_sentence_of_its_own() -> None:
-    described = {spec for specs in SPECS.values() for spec in specs}
-    for spec in described:
-        text = spec.description
-        assert text[0].isupper() and text.endswith(".") and len(text.split()) > 3 and len(text) <= 160, f"{spec.name}: {text}"
-    assert len({spec.description for spec in described}) == len(described)
+    described = {(spec.name, spec.description) for specs in SPECS.values() for spec in specs} | set(ROBOT_KEYS.items())
+    for name, text in described:
+        assert text[0].isupper() and text.endswith(".") and len(text.split()) > 3 and len(text) <= 160, f"{name}: {text}"
+    assert len({text for _, text in described}) == len(described)
 
 
 @pytest.mark.parametrize("entry", [*TOPICS, READABLE_STATE, READABLE_CRITERION, *SERVICES], ids=lambda entry: entry.name)

@@ -10,6 +10,7 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rig import Rig, controlled, matched
 
 from dextar_control.contract.cdr import from_time
+from dextar_control.contract.robot import ROBOT_KEYS
 from dextar_control.planning.planner import Plan
 from dextar_control.ros.controller_node import PARAMETERS
 
@@ -155,6 +156,8 @@ def test_no_parameter_is_without_description_and_range(asleep: Rig) -> None:
             assert all(choice in descriptor.additional_constraints for choice in spec.choices)
         elif spec.minimum is not None:
             assert (ranges[0].from_value, ranges[0].to_value) == (spec.minimum, spec.maximum)
+    robot = {name.removeprefix("robot."): each.description for name, each in told.items() if name.startswith("robot.")}
+    assert robot and robot.items() <= ROBOT_KEYS.items()
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.help import node_help
 from dextar_control.contract.parameters import Parameter, check_value, settled
-from dextar_control.contract.robot import PREFIX, RobotParameters, changed, from_flat
+from dextar_control.contract.robot import PREFIX, ROBOT_KEYS, RobotParameters, changed, from_flat
 from dextar_control.contract.services import ServiceDesk
 from dextar_control.contract.signals import StopSignal, caused_by_interrupt, tell
 from dextar_control.contract.topics import DIAGNOSTICS, Topic
@@ -97,7 +97,7 @@ class DextarNode(Node):
             self.robot: RobotParameters = from_flat(flat)
             for key, value in flat.items():
                 plain = list(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
-                self._declare(f"{PREFIX}{key}", plain, ParameterDescriptor(read_only=True))
+                self._declare(f"{PREFIX}{key}", plain, ParameterDescriptor(description=ROBOT_KEYS[key], read_only=True))
         self.add_on_set_parameters_callback(self._on_set)
         self._diagnostics = self.create_publisher(DiagnosticArray, DIAGNOSTICS.name, qos(DIAGNOSTICS))
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)

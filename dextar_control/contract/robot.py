@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, get_type_hints
 
 from dextar_control.contract.errors import ParameterError, StateError
 from dextar_control.contract.yaml_text import dump_document, load_parameters
@@ -38,78 +38,46 @@ def joint_positions(names: Sequence[str], positions: Sequence[float]) -> tuple[f
 
 @dataclass(frozen=True)
 class LegParameters:
-    """One leg: motor, proximal link, passive elbow, distal link.
+    """One leg: motor, proximal link, passive elbow, distal link. Each field says what it is, for ``ROBOT_KEYS``."""
 
-    Attributes:
-        axis: of the motor, (x, y) in the robot's frame, m.
-        proximal_length, distal_length: link lengths in m, > 0.
-        proximal_mass, distal_mass: kg, >= 0.
-        proximal_center, distal_center: centre of mass as a fraction of the length
-            from the link's first joint (motor, elbow), in [0, 1].
-        proximal_inertia, distal_inertia: about the centre of mass, kg m^2, >= 0.
-        rotor_inertia: reflected to the joint, kg m^2, >= 0.
-        viscous_friction: at the active joint, N m s/rad, >= 0.
-        coulomb_friction: at the active joint, N m, >= 0.
-        min_angle, max_angle: range of the active joint, rad, on any turn; a whole turn or more is no bound.
-        encoder_offset: what the encoder reads where the active joint is at zero, rad, in [-pi, pi].
-        transmission_stiffness: between rotor and proximal link, N m/rad, >= 0; 0 is rigid.
-        transmission_damping: beside it, N m s/rad, >= 0.
-        passive_viscous_friction: at the elbow, N m s/rad, >= 0.
-        passive_coulomb_friction: at the elbow, N m, >= 0.
-    """
-
-    axis: tuple[float, float]
-    proximal_length: float
-    proximal_mass: float
-    proximal_center: float
-    proximal_inertia: float
-    distal_length: float
-    distal_mass: float
-    distal_center: float
-    distal_inertia: float
-    rotor_inertia: float
-    viscous_friction: float
-    coulomb_friction: float
-    min_angle: float
-    max_angle: float
-    encoder_offset: float
-    transmission_stiffness: float
-    transmission_damping: float
-    passive_viscous_friction: float
-    passive_coulomb_friction: float
+    axis: Annotated[tuple[float, float], "The {side} motor's axis stands at this point (x, y) of the robot's frame (m)."]
+    proximal_length: Annotated[float, "The {side} proximal link has this length (m, > 0)."]
+    proximal_mass: Annotated[float, "The {side} proximal link has this mass (kg, >= 0)."]
+    proximal_center: Annotated[float, "The {side} proximal link's mass centre is at this fraction of its length from the motor."]
+    proximal_inertia: Annotated[float, "The {side} proximal link has this inertia about its centre of mass (kg m^2, >= 0)."]
+    distal_length: Annotated[float, "The {side} distal link has this length (m, > 0)."]
+    distal_mass: Annotated[float, "The {side} distal link has this mass (kg, >= 0)."]
+    distal_center: Annotated[float, "The {side} distal link's mass centre is at this fraction of its length from the elbow."]
+    distal_inertia: Annotated[float, "The {side} distal link has this inertia about its centre of mass (kg m^2, >= 0)."]
+    rotor_inertia: Annotated[float, "The {side} motor's rotor has this inertia, reflected to the joint (kg m^2, >= 0)."]
+    viscous_friction: Annotated[float, "The {side} active joint has this viscous friction (N m s/rad, >= 0)."]
+    coulomb_friction: Annotated[float, "The {side} active joint has this Coulomb friction (N m, >= 0)."]
+    min_angle: Annotated[float, "The {side} active joint's range begins at this angle (rad); a whole turn is no bound."]
+    max_angle: Annotated[float, "The {side} active joint's range ends at this angle (rad); a whole turn is no bound."]
+    encoder_offset: Annotated[float, "The {side} encoder reads this where the active joint is at zero (rad, -pi to pi)."]
+    transmission_stiffness: Annotated[float, "The {side} transmission to the link has this stiffness (N m/rad); 0 is rigid."]
+    transmission_damping: Annotated[float, "The {side} transmission to the link has this damping (N m s/rad, >= 0)."]
+    passive_viscous_friction: Annotated[float, "The {side} elbow has this viscous friction (N m s/rad, >= 0)."]
+    passive_coulomb_friction: Annotated[float, "The {side} elbow has this Coulomb friction (N m, >= 0)."]
 
 
 @dataclass(frozen=True)
 class RobotParameters:
-    """A planar five-bar: two legs (left, right) closed at the end effector.
+    """A planar five-bar: two legs (left, right) closed at the end effector."""
 
-    Attributes:
-        name: of the description.
-        left, right: the legs.
-        end_effector_mass: point mass at the end effector, kg.
-        pin_viscous_friction, pin_coulomb_friction: between the distal links, N m s/rad and N m, >= 0.
-        gravity: in the robot's plane, m/s^2, shape (2,): of a robot tilted by an angle, 9.81 times its sine.
-        coulomb_speed: the friction torque is coulomb * tanh(q_dot / coulomb_speed), rad/s.
-        working_mode: elbow side of (left, right): +1 left of the line base -> end effector, -1 right.
-        max_torque: of each motor, N m.
-        max_joint_speed: of each active joint, rad/s.
-        max_platform_speed: of the end effector, m/s.
-        min_type1_distance: least |sin| of the angle between proximal and distal link.
-    """
-
-    name: str
+    name: Annotated[str, "The robot's description has this name."]
     left: LegParameters
     right: LegParameters
-    end_effector_mass: float
-    pin_viscous_friction: float
-    pin_coulomb_friction: float
-    gravity: tuple[float, float]
-    coulomb_speed: float
-    working_mode: tuple[int, int]
-    max_torque: float
-    max_joint_speed: float
-    max_platform_speed: float
-    min_type1_distance: float
+    end_effector_mass: Annotated[float, "The end effector carries this point mass (kg, >= 0)."]
+    pin_viscous_friction: Annotated[float, "The pin between the distal links has this viscous friction (N m s/rad, >= 0)."]
+    pin_coulomb_friction: Annotated[float, "The pin between the distal links has this Coulomb friction (N m, >= 0)."]
+    gravity: Annotated[tuple[float, float], "Gravity has these components in the robot's plane (m/s^2), 9.81 sin(tilt) in all."]
+    coulomb_speed: Annotated[float, "Coulomb friction changes sign as tanh(joint speed / this speed) (rad/s, > 0)."]
+    working_mode: Annotated[tuple[int, int], "Each elbow lies left (+1) or right (-1) of its line base -> end effector."]
+    max_torque: Annotated[float, "Each motor gives at most this torque (N m, > 0)."]
+    max_joint_speed: Annotated[float, "Each active joint may turn at most this fast (rad/s, > 0)."]
+    max_platform_speed: Annotated[float, "The end effector may move at most this fast (m/s, > 0)."]
+    min_type1_distance: Annotated[float, "The angle between proximal and distal link keeps at least this |sin|."]
 
     def __post_init__(self) -> None:
         for key, value in flatten(self).items():
@@ -211,13 +179,18 @@ def flatten(robot: RobotParameters) -> dict[str, Any]:
     return flat
 
 
-_LEG_KEYS = [field.name for field in dataclasses.fields(LegParameters)]
-ROBOT_KEYS = ["name", "base_distance"] + [
-    key
-    for field in dataclasses.fields(RobotParameters)
-    for key in ([f"{field.name}.{leg}" for leg in _LEG_KEYS] if field.name in ("left", "right") else [field.name])
-    if key != "name"
-]
+def _sentences(kind: type) -> dict[str, str]:
+    hints = get_type_hints(kind, include_extras=True).items()
+    return {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
+
+
+_LEG_KEYS = _sentences(LegParameters)
+ROBOT_KEYS = {
+    "name": _sentences(RobotParameters)["name"],
+    "base_distance": "The motors' axes are this far apart (m, > 0); a description may give it instead of both axes.",
+    **{f"{side}.{key}": text.format(side=side) for side in ("left", "right") for key, text in _LEG_KEYS.items()},
+} | _sentences(RobotParameters)
+"""Dotted keys of a description, in its order, and what each is in a sentence."""
 _UNSAID: dict[str, float] = {
     **{f"{side}.{bound}_angle": sign * math.pi for side in ("left", "right") for bound, sign in (("min", -1.0), ("max", 1.0))},
     **{f"{side}.{key}": 0.0 for side in ("left", "right")
