@@ -76,8 +76,9 @@ class Page:
         return answer["result"].get("value")
 
     def resize(self, width: int) -> None:
-        """A window of this width, px."""
+        """A window of this width, px, in which the page has been laid out."""
         self._call("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
+        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 0))))")
 
     def click(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
         """With the mouse, on an element, at these shares of its width and height."""

@@ -111,6 +111,7 @@ def test_its_panels_zoom_together_and_back(page: Page) -> None:
     box = json.loads(page.evaluate("JSON.stringify(drawings[1].svg.getBoundingClientRect())"))
     middle = box["top"] + 0.5 * box["height"]
     page.drag((box["left"] + 200.0, middle), (box["left"] + 300.0, middle))
+    page.wait(f"({ranges})[0] > 0.1")
     zoomed = page.evaluate(ranges)
     assert len(set(zoomed)) == 1 < len(zoomed) and zoomed[0] > 0.1
     page.evaluate("document.querySelector('button.all:not([hidden])').click()")

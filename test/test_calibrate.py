@@ -243,7 +243,8 @@ def behind_belts(numbers: np.ndarray, stiffness: float, known: float) -> Calibra
     belts = {f"{side}.transmission_stiffness": stiffness for side in ("left", "right")}
     belts |= {f"{side}.transmission_damping": 0.017 for side in ("left", "right")}
     rig = Rig(described(ROBOT, numbers).replace(**belts), plant="cartesian", pose_rate=100.0, pose_noise=2e-4)
-    described_so = ROBOT.replace(**belts | {f"{side}.transmission_stiffness": known for side in ("left", "right")})
+    told = belts | {f"{side}.transmission_stiffness": known for side in ("left", "right")}
+    described_so = ROBOT.replace(**told) if known else ROBOT
     recorded = learnt.record(described_so, tour(), rig)
     return calibrate_recorded(described_so, [recorded], poses=known == 0.0)
 
