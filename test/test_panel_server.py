@@ -119,6 +119,8 @@ async def refused(url: str, **headers: str) -> str:
         ("127.0.0.1", "127.0.0.1:1", "http://127.0.0.1:2", "a page of http://127.0.0.1:2 may not ask"),
         ("127.0.0.1", "127.0.0.1:1", "null", "a page of null may not ask"),
         ("127.0.0.1", "evil.example:1", "http://evil.example:1", "for this machine alone, not for evil.example:1"),
+        ("127.0.0.1", "[::", None, "names no host and port"),
+        ("127.0.0.1", "127.0.0.1:1", "http://[", "names no host and port"),
         ("0.0.0.0", "robot:1", "http://robot:1", "the token is missing or wrong"),
     ],
 )
@@ -292,6 +294,8 @@ def test_the_page_is_small_asks_nobody_else_and_may_not_be_framed() -> None:
         ({}, "No controller is heard of", ""),
         ({"lifecycle": "inactive"}, "The controller is inactive", "activate"),
         ({"lifecycle": "active", "phase": "HOLD"}, "", ""),
+        ({"lifecycle": "active", "phase": "HOLD", "state_age": "0.01"}, "", ""),
+        ({"lifecycle": "active", "phase": "HOLD", "state_age": "7.2"}, "No joint state has come for 7 s", ""),
         ({"lifecycle": "active", "phase": "IDLE", "enabling": "off"}, "The torque is switched off.", "enable"),
         ({"lifecycle": "active", "phase": "IDLE", "enabling": "waiting", "healthy": "0.1", "last_trouble": "a gap"},
          "0.1 s so far (last trouble: a gap)", ""),

@@ -178,7 +178,7 @@ ODD_FILES = {  # content, what is said of it as a robot file
     "mixed": (GOOD.replace(b"[1, -1]", b"[1, -1.0]"),
               "a list holds whole numbers and numbers with a point"),
     "nested": (b"/**: {ros__parameters: {robot: {gravity: [[0.0]]}}}\n", "a list of lists or mappings is no value"),
-    "infinite": (b"/**: {ros__parameters: {robot: {name: x, working_mode: [.inf, 1.0]}}}\n", "robot parameters 'base_distance', "),
+    "infinite": (b"/**: {ros__parameters: {robot: {name: x, working_mode: [.inf, 1.0]}}}\n", "robot parameters 'base_dist"),
     "control": (b'/**: {ros__parameters: {a: "\x1b"}}\n', "unacceptable character"),
     "deep": (b"/**: {ros__parameters: " + b"{a: " * 3000, "it is nested too deeply"),
     "huge": (b"#" * 4_000_001, "it is larger than 4 MB"),

@@ -32,12 +32,15 @@ class Access:
             origin: of the page that asks; None for what is no browser, or a page that is asked for itself.
             token: that it carries.
         """
-        if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
+        try:
+            asker, name = urlsplit(origin or "").netloc, urlsplit(f"//{host}").hostname or ""
+        except ValueError:  # brackets that do not close
+            return "the request names no host and port: open the address that the panel printed"
+        if origin is not None and asker.lower() != host.lower():
             return f"a page of {origin} may not ask the panel at {host}: open the address that the panel printed"
         if self.token:
             known = hmac.compare_digest(token.encode(), self.token.encode())
             return "" if known else "the token is missing or wrong: open the address that the panel printed, token included"
-        name = urlsplit(f"//{host}").hostname or ""
         return "" if _is_here(name) else f"the panel is for this machine alone, not for {host}: set its parameter host to open it"
 
 

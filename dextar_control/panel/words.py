@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from typing import Any
 
 GREATER = ("locus",)  # watches whose value is to stay above the limit
+SILENT = 2.0  # s without a joint state that are told
 WITH_TORQUE = ("APPROACH", "HOLD", "TRACK", "CROSSING")
 
 
 def mend(namespace: str, told: Mapping[str, str], nodes: Mapping[str, Any]) -> tuple[str, str]:
-    """Why there is no torque, in a sentence, and the command of the panel that mends it; both empty where there is torque.
+    """Why there is no torque, or none that follows the robot, in a sentence, and the panel's command that mends it; else empty.
 
     Args:
         namespace: of the robot.
@@ -26,7 +27,9 @@ def mend(namespace: str, told: Mapping[str, str], nodes: Mapping[str, Any]) -> t
     if lifecycle != "active":
         return f"The controller is {lifecycle}: it answers no joint state.", "activate" if lifecycle != "finalized" else ""
     if phase in WITH_TORQUE:
-        return "", ""
+        age = float(told.get("state_age", "nan"))
+        silent = f"No joint state has come for {age:.0f} s: the plant or the driver is paused or has ended. See that it runs."
+        return silent if age > SILENT else "", ""
     because = f": {reason}" if reason else ""
     if phase == "SAFE_STOP":
         if told.get("stopped") != "True":

@@ -377,7 +377,7 @@ def _wait_until_ready(console: Terminal, monitor: _Monitor, processes: _Processe
                 raise DemoError(f"the controller {note}")
             if address and not told:
                 told = True
-                console.print(f"watch and drive it at {address}", soft_wrap=True)
+                console.print(f"while it runs, watch and drive it at {address}", soft_wrap=True)
             recording = monitor.get("recorder", "parameters_missing") == "none"
             active = monitor.get("controller", "lifecycle") == "active"
             if recording and active and note == "accepted" and monitor.plant_waits:

@@ -15,7 +15,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from dextar_control.contract import style
-from dextar_control.contract.errors import DextarError
+from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.node import DextarNode, run_node
 from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.resources import node_defaults
@@ -121,10 +121,10 @@ class PanelNode(DextarNode):
                 loop.call_soon_threadsafe(answer, ok, text, more or {})
 
         requests: dict[str, Callable[[], None]] = {
-            "stop": lambda: me.stop_now(told), "enable": lambda: me.enable(bool(asked["on"]), told),
+            "stop": lambda: me.stop_now(told), "enable": lambda: me.enable(_flag(asked, "on"), told),
             "reset": lambda: me.reset(told), "activate": lambda: me.activate(told), "go": lambda: me.go(task_of(asked), told),
             "set": lambda: me.put(asked["node"], asked["values"], told),
-            "record": lambda: me.record(bool(asked["on"]), {key: str(asked[key]) for key in ("name", "notes")}, told),
+            "record": lambda: me.record(_flag(asked, "on"), {key: str(asked[key]) for key in ("name", "notes")}, told),
             "plan": lambda: self._plan(task_of(asked), told), "near": lambda: self._near(asked["point"], told),
             "report": lambda: self._make_report(told),
         }  # fmt: skip
@@ -320,6 +320,13 @@ def _spec(node: str, spec: Parameter) -> dict[str, Any]:
     """A parameter as a page sets it."""
     default = node_defaults(node)[spec.name]
     return {**spec.__dict__, "default": default}
+
+
+def _flag(asked: Mapping[str, Any], name: str) -> bool:
+    value = asked[name]
+    if not isinstance(value, bool):
+        raise ParameterError(f"'{name}' = {value!r}; it must be true or false")
+    return value
 
 
 def spin(node: PanelNode, executor: Any, stop: StopSignal) -> None:
