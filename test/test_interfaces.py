@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,10 @@ def go(built: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Itera
             for name, (module, values) in nodes.items():
                 options = [part for value in (*values, *own.get(name, ())) for part in ("-p", value)]
                 processes.append(start(module, "-r", "__ns:=/left", *options))
+            deadline = time.monotonic() + PATIENCE
+            while not bag.exists():  # a recorder that begins later is none of the first goal's
+                assert time.monotonic() < deadline and all(process.poll() is None for process in processes)
+                time.sleep(0.1)
             asked = subprocess.run(
                 [sys.executable, ROOT / "test" / "action_client.py"], input="".join(f"{json.dumps(goal)}\n" for goal in goals),
                 capture_output=True, text=True, timeout=8 * PATIENCE,
