@@ -113,6 +113,7 @@ class ControllerNode(ManagedNode):
         self._verdicts: list[Verdict] = []
         self._completed = 0
         self._tracked: Certificate | None = None
+        self._motions = 0  # that have begun: who looks five times a second sees none that ends sooner
         self._largest_error = 0.0
         self._pose_note = ""
         self._pose_told = -math.inf
@@ -340,6 +341,7 @@ class ControllerNode(ManagedNode):
         if loop.phase in MOVING:
             if loop.certificate is not self._tracked:
                 self._tracked, self._largest_error = loop.certificate, 0.0
+                self._motions += 1
             self._largest_error = max(self._largest_error, loop.supervisor.error)
 
     def _refuse(self, loop: ControlLoop, error: DextarError) -> None:
@@ -552,6 +554,7 @@ class ControllerNode(ManagedNode):
             "phase": loop.phase.name if self._active else "", "reason": loop.reason, "enabling": self._enabling,
             "healthy": round(self._stream.healthy_for(limit, self._now()), 3), "last_trouble": self._stream.trouble,
             "trajectory": self._reference.note, "trajectories": self._reference.arrived,
+            "motions": self._motions,
             "waiting_for": waiting_for(self._reference), **loop_values(loop, self._begun + 1, self._largest_error),
             "other_commanders": self._others, "state_publishers": self._rivals, "next_step": self._next_step(),
             "requests": self.desk.served,

@@ -367,6 +367,7 @@ class Trip:
     def __init__(self, me: Operator, show: Callable[[str, float], None], say: Callable[[str], object]) -> None:
         self._me, self._show, self._say = me, show, say
         self._before, self._completed = int(me.controller["trajectories"] or 0), me.controller["completed"]
+        self._motions = me.controller["motions"]
         self._told: dict[int, str] = {}
         self._asked = 0.0  # when a stop was, s
         self.begun = self.done = False
@@ -431,6 +432,7 @@ class Trip:
     def _over(self) -> bool:
         me, told = self._me, self._me.controller
         phase, note = told.get("phase", ""), told.get("trajectory", "")
+        self.begun = self.begun or (self._arrived and told.get("motions") != self._motions)
         if self._asked:
             return me.heard_since("controller", self._asked) and me.at_rest()
         if told.get("lifecycle") != "active":
