@@ -35,22 +35,22 @@ def plant() -> int:
 
 def controller() -> int:
     """The controller."""
-    return _node("dextar_control.ros.controller_node")
+    return _node("dextar_control.nodes.controller")
 
 
 def trajectory_server() -> int:
     """The trajectory server."""
-    return _node("dextar_control.ros.trajectory_server")
+    return _node("dextar_control.nodes.trajectory_server")
 
 
 def recorder() -> int:
     """The recorder."""
-    return _node("dextar_control.ros.recorder_node")
+    return _node("dextar_control.nodes.recorder")
 
 
 def markers() -> int:
     """The markers."""
-    return _node("dextar_control.ros.marker_node")
+    return _node("dextar_control.nodes.markers")
 
 
 def go_server() -> int:
@@ -58,12 +58,12 @@ def go_server() -> int:
     if importlib.util.find_spec(INTERFACES) is None:
         signals.tell(f"error: {WITHOUT_INTERFACES}", sys.stderr)
         return signals.EXIT_USAGE
-    return _node("dextar_control.ros.go_server")
+    return _node("dextar_control.nodes.go_server")
 
 
 def panel() -> int:
     """The panel in the browser."""
-    return _node("dextar_control.ros.panel_node")
+    return _node("dextar_control.nodes.panel")
 
 
 def warmup() -> int:
@@ -78,6 +78,6 @@ def dextar() -> int:
     """The command ``dextar``; ``dextar plant ...`` is what ``ros2 run dextar plant ...`` is."""
     run = EXECUTABLES.get(sys.argv[1]) if len(sys.argv) > 1 else None
     if run is None:
-        return _run("dextar_control.cli", signals.killed)
+        return _run("dextar_control.cli.main", signals.killed)
     sys.argv[:2] = [f"dextar {sys.argv[1]}"]
     return run()

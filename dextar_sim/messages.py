@@ -10,9 +10,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from dextar_control.contract.cdr import from_time
 from dextar_control.contract.errors import StateError
-from dextar_control.contract.layouts import template
 from dextar_control.contract.robot import JOINT_NAMES
 from dextar_control.contract.topics import (
     CLOCK,
@@ -23,6 +21,8 @@ from dextar_control.contract.topics import (
     SIM_END_EFFECTOR,
     SIM_JOINT_STATES,
 )
+from dextar_control.nodekit.cdr import from_time
+from dextar_control.nodekit.layouts import template
 from dextar_sim.sensors import Acknowledgement, Command
 from dextar_sim.state import PlantState
 

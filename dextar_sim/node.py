@@ -26,9 +26,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
-from dextar_control.contract.cdr import NANOSECONDS
 from dextar_control.contract.errors import ParameterError, StateError
-from dextar_control.contract.node import DextarNode, qos, run_node
 from dextar_control.contract.topics import (
     CLOCK,
     EFFORT_COMMANDS,
@@ -39,6 +37,8 @@ from dextar_control.contract.topics import (
     SIM_END_EFFECTOR,
     SIM_JOINT_STATES,
 )
+from dextar_control.nodekit.cdr import NANOSECONDS
+from dextar_control.nodekit.node import DextarNode, qos, run_node
 from dextar_sim.messages import CommandReader, StateWriter, read_efforts
 from dextar_sim.pace import Schedule, keeping_pace, spin
 from dextar_sim.parameters import PARAMETERS

@@ -10,7 +10,7 @@ import gc
 import time
 from typing import Any, Protocol
 
-from dextar_control.contract.scheduling import ask_kernel, precise_timers
+from dextar_control.nodekit.scheduling import ask_kernel, precise_timers
 
 _IDLE_WAIT = 0.05
 

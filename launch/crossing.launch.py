@@ -20,7 +20,7 @@ from launch.substitutions import EnvironmentVariable, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from dextar_control.ros.launch_arguments import ARGUMENTS, changes, check_nodes, misspelt, read
+from dextar_control.experiments.launch_arguments import ARGUMENTS, changes, check_nodes, misspelt, read
 
 WARMUP = Path(get_package_prefix("dextar")) / "lib" / "dextar" / "warmup"
 CONFIG = Path(get_package_share_directory("dextar")) / "config"

@@ -7,7 +7,7 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 
-from dextar_control.ros.launch_arguments import ARGUMENTS
+from dextar_control.experiments.launch_arguments import ARGUMENTS
 
 EXCITE = "20"  # s
 

@@ -17,8 +17,8 @@ from rclpy.action import ActionClient
 from rclpy.node import Node
 from rig import PATIENCE
 
-from dextar_control.contract.node import qos
 from dextar_control.contract.topics import DIAGNOSTICS, READABLE_CRITERION, READABLE_STATE
+from dextar_control.nodekit.node import qos
 
 
 def main() -> None:

@@ -8,9 +8,9 @@ from typing import Any
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from dextar_control.contract.cdr import from_time
-from dextar_control.contract.node import run_node
-from dextar_control.ros.controller_node import ControllerNode, spin
+from dextar_control.nodekit.cdr import from_time
+from dextar_control.nodekit.node import run_node
+from dextar_control.nodes.controller import ControllerNode, spin
 
 
 class BadController(ControllerNode):

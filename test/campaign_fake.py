@@ -10,8 +10,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from dextar_control.campaign.design import CrossingPoint, Trial
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.experiments.campaign.design import CrossingPoint, Trial
 
 LAWS = ("consistent", "classic")
 ESTIMATORS = ("observer", "dgm")
@@ -64,9 +64,9 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: Any) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    from dextar_control import cli
-    from dextar_control.campaign.command import run_command
-    from dextar_control.commands import campaign
+    from dextar_control.cli import campaign
+    from dextar_control.cli import main as cli
+    from dextar_control.experiments.campaign.command import run_command
 
     campaign.run = lambda arguments: run_command(arguments, MODULE)
     sys.exit(cli.main(["campaign", *sys.argv[1:]]))

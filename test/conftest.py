@@ -16,8 +16,8 @@ from dextar_control.contract import terminal
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.model.model import Model
+from dextar_control.nodekit.domain import own_domain
 from dextar_control.planning.planner import Plan, plan_return_trip
-from dextar_control.ros.domain import own_domain
 
 os.environ["ROS_DOMAIN_ID"] = str(own_domain())
 

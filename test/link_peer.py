@@ -76,7 +76,7 @@ def subscribe(count: int) -> None:
 
 def hold() -> None:
     """Own a link with a process on one side until killed."""
-    from dextar_control.faults.netns import FaultyLink
+    from dextar_control.experiments.faults.netns import FaultyLink
 
     with FaultyLink() as link:
         inner = link.popen("a", ["sleep", "1000"])

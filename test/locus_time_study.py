@@ -14,11 +14,11 @@ import sys
 
 import numpy as np
 
-from dextar_control.campaign.trial import _drive, _judge, build, sample_points
 from dextar_control.contract.resources import ROBOT_FILE, config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
+from dextar_control.experiments.campaign.trial import _drive, _judge, build, sample_points
 from dextar_control.planning.certificate import Plan
 from dextar_control.planning.locus import locus_point
 from dextar_control.planning.planner import plan_return_trip_through

@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def lockstep_bag() -> Path:
     """The bag of one ``dextar demo --lockstep``, made once for a test process."""
     folder = Path(tempfile.mkdtemp(prefix="dextar_run_"))
-    command = [sys.executable, "-m", "dextar_control.cli", "demo", "--lockstep", "--output", str(folder)]
+    command = [sys.executable, "-m", "dextar_control.cli.main", "demo", "--lockstep", "--output", str(folder)]
     answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stdout + answer.stderr
     return next((folder / "latest").resolve().glob("**/*.mcap"))

@@ -24,12 +24,12 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from dextar_control.contract.cdr import from_time, to_time
-from dextar_control.contract.node import qos
 from dextar_control.contract.topics import DIAGNOSTICS, JOINT_COMMANDS, JOINT_STATES, TRAJECTORY
+from dextar_control.nodekit.cdr import from_time, to_time
+from dextar_control.nodekit.node import qos
+from dextar_control.nodes.messages import from_trajectory
+from dextar_control.nodes.trajectory_server import served_times
 from dextar_control.planning.planner import Plan
-from dextar_control.ros.messages import from_trajectory
-from dextar_control.ros.trajectory_server import served_times
 
 PATIENCE = 60.0  # s until something that must happen counts as not happening: nothing is timed
 
@@ -128,7 +128,7 @@ class Rig:
 def controlled(*parameters: str) -> Iterator[Rig]:
     """A controller in lockstep with these NAME:=VALUE, and this process as its rig; it must end without a word too many."""
     arguments = [part for value in ("lockstep:=true", *parameters) for part in ("-p", f"controller:{value}")]
-    with contextlib.closing(Rig()) as rig, ending_well(start("dextar_control.ros.controller_node", *arguments)):
+    with contextlib.closing(Rig()) as rig, ending_well(start("dextar_control.nodes.controller", *arguments)):
         rig.until(lambda: rig.controller("lifecycle"), "the controller did not start")
         yield rig
 

@@ -15,8 +15,8 @@ from mcap.writer import Writer
 from recorded_run import lockstep_bag, rewrite
 from synthetic_run import START, TICKS, message
 
-from dextar_control import cli
 from dextar_control.analysis import load_run
+from dextar_control.cli import main as cli
 
 pytestmark = pytest.mark.usefixtures("patient")
 
@@ -145,7 +145,7 @@ def test_every_command_refuses_it_in_one_line(
 
 def test_the_process_itself_ends_with_two_and_no_traceback(good: Path, tmp_path: Path) -> None:
     bad = two_runs(good, tmp_path)
-    command = [sys.executable, "-m", "dextar_control.cli", "analyze", str(bad)]
+    command = [sys.executable, "-m", "dextar_control.cli.main", "analyze", str(bad)]
     answer = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[1])
     assert answer.returncode == 2
     assert "two runs in one bag" in answer.stderr and "Traceback" not in answer.stderr

@@ -17,7 +17,7 @@ from dextar_control.analysis import compute_metrics, load_run
 from dextar_control.analysis.compare import compare_bags, write_comparison
 from dextar_control.analysis.page import render_report
 from dextar_control.analysis.report import analyze
-from dextar_control.commands.pdf import find_browser, write_pdf
+from dextar_control.cli.pdf import find_browser, write_pdf
 
 CHROMIUM = find_browser()
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt install chromium to look at the pages")

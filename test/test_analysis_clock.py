@@ -12,8 +12,8 @@ import pytest
 from synthetic_run import PERIOD, START, TICKS, TYPES, joint_state
 from test_analysis_passed_over import JOINT_STATE, Message, messages_of, record_of, serialized, write
 
-from dextar_control import cli
 from dextar_control.analysis import compute_metrics, load_run
+from dextar_control.cli import main as cli
 from dextar_control.contract.errors import BagError
 
 STAMPED = ("/joint_states", "/joint_commands", "/controller_state", "/criterion", "/sim/end_effector", "/sim/joint_states")

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from synthetic_run import CROSSINGS, TRUE_OFFSET, path, write_run
 
-from dextar_control import cli
 from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
 from dextar_control.analysis.compare import QUANTITIES, Comparison, by_matter, compare_runs, overlaid, render_comparison
+from dextar_control.cli import main as cli
 
 ESTIMATED_ERROR = 0.02  # mm
 FARTHER = 3.0e-4  # m, added to the true y of the second run

@@ -13,13 +13,13 @@ from damaged import chunks, with_damaged_chunks
 from mcap.opcode import Opcode
 from synthetic_run import TICKS, write_run
 
-from dextar_control import cli
 from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
 from dextar_control.analysis.tracking import plan_of
 from dextar_control.analysis.verdict import judge
 from dextar_control.bags import mcap_file
 from dextar_control.bags.damage import Hole
 from dextar_control.bags.recover import recover
+from dextar_control.cli import main as cli
 from dextar_control.planning.checks import clear_times
 
 CHUNK = 60_000  # bytes: about thirty ticks

@@ -16,9 +16,9 @@ import pytest
 from scipy.io import loadmat
 from synthetic_run import CROSSINGS, DECIDED, MISSED, START, TICKS, TRUE_OFFSET, effort_at, joints_of, path, write_run
 
-from dextar_control import cli
 from dextar_control.analysis import load_run
 from dextar_control.analysis.table import export
+from dextar_control.cli import main as cli
 
 WORDS = ("phase", "verdict")
 UNITS = {"ns", "s", "m", "m/s", "m/s^2", "rad", "rad/s", "N m", "N", "1"}

@@ -13,9 +13,9 @@ from synthetic_run import PERIOD, START, _diagnostics, write_run
 from test_analysis_clock import in_time
 from test_analysis_passed_over import messages_of, record_of, serialized, write
 
-from dextar_control import cli
 from dextar_control.analysis import Metrics, compute_metrics, load_run
 from dextar_control.analysis.report import summary_lines
+from dextar_control.cli import main as cli
 
 ROUND_TRIP = 10_000_000  # ns
 

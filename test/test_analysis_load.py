@@ -165,7 +165,7 @@ def assert_same_run(mine: Run, other: Run) -> None:
 
 def test_analysis_of_another_recorders_bag_says_what_it_does_not_know(bag: Path, tmp_path: Path) -> None:
     as_ros2_bag_record(bag, tmp_path / "theirs", StoragePlugin.SQLITE3)
-    command = [sys.executable, "-m", "dextar_control.cli", "analyze", str(tmp_path / "theirs")]
+    command = [sys.executable, "-m", "dextar_control.cli.main", "analyze", str(tmp_path / "theirs")]
     answer = subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[1], timeout=120)
     assert answer.returncode in (0, 1), answer.stderr
     assert "Traceback" not in answer.stderr

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from synthetic_run import FAR_TORQUE, robot, write_run
 
-from dextar_control import cli
 from dextar_control.analysis import compute_metrics, load_run
 from dextar_control.analysis.margins import Margin, Margins, measure_margins
 from dextar_control.analysis.page import render_report
 from dextar_control.analysis.run import Control, Criterion, Joints, Run
 from dextar_control.analysis.timing import measure_timing
 from dextar_control.analysis.tracking import tracked
+from dextar_control.cli import main as cli
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import LIMP

@@ -21,11 +21,11 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.rosbag2 import Writer as BagWriter
 from synthetic_run import START, TICKS, TYPES, joint_state, message
 
-from dextar_control import cli
 from dextar_control.analysis import Metrics, compute_metrics, load_run
 from dextar_control.bags.folder import in_order
 from dextar_control.bags.recover import recover
 from dextar_control.bags.scan import RECOVERY_NAME
+from dextar_control.cli import main as cli
 from dextar_control.contract import decoding
 from dextar_control.contract.errors import BagError, StateError
 

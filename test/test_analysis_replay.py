@@ -12,10 +12,10 @@ import pytest
 from PIL import Image
 from synthetic_run import NEAR_TORQUE, START, TRUE_OFFSET, effort_at, joints_of, path, robot, write_run
 
-from dextar_control import cli
 from dextar_control.analysis import Run, load_run
 from dextar_control.analysis.animate import _Scene, animate, find_ffmpeg
 from dextar_control.analysis.motion import motion_of
+from dextar_control.cli import main as cli
 from dextar_control.contract.errors import ParameterError
 from dextar_sim.replay import Player, read_motion
 

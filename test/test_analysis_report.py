@@ -15,7 +15,6 @@ import pytest
 from recorded_run import lockstep_bag
 from synthetic_run import CROSSINGS, NEAR_TORQUE, TRUE_OFFSET, robot, write_run
 
-from dextar_control import cli
 from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
 from dextar_control.analysis.curves import around, panels
 from dextar_control.analysis.figure import draw_run
@@ -24,8 +23,9 @@ from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.report import analyze, summary_lines
 from dextar_control.analysis.run import RecordedTopic
 from dextar_control.analysis.web_figures import in_plane
-from dextar_control.commands.analyze import folders
-from dextar_control.commands.bags import shown_progress
+from dextar_control.cli import main as cli
+from dextar_control.cli.analyze import folders
+from dextar_control.cli.bags import shown_progress
 from dextar_control.contract import style
 
 SIZE_OF_A_DEMO, SIZE_OF_ITS_PAGE = 500_000, 100_000  # bytes, with what was recorded and without

@@ -15,14 +15,14 @@ import pytest
 import synthetic_run as made
 import yaml
 
-from dextar_control import cli
 from dextar_control.analysis.load import load_run
 from dextar_control.bags.writer import BagWriter, Sample
-from dextar_control.campaign import learnt
+from dextar_control.cli import main as cli
 from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
+from dextar_control.experiments.campaign import learnt
 from dextar_control.identification.calibration import Calibration, Prediction, calibrate, calibrate_recorded, predict
 from dextar_control.identification.fit import Fit, fit
 from dextar_control.identification.folds import Fold, find_folds

@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 import yaml
 
-from dextar_control.campaign.config import CampaignConfig, load_config
-from dextar_control.campaign.loading import resolve
-from dextar_control.campaign.ranges import BARS
-from dextar_control.campaign.selection import check_names, names, select
-from dextar_control.campaign.summary import MEASURES, Group
 from dextar_control.contract.errors import ParameterError
+from dextar_control.experiments.campaign.config import CampaignConfig, load_config
+from dextar_control.experiments.campaign.loading import resolve
+from dextar_control.experiments.campaign.ranges import BARS
+from dextar_control.experiments.campaign.selection import check_names, names, select
+from dextar_control.experiments.campaign.summary import MEASURES, Group
 
 ROOT = Path(__file__).resolve().parents[1]
 CAMPAIGNS = sorted((ROOT / "config").glob("campaign*.yaml")) + [ROOT / "config" / "rig.yaml"]

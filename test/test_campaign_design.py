@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from dextar_control.campaign import design
-from dextar_control.campaign.config import CampaignConfig, load_config
-from dextar_control.campaign.design import CrossingPoint, Trial, code_digest, digest, row_key, trials_of
-from dextar_control.campaign.selection import select
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.experiments.campaign import design
+from dextar_control.experiments.campaign.config import CampaignConfig, load_config
+from dextar_control.experiments.campaign.design import CrossingPoint, Trial, code_digest, digest, row_key, trials_of
+from dextar_control.experiments.campaign.selection import select
 
 ROOT = Path(__file__).resolve().parents[1]
 POINTS = [CrossingPoint((0.01, 0.1), (1, -1), "stretched"), CrossingPoint((0.0, 0.05), (-1, -1), "folded")]

@@ -19,17 +19,17 @@ import pytest
 import yaml
 from distributed import LocalCluster
 
-from dextar_control.campaign import pool as pool_module
-from dextar_control.campaign.command import run_command
-from dextar_control.campaign.config import CampaignConfig
-from dextar_control.campaign.design import Trial, code_digest, trials_of
-from dextar_control.campaign.pool import DIED, Pool
-from dextar_control.campaign.rerun import TIMES
-from dextar_control.campaign.store import Store, read_rows
-from dextar_control.campaign.worker import Job, Row, run_trials
-from dextar_control.commands import campaign
+from dextar_control.cli import campaign
 from dextar_control.contract.errors import CampaignError, ParameterError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.experiments.campaign import pool as pool_module
+from dextar_control.experiments.campaign.command import run_command
+from dextar_control.experiments.campaign.config import CampaignConfig
+from dextar_control.experiments.campaign.design import Trial, code_digest, trials_of
+from dextar_control.experiments.campaign.pool import DIED, Pool
+from dextar_control.experiments.campaign.rerun import TIMES
+from dextar_control.experiments.campaign.store import Store, read_rows
+from dextar_control.experiments.campaign.worker import Job, Row, run_trials
 
 TESTS = Path(__file__).resolve().parent
 PATIENCE = 60.0  # s until something that must happen counts as not happening: nothing is timed

@@ -11,14 +11,14 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
-from dextar_control.campaign import reliability, report
-from dextar_control.campaign.config import CampaignConfig, load_config
-from dextar_control.campaign.figure import draw_frontier, draw_summary
-from dextar_control.campaign.outcome import judge
-from dextar_control.campaign.selection import select
-from dextar_control.campaign.store import Store
-from dextar_control.campaign.summary import Group, as_json, real_time_factor, summarise
-from dextar_control.campaign.trial import SAID
+from dextar_control.experiments.campaign import reliability, report
+from dextar_control.experiments.campaign.config import CampaignConfig, load_config
+from dextar_control.experiments.campaign.figure import draw_frontier, draw_summary
+from dextar_control.experiments.campaign.outcome import judge
+from dextar_control.experiments.campaign.selection import select
+from dextar_control.experiments.campaign.store import Store
+from dextar_control.experiments.campaign.summary import Group, as_json, real_time_factor, summarise
+from dextar_control.experiments.campaign.trial import SAID
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = {"case": "nominal", "plant": "pybullet", "law": "consistent", "estimator": "observer"}

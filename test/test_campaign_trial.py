@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dextar_control.campaign.design import CrossingPoint, Trial
-from dextar_control.campaign.ranges import PERTURBATIONS
-from dextar_control.campaign.trial import RIG_OPTIONS, build, known, run_trial, sample_points
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
+from dextar_control.experiments.campaign.design import CrossingPoint, Trial
+from dextar_control.experiments.campaign.ranges import PERTURBATIONS
+from dextar_control.experiments.campaign.trial import RIG_OPTIONS, build, known, run_trial, sample_points
 from dextar_control.planning.planner import Plan
 from dextar_sim.effects import Effects
 from dextar_sim.rig import Rig

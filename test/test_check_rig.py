@@ -28,22 +28,22 @@ from rclpy.signals import SignalHandlerOptions
 from rig import PATIENCE, start, stop
 from sensor_msgs.msg import JointState
 
-from dextar_control import cli
+from dextar_control.check_rig.check import report, torque_obstacle, torque_tests, watch_lines
+from dextar_control.check_rig.limits import Limits
+from dextar_control.check_rig.report import LINES, TORQUE_LINES, Line, Result, has_failed
+from dextar_control.check_rig.samples import Endpoint, Graph, Sample
+from dextar_control.check_rig.stream import elbow_distance
+from dextar_control.check_rig.torque import TorqueTests
+from dextar_control.cli import main as cli
 from dextar_control.contract.errors import GeometryError, ParameterError, StateError
-from dextar_control.contract.node import qos
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
 from dextar_control.control.loop import ControlLoop
 from dextar_control.mechanisms.five_bar import FiveBar
 from dextar_control.model.model import Model
-from dextar_control.rig_check.check import report, torque_obstacle, torque_tests, watch_lines
-from dextar_control.rig_check.limits import Limits
-from dextar_control.rig_check.report import LINES, TORQUE_LINES, Line, Result, has_failed
-from dextar_control.rig_check.samples import Endpoint, Graph, Sample
-from dextar_control.rig_check.stream import elbow_distance
-from dextar_control.rig_check.torque import TorqueTests
-from dextar_control.ros import messages
+from dextar_control.nodekit.node import qos
+from dextar_control.nodes import messages
 
 ROOT = Path(__file__).resolve().parents[1]
 STATE = "sensor_msgs/msg/JointState"
@@ -553,7 +553,7 @@ GENEROUS = ("--wait", str(PATIENCE), "--duration", "1.5", "--rate", "200", "--ra
 
 def check_rig(*arguments: str, **options: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "dextar_control.cli", "check-rig", *GENEROUS, *arguments], cwd=ROOT, text=True,
+        [sys.executable, "-m", "dextar_control.cli.main", "check-rig", *GENEROUS, *arguments], cwd=ROOT, text=True,
         **{"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, **options},
     )  # fmt: skip
 

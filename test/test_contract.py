@@ -20,11 +20,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from dextar_control.commands import demo
-from dextar_control.contract.cdr import from_time, to_time
+from dextar_control.cli import demo
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
-from dextar_control.contract.layouts import template
-from dextar_control.contract.node import qos
 from dextar_control.contract.parameters import Parameter, check_value
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import ROBOT_KEYS, RobotParameters, flatten, from_flat, load_robot
@@ -45,17 +42,20 @@ from dextar_control.contract.topics import (
     Topic,
 )
 from dextar_control.control.phases import Phase
+from dextar_control.nodekit.cdr import from_time, to_time
+from dextar_control.nodekit.layouts import template
+from dextar_control.nodekit.node import qos
+from dextar_control.nodes import controller, markers, messages, panel, recorder, trajectory_server
 from dextar_control.planning.planner import Plan
-from dextar_control.ros import controller_node, marker_node, messages, panel_node, recorder_node, trajectory_server
 from dextar_sim import parameters as plant_parameters
 
 SPECS = {
-    "controller": controller_node.PARAMETERS,
+    "controller": controller.PARAMETERS,
     "trajectory_server": trajectory_server.PARAMETERS,
-    "recorder": recorder_node.SPECS,
+    "recorder": recorder.SPECS,
     "plant": plant_parameters.PARAMETERS,
-    "markers": marker_node.PARAMETERS,
-    "panel": panel_node.PARAMETERS,
+    "markers": markers.PARAMETERS,
+    "panel": panel.PARAMETERS,
 }
 
 

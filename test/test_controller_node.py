@@ -18,19 +18,19 @@ from rig import Rig, controlled, ending_well, matched, start, stop
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from dextar_control.contract.cdr import to_time
-from dextar_control.contract.node import qos
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.contract.topics import CRITERION, EXTERNAL_POSE, JOINT_COMMANDS
 from dextar_control.control.verdicts import Verdict
+from dextar_control.nodekit.cdr import to_time
+from dextar_control.nodekit.node import qos
+from dextar_control.nodes import messages
+from dextar_control.nodes.trajectory_server import served_times
 from dextar_control.planning.planner import Plan
 from dextar_control.planning.trajectory import Trajectory
-from dextar_control.ros import messages
-from dextar_control.ros.trajectory_server import served_times
 from dextar_sim.plant import Plant
 
-MODULE = "dextar_control.ros.controller_node"
+MODULE = "dextar_control.nodes.controller"
 MS = 1_000_000  # ns
 RESTITUTION = 0.8  # speed along t_s after the blow over that before
 STOPPED = 0.15  # s after the blow
@@ -269,14 +269,14 @@ def test_gains_may_change_live_and_only_within_their_range(rig: Rig) -> None:
         (MODULE, "controller:zoen:=0.1", "unknown parameter 'zoen'"),
         (MODULE, "controller:robot.left.distal_length:=-0.09", "robot.left.distal_length = -0.09; it must be > 0"),
         (MODULE, "controller:robot.left.distal_lenght:=0.09", "unknown parameter 'robot.left.distal_lenght'"),
-        ("dextar_control.ros.trajectory_server", "trajectory_server:task.goal:=[0.0, 0.12]", "same side"),
-        ("dextar_control.ros.trajectory_server", "trajectory_server:task.start:=[0.0, 0.3]", "the leg reaches"),
-        ("dextar_control.ros.trajectory_server", "trajectory_server:duration:=0.1", "the limit is 0.3 N m"),
-        ("dextar_control.ros.trajectory_server", "trajectory_server:point:=[0.0, 0.05]", "off the Type 2 locus"),
-        ("dextar_control.ros.trajectory_server", "trajectory_server:direction:=1", "direction = 1 is given without a point"),
-        ("dextar_control.ros.trajectory_server", "trajectory_server:criterion:=none", "one of reciprocal, zero_wrench"),
+        ("dextar_control.nodes.trajectory_server", "trajectory_server:task.goal:=[0.0, 0.12]", "same side"),
+        ("dextar_control.nodes.trajectory_server", "trajectory_server:task.start:=[0.0, 0.3]", "the leg reaches"),
+        ("dextar_control.nodes.trajectory_server", "trajectory_server:duration:=0.1", "the limit is 0.3 N m"),
+        ("dextar_control.nodes.trajectory_server", "trajectory_server:point:=[0.0, 0.05]", "off the Type 2 locus"),
+        ("dextar_control.nodes.trajectory_server", "trajectory_server:direction:=1", "direction = 1 is given without a point"),
+        ("dextar_control.nodes.trajectory_server", "trajectory_server:criterion:=none", "one of reciprocal, zero_wrench"),
         ("dextar_sim.node", "plant:substeps:=0", "'substeps' = 0"),
-        ("dextar_control.ros.recorder_node", "recorder:output:=/proc/none/run.mcap", "/proc/none"),
+        ("dextar_control.nodes.recorder", "recorder:output:=/proc/none/run.mcap", "/proc/none"),
     ],
 )
 def test_a_wrong_parameter_ends_the_node_with_one_line(module: str, override: str, message: str) -> None:

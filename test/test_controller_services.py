@@ -22,14 +22,14 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import TrajectoryError
-from dextar_control.contract.layouts import template
 from dextar_control.contract.topics import JOINT_STATES
 from dextar_control.control.phases import Phase
+from dextar_control.nodekit.layouts import template
+from dextar_control.nodes import messages
+from dextar_control.nodes.controller import PARAMETERS, SERVED_PER_WATCH, ControllerNode
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.planner import Plan
 from dextar_control.planning.trajectory import Trajectory
-from dextar_control.ros import messages
-from dextar_control.ros.controller_node import PARAMETERS, SERVED_PER_WATCH, ControllerNode
 
 SECOND = 1_000_000_000  # ns
 
@@ -201,7 +201,7 @@ def test_the_distance_to_the_locus_is_that_of_the_nearest_point_to_first_order(c
     """Against a search along the gradient's direction: close to the locus the first order is the distance."""
     from dextar_control.contract.settings import default_settings
     from dextar_control.control.loop import ControlLoop
-    from dextar_control.ros.controller_report import distance_to_locus
+    from dextar_control.nodes.controller_report import distance_to_locus
 
     model = controller.node._loop.model
     time_near = float(trip.certificate.crossing_times[0]) - 0.01

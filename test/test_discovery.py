@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from dextar_control.cli import COMMANDS, main
-from dextar_control.ros import demo
+from dextar_control.cli.main import COMMANDS, main
+from dextar_control.experiments import demo
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"

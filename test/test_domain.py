@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from dextar_control.contract.errors import DextarError
-from dextar_control.ros import domain
+from dextar_control.nodekit import domain
 
-HOLD = "from dextar_control.ros.domain import own_domain; print(own_domain(), flush=True); input()"
+HOLD = "from dextar_control.nodekit.domain import own_domain; print(own_domain(), flush=True); input()"
 
 
 def test_no_two_processes_have_the_same_domain_until_one_ends(monkeypatch: pytest.MonkeyPatch) -> None:

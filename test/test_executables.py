@@ -18,23 +18,24 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rig import PATIENCE, Rig, matched, start, stop
 
-from dextar_control import cli, executables
-from dextar_control.contract import node as node_module
+from dextar_control import executables
+from dextar_control.cli import main as cli
 from dextar_control.contract import signals
 from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.help import node_help
-from dextar_control.contract.node import run_node
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import NODES, SERVICES
+from dextar_control.experiments.echo import EchoNode
 from dextar_control.model.model import Model
-from dextar_control.ros.controller_node import ControllerNode
-from dextar_control.ros.echo import EchoNode
-from dextar_control.ros.marker_node import MarkerNode
-from dextar_control.ros.panel_node import PanelNode
-from dextar_control.ros.recorder_node import RecorderNode
-from dextar_control.ros.trajectory_server import TrajectoryServer
+from dextar_control.nodekit import node as node_module
+from dextar_control.nodekit.node import run_node
+from dextar_control.nodes.controller import ControllerNode
+from dextar_control.nodes.markers import MarkerNode
+from dextar_control.nodes.panel import PanelNode
+from dextar_control.nodes.recorder import RecorderNode
+from dextar_control.nodes.trajectory_server import TrajectoryServer
 from dextar_sim.node import PlantNode
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -336,7 +337,7 @@ def test_a_terminal_that_closes_leaves_no_torque(number: int) -> None:
     robot = load_robot(config_file(ROBOT_FILE))
     q_a = Model.of(robot).inverse_geometric_model(np.array(node_defaults("controller")["task.start"]) + 1e-4)
     rig = Rig()
-    process = start("dextar_control.ros.controller_node", "-p", "controller:lockstep:=true", "-p", "controller:healthy_time:=0.0")
+    process = start("dextar_control.nodes.controller", "-p", "controller:lockstep:=true", "-p", "controller:healthy_time:=0.0")
     try:
         rig.until(lambda: rig.controller("lifecycle") == "active", "the controller did not start")
         matched(rig)

@@ -16,12 +16,12 @@ from PIL import Image
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.validation import validate
-from dextar_control.faults.cases import FaultConfig, load_cases
-from dextar_control.faults.figure import draw
-from dextar_control.faults.judgement import Check, Outcome
-from dextar_control.faults.link import Shape
-from dextar_control.faults.table import Summary
-from dextar_control.ros.faults.run import plans, select
+from dextar_control.experiments.faults.cases import FaultConfig, load_cases
+from dextar_control.experiments.faults.figure import draw
+from dextar_control.experiments.faults.judgement import Check, Outcome
+from dextar_control.experiments.faults.link import Shape
+from dextar_control.experiments.faults.run import plans, select
+from dextar_control.experiments.faults.table import Summary
 
 ROOT = Path(__file__).resolve().parents[1]
 FILE = config_file("faults.yaml")
@@ -96,7 +96,7 @@ def test_cases_are_chosen_by_name_or_beginning_and_shared_among_the_sets_of_node
 )
 def test_the_command_refuses_a_wrong_argument_with_one_line(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
     answer = subprocess.run(
-        [sys.executable, "-m", "dextar_control.cli", "faults", *arguments, "--output", str(tmp_path)],
+        [sys.executable, "-m", "dextar_control.cli.main", "faults", *arguments, "--output", str(tmp_path)],
         capture_output=True, text=True, cwd=ROOT, stdin=subprocess.DEVNULL, check=False,
     )  # fmt: skip
     assert answer.returncode == 2

@@ -10,8 +10,8 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.faults import bag_check, judgement
-from dextar_control.faults.judgement import Evidence, Seen
+from dextar_control.experiments.faults import bag_check, judgement
+from dextar_control.experiments.faults.judgement import Evidence, Seen
 from dextar_control.model.model import Model
 from dextar_sim import geometry
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.faults.link import Delivery, Link, Shape, Transport, Window
+from dextar_control.experiments.faults.link import Delivery, Link, Shape, Transport, Window
 
 MS = 1_000_000
 COUNT = 2000

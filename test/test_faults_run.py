@@ -17,10 +17,10 @@ import yaml
 
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.validation import validate
-from dextar_control.faults.cases import FaultConfig
-from dextar_control.faults.judgement import Check
-from dextar_control.ros.faults import run
-from dextar_control.ros.faults.stack import Request
+from dextar_control.experiments.faults import run
+from dextar_control.experiments.faults.cases import FaultConfig
+from dextar_control.experiments.faults.judgement import Check
+from dextar_control.experiments.faults.stack import Request
 
 ROOT = Path(__file__).resolve().parents[1]
 CASES = yaml.safe_load(config_file("faults.yaml").read_text(encoding="utf-8"))
@@ -32,7 +32,7 @@ def session(folder: Path, cases: dict[str, int], **changes: Any) -> tuple[int, l
     request = Request(str(folder), "lockstep", cases, CASES, seed=5, injector=True, record=False, **changes)
     environment = {**os.environ, "ROS_DOMAIN_ID": str(101 + os.getpid() % 100), "PYTHONPATH": str(ROOT / "test")}
     answer = subprocess.run(
-        [sys.executable, "-m", "dextar_control.ros.faults.session"], input=json.dumps(asdict(request)) + "\n",
+        [sys.executable, "-m", "dextar_control.experiments.faults.session"], input=json.dumps(asdict(request)) + "\n",
         capture_output=True, text=True, cwd=ROOT, env=environment, timeout=PATIENCE, check=False,
     )  # fmt: skip
     assert answer.stdout, answer.stderr
@@ -46,7 +46,7 @@ def violations(events: list[dict[str, Any]]) -> list[tuple[str, str]]:
 def test_faults_tried_by_the_command_have_their_expected_outcomes_and_are_reported(tmp_path: Path) -> None:
     """The command as a user runs it: mild faults are crossed, hard ones end without torque, everything is in the files."""
     answer = subprocess.run(
-        [sys.executable, "-m", "dextar_control.cli", "faults", "--quick", "--jobs", "1", "--output", str(tmp_path),
+        [sys.executable, "-m", "dextar_control.cli.main", "faults", "--quick", "--jobs", "1", "--output", str(tmp_path),
          "--cases", "states_lost_20,commands_gone_250ms,states_nan,stamps_back,parameters"],
         capture_output=True, text=True, cwd=ROOT, stdin=subprocess.DEVNULL, timeout=PATIENCE, check=False,
     )  # fmt: skip
@@ -105,7 +105,7 @@ def test_a_session_that_is_being_started_while_the_run_is_stopped_is_ended_too(t
 def test_a_session_ends_its_nodes_however_often_it_is_told_to(tmp_path: Path) -> None:
     request = Request(str(tmp_path), "lockstep", {"states_nan": 1}, CASES, seed=5, injector=True, record=False)
     process = subprocess.Popen(
-        [sys.executable, "-m", "dextar_control.ros.faults.session"], cwd=ROOT, text=True, stdin=subprocess.PIPE,
+        [sys.executable, "-m", "dextar_control.experiments.faults.session"], cwd=ROOT, text=True, stdin=subprocess.PIPE,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={**os.environ, "ROS_DOMAIN_ID": str(101 + os.getpid() % 100)},
     )  # fmt: skip
     assert process.stdin is not None

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 from scipy.stats import binomtest, kstest
 
-from dextar_control.faults.frames import FrameSchedule, LinkError, LinkQuality
-from dextar_control.faults.netns import ADDRESSES, FaultyLink
+from dextar_control.experiments.faults.frames import FrameSchedule, LinkError, LinkQuality
+from dextar_control.experiments.faults.netns import ADDRESSES, FaultyLink
 
 ROOT = Path(__file__).resolve().parents[1]
 PEER = [sys.executable, str(Path(__file__).with_name("link_peer.py"))]
@@ -115,10 +115,10 @@ def test_a_quality_out_of_its_limits_is_refused(quality: dict[str, float], messa
 
 def test_without_the_right_to_make_namespaces_one_sentence_says_so() -> None:
     """Root without CAP_SYS_ADMIN is refused as a user is."""
-    code = "from dextar_control.faults.netns import FaultyLink\nwith FaultyLink(): pass"
+    code = "from dextar_control.experiments.faults.netns import FaultyLink\nwith FaultyLink(): pass"
     drop = [] if REFUSAL else ["setpriv", "--bounding-set=-sys_admin"]
     done = subprocess.run([*drop, sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert done.stderr.splitlines()[-1].startswith("dextar_control.faults.frames.LinkError: network namespaces need root")
+    assert done.stderr.splitlines()[-1].startswith("dextar_control.experiments.faults.frames.LinkError: network namespaces need root")
 
 
 def test_a_missing_tool_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -13,14 +13,14 @@ import pytest
 import synthetic_run as made
 import yaml
 
-from dextar_control import cli
 from dextar_control.bags.writer import BagWriter, Sample
-from dextar_control.campaign import learnt
-from dextar_control.campaign.design import CrossingPoint, Trial
-from dextar_control.campaign.learnt import record
-from dextar_control.campaign.trial import run_trial, sample_points
+from dextar_control.cli import main as cli
 from dextar_control.contract.errors import CalibrationError, GeometryError, TrajectoryError
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
+from dextar_control.experiments.campaign import learnt
+from dextar_control.experiments.campaign.design import CrossingPoint, Trial
+from dextar_control.experiments.campaign.learnt import record
+from dextar_control.experiments.campaign.trial import run_trial, sample_points
 from dextar_control.identification.dynamics import DynamicFit
 from dextar_control.identification.identification import Identification, identify_recorded
 from dextar_control.identification.quantities import UNITS

@@ -18,11 +18,11 @@ from rig import PATIENCE, start, stop
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_operate import NODES
 
-from dextar_control.contract.layouts import template
 from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION_NAMES, INTERFACES, PHASES, WITHOUT_INTERFACES
 from dextar_control.control.verdicts import Verdict
 from dextar_control.executables import go_server
-from dextar_control.ros.readable import fill
+from dextar_control.nodekit.layouts import template
+from dextar_control.nodes.readable import fill
 
 ROOT = Path(__file__).resolve().parents[1]
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # action_msgs/msg/GoalStatus
@@ -77,7 +77,7 @@ def test_without_the_package_its_server_says_what_to_do(capsys: pytest.CaptureFi
         pytest.skip("the package is installed")
     assert go_server() == 2
     assert capsys.readouterr().err == f"error: {WITHOUT_INTERFACES}\n"
-    controller = start("dextar_control.ros.controller_node", "-p", "publish_readable:=true")
+    controller = start("dextar_control.nodes.controller", "-p", "publish_readable:=true")
     output = controller.communicate(timeout=PATIENCE)[0]
     assert controller.returncode == 2, output
     assert f"publish_readable = true: {WITHOUT_INTERFACES}, or leave it false" in output
@@ -111,7 +111,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 def go(built: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[dict[str, Any]]]:
     """What goals to a running robot came to, and a readable message of each kind."""
     bag = tmp_path_factory.mktemp("run") / "run.mcap"
-    nodes = NODES | {"go_server": ("dextar_control.ros.go_server", ())}
+    nodes = NODES | {"go_server": ("dextar_control.nodes.go_server", ())}
     own = {"controller": ("publish_readable:=true",), "recorder": (f"output:={bag}",)}
     goals: list[dict[str, Any]] = [
         {}, {"task": 7}, {"task": 2}, {"task": 3, "point": [0.0, 0.05]}, {"task": 1, "duration": 30.0, "cancel_in": "TRACK"}, {},

@@ -14,7 +14,7 @@ import pytest
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.settings import Estimation
-from dextar_control.ros.launch_arguments import ARGUMENTS, changes, check_nodes, misspelt, read
+from dextar_control.experiments.launch_arguments import ARGUMENTS, changes, check_nodes, misspelt, read
 
 LAUNCH_FILE = Path(__file__).resolve().parents[1] / "launch" / "crossing.launch.py"
 PLAIN = {name: argument.default for name, argument in ARGUMENTS.items()} | {

@@ -9,10 +9,10 @@ import pytest
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rig import Rig, controlled, matched
 
-from dextar_control.contract.cdr import from_time
 from dextar_control.contract.robot import ROBOT_KEYS
+from dextar_control.nodekit.cdr import from_time
+from dextar_control.nodes.controller import PARAMETERS
 from dextar_control.planning.planner import Plan
-from dextar_control.ros.controller_node import PARAMETERS
 
 MS = 1_000_000  # ns
 CYCLES = 15

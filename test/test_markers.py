@@ -23,12 +23,12 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
-from dextar_control.contract.node import qos
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import BASE_FRAME, CONTROLLER_STATE, CRITERION, CRITERION_NAMES, JOINT_STATES, MARKERS, PHASES
+from dextar_control.nodekit.node import qos
+from dextar_control.nodes import messages
+from dextar_control.nodes.scene import Scene, View, to_array
 from dextar_control.planning.planner import Plan
-from dextar_control.ros import messages
-from dextar_control.ros.scene import Scene, View, to_array
 
 ROUNDING = 1e-9  # m; all is computed in double precision from lengths of 0.1 m
 CHORD = 2e-5  # m, of the drawn path from the true one between its points, 1 ms apart at most at 0.5 m/s
@@ -185,7 +185,7 @@ class Display(Rig):
 
 @pytest.fixture
 def display() -> Iterator[tuple[Display, subprocess.Popen[str]]]:
-    process = start("dextar_control.ros.marker_node")
+    process = start("dextar_control.nodes.markers")
     with contextlib.closing(Display()) as display, ending_well(process):
         display.until(lambda: display.node.count_subscribers("joint_states"), "no marker node")
         yield display, process

@@ -30,8 +30,8 @@ from dextar_control.bags.reader import read_bag
 from dextar_control.bags.writer import BagWriter, Sample
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.topics import TOPICS
-from dextar_control.ros.loss_count import UNSUPPORTED, LossCount
-from dextar_control.ros.qos_profiles import describe
+from dextar_control.nodekit.loss_count import UNSUPPORTED, LossCount
+from dextar_control.nodekit.qos_profiles import describe
 
 PATIENCE = 30.0  # s, on a busy machine; not a measurement
 JOINT_STATE = "sensor_msgs/msg/JointState"

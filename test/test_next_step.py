@@ -14,8 +14,8 @@ from rig import PATIENCE
 from std_srvs.srv import Trigger
 
 from dextar_control.contract.errors import TrajectoryError
-from dextar_control.ros.next_step import next_step
-from dextar_control.ros.trajectory_server import TrajectoryServer
+from dextar_control.nodes.next_step import next_step
+from dextar_control.nodes.trajectory_server import TrajectoryServer
 
 ENABLE = "dextar enable --namespace /left"
 

@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def dextar(*arguments: str) -> subprocess.CompletedProcess[str]:
     """The command as a user runs it."""
     return subprocess.run(
-        [sys.executable, "-m", "dextar_control.cli", *arguments],
+        [sys.executable, "-m", "dextar_control.cli.main", *arguments],
         capture_output=True, text=True, cwd=ROOT, stdin=subprocess.DEVNULL, timeout=300,
     )  # fmt: skip
 

@@ -15,16 +15,16 @@ from pathlib import Path
 import pytest
 from rig import PATIENCE, start, stop
 
-from dextar_control.cli import main
-from dextar_control.ros import operator
-from dextar_control.ros.domain import own_domain
+from dextar_control.cli.main import main
+from dextar_control.nodekit.domain import own_domain
+from dextar_control.nodes import operator
 
 NAMESPACE = ("--namespace", "/left")
 NODES = {
     "plant": ("dextar_sim.node", ("mode:=lockstep",)),
-    "controller": ("dextar_control.ros.controller_node", ("lockstep:=true",)),
-    "trajectory_server": ("dextar_control.ros.trajectory_server", ("dwell:=0.05",)),
-    "recorder": ("dextar_control.ros.recorder_node", ()),
+    "controller": ("dextar_control.nodes.controller", ("lockstep:=true",)),
+    "trajectory_server": ("dextar_control.nodes.trajectory_server", ("dwell:=0.05",)),
+    "recorder": ("dextar_control.nodes.recorder", ()),
 }
 
 
@@ -65,7 +65,7 @@ class Robot:
     @contextlib.contextmanager
     def trip(self) -> Iterator[subprocess.Popen[str]]:
         """A slow trip, stopped before it crosses, in a process of its own; afterwards what it prints is in ``printed``."""
-        command = [sys.executable, "-m", "dextar_control.cli", "go", "--duration", "30", *NAMESPACE]
+        command = [sys.executable, "-m", "dextar_control.cli.main", "go", "--duration", "30", *NAMESPACE]
         trip = subprocess.Popen(
             command, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=Path(__file__).parents[1]
         )
@@ -226,7 +226,7 @@ def test_two_nodes_of_one_name_are_told_and_another_namespace_is_named(
             assert time.monotonic() < deadline, told
             assert main(["go"]) == 2
             told = capsys.readouterr().err
-    second = start("dextar_control.ros.trajectory_server", "-r", "__ns:=/left")
+    second = start("dextar_control.nodes.trajectory_server", "-r", "__ns:=/left")
     try:
         while "2 nodes are called /left/trajectory_server: end one" not in (found := robot("go"))[1]:
             assert time.monotonic() < deadline, found

@@ -177,7 +177,7 @@ def test_launch_file_compiles_and_loads_where_launch_is_there(path, tmp_path):
 
 
 def test_launch_file_starts_every_node():
-    files = [*LAUNCH_FILES, ROOT / "dextar_control" / "ros" / "launch_arguments.py"]
+    files = [*LAUNCH_FILES, ROOT / "dextar_control" / "experiments" / "launch_arguments.py"]
     text = "".join(path.read_text(encoding="utf-8") for path in files)
     for name in EXECUTABLES - {"dextar"}:
         assert f'"{name}"' in text

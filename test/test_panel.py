@@ -18,18 +18,18 @@ from browser import PATIENCE, Page
 from rig import start, stop
 from tornado.websocket import websocket_connect
 
-from dextar_control.commands.pdf import find_browser
+from dextar_control.cli.pdf import find_browser
 from dextar_control.contract import style
+from dextar_control.nodes.panel import ros_arguments
 from dextar_control.panel.server import Backend, PanelServer
-from dextar_control.ros.panel_node import ros_arguments
 
 CHROMIUM = find_browser()
 PICTURE = os.environ.get("DEXTAR_PICTURE", "")  # the file of the documentation's picture, where it is to be made anew
 NODES = {
     "plant": ("dextar_sim.node", ("mode:=lockstep", f"real_time_factor:={0.1 if PICTURE else 1.0}")),  # a picture takes a while
-    "controller": ("dextar_control.ros.controller_node", ("lockstep:=true",)),
-    "trajectory_server": ("dextar_control.ros.trajectory_server", ("dwell:=0.05",)),
-    "recorder": ("dextar_control.ros.recorder_node", ("record_from_start:=false",)),
+    "controller": ("dextar_control.nodes.controller", ("lockstep:=true",)),
+    "trajectory_server": ("dextar_control.nodes.trajectory_server", ("dwell:=0.05",)),
+    "recorder": ("dextar_control.nodes.recorder", ("record_from_start:=false",)),
 }
 WIDTHS = (420, 768, 1280, 1920)
 CUT = """(() => {
@@ -73,7 +73,7 @@ class Robot:
 
     def panel(self) -> None:
         """Start the panel, at its port of before where it had one."""
-        self.processes["panel"] = start("dextar_control.ros.panel_node", "-p", f"port:={self.port}")
+        self.processes["panel"] = start("dextar_control.nodes.panel", "-p", f"port:={self.port}")
         output = self.processes["panel"].stdout
         assert output is not None
         while (line := output.readline()) and "the panel is at" not in line:

@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dextar_control.campaign.design import Trial
-from dextar_control.campaign.trial import run_trial, sample_points
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.experiments.campaign.design import Trial
+from dextar_control.experiments.campaign.trial import run_trial, sample_points
 from dextar_control.model.model import Model
 from dextar_control.planning.locus import sample_locus
 from dextar_control.planning.planner import PLAN_RESIDUAL, Plan, plan_return_trip_through, robot_at

@@ -18,10 +18,10 @@ from rig import PATIENCE, start, stop
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from dextar_control.contract.cdr import to_time
 from dextar_control.contract.errors import StateError
-from dextar_control.contract.node import qos
 from dextar_control.contract.topics import DIAGNOSTICS, EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES
+from dextar_control.nodekit.cdr import to_time
+from dextar_control.nodekit.node import qos
 from dextar_sim.messages import read_efforts
 
 HARDWARE_COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)

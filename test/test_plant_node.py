@@ -25,8 +25,6 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from dextar_control.contract.cdr import from_time, to_time
-from dextar_control.contract.node import make_executor, qos
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.topics import (
@@ -37,6 +35,8 @@ from dextar_control.contract.topics import (
     SIM_END_EFFECTOR,
     SIM_JOINT_STATES,
 )  # fmt: skip
+from dextar_control.nodekit.cdr import from_time, to_time
+from dextar_control.nodekit.node import make_executor, qos
 from dextar_sim.happenings import Happenings
 from dextar_sim.node import PlantNode
 from dextar_sim.plant import Plant

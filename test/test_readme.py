@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from dextar_control.cli import COMMANDS
-from dextar_control.commands import check_rig
+from dextar_control.cli import check_rig
+from dextar_control.cli.main import COMMANDS
 from dextar_control.contract import tables
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -65,7 +65,7 @@ def test_every_option_of_check_rig_in_the_readme_exists() -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_helps(command: str) -> None:
     answer = subprocess.run(
-        [sys.executable, "-m", "dextar_control.cli", command, "--help"], cwd=ROOT, capture_output=True, text=True
+        [sys.executable, "-m", "dextar_control.cli.main", command, "--help"], cwd=ROOT, capture_output=True, text=True
     )
     assert answer.returncode == 0
     assert "usage: dextar" in answer.stdout

@@ -32,11 +32,11 @@ from synthetic_run import TYPES
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from dextar_control.contract import topics
-from dextar_control.contract.node import qos
+from dextar_control.nodekit.node import qos
 
 PATIENCE = 30.0  # s, for discovery on a busy machine; not a measurement
 COUNT = 150  # fewer than the publisher holds: a reliable reader that matches late still gets them all
-PROGRAM = "import sys; from dextar_control.ros.recorder_node import main; sys.exit(main(sys.argv[1:]))"
+PROGRAM = "import sys; from dextar_control.nodes.recorder import main; sys.exit(main(sys.argv[1:]))"
 
 
 @pytest.fixture

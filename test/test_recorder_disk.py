@@ -25,10 +25,10 @@ from synthetic_run import TYPES
 from dextar_control.bags.reader import read_bag
 from dextar_control.bags.recover import recover
 from dextar_control.contract import topics
-from dextar_control.contract.node import qos
+from dextar_control.nodekit.node import qos
 
 PATIENCE = 60.0  # s, on a busy machine; not a measurement
-RECORDER = "import sys; from dextar_control.ros.recorder_node import main; sys.exit(main(sys.argv[1:]))"
+RECORDER = "import sys; from dextar_control.nodes.recorder import main; sys.exit(main(sys.argv[1:]))"
 UNSHARE = ["unshare", "--mount", "--propagation", "private"]
 # Runs the recorder on the mounted folder $1, copies what it left to $2; the rest are its arguments.
 ON_MOUNT = """

@@ -31,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     runs = tmp_path_factory.mktemp("runs")
     settings = ("plant.pose_rate:=100.0", "recorder.name:=first light", "recorder.tags:=demo lockstep")
     answer = subprocess.run(
-        [sys.executable, "-m", "dextar_control.cli", "demo", "--lockstep", "--output", str(runs),
+        [sys.executable, "-m", "dextar_control.cli.main", "demo", "--lockstep", "--output", str(runs),
          *(part for setting in settings for part in ("-p", setting))],
         capture_output=True, text=True, cwd=ROOT, stdin=subprocess.DEVNULL, timeout=300,
     )  # fmt: skip

@@ -214,7 +214,7 @@ def test_the_command_says_how_much_of_what_and_until_when(bag: Path, tmp_path: P
     cut.write_bytes(bag.read_bytes()[:-40])
 
     def command() -> subprocess.CompletedProcess[str]:
-        arguments = [sys.executable, "-m", "dextar_control.cli", "recover", str(cut)]
+        arguments = [sys.executable, "-m", "dextar_control.cli.main", "recover", str(cut)]
         return subprocess.run(arguments, capture_output=True, text=True, cwd=Path(__file__).parents[1], timeout=120)
 
     answer = command()

@@ -9,7 +9,7 @@ import sys
 PLAIN = {"thread_priority": 0, "cpu_affinity": [], "lock_memory": False}
 ASK = """
 import os, resource, threading
-from dextar_control.contract.scheduling import ask_kernel
+from dextar_control.nodekit.scheduling import ask_kernel
 import ctypes
 {before}
 stay = threading.Event()
@@ -51,7 +51,7 @@ def test_who_stands_back_is_run_in_batches_unless_the_user_chose_another_way() -
     code = """
 import os
 {}
-from dextar_control.contract.scheduling import stand_back
+from dextar_control.nodekit.scheduling import stand_back
 stand_back()
 print(os.sched_getscheduler(0))
 """

@@ -20,8 +20,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rig import PATIENCE, start, stop
 
+from dextar_control.check_rig.client import RigWatch
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.node import qos
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.topics import (
     DIAGNOSTICS,
@@ -37,9 +37,9 @@ from dextar_control.contract.topics import (
     TOPICS,
     TRAJECTORY,
 )
-from dextar_control.ros.check_rig import RigWatch
-from dextar_control.ros.demo import _Monitor
-from dextar_control.ros.operator import Operator
+from dextar_control.experiments.demo import _Monitor
+from dextar_control.nodekit.node import qos
+from dextar_control.nodes.operator import Operator
 from dextar_control.security.policy import TRIPS, build_policy, policy_text
 
 POLICY = config_file("sros2/policy.xml")
@@ -48,11 +48,11 @@ OF_ACTIONS = (("action", "execute"), ("action", "call"))
 READABLE = {f"/{topic.name}" for topic in (READABLE_STATE, READABLE_CRITERION)}
 MODULES = {
     "plant": ("dextar_sim.node", "pose_rate:=50.0"),
-    "controller": ("dextar_control.ros.controller_node", "estimator:=external", "publish_effort_array:=true"),
-    "trajectory_server": ("dextar_control.ros.trajectory_server",),
-    "recorder": ("dextar_control.ros.recorder_node",),
-    "markers": ("dextar_control.ros.marker_node",),
-    "panel": ("dextar_control.ros.panel_node", "port:=0"),
+    "controller": ("dextar_control.nodes.controller", "estimator:=external", "publish_effort_array:=true"),
+    "trajectory_server": ("dextar_control.nodes.trajectory_server",),
+    "recorder": ("dextar_control.nodes.recorder",),
+    "markers": ("dextar_control.nodes.markers",),
+    "panel": ("dextar_control.nodes.panel", "port:=0"),
 }
 # What every ROS node may have besides the contract.
 EVERYWHERE = {"/rosout", "/parameter_events"}

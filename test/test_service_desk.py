@@ -18,8 +18,8 @@ from rclpy.signals import SignalHandlerOptions
 from rig import PATIENCE
 from std_srvs.srv import Trigger
 
-from dextar_control.contract.node import DextarNode
-from dextar_control.ros.recorder_node import SPECS
+from dextar_control.nodekit.node import DextarNode
+from dextar_control.nodes.recorder import SPECS
 
 WaitSet = rclpy_implementation.WaitSet
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import yaml
 
-from dextar_control import cli
+from dextar_control.cli import main as cli
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.robot import flatten, load_robot, robot_text
+from dextar_control.experiments import demo
 from dextar_control.model.model import Model
-from dextar_control.ros import demo
 
 
 @pytest.fixture

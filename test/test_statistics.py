@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dextar_control.ros.statistics import LATELY, Statistics
+from dextar_control.nodes.statistics import LATELY, Statistics
 
 PERIOD = 1e-3  # s
 
@@ -68,7 +68,7 @@ def test_stamps_off_the_period_are_counted_and_told_and_gaps_of_whole_periods_ar
 def _answers(ages: np.ndarray, intervals: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> Statistics:
     """States of these ages, s, when they were answered, so far apart, s."""
     statistics, now = Statistics(), 0.0
-    monkeypatch.setattr("dextar_control.ros.statistics.time.time_ns", lambda: 10**18)
+    monkeypatch.setattr("dextar_control.nodes.statistics.time.time_ns", lambda: 10**18)
     for age, interval in zip(ages, intervals, strict=True):
         now += float(interval)
         statistics.arrived(10**18 - round(1e9 * age), now)
@@ -101,7 +101,7 @@ def test_lateness_is_told_with_its_share_and_only_where_it_was(
 
 def test_a_rig_whose_stamps_fall_behind_the_clock_is_answered_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a slow simulation: what counts is when a state was sent, where the middleware tells."""
-    monkeypatch.setattr("dextar_control.ros.statistics.time.time_ns", lambda: 10**18)
+    monkeypatch.setattr("dextar_control.nodes.statistics.time.time_ns", lambda: 10**18)
     statistics = Statistics()
     for k in range(200):
         statistics.arrived(10**18 - 2_000_000 * k, PERIOD * k, 10**18 - 300_000)

@@ -11,10 +11,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from dextar_control.contract.cdr import from_time, to_time
-from dextar_control.contract.node import qos
 from dextar_control.contract.topics import CRITERION, CRITERION_NAMES, EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES, TRAJECTORY
 from dextar_control.control.phases import Phase
+from dextar_control.nodekit.cdr import from_time, to_time
+from dextar_control.nodekit.node import qos
 from dextar_control.planning.planner import Plan
 
 MS = 1_000_000  # ns

@@ -18,9 +18,9 @@ from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import LIMP, Phase
 from dextar_control.control.supervisor import WATCHES
+from dextar_control.nodes.controller import PARAMETERS
 from dextar_control.planning.checks import certify
 from dextar_control.planning.planner import PLAN_RESIDUAL, Plan, plan_approach, plan_return_trip
-from dextar_control.ros.controller_node import PARAMETERS
 from dextar_sim.rig import Rig
 
 Seen = Callable[[ControlLoop, float, np.ndarray], np.ndarray]

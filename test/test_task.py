@@ -9,11 +9,11 @@ from dextar_control.contract.errors import DextarError, ParameterError, Trajecto
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import MAX_TRAJECTORY_POINTS
+from dextar_control.nodes.task import MOST_LINES, Task, in_words, plan_from
+from dextar_control.nodes.trajectory_server import COARSEST, served_times
 from dextar_control.planning.checks import certify
 from dextar_control.planning.planner import PLAN_RESIDUAL, Criterion, Plan
 from dextar_control.planning.trajectory import join
-from dextar_control.ros.task import MOST_LINES, Task, in_words, plan_from
-from dextar_control.ros.trajectory_server import COARSEST, served_times
 
 STRETCHED = (0.09**2 - (0.09 - 0.059) ** 2) ** 0.5  # m, y of the stretched posture on the axis x = 0
 

@@ -17,12 +17,12 @@ from rich.progress import BarColumn
 from rich.table import Table
 from synthetic_run import write_run
 
-from dextar_control import cli
 from dextar_control.analysis import report
 from dextar_control.analysis.compare import Comparison, summary_table
+from dextar_control.cli import main as cli
 from dextar_control.contract import terminal
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, plain
-from dextar_control.ros import demo
+from dextar_control.experiments import demo
 
 NASTY = "runs [friday] [/y] [bold]x[/bold] :smile: [link=a]b %s {0} \\[c]"
 PACKAGE = Path(__file__).resolve().parents[1] / "dextar_control"

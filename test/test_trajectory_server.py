@@ -25,8 +25,8 @@ NAMESPACE = ("-r", "__ns:=/left")
 NODES = {
     "dextar_sim.node": ("-p", "plant:mode:=lockstep", "-p", "plant:real_time_factor:=0.0",
                         "-p", "plant:task.start:=[-0.01, 0.12]"),
-    "dextar_control.ros.controller_node": ("-p", "controller:lockstep:=true"),
-    "dextar_control.ros.trajectory_server": ("-p", "trajectory_server:repeat:=2", "-p", "trajectory_server:dwell:=0.05"),
+    "dextar_control.nodes.controller": ("-p", "controller:lockstep:=true"),
+    "dextar_control.nodes.trajectory_server": ("-p", "trajectory_server:repeat:=2", "-p", "trajectory_server:dwell:=0.05"),
 }
 
 

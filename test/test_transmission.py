@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from dextar_control.campaign.design import CrossingPoint, Trial
-from dextar_control.campaign.trial import run_trial, sample_points
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.estimation.observing import ObserverEstimator
 from dextar_control.estimation.transmission import transmission_over
+from dextar_control.experiments.campaign.design import CrossingPoint, Trial
+from dextar_control.experiments.campaign.trial import run_trial, sample_points
 from dextar_control.model.model import Model
 from dextar_sim.cartesian import CartesianPlant
 from dextar_sim.rig import Rig

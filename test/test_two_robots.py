@@ -13,17 +13,17 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rig import PATIENCE, start, stop
 
-from dextar_control.contract.node import qos
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.topics import CLOCK, DIAGNOSTICS, SERVICES, TOPICS
 from dextar_control.control.prepare import prepare
 from dextar_control.mechanisms import mechanism_named
+from dextar_control.nodekit.node import qos
 
 DURATION = {"left": 0.33, "right": 0.4}  # s of one way
 MODULES = {
     "plant": ("dextar_sim.node", ("mode:=lockstep", "real_time_factor:=0.0")),
-    "controller": ("dextar_control.ros.controller_node", ("lockstep:=true",)),
-    "trajectory_server": ("dextar_control.ros.trajectory_server", ("autostart:=true",)),
+    "controller": ("dextar_control.nodes.controller", ("lockstep:=true",)),
+    "trajectory_server": ("dextar_control.nodes.trajectory_server", ("autostart:=true",)),
 }
 REMAPPED = ("-r", "joint_states:=encoders", "-r", "joint_commands:=drives", "-r", "trajectory:=wanted")
 

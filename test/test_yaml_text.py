@@ -14,13 +14,11 @@ import pytest
 from rclpy.context import Context
 from rclpy.node import Node
 
-from dextar_control import cli
 from dextar_control.bags.folder import METADATA_FILE, METADATA_ROOT, read_listing
 from dextar_control.bags.run_record import robot_file
-from dextar_control.campaign.config import load_config
+from dextar_control.cli import main as cli
 from dextar_control.contract import yaml_text
 from dextar_control.contract.errors import BagError, ParameterError
-from dextar_control.contract.node import run_node
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.yaml_text import (
@@ -33,7 +31,9 @@ from dextar_control.contract.yaml_text import (
     parse_value,
     read_text,
 )
-from dextar_control.faults.cases import load_cases
+from dextar_control.experiments.campaign.config import load_config
+from dextar_control.experiments.faults.cases import load_cases
+from dextar_control.nodekit.node import run_node
 
 SCALARS = (
     "1e-1", "1.5", "1.", ".5", "+.5e3", "1e5", "1E+5", "1e", "1d", ".e3", "-0", "-0.0", "0e400", "1e400", "1e-320", "4.9e-324",
