@@ -1,10 +1,12 @@
-"""Control of parallel robots through their Type 2 singularities; the planar five-bar first.
+"""Control of parallel robots through their Type 2 singularities; the planar five-bar
+first.
 
 Where things live, and which room may import which, stands in ``docs/rooms.md``.
 From ``symbols`` to ``control`` there is no ROS and no simulator.
 
-What most users need is here by name, and loaded when it is used: ``load_robot`` a parameter file, ``Model`` its equations,
-``plan_return_trip`` and ``plan_tour`` through the locus, ``default_settings`` and ``ControlLoop`` to drive it, ``load_run`` and
+What most users need is here by name, and loaded when it is used: ``load_robot`` a
+parameter file, ``Model`` its equations, ``plan_return_trip`` and ``plan_tour`` through
+the locus, ``default_settings`` and ``ControlLoop`` to drive it, ``load_run`` and
 ``compute_metrics`` of what was recorded.
 """
 
@@ -24,19 +26,34 @@ if TYPE_CHECKING:
     from dextar_control.planning.tour import plan_tour as plan_tour
 
 _MODULES = {
-    "load_robot": "contract.robot", "Model": "model.model", "plan_return_trip": "planning.planner", "plan_tour": "planning.tour",
-    "default_settings": "contract.settings", "ControlLoop": "control.loop", "load_run": "analysis.load",
+    "load_robot": "contract.robot",
+    "Model": "model.model",
+    "plan_return_trip": "planning.planner",
+    "plan_tour": "planning.tour",
+    "default_settings": "contract.settings",
+    "ControlLoop": "control.loop",
+    "load_run": "analysis.load",
     "compute_metrics": "analysis.metrics",
-}  # fmt: skip
+}
 __all__ = [
-    "ControlLoop", "Model", "compute_metrics", "default_settings", "load_robot", "load_run", "plan_return_trip", "plan_tour",
-]  # fmt: skip
+    "ControlLoop",
+    "Model",
+    "compute_metrics",
+    "default_settings",
+    "load_robot",
+    "load_run",
+    "plan_return_trip",
+    "plan_tour",
+]
 
 
 def __getattr__(name: str) -> Any:
     """One of ``__all__``, loaded now."""
     if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it offers {', '.join(__all__)}")
+        raise AttributeError(
+            f"module {__name__!r} has no attribute {name!r}; it offers"
+            f" {', '.join(__all__)}"
+        )
     return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
 
 

@@ -1,7 +1,9 @@
-"""The package's executables, as ``ros2 run dextar NAME`` and ``dextar NAME`` start them; each loads its module when it is called.
+"""The package's executables, as ``ros2 run dextar NAME`` and ``dextar NAME`` start
+them; each loads its module when it is called.
 
-Loading takes seconds, and a Ctrl-C in them ends the process without a traceback; what is loaded then takes the signals itself.
-Once it has ended, further signals change nothing: a launcher repeats the Ctrl-C that the terminal has sent already, and the
+Loading takes seconds, and a Ctrl-C in them ends the process without a traceback; what
+is loaded then takes the signals itself. Once it has ended, further signals change
+nothing: a launcher repeats the Ctrl-C that the terminal has sent already, and the
 interpreter's own end takes long enough to be hit.
 """
 
@@ -71,11 +73,25 @@ def warmup() -> int:
     return _run("dextar_control.control.prepare", signals.killed)
 
 
-EXECUTABLES = {run.__name__: run for run in (plant, controller, trajectory_server, recorder, markers, go_server, panel, warmup)}
+EXECUTABLES = {
+    run.__name__: run
+    for run in (
+        plant,
+        controller,
+        trajectory_server,
+        recorder,
+        markers,
+        go_server,
+        panel,
+        warmup,
+    )
+}
 
 
 def dextar() -> int:
-    """The command ``dextar``; ``dextar plant ...`` is what ``ros2 run dextar plant ...`` is."""
+    """The command ``dextar``; ``dextar plant ...`` is what ``ros2 run dextar plant
+    ...`` is.
+    """
     run = EXECUTABLES.get(sys.argv[1]) if len(sys.argv) > 1 else None
     if run is None:
         return _run("dextar_control.cli.main", signals.killed)

@@ -1,4 +1,6 @@
-"""What crossing.launch.py starts, with a motion that tells masses and friction to dextar identify in place of a trip."""
+"""What crossing.launch.py starts, with a motion that tells masses and friction to
+dextar identify in place of a trip.
+"""
 
 from pathlib import Path
 
@@ -14,10 +16,14 @@ EXCITE = "20"  # s
 
 def generate_launch_description() -> LaunchDescription:
     """All arguments of crossing.launch.py may be given."""
-    crossing = Path(get_package_share_directory("dextar")) / "launch" / "crossing.launch.py"
+    crossing = (
+        Path(get_package_share_directory("dextar")) / "launch" / "crossing.launch.py"
+    )
     return LaunchDescription(
         [
-            DeclareLaunchArgument("excite", default_value=EXCITE, description=ARGUMENTS["excite"].told),
+            DeclareLaunchArgument(
+                "excite", default_value=EXCITE, description=ARGUMENTS["excite"].told
+            ),
             IncludeLaunchDescription(PythonLaunchDescriptionSource(str(crossing))),
         ]
     )

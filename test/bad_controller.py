@@ -1,4 +1,6 @@
-"""The controller with two faults of its own: it answers a state that it cannot use with a torque, and says nothing of it."""
+"""The controller with two faults of its own: it answers a state that it cannot use with
+a torque, and says nothing of it.
+"""
 
 from __future__ import annotations
 

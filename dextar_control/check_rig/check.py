@@ -1,25 +1,46 @@
-"""A whole check, in two parts: what a quiet watch tells, and the report once the torques were sent or not."""
+"""A whole check, in two parts: what a quiet watch tells, and the report once the
+torques were sent or not.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from dextar_control.check_rig.limits import Limits
-from dextar_control.check_rig.report import TORQUE_LINES, Line, Result, in_order, skipped
+from dextar_control.check_rig.report import (
+    TORQUE_LINES,
+    Line,
+    Result,
+    in_order,
+    skipped,
+)
 from dextar_control.check_rig.samples import Graph, Sample
 from dextar_control.check_rig.stream import judge_graph, judge_stream, judge_velocity
 from dextar_control.check_rig.torque import TorqueTests
 from dextar_control.contract.robot import RobotParameters
 
 NEEDED_FOR_TORQUE = (
-    "topics", "types", "QoS", "only commander", "states", "joint names", "array sizes", "finite numbers", "stamp period",
+    "topics",
+    "types",
+    "QoS",
+    "only commander",
+    "states",
+    "joint names",
+    "array sizes",
+    "finite numbers",
+    "stamp period",
     "closes",
-)  # fmt: skip
-"""Lines that must hold, as far as the controller needs them, before a torque is sent."""
+)
+"""Lines that must hold, as far as the controller needs them, before a torque is sent.
+"""
 
 
 def watch_lines(
-    graph: Graph, samples: Sequence[Sample], robot: RobotParameters, limits: Limits, duration: float
+    graph: Graph,
+    samples: Sequence[Sample],
+    robot: RobotParameters,
+    limits: Limits,
+    duration: float,
 ) -> list[Line]:
     """The lines that need no torque, the velocity's apart.
 
@@ -37,17 +58,27 @@ def torque_obstacle(lines: Sequence[Line]) -> str:
     """Why no torque may be sent after these lines; empty when it may."""
     results = {line.name: line.result for line in lines}
     bad = [name for name in NEEDED_FOR_TORQUE if results.get(name) is Result.FAIL]
-    bad = bad or [name for name in NEEDED_FOR_TORQUE if results.get(name) not in (Result.PASS, Result.NOTE)]
-    return f"needs the line{'s' if len(bad) > 1 else ''} {', '.join(bad)}" if bad else ""
+    bad = bad or [
+        name
+        for name in NEEDED_FOR_TORQUE
+        if results.get(name) not in (Result.PASS, Result.NOTE)
+    ]
+    return (
+        f"needs the line{'s' if len(bad) > 1 else ''} {', '.join(bad)}" if bad else ""
+    )
 
 
 def torque_tests(lines: Sequence[Line], limits: Limits) -> TorqueTests:
     """The tests that may follow a quiet watch."""
-    has_effort = any(line.name == "effort feedback" and line.result is Result.PASS for line in lines)
+    has_effort = any(
+        line.name == "effort feedback" and line.result is Result.PASS for line in lines
+    )
     return TorqueTests(limits, has_effort=has_effort)
 
 
-def report(lines: Sequence[Line], samples: Sequence[Sample], torque: TorqueTests | str) -> list[Line]:
+def report(
+    lines: Sequence[Line], samples: Sequence[Sample], torque: TorqueTests | str
+) -> list[Line]:
     """All lines, in order.
 
     Args:

@@ -1,4 +1,6 @@
-"""``dextar check-rig``: watches a driver over DDS, commands it a little when that is allowed, and reports."""
+"""``dextar check-rig``: watches a driver over DDS, commands it a little when that is
+allowed, and reports.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,12 @@ from typing import Any
 import rclpy
 from rclpy.duration import Duration, Infinite
 from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos import (
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 from rclpy.signals import SignalHandlerOptions
 from rich.progress import BarColumn, TimeRemainingColumn
 from rich.table import Table
@@ -24,7 +31,12 @@ from rich.text import Text
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from dextar_control.check_rig.check import report, torque_obstacle, torque_tests, watch_lines
+from dextar_control.check_rig.check import (
+    report,
+    torque_obstacle,
+    torque_tests,
+    watch_lines,
+)
 from dextar_control.check_rig.limits import MIN_SAMPLES, Limits
 from dextar_control.check_rig.report import LINES, Line, Result, failed, has_failed
 from dextar_control.check_rig.samples import Endpoint, Graph, Sample
@@ -42,7 +54,8 @@ from dextar_control.nodekit.cdr import from_time, to_time
 from dextar_control.nodekit.node import qos
 
 DISCOVERY = 3.0  # s until whoever is there has been found
-SETTLE = 0.5  # s after the first state: readers and writers find each other, and queues run empty
+# s after the first state: readers and writers find each other, and queues run empty
+SETTLE = 0.5
 POLL = 0.0005  # s between two looks for a state
 GRAPH_PERIOD = 0.1  # s between two looks for another commander
 LAST_ZEROS = 0.2  # s of zero torque at the end
@@ -51,7 +64,8 @@ DEPTH = 4000  # states held between two looks
 
 
 class RigWatch(Node):
-    """Reads a driver's states without an executor, and commands it once ``open`` was called.
+    """Reads a driver's states without an executor, and commands it once ``open`` was
+    called.
 
     Args:
         namespace: of the rig's topics.
@@ -59,30 +73,47 @@ class RigWatch(Node):
         arrays: commands are effort arrays.
     """
 
-    def __init__(self, namespace: str, states: str, commands: str, *, arrays: bool) -> None:
-        super().__init__("check_rig", namespace=namespace, enable_rosout=False, start_parameter_services=False)
+    def __init__(
+        self, namespace: str, states: str, commands: str, *, arrays: bool
+    ) -> None:
+        super().__init__(
+            "check_rig",
+            namespace=namespace,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
         self._topic = EFFORT_COMMANDS if arrays else JOINT_COMMANDS
         self._kind: Any = Float64MultiArray if arrays else JointState
         profile = qos(JOINT_STATES, reliable=False, depth=DEPTH)
-        self._states = self.create_subscription(JointState, states or JOINT_STATES.name, lambda _: None, profile)
+        self._states = self.create_subscription(
+            JointState, states or JOINT_STATES.name, lambda _: None, profile
+        )
         self._commands_name = self.resolve_topic_name(commands or self._topic.name)
         self._commands: Any = None
         self._stamp = 0
         self._unstepped = UnsteppedClock()
 
     def now(self) -> int:
-        """The system clock when this began, and since then the steady one, ns: torque must not last because a clock was set."""
+        """The system clock when this began, and since then the steady one, ns: torque
+        must not last because a clock was set.
+        """
         return self._unstepped.now()
 
     def take(self) -> Iterator[Sample]:
         """The states that have arrived."""
-        while (taken := self._states.handle.take_message(JointState, False)) is not None:
+        while (
+            taken := self._states.handle.take_message(JointState, False)
+        ) is not None:
             message, info = taken
             self._stamp = from_time(message.header.stamp)
             yield Sample(
-                self._unstepped.arrival(info["received_timestamp"]), self._stamp, tuple(message.name),
-                tuple(message.position), tuple(message.velocity), tuple(message.effort),
-            )  # fmt: skip
+                self._unstepped.arrival(info["received_timestamp"]),
+                self._stamp,
+                tuple(message.name),
+                tuple(message.position),
+                tuple(message.velocity),
+                tuple(message.effort),
+            )
 
     def graph(self) -> Graph:
         """Who stands at the two topics, this node apart."""
@@ -90,35 +121,74 @@ class RigWatch(Node):
         reader, writer = qos(JOINT_STATES, reliable=False), qos(self._topic)
         for profile in (reader, writer):  # unset counts as 0 in a comparison
             profile.deadline = profile.liveliness_lease_duration = Infinite
-        drivers = self._ends(self.get_publishers_info_by_topic(states), lambda theirs: qos_check_compatible(theirs, reader))
-        readers = self._ends(
-            self.get_subscriptions_info_by_topic(self._commands_name), lambda theirs: qos_check_compatible(writer, theirs)
+        drivers = self._ends(
+            self.get_publishers_info_by_topic(states),
+            lambda theirs: qos_check_compatible(theirs, reader),
         )
-        commanders = self._ends(self.get_publishers_info_by_topic(self._commands_name), None)
-        return Graph(states, self._commands_name, JOINT_STATES.type, self._topic.type, drivers, readers, commanders)
+        readers = self._ends(
+            self.get_subscriptions_info_by_topic(self._commands_name),
+            lambda theirs: qos_check_compatible(writer, theirs),
+        )
+        commanders = self._ends(
+            self.get_publishers_info_by_topic(self._commands_name), None
+        )
+        return Graph(
+            states,
+            self._commands_name,
+            JOINT_STATES.type,
+            self._topic.type,
+            drivers,
+            readers,
+            commanders,
+        )
 
-    def _ends(self, infos: Sequence[Any], check: Callable[[QoSProfile], Any] | None) -> tuple[Endpoint, ...]:
+    def _ends(
+        self, infos: Sequence[Any], check: Callable[[QoSProfile], Any] | None
+    ) -> tuple[Endpoint, ...]:
         found = []
         own = f"{self.get_namespace().rstrip('/')}/{self.get_name()}"
         for info in infos:
             name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             if name != own:
                 reliable = info.qos_profile.reliability == ReliabilityPolicy.RELIABLE
-                fits, why = check(info.qos_profile) if check else (QoSCompatibility.OK, "")
-                found.append(Endpoint(name, info.topic_type, reliable, why if fits == QoSCompatibility.ERROR else ""))
+                fits, why = (
+                    check(info.qos_profile) if check else (QoSCompatibility.OK, "")
+                )
+                found.append(
+                    Endpoint(
+                        name,
+                        info.topic_type,
+                        reliable,
+                        why if fits == QoSCompatibility.ERROR else "",
+                    )
+                )
         return tuple(found)
 
     def hint(self) -> str:
         """Where to look when nobody publishes states."""
-        domain, discovery = os.environ.get("ROS_DOMAIN_ID", "0"), os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-        names = [name for name, types in self.get_topic_names_and_types() if JOINT_STATES.type in types]
-        others = ", ".join(name for name in names if self.count_publishers(name)) or "none"
-        return (f"Nobody publishes {self._states.topic_name} (ROS_DOMAIN_ID {domain}, discovery {discovery})."
-                f" Other topics of that type: {others}; --states and --namespace choose another.")  # fmt: skip
+        domain, discovery = (
+            os.environ.get("ROS_DOMAIN_ID", "0"),
+            os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"),
+        )
+        names = [
+            name
+            for name, types in self.get_topic_names_and_types()
+            if JOINT_STATES.type in types
+        ]
+        others = (
+            ", ".join(name for name in names if self.count_publishers(name)) or "none"
+        )
+        return (
+            f"Nobody publishes {self._states.topic_name} (ROS_DOMAIN_ID {domain},"
+            f" discovery {discovery}). Other topics of that type: {others}; --states"
+            " and --namespace choose another."
+        )
 
     def open(self) -> None:
         """Offer commands: from now on this node counts as the commander."""
-        self._commands = self.create_publisher(self._kind, self._commands_name, qos(self._topic))
+        self._commands = self.create_publisher(
+            self._kind, self._commands_name, qos(self._topic)
+        )
 
     @property
     def others(self) -> int:
@@ -133,7 +203,9 @@ class RigWatch(Node):
     @property
     def heard(self) -> bool:
         """Somebody receives our commands."""
-        return self._commands is not None and self._commands.get_subscription_count() > 0
+        return (
+            self._commands is not None and self._commands.get_subscription_count() > 0
+        )
 
     def command(self, torque: Torque) -> None:
         """Torques, N m, in answer to the newest state."""
@@ -162,11 +234,15 @@ class RigWatch(Node):
 
 @contextmanager
 def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigWatch, StopSignal]]:
-    """The node, with signals as a flag; whatever happens, zero torque is the last command."""
+    """The node, with signals as a flag; whatever happens, zero torque is the last
+    command.
+    """
     try:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         arrays = arguments.command_interface == "effort_array"
-        node = RigWatch(arguments.namespace, arguments.states, arguments.commands, arrays=arrays)
+        node = RigWatch(
+            arguments.namespace, arguments.states, arguments.commands, arrays=arrays
+        )
     except DextarError:
         raise
     except Exception as error:  # rcl raises its own types for bad names
@@ -184,7 +260,9 @@ def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigWatch, StopSignal
 
 
 def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
-    """The limits of parsed arguments; what is not given follows from the nodes' own parameters."""
+    """The limits of parsed arguments; what is not given follows from the nodes' own
+    parameters.
+    """
     plant, controller = node_defaults("plant"), node_defaults("controller")
 
     def given(value: float | None, default: float) -> float:
@@ -192,22 +270,34 @@ def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
 
     rate = given(arguments.rate, 1.0 / plant["task.sample_period"])
     return Limits(
-        rate=rate, watchdog=given(arguments.watchdog, plant["command_timeout"]), max_torque=robot.max_torque,
+        rate=rate,
+        watchdog=given(arguments.watchdog, plant["command_timeout"]),
+        max_torque=robot.max_torque,
         max_gap=given(arguments.max_gap, controller["state_timeout"]),
         jitter=given(arguments.jitter, 1.0 / rate if rate else 0.0),
-        rate_tolerance=arguments.rate_tolerance, max_age=arguments.max_age, watchdog_margin=arguments.watchdog_margin,
+        rate_tolerance=arguments.rate_tolerance,
+        max_age=arguments.max_age,
+        watchdog_margin=arguments.watchdog_margin,
         torque=arguments.torque,
-        pulse=given(arguments.pulse, max(Limits.pulse, MIN_SAMPLES / rate if rate else 0.0)),
-        max_move=arguments.max_move, max_speed=arguments.max_speed,
-    )  # fmt: skip
+        pulse=given(
+            arguments.pulse, max(Limits.pulse, MIN_SAMPLES / rate if rate else 0.0)
+        ),
+        max_move=arguments.max_move,
+        max_speed=arguments.max_speed,
+    )
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Check the rig of parsed arguments (see ``dextar check-rig --help``); 0 all passed, 1 something failed."""
+    """Check the rig of parsed arguments (see ``dextar check-rig --help``); 0 all
+    passed, 1 something failed.
+    """
     robot = load_robot(arguments.robot or config_file(ROBOT_FILE))
     limits = limits_of(arguments, robot)
     if not 100 <= arguments.duration * limits.rate < math.inf:
-        raise ParameterError(f"duration = {arguments.duration} s at {limits.rate:g} Hz; it must be >= {100 / limits.rate:g} s")
+        raise ParameterError(
+            f"duration = {arguments.duration} s at {limits.rate:g} Hz; it must be >="
+            f" {100 / limits.rate:g} s"
+        )
     if not 0.0 <= arguments.wait < math.inf:
         raise ParameterError(f"wait = {arguments.wait} s; it must be >= 0 and finite")
     if arguments.json is not None:
@@ -217,7 +307,9 @@ def run_check(arguments: argparse.Namespace) -> int:
         graph, samples = _look(console, node, stop, arguments.wait, arguments.duration)
         lines = watch_lines(graph, samples, robot, limits, arguments.duration)
         hint = "" if graph.drivers else node.hint()
-        torque: TorqueTests | str = torque_obstacle(lines) or _permission(console, stop, limits, arguments)
+        torque: TorqueTests | str = torque_obstacle(lines) or _permission(
+            console, stop, limits, arguments
+        )
         if not torque:
             torque = torque_tests(lines, limits)
             second = _torque(console, node, stop, torque)
@@ -240,11 +332,15 @@ def _check(stop: StopSignal) -> None:
 def _look(
     console: Terminal, node: RigWatch, stop: StopSignal, wait: float, duration: float
 ) -> tuple[Graph, list[Sample]]:
-    """The graph, and the states of a quiet watch that begins with the first of them, or when it has not come."""
+    """The graph, and the states of a quiet watch that begins with the first of them, or
+    when it has not come.
+    """
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     samples: list[Sample] = []
     with Steps(*columns, console=console, transient=True) as progress:
-        bar = progress.add_task(f"looking for {node.graph().states}", total=wait + SETTLE + duration)
+        bar = progress.add_task(
+            f"looking for {node.graph().states}", total=wait + SETTLE + duration
+        )
         begun = begin = time.monotonic()
         while time.monotonic() - begin < wait and not any(True for _ in node.take()):
             _check(stop)
@@ -264,11 +360,16 @@ def _look(
 
 
 def _settled(node: RigWatch, earliest: float, stop: StopSignal | None = None) -> Graph:
-    """The graph once everybody has a name: a node's endpoints are often found before it."""
+    """The graph once everybody has a name: a node's endpoints are often found before
+    it.
+    """
     latest = max(earliest, time.monotonic()) + DISCOVERY
     while True:
         now, graph = time.monotonic(), node.graph()
-        unknown = any("UNKNOWN" in end.node for end in (*graph.drivers, *graph.readers, *graph.commanders))
+        unknown = any(
+            "UNKNOWN" in end.node
+            for end in (*graph.drivers, *graph.readers, *graph.commanders)
+        )
         if now >= latest or (now >= earliest and not unknown):
             return graph
         if stop is not None:
@@ -276,7 +377,9 @@ def _settled(node: RigWatch, earliest: float, stop: StopSignal | None = None) ->
         time.sleep(20 * POLL)
 
 
-def _permission(console: Terminal, stop: StopSignal, limits: Limits, arguments: argparse.Namespace) -> str:
+def _permission(
+    console: Terminal, stop: StopSignal, limits: Limits, arguments: argparse.Namespace
+) -> str:
     """Why the robot may not be moved; empty when it may. Asks on a terminal."""
     if arguments.no_torque:
         return "not asked for (--no-torque)"
@@ -288,9 +391,11 @@ def _permission(console: Terminal, stop: StopSignal, limits: Limits, arguments: 
     console.print("\nThe robot will move.", style="bold", end=" ")
     console.print(
         f"For about {seconds:.1f} s each motor in turn gets {limits.torque:+g} and"
-        f" {-limits.torque:+g} N m, then commands stop, then NaN is sent. The tests end at once, without torque, when a joint"
-        f" moves more than {limits.max_move:g} rad from where a test began or turns faster than {limits.max_speed:g} rad/s."
-        "\nClear the robot's space, rest a hand on the emergency stop. Without permission these lines are skipped."
+        f" {-limits.torque:+g} N m, then commands stop, then NaN is sent. The tests end"
+        f" at once, without torque, when a joint moves more than {limits.max_move:g}"
+        f" rad from where a test began or turns faster than {limits.max_speed:g}"
+        " rad/s.\nClear the robot's space, rest a hand on the emergency stop. Without"
+        " permission these lines are skipped."
     )
     stop.starting = True  # a signal must interrupt the question
     try:
@@ -302,8 +407,12 @@ def _permission(console: Terminal, stop: StopSignal, limits: Limits, arguments: 
     return "" if answer.strip().lower() == "yes" else "no permission to move the robot"
 
 
-def _torque(console: Terminal, node: RigWatch, stop: StopSignal, tests: TorqueTests) -> Line | None:
-    """Run the tests with torque; the line that another commander or another driver earns, or None."""
+def _torque(
+    console: Terminal, node: RigWatch, stop: StopSignal, tests: TorqueTests
+) -> Line | None:
+    """Run the tests with torque; the line that another commander or another driver
+    earns, or None.
+    """
     if node.others:
         tests.stop("another commander came")
         return _second(node)
@@ -315,7 +424,9 @@ def _torque(console: Terminal, node: RigWatch, stop: StopSignal, tests: TorqueTe
     if not node.heard:
         tests.stop("nobody received the commands")
         return None
-    settle = time.monotonic() + SETTLE  # both ends must have matched, and the states that waited are old
+    settle = (
+        time.monotonic() + SETTLE
+    )  # both ends must have matched, and the states that waited are old
     while time.monotonic() < settle:
         for _ in node.take():
             node.command(NO_TORQUE)
@@ -358,15 +469,30 @@ def _answer(node: RigWatch, tests: TorqueTests) -> None:
 
 def _second(node: RigWatch) -> Line:
     names = ", ".join(end.node for end in _settled(node, 0.0).commanders) or "unknown"
-    return failed("only commander", f"{node.others} other while torque was to be sent ({names})", "0")
+    return failed(
+        "only commander",
+        f"{node.others} other while torque was to be sent ({names})",
+        "0",
+    )
 
 
 def _second_driver(node: RigWatch) -> Line:
-    names = ", ".join(sorted(end.node for end in _settled(node, 0.0).drivers)) or "unknown"
-    return failed("topics", f"{node.drivers} publishers of states while torque was sent ({names})", "1 publisher")
+    names = (
+        ", ".join(sorted(end.node for end in _settled(node, 0.0).drivers)) or "unknown"
+    )
+    return failed(
+        "topics",
+        f"{node.drivers} publishers of states while torque was sent ({names})",
+        "1 publisher",
+    )
 
 
-STYLES = {Result.PASS: "green", Result.FAIL: "bold red", Result.SKIP: "yellow", Result.NOTE: "cyan"}
+STYLES = {
+    Result.PASS: "green",
+    Result.FAIL: "bold red",
+    Result.SKIP: "yellow",
+    Result.NOTE: "cyan",
+}
 
 
 def table(lines: Sequence[Line], graph: Graph) -> Table:
@@ -375,17 +501,32 @@ def table(lines: Sequence[Line], graph: Graph) -> Table:
     for name in ("line", "", "measured", "limit"):
         grid.add_column(name, overflow="fold")
     for line in lines:
-        grid.add_row(line.name, Text(line.result.value, STYLES[line.result]), line.measured, line.limit)
+        grid.add_row(
+            line.name,
+            Text(line.result.value, STYLES[line.result]),
+            line.measured,
+            line.limit,
+        )
     return grid
 
 
 def _note(console: Terminal, lines: Sequence[Line]) -> None:
     counts = {result: sum(line.result is result for line in lines) for result in Result}
-    notes = f", {counts[Result.NOTE]} noted: not needed by the controller" if counts[Result.NOTE] else ""
-    console.print(f"{counts[Result.PASS]} passed, {counts[Result.FAIL]} failed, {counts[Result.SKIP]} skipped{notes}")
+    notes = (
+        f", {counts[Result.NOTE]} noted: not needed by the controller"
+        if counts[Result.NOTE]
+        else ""
+    )
+    console.print(
+        f"{counts[Result.PASS]} passed, {counts[Result.FAIL]} failed,"
+        f" {counts[Result.SKIP]} skipped{notes}"
+    )
     for line in lines:
         if line.result is Result.FAIL:
-            text = f"FAIL {line.name} ({LINES[line.name]}): {line.measured}; limit {line.limit}"
+            text = (
+                f"FAIL {line.name} ({LINES[line.name]}): {line.measured}; limit"
+                f" {line.limit}"
+            )
             console.print(text)
 
 
@@ -396,12 +537,20 @@ def _write(path: Path, lines: Sequence[Line], graph: Graph, limits: Limits) -> N
         "commands": graph.commands,
         "limits": vars(limits),
         "lines": [
-            {"name": line.name, "requirement": LINES[line.name], "result": line.result.value, "measured": line.measured,
-             "limit": line.limit, "numbers": line.numbers}
+            {
+                "name": line.name,
+                "requirement": LINES[line.name],
+                "result": line.result.value,
+                "measured": line.measured,
+                "limit": line.limit,
+                "numbers": line.numbers,
+            }
             for line in lines
         ],
-    }  # fmt: skip
+    }
     try:
         path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
-        raise ParameterError(f"report {path} cannot be written: {error.strerror}") from error
+        raise ParameterError(
+            f"report {path} cannot be written: {error.strerror}"
+        ) from error

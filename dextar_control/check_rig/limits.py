@@ -23,7 +23,8 @@ class Limits:
         closing: by which the distal links may miss each other, m.
         watchdog: the drive's declared time-out, s.
         watchdog_margin: for the way of a command and of a state, beyond two periods, s.
-        healthy_time: for which states must come as they should before the controller enables, s.
+        healthy_time: for which states must come as they should before the controller
+            enables, s.
         joint_margin: by which a joint may be outside its range, rad.
         assembly_mode: sign of s where the controller expects the robot to stand.
         torque: of the tests, N m.
@@ -46,9 +47,15 @@ class Limits:
     ahead: float = 0.005
     closing: float = 1.0e-3
     watchdog_margin: float = 0.01
-    healthy_time: float = field(default_factory=lambda: float(node_defaults("controller")["healthy_time"]))
-    joint_margin: float = field(default_factory=lambda: float(node_defaults("controller")["joint_margin"]))
-    assembly_mode: int = field(default_factory=lambda: int(node_defaults("controller")["assembly_mode"]))
+    healthy_time: float = field(
+        default_factory=lambda: float(node_defaults("controller")["healthy_time"])
+    )
+    joint_margin: float = field(
+        default_factory=lambda: float(node_defaults("controller")["joint_margin"])
+    )
+    assembly_mode: int = field(
+        default_factory=lambda: int(node_defaults("controller")["assembly_mode"])
+    )
     torque: float = 0.005
     pulse: float = 0.1
     max_move: float = 0.1
@@ -60,10 +67,15 @@ class Limits:
             if item.name not in FREE and not (math.isfinite(value) and value > 0.0):
                 raise ParameterError(f"{item.name} = {value}; it must be > 0")
         if self.torque > self.max_torque:
-            raise ParameterError(f"test torque = {self.torque} N m; it must be <= {self.max_torque} N m, the robot's max_torque")
+            raise ParameterError(
+                f"test torque = {self.torque} N m; it must be <= {self.max_torque} N m,"
+                " the robot's max_torque"
+            )
         if self.pulse * self.rate < MIN_SAMPLES:
-            raise ParameterError(f"pulse = {self.pulse} s at {self.rate} Hz; it must be >= {MIN_SAMPLES / self.rate:g} s,"
-                                 f" {MIN_SAMPLES} states")  # fmt: skip
+            raise ParameterError(
+                f"pulse = {self.pulse} s at {self.rate} Hz; it must be >="
+                f" {MIN_SAMPLES / self.rate:g} s, {MIN_SAMPLES} states"
+            )
 
     @property
     def period(self) -> float:
@@ -72,7 +84,9 @@ class Limits:
 
     @property
     def watchdog_limit(self) -> float:
-        """From the last command to a state without torque, s: the drive looks, and tells, once in a period."""
+        """From the last command to a state without torque, s: the drive looks, and
+        tells, once in a period.
+        """
         return self.watchdog + self.watchdog_margin + 2.0 * self.period
 
 
@@ -83,15 +97,20 @@ MIN_SAMPLES = 20
 MIN_DOUBLET = 30
 """States of a whole doublet that must have come."""
 EFFORT_SHARE = 0.2
-"""Of the test torque: by which an effort may miss its command, and below which it counts as none."""
+"""Of the test torque: by which an effort may miss its command, and below which it
+counts as none.
+"""
 MIN_MOVE = 2.0e-4
 """rad that the first pulse must move a joint: four counts of an encoder of 2^17."""
 VELOCITY_SHARE, VELOCITY_FLOOR = 0.2, 2.0e-3
-"""Of the change of position over VELOCITY_WINDOW, and rad, by which the integral of the velocity may miss it: a drive's
-velocity is filtered, so it lags."""
+"""Of the change of position over VELOCITY_WINDOW, and rad, by which the integral of the
+velocity may miss it: a drive's velocity is filtered, so it lags.
+"""
 VELOCITY_WINDOW = 0.05
 """s."""
 VELOCITY_MISSES = 0.2
-"""Share of the windows with movement that may miss: a stamp taken late spoils one, a wrong velocity all."""
+"""Share of the windows with movement that may miss: a stamp taken late spoils one, a
+wrong velocity all.
+"""
 MIN_STATES = 20
 """New states from which a stream can be judged."""

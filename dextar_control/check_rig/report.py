@@ -22,7 +22,8 @@ class Line:
 
     Attributes:
         name: of the requirement, one of ``LINES``.
-        result: whether it is met; SKIP where it could not be tried, NOTE where it is not met and the controller does without.
+        result: whether it is met; SKIP where it could not be tried, NOTE where it is
+            not met and the controller does without.
         measured: in words, with unit.
         limit: in words, with unit.
         numbers: the measured ones, SI units, for machines.
@@ -38,24 +39,38 @@ class Line:
 LINES = {
     "topics": "states have one publisher, commands a subscriber",
     "types": "of both topics",
-    "QoS": "states can be read, reliably too; commands are received from a reliable, volatile publisher",
+    "QoS": (
+        "states can be read, reliably too; commands are received from a reliable,"
+        " volatile publisher"
+    ),
     "only commander": "nobody else publishes commands",
     "states": "a stream of new states, in real time",
-    "joint names": "q11 and q21 in each state, each once, in any order, beside other joints or not",
+    "joint names": (
+        "q11 and q21 in each state, each once, in any order, beside other joints or not"
+    ),
     "array sizes": "as many positions as names; velocities and efforts too, or none",
     "finite numbers": "the positions of q11 and q21 are neither NaN nor infinite",
     "rate": "mean, by arrival",
-    "jitter": "99th percentile of how far an interval between arrivals is from the period",
+    "jitter": (
+        "99th percentile of how far an interval between arrivals is from the period"
+    ),
     "longest gap": "between two arrivals, and between their stamps",
     "stamps rise": "from each state to the next",
     "stamp age": "median at arrival, against the system clock",
     "stamp period": "the same as that of the arrivals",
     "closes": "the distal links can meet at the measured angles",
-    "mode and range": "the measured angles are those of the robot's working mode, and in the joints' ranges",
+    "mode and range": (
+        "the measured angles are those of the robot's working mode, and in the joints'"
+        " ranges"
+    ),
     "velocity": "the integral of the velocity is the change of position",
     "effort feedback": "of both motors, in each state",
-    "response q11": "effort follows a small torque and the joint moves its way, both signs",
-    "response q21": "effort follows a small torque and the joint moves its way, both signs",
+    "response q11": (
+        "effort follows a small torque and the joint moves its way, both signs"
+    ),
+    "response q21": (
+        "effort follows a small torque and the joint moves its way, both signs"
+    ),
     "watchdog": "commands stop, the torque goes within the declared time",
     "refuses NaN": "a NaN command changes nothing, and the driver goes on",
 }
@@ -85,7 +100,9 @@ def noted(name: str, measured: str, limit: str = "", **numbers: float) -> Line:
     return Line(name, Result.NOTE, measured, limit, numbers)
 
 
-def judged(ok: bool, name: str, measured: str, limit: str = "", **numbers: float) -> Line:
+def judged(
+    ok: bool, name: str, measured: str, limit: str = "", **numbers: float
+) -> Line:
     """PASS or FAIL."""
     return Line(name, Result.PASS if ok else Result.FAIL, measured, limit, numbers)
 

@@ -19,7 +19,8 @@ class Sample(NamedTuple):
     """One joint state.
 
     Attributes:
-        arrival: when the middleware had it, ns of the system clock as it was at the beginning of the check, without a step since.
+        arrival: when the middleware had it, ns of the system clock as it was at the
+            beginning of the check, without a step since.
         stamp: of its header, ns.
         names, position, velocity, effort: as sent, of any size.
     """
@@ -39,7 +40,8 @@ class Endpoint(NamedTuple):
         node: its full name.
         type: ROS type.
         reliable: offered or asked for.
-        mismatch: why its QoS does not match the contract's other end; empty when it does.
+        mismatch: why its QoS does not match the contract's other end; empty when it
+            does.
     """
 
     node: str
@@ -69,11 +71,15 @@ class Graph(NamedTuple):
 
 
 def by_name(samples: Iterable[Sample], field: str) -> tuple[list[Sample], Array]:
-    """The samples that have finite numbers for both joints in a field, and these numbers, (n, 2), in the contract's order."""
+    """The samples that have finite numbers for both joints in a field, and these
+    numbers, (n, 2), in the contract's order.
+    """
     kept, rows = [], []
     for sample in samples:
         values: Sequence[float] = getattr(sample, field)
-        if len(values) != len(sample.names) or any(name not in sample.names for name in JOINT_NAMES):
+        if len(values) != len(sample.names) or any(
+            name not in sample.names for name in JOINT_NAMES
+        ):
             continue
         row = [values[sample.names.index(name)] for name in JOINT_NAMES]
         if np.isfinite(row).all():
@@ -83,9 +89,11 @@ def by_name(samples: Iterable[Sample], field: str) -> tuple[list[Sample], Array]
 
 
 def joint_angles(samples: Iterable[Sample]) -> tuple[list[Sample], Array]:
-    """The samples that the controller can use, and their joint angles (n, 2), rad, without the encoders' whole turns.
+    """The samples that the controller can use, and their joint angles (n, 2), rad,
+    without the encoders' whole turns.
 
-    The controller takes an angle on any turn: one that wraps has moved as little as it can have.
+    The controller takes an angle on any turn: one that wraps has moved as little as it
+        can have.
     """
     kept, rows = [], []
     for sample in samples:
@@ -98,8 +106,12 @@ def joint_angles(samples: Iterable[Sample]) -> tuple[list[Sample], Array]:
 
 
 def times(samples: Sequence[Sample]) -> Array:
-    """When the samples were taken, s from the first: their stamps where these rise, else their arrivals."""
+    """When the samples were taken, s from the first: their stamps where these rise,
+    else their arrivals.
+    """
     stamps = np.array([sample.stamp for sample in samples], dtype=np.int64)
     if not (np.diff(stamps) > 0).all():
-        stamps = np.maximum.accumulate(np.array([sample.arrival for sample in samples], dtype=np.int64))
+        stamps = np.maximum.accumulate(
+            np.array([sample.arrival for sample in samples], dtype=np.int64)
+        )
     return NANOSECOND * (stamps - stamps[:1]).astype(np.float64)

@@ -1,4 +1,6 @@
-"""The commands of ``dextar``: each module has SUMMARY, DESCRIPTION, ``add_arguments`` and ``run``; none imports ROS at once."""
+"""The commands of ``dextar``: each module has SUMMARY, DESCRIPTION, ``add_arguments``
+and ``run``; none imports ROS at once.
+"""
 
 from __future__ import annotations
 

@@ -14,9 +14,10 @@ from dextar_control.contract.errors import DextarError
 
 SUMMARY = "metrics, figures and a report from recorded runs"
 DESCRIPTION = (
-    "Reads each bag and writes metrics.json, figure.png and report.html, one page that opens offline, beside it (or into"
-    " --output). Exit code 0 when every run was a success or has no truth to judge by, 1 when one was not or its bag is"
-    " damaged or breaks off, 2 for a bad file; the others are analysed all the same."
+    "Reads each bag and writes metrics.json, figure.png and report.html, one page that"
+    " opens offline, beside it (or into --output). Exit code 0 when every run was a"
+    " success or has no truth to judge by, 1 when one was not or its bag is damaged or"
+    " breaks off, 2 for a bad file; the others are analysed all the same."
 )
 FORMATS = ("png", "svg", "pdf")
 WIDTHS = (40.0, 400.0)  # mm
@@ -24,18 +25,39 @@ WIDTHS = (40.0, 400.0)  # mm
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
-    parser.add_argument("bag", type=Path, nargs="+", help="an .mcap file, or the run's folder")
+    parser.add_argument(
+        "bag", type=Path, nargs="+", help="an .mcap file, or the run's folder"
+    )
     add_robot(parser)
     parser.add_argument(
-        "--output", type=Path, metavar="DIR",
-        help="where the results go (default: beside the bag); several bags that would share a folder get one each in it",
-    )  # fmt: skip
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help=(
+            "where the results go (default: beside the bag); several bags that would"
+            " share a folder get one each in it"
+        ),
+    )
     parser.add_argument(
-        "--format", action="append", default=[], metavar="NAME", dest="formats", choices=FORMATS,
-        help="also write paper.NAME, a figure for a paper with its fonts embedded: png, svg or pdf (repeatable)",
-    )  # fmt: skip
+        "--format",
+        action="append",
+        default=[],
+        metavar="NAME",
+        dest="formats",
+        choices=FORMATS,
+        help=(
+            "also write paper.NAME, a figure for a paper with its fonts embedded: png,"
+            " svg or pdf (repeatable)"
+        ),
+    )
     add_pdf(parser, "report.html")
-    parser.add_argument("--width", type=_width, default=88.0, metavar="MM", help="of that figure, mm (default: %(default)g)")
+    parser.add_argument(
+        "--width",
+        type=_width,
+        default=88.0,
+        metavar="MM",
+        help="of that figure, mm (default: %(default)g)",
+    )
 
 
 def _width(text: str) -> float:
@@ -44,7 +66,9 @@ def _width(text: str) -> float:
     except ValueError:
         value = float("nan")
     if not WIDTHS[0] <= value <= WIDTHS[1]:
-        raise argparse.ArgumentTypeError(f"width = {text}; it must lie in {WIDTHS[0]:g} to {WIDTHS[1]:g} mm")
+        raise argparse.ArgumentTypeError(
+            f"width = {text}; it must lie in {WIDTHS[0]:g} to {WIDTHS[1]:g} mm"
+        )
     return value
 
 
@@ -54,15 +78,28 @@ def run(arguments: argparse.Namespace) -> int:
     from dextar_control.contract.terminal import Terminal, say, spoken_warnings
 
     console, code, robot = Terminal(), 0, given_robot(arguments)
-    for bag, folder in zip(arguments.bag, folders(arguments.bag, arguments.output), strict=True):
+    for bag, folder in zip(
+        arguments.bag, folders(arguments.bag, arguments.output), strict=True
+    ):
         try:
             with spoken_warnings("analyze"), shown_progress() as shown:
 
-                def show(stage: str, bag: Path = bag, tell: Callable[[str], None] = shown.stage) -> None:
+                def show(
+                    stage: str,
+                    bag: Path = bag,
+                    tell: Callable[[str], None] = shown.stage,
+                ) -> None:
                     tell(f"{bag}: {stage}")
 
                 metrics = analyze(
-                    bag, folder, arguments.formats, arguments.width, show, arguments.namespace, shown.read, robot
+                    bag,
+                    folder,
+                    arguments.formats,
+                    arguments.width,
+                    show,
+                    arguments.namespace,
+                    shown.read,
+                    robot,
                 )
                 place = folder or Path(metrics.bag).parent
                 if arguments.pdf:
@@ -75,31 +112,55 @@ def run(arguments: argparse.Namespace) -> int:
         if len(arguments.bag) > 1:
             console.print(f"{bag}", soft_wrap=True)
         console.print(summary_table(metrics))
-        names = ["metrics.json", "figure.png", "report.html", *["report.pdf"] * arguments.pdf]
+        names = [
+            "metrics.json",
+            "figure.png",
+            "report.html",
+            *["report.pdf"] * arguments.pdf,
+        ]
         names += [f"paper.{name}" for name in dict.fromkeys(arguments.formats)]
         console.print(f"{place}: {' '.join(names)}", soft_wrap=True)
-        code = code or (EXIT_FAILED if metrics.success is False else exit_code_of(metrics))
+        code = code or (
+            EXIT_FAILED if metrics.success is False else exit_code_of(metrics)
+        )
     return code
 
 
 def folders(bags: list[Path], output: Path | None) -> list[Path | None]:
     """Where each bag's results go; None is beside it.
 
-    Bags that would share a folder get one each in it, by their own names, whatever links lead to them. A bag that is named
-    twice has one folder.
+    Bags that would share a folder get one each in it, by their own names, whatever
+    links lead to them. A bag that is named twice has one folder.
     """
     real = [Path(os.path.realpath(bag)) for bag in bags]
-    shared = [output if output is not None else bag if bag.is_dir() else bag.parent for bag in bags]
+    shared = [
+        output if output is not None else bag if bag.is_dir() else bag.parent
+        for bag in bags
+    ]
     places = [Path(os.path.realpath(folder)) for folder in shared]
     found: list[Path | None] = []
     taken: dict[Path, Path] = {}  # bag per folder
     for bag, folder, place in zip(real, shared, places, strict=True):
-        if len({other for other, theirs in zip(real, places, strict=True) if theirs == place}) == 1:
+        if (
+            len(
+                {
+                    other
+                    for other, theirs in zip(real, places, strict=True)
+                    if theirs == place
+                }
+            )
+            == 1
+        ):
             found.append(output)
             continue
         name = bag.name if bag.is_dir() else f"{bag.parent.name}-{bag.stem}"
         number = 1
-        while taken.setdefault(own := folder / (name if number == 1 else f"{name}-{number}"), bag) != bag:
+        while (
+            taken.setdefault(
+                own := folder / (name if number == 1 else f"{name}-{number}"), bag
+            )
+            != bag
+        ):
             number += 1
         found.append(own)
     return found

@@ -4,18 +4,44 @@ from __future__ import annotations
 
 import argparse
 
-SUMMARY = "cost of a tick, of a DDS round trip and of a plant step, beside a baseline of the same minute"
-DESCRIPTION = "Measures on this machine, now; every figure stands beside something bare run in the same minute."
+SUMMARY = (
+    "cost of a tick, of a DDS round trip and of a plant step, beside a baseline of the"
+    " same minute"
+)
+DESCRIPTION = (
+    "Measures on this machine, now; every figure stands beside something bare run in"
+    " the same minute."
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
-    parser.add_argument("--demos", type=int, metavar="N", help="run N demos instead: how many succeed, how long each takes, and"
-                        " whether their joint states are alike; what stands behind -- goes to dextar demo")  # fmt: skip
-    parser.add_argument("--busy", type=int, default=0, metavar="N", help="processes that keep cores busy beside them")
-    parser.add_argument("demo", nargs="*", metavar="ARGUMENT", help="of dextar demo, behind --")
-    parser.add_argument("--seconds", type=_seconds, default=5.0, metavar="S",
-                        help="of each DDS measurement (default: %(default)s)")  # fmt: skip
+    parser.add_argument(
+        "--demos",
+        type=int,
+        metavar="N",
+        help=(
+            "run N demos instead: how many succeed, how long each takes, and whether"
+            " their joint states are alike; what stands behind -- goes to dextar demo"
+        ),
+    )
+    parser.add_argument(
+        "--busy",
+        type=int,
+        default=0,
+        metavar="N",
+        help="processes that keep cores busy beside them",
+    )
+    parser.add_argument(
+        "demo", nargs="*", metavar="ARGUMENT", help="of dextar demo, behind --"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=_seconds,
+        default=5.0,
+        metavar="S",
+        help="of each DDS measurement (default: %(default)s)",
+    )
 
 
 def _seconds(text: str) -> float:

@@ -24,11 +24,15 @@ STOP_TIMEOUT = 15.0  # s until a node that does not end is killed
 
 
 class NodesError(DextarError):
-    """The nodes could not be started, or not be brought to where they are needed; the message says which and why."""
+    """The nodes could not be started, or not be brought to where they are needed; the
+    message says which and why.
+    """
 
 
 def end_with_parent() -> None:
-    """Have the kernel send SIGTERM to this process when its parent dies, however it dies."""
+    """Have the kernel send SIGTERM to this process when its parent dies, however it
+    dies.
+    """
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
@@ -46,9 +50,12 @@ class Processes:
     """
 
     def __init__(
-        self, folder: Path, arguments: Mapping[str, Sequence[str]], prefix: Mapping[str, Sequence[str]] | None = None,
+        self,
+        folder: Path,
+        arguments: Mapping[str, Sequence[str]],
+        prefix: Mapping[str, Sequence[str]] | None = None,
         modules: Mapping[str, str] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.exits: dict[str, int] = {}
         self._wanted: set[str] = set()
         self._folder = folder
@@ -59,7 +66,11 @@ class Processes:
         self._offsets: dict[str, int] = {}
 
     def start(
-        self, name: str, extra: Sequence[str] = (), wrap: Sequence[str] = (), limit: Callable[[], None] | None = None
+        self,
+        name: str,
+        extra: Sequence[str] = (),
+        wrap: Sequence[str] = (),
+        limit: Callable[[], None] | None = None,
     ) -> None:
         """Start one node.
 
@@ -77,12 +88,22 @@ class Processes:
 
         self.exits.pop(name, None)
         self._wanted.discard(name)
-        command = [*self._prefix.get(name, ()), *wrap, sys.executable, "-m", self._modules[name]]
+        command = [
+            *self._prefix.get(name, ()),
+            *wrap,
+            sys.executable,
+            "-m",
+            self._modules[name],
+        ]
         with self.log_path(name).open("ab") as log:
             self._running[name] = subprocess.Popen(
-                [*command, "--ros-args", *self._arguments[name], *extra], stdout=log, stderr=subprocess.STDOUT,
-                stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=prepare,
-            )  # fmt: skip
+                [*command, "--ros-args", *self._arguments[name], *extra],
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+                preexec_fn=prepare,
+            )
 
     def log_path(self, name: str) -> Path:
         """Where a node's output goes, over all its lives."""
@@ -103,7 +124,9 @@ class Processes:
         self._wanted.add(name)
 
     def ended(self, name: str) -> bool:
-        """Whether a node has ended, or was never started; its exit code is then in ``exits``."""
+        """Whether a node has ended, or was never started; its exit code is then in
+        ``exits``.
+        """
         process = self._running.get(name)
         if process is None:
             return True
@@ -120,7 +143,10 @@ class Processes:
             self.ended(name)
         for name in self.exits:
             if name not in self._wanted:
-                raise NodesError(f"{name} ended with code {self.exits[name]}: {self.last_words(name)}")
+                raise NodesError(
+                    f"{name} ended with code {self.exits[name]}:"
+                    f" {self.last_words(name)}"
+                )
 
     def last_words(self, name: str) -> str:
         """The last telling line of a node's log."""
@@ -131,11 +157,19 @@ class Processes:
     def forget(self) -> None:
         """Exit codes and logs count from here on."""
         self.exits, self._wanted = {}, set()
-        self._offsets = {name: self.log_path(name).stat().st_size for name in MODULES if self.log_path(name).exists()}
+        self._offsets = {
+            name: self.log_path(name).stat().st_size
+            for name in MODULES
+            if self.log_path(name).exists()
+        }
 
     def logs(self) -> dict[str, str]:
         """What each node printed since ``forget``."""
-        return {name: self._text(name, self._offsets.get(name, 0)) for name in MODULES if self.log_path(name).exists()}
+        return {
+            name: self._text(name, self._offsets.get(name, 0))
+            for name in MODULES
+            if self.log_path(name).exists()
+        }
 
     def _text(self, name: str, offset: int) -> str:
         with self.log_path(name).open("rb") as file:
@@ -163,5 +197,7 @@ class Processes:
 
 def processor_time(pid: int) -> float:
     """Processor time of a process with all its threads so far, s."""
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    fields = (
+        Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    )
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -1,8 +1,10 @@
-"""Does the recorder keep up beside the running stack? ``python -m dextar_control.experiments.recorder_bench 600``.
+"""Does the recorder keep up beside the running stack? ``python -m
+dextar_control.experiments.recorder_bench 600``.
 
-Runs plant (with a camera at the loop's rate), controller, trajectory server and recorder in real time as processes of their
-own, has a tour of ten return trips served every half minute, and counts afterwards from the bag alone, by the numbers that
-the publishers gave their samples, what is missing.
+Runs plant (with a camera at the loop's rate), controller, trajectory server and
+recorder in real time as processes of their own, has a tour of ten return trips served
+every half minute, and counts afterwards from the bag alone, by the numbers that the
+publishers gave their samples, what is missing.
 """
 
 from __future__ import annotations
@@ -48,7 +50,9 @@ class Stream(NamedTuple):
 
 
 def streams(bag: Path) -> list[Stream]:
-    """Per topic with one publisher, the numbers missing between the first and the last one in the bag."""
+    """Per topic with one publisher, the numbers missing between the first and the last
+    one in the bag.
+    """
     numbers: dict[str, list[int]] = {}
     counts: dict[str, dict[str, int]] = {}
     with bag.open("rb") as stream:
@@ -58,14 +62,20 @@ def streams(bag: Path) -> list[Stream]:
                 counts = json.loads(record.metadata["topics"])
         for _, channel, message in reader.iter_messages(log_time_order=False):
             numbers.setdefault(channel.topic, []).append(message.sequence)
-    shared = ("/diagnostics", "/rosout", "/parameter_events")  # by several publishers, each with its own numbers
+    shared = (
+        "/diagnostics",
+        "/rosout",
+        "/parameter_events",
+    )  # by several publishers, each with its own numbers
     return [
         Stream(
-            topic, len(seen), 0 if topic in shared else max(seen) - min(seen) + 1 - len(set(seen)),
+            topic,
+            len(seen),
+            0 if topic in shared else max(seen) - min(seen) + 1 - len(set(seen)),
             (counts[topic]["lost"] or 0) + counts[topic]["dropped"],
         )
         for topic, seen in sorted(numbers.items())
-    ]  # fmt: skip
+    ]
 
 
 def run(seconds: int, output: Path, reliable: bool) -> int:
@@ -74,16 +84,35 @@ def run(seconds: int, output: Path, reliable: bool) -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     choose_domain()
     settings: dict[str, dict[str, Any]] = {
-        "recorder": {"output": output / "run.mcap", "reliable": reliable, "compression": "zstd"},
+        "recorder": {
+            "output": output / "run.mcap",
+            "reliable": reliable,
+            "compression": "zstd",
+        },
         "plant": {"pose_rate": CAMERA_RATE},
         "controller": {},
         "trajectory_server": {"autostart": True, "repeat": 10},
     }
-    files = ["--params-file", str(config_file(ROBOT_FILE)), "--params-file", str(config_file(NODES_FILE))]
-    processes = Processes(output, {
-        name: [*files, *(part for item in values.items() for part in ("-p", f"{name}:{assignment(*item)}"))]
-        for name, values in settings.items()
-    })  # fmt: skip
+    files = [
+        "--params-file",
+        str(config_file(ROBOT_FILE)),
+        "--params-file",
+        str(config_file(NODES_FILE)),
+    ]
+    processes = Processes(
+        output,
+        {
+            name: [
+                *files,
+                *(
+                    part
+                    for item in values.items()
+                    for part in ("-p", f"{name}:{assignment(*item)}")
+                ),
+            ]
+            for name, values in settings.items()
+        },
+    )
     operator = _Operator()
     try:
         for name in settings:
@@ -92,7 +121,12 @@ def run(seconds: int, output: Path, reliable: bool) -> int:
             _wait_for_all(output, processes)
         before = {name: processor_time(processes.pid(name)) for name in settings}
         begin = time.monotonic()
-        with Steps(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=console) as progress:
+        with Steps(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TimeRemainingColumn(),
+            console=console,
+        ) as progress:
             bar = progress.add_task("recording", total=seconds)
             for second in range(seconds):
                 if second % TOUR_PERIOD == TOUR_PERIOD - 1:
@@ -101,20 +135,37 @@ def run(seconds: int, output: Path, reliable: bool) -> int:
                 processes.check()
                 progress.advance(bar)
         elapsed = time.monotonic() - begin
-        load = {name: (processor_time(processes.pid(name)) - before[name]) / elapsed for name in settings}
+        load = {
+            name: (processor_time(processes.pid(name)) - before[name]) / elapsed
+            for name in settings
+        }
         memory = {name: _memory(processes.pid(name)) for name in settings}
     finally:
         operator.close()
         processes.stop_all()
     found = streams(output / "run.mcap")
-    columns = Column("topic", overflow="fold"), "messages", "missing", "told by the recorder"
+    columns = (
+        Column("topic", overflow="fold"),
+        "messages",
+        "missing",
+        "told by the recorder",
+    )
     table = Table(*columns, title=f"{elapsed:.0f} s in real time")
     for row in found:
         table.add_row(row.topic, str(row.messages), str(row.missing), str(row.dropped))
     console.print(table)
-    console.print("; ".join(f"{name} {load[name]:.2f} cores, {memory[name]:.0f} MB" for name in load))
-    console.print(f"tours asked for: {1 + operator.asked}; refused or not answered: {operator.refused}")
-    console.print(f"load average {os.getloadavg()[1]:.1f} on {os.cpu_count()} cores; bag {output}")
+    console.print(
+        "; ".join(
+            f"{name} {load[name]:.2f} cores, {memory[name]:.0f} MB" for name in load
+        )
+    )
+    console.print(
+        f"tours asked for: {1 + operator.asked}; refused or not answered:"
+        f" {operator.refused}"
+    )
+    console.print(
+        f"load average {os.getloadavg()[1]:.1f} on {os.cpu_count()} cores; bag {output}"
+    )
     return EXIT_FAILED if any(row.missing or row.dropped for row in found) else 0
 
 
@@ -123,7 +174,9 @@ class _Operator:
 
     def __init__(self) -> None:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node("recorder_bench", enable_rosout=False, start_parameter_services=False)
+        self._node = Node(
+            "recorder_bench", enable_rosout=False, start_parameter_services=False
+        )
         self._client = self._node.create_client(Trigger, "trajectory_server/start")
         self.asked = self.refused = 0
 
@@ -143,10 +196,15 @@ class _Operator:
 
 def _wait_for_all(output: Path, processes: Processes) -> None:
     deadline = time.monotonic() + STARTING
-    while "accepted" not in processes.log_path("controller").read_text(errors="replace"):
+    while "accepted" not in processes.log_path("controller").read_text(
+        errors="replace"
+    ):
         processes.check()
         if time.monotonic() > deadline:
-            raise NodesError(f"no trajectory was accepted within {STARTING:.0f} s: see the logs in {output}")
+            raise NodesError(
+                f"no trajectory was accepted within {STARTING:.0f} s: see the logs in"
+                f" {output}"
+            )
         time.sleep(0.2)
 
 
@@ -160,8 +218,16 @@ def main(argv: list[str] | None = None) -> int:
     """Console entry."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("seconds", type=int, nargs="?", default=600)
-    parser.add_argument("--output", type=Path, help="new folder of bag and logs (default: a temporary one)")
-    parser.add_argument("--reliable", action="store_true", help="ask the publishers to repeat what was lost")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        help="new folder of bag and logs (default: a temporary one)",
+    )
+    parser.add_argument(
+        "--reliable",
+        action="store_true",
+        help="ask the publishers to repeat what was lost",
+    )
     arguments = parser.parse_args(argv)
     if arguments.output is None:
         arguments.output = Path(tempfile.mkdtemp(prefix="recorder-"))

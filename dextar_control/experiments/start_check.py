@@ -1,4 +1,6 @@
-"""The parameters with which nodes would start, checked by the nodes' own rules before any of them is started."""
+"""The parameters with which nodes would start, checked by the nodes' own rules before
+any of them is started.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +23,13 @@ NODES = ControllerNode, TrajectoryServer, RecorderNode, MarkerNode, PanelNode
 KINDS: dict[str, type[DextarNode]] = {kind.NAME: kind for kind in NODES}
 
 
-def check_start(node: str, changes: Mapping[str, Any], *files: Path, namespace: str = "") -> dict[str, Any]:
+def check_start(
+    node: str, changes: Mapping[str, Any], *files: Path, namespace: str = ""
+) -> dict[str, Any]:
     """The values of a node's parameters.
 
-    The plant is of another room and says its own limits itself: of its parameters only names and types are checked.
+    The plant is of another room and says its own limits itself: of its parameters only
+        names and types are checked.
 
     Args:
         node: its name.
@@ -33,11 +38,16 @@ def check_start(node: str, changes: Mapping[str, Any], *files: Path, namespace: 
         namespace: of the node.
 
     Raises:
-        ParameterError: one is unknown or cannot be used, or they contradict each other; names the node.
+        ParameterError: one is unknown or cannot be used, or they contradict each other;
+            names the node.
     """
     given = node_defaults(f"{namespace.rstrip('/')}/{node}", *files) | dict(changes)
     kind = KINDS.get(node)
-    specs = kind.PARAMETERS if kind is not None else tuple(Parameter(name, "") for name in node_defaults(node))
+    specs = (
+        kind.PARAMETERS
+        if kind is not None
+        else tuple(Parameter(name, "") for name in node_defaults(node))
+    )
     try:
         values = settled(node, specs, given, robot=kind is None or kind.ROBOT)
         if kind is TrajectoryServer:

@@ -1,1 +1,3 @@
-"""What every node of the package does alike: parameters, QoS, signals, diagnostics, lifecycle, services, its DDS domain."""
+"""What every node of the package does alike: parameters, QoS, signals, diagnostics,
+lifecycle, services, its DDS domain.
+"""

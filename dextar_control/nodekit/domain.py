@@ -25,7 +25,10 @@ def own_domain() -> int:
     try:
         folder = tempfile.gettempdir()
     except OSError as error:
-        raise DextarError("no temporary folder can be written, to mark a domain as taken; set ROS_DOMAIN_ID or TMPDIR") from error
+        raise DextarError(
+            "no temporary folder can be written, to mark a domain as taken; set"
+            " ROS_DOMAIN_ID or TMPDIR"
+        ) from error
     for number in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
         lock = _opened(os.path.join(folder, f"dextar-domain-{number}.lock"))
         if lock is None:
@@ -37,11 +40,16 @@ def own_domain() -> int:
             continue
         _held.append(lock)
         return number
-    raise DextarError(f"all {len(DOMAINS)} DDS domains are taken by other runs on this machine; set ROS_DOMAIN_ID to share one")
+    raise DextarError(
+        f"all {len(DOMAINS)} DDS domains are taken by other runs on this machine; set"
+        " ROS_DOMAIN_ID to share one"
+    )
 
 
 def _opened(path: str) -> int | None:
-    """A lock file, made where it does not exist. Another user's file, which may only be read, can be locked as well."""
+    """A lock file, made where it does not exist. Another user's file, which may only be
+    read, can be locked as well.
+    """
     for flags in (os.O_RDWR | os.O_CREAT, os.O_RDONLY):
         with contextlib.suppress(OSError):
             return os.open(path, flags | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)

@@ -13,17 +13,21 @@ from dextar_control.nodekit.node import DextarNode
 
 UNCONFIGURED, INACTIVE, ACTIVE = "unconfigured", "inactive", "active"
 SUCCESS, FAILURE, ERROR = (
-    TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE, TransitionCallbackReturn.ERROR,
-)  # fmt: skip
+    TransitionCallbackReturn.SUCCESS,
+    TransitionCallbackReturn.FAILURE,
+    TransitionCallbackReturn.ERROR,
+)
 
 
 class ManagedNode(LifecycleNodeMixin, DextarNode):
-    """Lifecycle states and transitions; what they mean is in ``configure``, ``activate``, ``deactivate``, ``cleanup``.
+    """Lifecycle states and transitions; what they mean is in ``configure``,
+    ``activate``, ``deactivate``, ``cleanup``.
 
-    A transition that raises a DextarError is refused with its message, and the node stays in the state where it
-    was; any other exception leads by way of error processing to unconfigured. A transition that the present state
-    does not have is refused too (rclpy's own service raises then, out of the executor). No executor serves
-    the services: the node polls ``desk``.
+    A transition that raises a DextarError is refused with its message, and the node
+    stays in the state where it was; any other exception leads by way of error
+    processing to unconfigured. A transition that the present state does not have is
+    refused too (rclpy's own service raises then, out of the executor). No executor
+    serves the services: the node polls ``desk``.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -34,20 +38,33 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
 
     @property
     def lifecycle(self) -> str:
-        """The state's name: unconfigured, inactive, active, finalized, or that of the transition under way."""
+        """The state's name: unconfigured, inactive, active, finalized, or that of the
+        transition under way.
+        """
         return str(self._state_machine.current_state[1])
 
     def why_fixed(self) -> str:
         """Only an unconfigured node takes parameters that are not live."""
-        return "" if self.lifecycle == UNCONFIGURED else f"while the node is {self.lifecycle}; clean it up first"
+        return (
+            ""
+            if self.lifecycle == UNCONFIGURED
+            else f"while the node is {self.lifecycle}; clean it up first"
+        )
 
     def change_state(self, transition: int) -> bool:
-        """Make a transition, one of ``lifecycle_msgs/msg/Transition``; False where it is refused, and the log says why."""
+        """Make a transition, one of ``lifecycle_msgs/msg/Transition``; False where it
+        is refused, and the log says why.
+        """
         triggers = {
-            Transition.TRANSITION_CONFIGURE: self.trigger_configure, Transition.TRANSITION_ACTIVATE: self.trigger_activate,
-            Transition.TRANSITION_DEACTIVATE: self.trigger_deactivate, Transition.TRANSITION_CLEANUP: self.trigger_cleanup,
-        }  # fmt: skip
-        possible = {number: label for number, label, *_ in self._state_machine.available_transitions}
+            Transition.TRANSITION_CONFIGURE: self.trigger_configure,
+            Transition.TRANSITION_ACTIVATE: self.trigger_activate,
+            Transition.TRANSITION_DEACTIVATE: self.trigger_deactivate,
+            Transition.TRANSITION_CLEANUP: self.trigger_cleanup,
+        }
+        possible = {
+            number: label
+            for number, label, *_ in self._state_machine.available_transitions
+        }
         if transition not in possible:
             self.get_logger().error(
                 f"transition {transition} is not possible in state {self.lifecycle};"
@@ -62,14 +79,20 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
         self.on_transition()
         return done
 
-    def _on_change_state(self, request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+    def _on_change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
         wanted = request.transition.id
         if request.transition.label:
-            labels = {label: number for number, label, *_ in self._state_machine.available_transitions}
+            labels = {
+                label: number
+                for number, label, *_ in self._state_machine.available_transitions
+            }
             if request.transition.label not in labels:
                 self.get_logger().error(
-                    f"transition '{request.transition.label}' is not possible in state {self.lifecycle};"
-                    f" possible are: {', '.join(sorted(labels)) or 'none'}"
+                    f"transition '{request.transition.label}' is not possible in state"
+                    f" {self.lifecycle}; possible are:"
+                    f" {', '.join(sorted(labels)) or 'none'}"
                 )
                 return response
             wanted = labels[request.transition.label]
@@ -83,7 +106,9 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
             self.transition_error = error
             self.get_logger().error(f"{name} is refused: {error}")
             return FAILURE
-        except Exception as error:  # rclpy would swallow it and go to error processing without a word
+        except (
+            Exception
+        ) as error:  # rclpy would swallow it and go to error processing without a word
             self.get_logger().error(f"{name} failed: {type(error).__name__}: {error}")
             return ERROR
         return SUCCESS
@@ -111,17 +136,23 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
         return SUCCESS if state.label == UNCONFIGURED else self._try("cleanup")
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """To unconfigured, from wherever a transition failed; finalized where even that fails."""
+        """To unconfigured, from wherever a transition failed; finalized where even that
+        fails.
+        """
         self._try("deactivate")
         return self._try("cleanup")
 
     def destroy_node(self) -> None:
-        """As any node's; the state machine, which rclpy leaves out, would keep the node in the graph."""
+        """As any node's; the state machine, which rclpy leaves out, would keep the node
+        in the graph.
+        """
         self._state_machine.destroy_when_not_in_use()
         super().destroy_node()
 
     def configure(self) -> None:
-        """Build everything from the parameters; raise a DextarError to stay unconfigured."""
+        """Build everything from the parameters; raise a DextarError to stay
+        unconfigured.
+        """
 
     def activate(self) -> None:
         """Begin; raise a DextarError to stay inactive."""

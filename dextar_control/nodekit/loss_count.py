@@ -10,14 +10,16 @@ UNSUPPORTED = 2**64 - 1
 class LossCount:
     """Gaps in the publication sequence numbers of one topic.
 
-    rclpy's MessageInfo carries the number but not the publisher, and each publisher counts from 1.
-    So one expected number is kept per publisher: a sample belongs to the publisher that expects
-    exactly it; else, with fewer publishers known than matched, to a new one; else it is a gap of
-    the publisher that misses fewest. With one publisher, as the streams have, this is exact; a
-    publisher's samples from before the first one heard are not counted as lost.
+    rclpy's MessageInfo carries the number but not the publisher, and each publisher
+    counts from 1. So one expected number is kept per publisher: a sample belongs to the
+    publisher that expects exactly it; else, with fewer publishers known than matched,
+    to a new one; else it is a gap of the publisher that misses fewest. With one
+    publisher, as the streams have, this is exact; a publisher's samples from before the
+    first one heard are not counted as lost.
 
     Args:
-        count_publishers: how many publishers the topic has now; asked only when no number fits.
+        count_publishers: how many publishers the topic has now; asked only when no
+            number fits.
 
     Attributes:
         received: samples seen.
@@ -30,7 +32,9 @@ class LossCount:
         self.lost = 0
         self.supported = True
         self._count_publishers = count_publishers
-        self._expected: list[int] = []  # next number of each publisher, the one heard last first
+        self._expected: list[
+            int
+        ] = []  # next number of each publisher, the one heard last first
 
     def restart(self) -> None:
         """Count anew from the next sample on."""

@@ -12,7 +12,8 @@ GIVE_UP_AFTER = 100  # asks without an answer before a request is made anew
 
 
 class ParameterSnapshot:
-    """All parameters of one node, through its standard services; call ``ask`` now and then until ``values`` is there.
+    """All parameters of one node, through its standard services; call ``ask`` now and
+    then until ``values`` is there.
 
     Args:
         node: that asks.
@@ -36,7 +37,9 @@ class ParameterSnapshot:
             return
         if self._list.service_is_ready() and self._get.service_is_ready():
             self._age = 1
-            self._list.call_async(ListParameters.Request()).add_done_callback(self._on_names)
+            self._list.call_async(ListParameters.Request()).add_done_callback(
+                self._on_names
+            )
 
     def renew(self) -> None:
         """Forget the values, to ask again."""
@@ -46,9 +49,13 @@ class ParameterSnapshot:
     def _on_names(self, future: Any) -> None:
         names = sorted(future.result().result.names)
         request = GetParameters.Request(names=names)
-        self._get.call_async(request).add_done_callback(lambda answer: self._on_values(names, answer))
+        self._get.call_async(request).add_done_callback(
+            lambda answer: self._on_values(names, answer)
+        )
 
     def _on_values(self, names: list[str], future: Any) -> None:
         values = future.result().values
         if len(values) == len(names):
-            self.values = dict(zip(names, map(parameter_value_to_python, values), strict=True))
+            self.values = dict(
+                zip(names, map(parameter_value_to_python, values), strict=True)
+            )

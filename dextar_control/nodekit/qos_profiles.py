@@ -24,7 +24,9 @@ def describe(profile: QoSProfile) -> dict[str, object]:
 
 
 def _duration(duration: Duration) -> dict[str, int]:
-    """0 means "not set" to rclpy and never to a writer: both are written as infinite."""
+    """0 means "not set" to rclpy and never to a writer: both are written as
+    infinite.
+    """
     total = duration.nanoseconds
     if total <= 0 or total >= INFINITE["sec"] * 10**9 + INFINITE["nsec"]:
         return dict(INFINITE)

@@ -9,10 +9,12 @@ from dextar_control.contract.clocks import UnsteppedClock
 
 
 class ServiceDesk:
-    """Takes requests where they wait in the middleware, and answers them when it is told to.
+    """Takes requests where they wait in the middleware, and answers them when it is
+    told to.
 
-    An executor serves every request that is there before it comes back to a subscription, so that a flood of
-    calls holds a control loop up for as long as it lasts. Here the owner says how many are served, and when.
+    An executor serves every request that is there before it comes back to a
+    subscription, so that a flood of calls holds a control loop up for as long as it
+    lasts. Here the owner says how many are served, and when.
 
     Args:
         services: those of a node, asked for at each poll.
@@ -25,7 +27,10 @@ class ServiceDesk:
     """
 
     def __init__(
-        self, services: Callable[[], Iterable[Any]], complain: Callable[[str], object], clock: UnsteppedClock
+        self,
+        services: Callable[[], Iterable[Any]],
+        complain: Callable[[str], object],
+        clock: UnsteppedClock,
     ) -> None:
         self._clock = clock
         self._services = services
@@ -35,7 +40,9 @@ class ServiceDesk:
         self.received = 0
 
     def poll(self, limit: int) -> int:
-        """Serve at most ``limit`` waiting requests, one of each service before the second of any; how many they were."""
+        """Serve at most ``limit`` waiting requests, one of each service before the
+        second of any; how many they were.
+        """
         services = list(self._services())
         served = idle = 0
         while served < limit and idle < len(services):
@@ -49,16 +56,24 @@ class ServiceDesk:
         return served
 
     def _serve(self, service: Any) -> bool:
-        """Answer one request of a service; a callback that fails is told, and answered with an empty response."""
+        """Answer one request of a service; a callback that fails is told, and answered
+        with an empty response.
+        """
         request, header = service.handle.service_take_request(service.srv_type.Request)
         if header is None:
             return False
-        self.received = self._clock.arrival(int(getattr(header, "received_timestamp", 0)))
+        self.received = self._clock.arrival(
+            int(getattr(header, "received_timestamp", 0))
+        )
         response = service.srv_type.Response()
         try:
             response = service.callback(request, response)
-        except Exception as error:  # a malformed request must not end a node that holds a robot
-            self._complain(f"{service.service_name} failed: {type(error).__name__}: {error}")
+        except (
+            Exception
+        ) as error:  # a malformed request must not end a node that holds a robot
+            self._complain(
+                f"{service.service_name} failed: {type(error).__name__}: {error}"
+            )
             response = service.srv_type.Response()
         try:
             service.send_response(response, header)

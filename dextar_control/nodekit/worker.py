@@ -1,4 +1,6 @@
-"""Work beside a node: done in order in one thread, its progress told, its end taken by the node's own thread."""
+"""Work beside a node: done in order in one thread, its progress told, its end taken by
+the node's own thread.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +15,18 @@ Done = Callable[[Any, DextarError | None], None]
 
 
 class GivenUp(DextarError):
-    """What is planned is not wanted any more: the node ends, or a stop was asked for."""
+    """What is planned is not wanted any more: the node ends, or a stop was asked
+    for.
+    """
 
 
 class Worker:
-    """Runs jobs one after the other; ``poll`` hands their results over where it is called.
+    """Runs jobs one after the other; ``poll`` hands their results over where it is
+    called.
 
     Attributes:
-        fraction, stage: of the job under way, as its ``progress`` told them; stage is empty when there is none.
+        fraction, stage: of the job under way, as its ``progress`` told them; stage is
+            empty when there is none.
     """
 
     def __init__(self) -> None:
@@ -31,7 +37,9 @@ class Worker:
         self._jobs: deque[tuple[Future[Any], Done]] = deque()
 
     def submit(self, work: Callable[[], Any], done: Done) -> None:
-        """Do ``work``; afterwards ``poll`` calls ``done(result, None)`` or ``done(None, error)``."""
+        """Do ``work``; afterwards ``poll`` calls ``done(result, None)`` or ``done(None,
+        error)``.
+        """
         self._jobs.append((self._threads.submit(work), done))
 
     def progress(self, fraction: float, stage: str) -> None:
@@ -45,7 +53,9 @@ class Worker:
         self.fraction, self.stage = fraction, stage
 
     def poll(self) -> None:
-        """Take the results that are there, in the order in which they were asked for."""
+        """Take the results that are there, in the order in which they were asked
+        for.
+        """
         while self._jobs and self._jobs[0][0].done():
             future, done = self._jobs.popleft()
             self.fraction, self.stage = 0.0, ""

@@ -1,4 +1,6 @@
-"""External measurements of the end effector as they arrive at the controller: read without waiting, refused in words."""
+"""External measurements of the end effector as they arrive at the controller: read
+without waiting, refused in words.
+"""
 
 from __future__ import annotations
 
@@ -13,21 +15,25 @@ from dextar_control.nodekit.node import DextarNode, qos
 from dextar_control.nodes import messages
 from dextar_control.nodes.messages import PoseStamped
 
-DEPTH = 5  # measurements that may wait: one is taken with each joint state, the oldest first
+# measurements that may wait: one is taken with each joint state, the oldest first
+DEPTH = 5
 
 
 class ExternalPoseReader:
     """Polled subscription of ``external_pose``.
 
     Attributes:
-        received, refused: messages so far; a refused one is not in the base frame or not finite.
+        received, refused: messages so far; a refused one is not in the base frame or
+            not finite.
         note: why the last one was refused; empty when it was not.
     """
 
     def __init__(self, node: DextarNode) -> None:
         profile = qos(EXTERNAL_POSE, reliable=False, depth=DEPTH)
         self._node = node
-        self._subscription = node.create_polled_subscription(PoseStamped, EXTERNAL_POSE.name, profile, raw=True)
+        self._subscription = node.create_polled_subscription(
+            PoseStamped, EXTERNAL_POSE.name, profile, raw=True
+        )
         self._take = self._subscription.handle.take_message
         self._template = template(EXTERNAL_POSE)
         self.received = 0
@@ -35,7 +41,9 @@ class ExternalPoseReader:
         self.note = ""
 
     def take(self) -> Pose | None:
-        """The oldest measurement that waits; None when there is none or it is refused."""
+        """The oldest measurement that waits; None when there is none or it is
+        refused.
+        """
         taken = self._take(PoseStamped, True)
         if taken is None:
             return None
@@ -58,7 +66,9 @@ class ExternalPoseReader:
         known = self._template.unpack(raw)
         if known is not None:
             stamp, values = known
-            return Pose(stamp / NANOSECONDS, messages.finite_position(values[0], values[1]))
+            return Pose(
+                stamp / NANOSECONDS, messages.finite_position(values[0], values[1])
+            )
         message = deserialize_message(raw, PoseStamped)
         position = messages.position_in_base(message)
         self._template.learn(raw)

@@ -1,4 +1,6 @@
-"""The action ``go``: what ``dextar go`` does, for programs. Loads only where ``dextar_interfaces`` is installed."""
+"""The action ``go``: what ``dextar go`` does, for programs. Loads only where
+``dextar_interfaces`` is installed.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +26,15 @@ LAST_RESULT = 1.0  # s in which the result of a trip that a signal ended is sent
 class Ending:
     """True once the goal's client cancels it, or a signal asks this process to end."""
 
-    def __init__(self, goal: ServerGoalHandle | None, signals: StopSignal | None) -> None:
+    def __init__(
+        self, goal: ServerGoalHandle | None, signals: StopSignal | None
+    ) -> None:
         self._goal, self._signals = goal, signals
 
     def __bool__(self) -> bool:
-        return bool(self._signals) or (self._goal is not None and self._goal.is_cancel_requested)
+        return bool(self._signals) or (
+            self._goal is not None and self._goal.is_cancel_requested
+        )
 
     def check(self) -> None:
         """Raise ``Interrupted`` once it is true."""
@@ -37,10 +43,12 @@ class Ending:
 
 
 class GoServer(Operator):
-    """Offers the action go: starts a trip of the robot whose nodes run in this namespace, and follows it to its end.
+    """Offers the action go: starts a trip of the robot whose nodes run in this
+    namespace, and follows it to its end.
 
-    One goal at a time. Cancelling it is a safe stop, and so is the end of this process while a trip is under way. A goal that
-    cannot be is aborted, and the result's message says why and what to do.
+    One goal at a time. Cancelling it is a safe stop, and so is the end of this process
+    while a trip is under way. A goal that cannot be is aborted, and the result's
+    message says why and what to do.
     """
 
     NAME = "go_server"
@@ -50,7 +58,9 @@ class GoServer(Operator):
         self.signals: StopSignal | None = None
         self.busy = threading.Lock()
         super().__init__("", Ending(None, None), self.NAME)
-        self._server = ActionServer(self, Go, GO, self._execute, cancel_callback=lambda _: CancelResponse.ACCEPT)
+        self._server = ActionServer(
+            self, Go, GO, self._execute, cancel_callback=lambda _: CancelResponse.ACCEPT
+        )
         self.get_logger().info(f"action {self.full(GO)}")
 
     def turn(self) -> None:
@@ -61,7 +71,10 @@ class GoServer(Operator):
         result = Go.Result()
         if not self.busy.acquire(blocking=False):
             goal.abort()
-            result.message = f"another goal of {self.full(GO)} is under way: cancel it, or wait until it ends"
+            result.message = (
+                f"another goal of {self.full(GO)} is under way: cancel it, or wait"
+                " until it ends"
+            )
             return result
         lines: list[str] = []
         good = False
@@ -76,22 +89,37 @@ class GoServer(Operator):
             self.busy.release()
         result.message = "\n".join(lines)
         self.get_logger().info(result.message)
-        (goal.succeed if good else goal.canceled if goal.is_cancel_requested else goal.abort)()
+        (
+            goal.succeed
+            if good
+            else goal.canceled
+            if goal.is_cancel_requested
+            else goal.abort
+        )()
         return result
 
     def _go(self, goal: ServerGoalHandle, result: Go.Result, say: Any) -> bool:
-        """Start the goal's trip and follow it; whether it was done and every planned crossing crossed."""
+        """Start the goal's trip and follow it; whether it was done and every planned
+        crossing crossed.
+        """
 
         def show(text: str, share: float) -> None:
-            told = self.controller if trip.begun else {"phase": text.split(":")[0].upper()} | {
-                key: self.controller[key] for key in ("s", "mode_confidence")
-            }
+            told = (
+                self.controller
+                if trip.begun
+                else {"phase": text.split(":")[0].upper()}
+                | {key: self.controller[key] for key in ("s", "mode_confidence")}
+            )
             goal.publish_feedback(
                 Go.Feedback(
-                    phase=told["phase"], crossing=int(told.get("begun", 0)), crossings=int(told.get("crossings", 0)),
-                    s=float(told["s"]), confidence=float(told["mode_confidence"]), progress=share,
+                    phase=told["phase"],
+                    crossing=int(told.get("begun", 0)),
+                    crossings=int(told.get("crossings", 0)),
+                    s=float(told["s"]),
+                    confidence=float(told["mode_confidence"]),
+                    progress=share,
                 )
-            )  # fmt: skip
+            )
 
         self.status.clear()  # of nodes that may have ended
         self.prepare(values_of(goal.request))
@@ -118,14 +146,25 @@ def values_of(request: Go.Goal) -> dict[str, Any]:
         ParameterError: the task is unknown, or a tour without crossings.
     """
     if not Go.Goal.AS_SET <= request.task <= Go.Goal.POINT:
-        raise ParameterError(f"task = {request.task}; it must be 0 (as set), 1 (trip), 2 (tour) or 3 (point)")
+        raise ParameterError(
+            f"task = {request.task}; it must be 0 (as set), 1 (trip), 2 (tour) or 3"
+            " (point)"
+        )
     tour = {Go.Goal.TRIP: 0, Go.Goal.TOUR: request.crossings}.get(request.task)
     if request.task == Go.Goal.TOUR and not tour:
-        raise ParameterError("crossings = 0 for a tour; it must be 1 to 1000, or negative for the other way round")
-    return task_values({
-        "tour": tour, "point": request.point.tolist() if request.task == Go.Goal.POINT else None, "excite": None,
-        "duration": None if request.duration < 0.0 else request.duration, "repeat": request.repeat or None,
-    })  # fmt: skip
+        raise ParameterError(
+            "crossings = 0 for a tour; it must be 1 to 1000, or negative for the other"
+            " way round"
+        )
+    return task_values(
+        {
+            "tour": tour,
+            "point": request.point.tolist() if request.task == Go.Goal.POINT else None,
+            "excite": None,
+            "duration": None if request.duration < 0.0 else request.duration,
+            "repeat": request.repeat or None,
+        }
+    )
 
 
 def spin(node: GoServer, _: Any, stop: StopSignal) -> None:

@@ -1,4 +1,6 @@
-"""The marker node: shows the robot live in RViz and Foxglove. It reads, and nothing on the control path waits for it."""
+"""The marker node: shows the robot live in RViz and Foxglove. It reads, and nothing on
+the control path waits for it.
+"""
 
 from __future__ import annotations
 
@@ -22,20 +24,37 @@ from dextar_control.nodes.scene import Scene, View, to_array, wipe
 from dextar_control.symbols.types import Array
 
 PARAMETERS = (
-    Parameter("enabled", "The node draws; if false, it reads nothing and clears the display.", live=True),
+    Parameter(
+        "enabled",
+        "The node draws; if false, it reads nothing and clears the display.",
+        live=True,
+    ),
     Parameter("rate", "The drawing is renewed at this rate.", 1.0, 60.0, unit="Hz"),
-    Parameter("trail", "The path of the end effector stays visible for this long.", 0.0, 60.0, unit="s", live=True),
-    Parameter("text", "The drawing shows the phase and scalars as text below the robot.", live=True),
-)  # fmt: skip
+    Parameter(
+        "trail",
+        "The path of the end effector stays visible for this long.",
+        0.0,
+        60.0,
+        unit="s",
+        live=True,
+    ),
+    Parameter(
+        "text",
+        "The drawing shows the phase and scalars as text below the robot.",
+        live=True,
+    ),
+)
 
 STILL_PERIOD = 1.0  # s
 DIAGNOSTICS_PERIOD = 1.0  # s
 
 
 class MarkerNode(DextarNode):
-    """Draws the robot for RViz and Foxglove: the newest of what the topics say, at its own pace on the steady clock.
+    """Draws the robot for RViz and Foxglove: the newest of what the topics say, at its
+    own pace on the steady clock.
 
-    Its readers keep one sample and ask for no repetition; with ``enabled`` false there are none.
+    Its readers keep one sample and ask for no repetition; with ``enabled`` false there
+    are none.
     """
 
     NAME = "markers"
@@ -51,7 +70,9 @@ class MarkerNode(DextarNode):
         self._drawn = 0
         self._complaint = ""
         self._apply(self.values["enabled"])
-        self.create_timer(1.0 / self.values["rate"], self._draw, clock=self.steady_clock)
+        self.create_timer(
+            1.0 / self.values["rate"], self._draw, clock=self.steady_clock
+        )
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
         self.get_logger().info(f"drawing on {self._publisher.topic_name}")
 
@@ -88,7 +109,9 @@ class MarkerNode(DextarNode):
             self._still_at = now
             drawing += self._scene.still()
         if view is not None:
-            drawing += self._scene.moving(view, [x for _, x in self._trail], text=self.values["text"])
+            drawing += self._scene.moving(
+                view, [x for _, x in self._trail], text=self.values["text"]
+            )
         if drawing:
             self._publish(drawing)
             self._drawn += 1
@@ -98,7 +121,11 @@ class MarkerNode(DextarNode):
         view = self._newest.view()
         if view is None:
             return None
-        self._complaint = f"no joint states for {now - self._newest.arrival:.1f} s" if view.stale else ""
+        self._complaint = (
+            f"no joint states for {now - self._newest.arrival:.1f} s"
+            if view.stale
+            else ""
+        )
         if not view.stale and self.values["trail"] > 0.0:
             self._trail.append((now, self._scene.platform(view)))
         while self._trail and now - self._trail[0][0] > self.values["trail"]:
@@ -112,11 +139,15 @@ class MarkerNode(DextarNode):
         if not self._newest:
             state = "switched off"
         elif JOINT_STATES.name not in self._newest.seen:
-            state = f"no joint states on {self.resolve_topic_name(JOINT_STATES.name)} yet"
+            state = (
+                f"no joint states on {self.resolve_topic_name(JOINT_STATES.name)} yet"
+            )
         else:
             state = self._complaint or "drawing"
         level = DiagnosticStatus.WARN if self._complaint else DiagnosticStatus.OK
-        self.publish_diagnostics(level, state, {"drawn": self._drawn, "rate": self.values["rate"]})
+        self.publish_diagnostics(
+            level, state, {"drawn": self._drawn, "rate": self.values["rate"]}
+        )
 
     def close(self) -> None:
         """Clear the display."""

@@ -1,4 +1,6 @@
-"""Messages to planning's and control's quantities and back; every refusal names the value and the limit."""
+"""Messages to planning's and control's quantities and back; every refusal names the
+value and the limit.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,10 @@ def position_in_base(message: PoseStamped) -> Array:
         StateError: another frame than base, or a number that is not finite.
     """
     if message.header.frame_id != BASE_FRAME:
-        raise StateError(f"external pose in frame '{message.header.frame_id}'; it must be in frame '{BASE_FRAME}'")
+        raise StateError(
+            f"external pose in frame '{message.header.frame_id}'; it must be in frame"
+            f" '{BASE_FRAME}'"
+        )
     return finite_position(message.pose.position.x, message.pose.position.y)
 
 
@@ -56,16 +61,27 @@ def to_trajectory(message: MultiDOFJointTrajectory) -> Trajectory:
     """The trajectory of a message.
 
     Raises:
-        TrajectoryError: another joint, missing fields, times not rising, a number not finite.
+        TrajectoryError: another joint, missing fields, times not rising, a number not
+            finite.
     """
     if list(message.joint_names) != [END_EFFECTOR_NAME]:
-        raise TrajectoryError(f"trajectory joint_names are {list(message.joint_names)}; expected ['{END_EFFECTOR_NAME}']")
+        raise TrajectoryError(
+            f"trajectory joint_names are {list(message.joint_names)}; expected"
+            f" ['{END_EFFECTOR_NAME}']"
+        )
     rows = []
     for index, point in enumerate(message.points):
         for field in ("transforms", "velocities", "accelerations"):
             if len(getattr(point, field)) != 1:
-                raise TrajectoryError(f"trajectory point {index} has {len(getattr(point, field))} {field}; expected 1")
-        p, v, a = point.transforms[0].translation, point.velocities[0].linear, point.accelerations[0].linear
+                raise TrajectoryError(
+                    f"trajectory point {index} has {len(getattr(point, field))}"
+                    f" {field}; expected 1"
+                )
+        p, v, a = (
+            point.transforms[0].translation,
+            point.velocities[0].linear,
+            point.accelerations[0].linear,
+        )
         time = point.time_from_start.sec + point.time_from_start.nanosec / NANOSECONDS
         rows.append((time, p.x, p.y, v.x, v.y, a.x, a.y))
     table = np.array(rows).reshape(-1, 7)
@@ -77,11 +93,16 @@ def _duration(seconds: float) -> Duration:
     return Duration(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
 
 
-def from_trajectory(trajectory: Trajectory, times: Array, stamp: int = 0) -> MultiDOFJointTrajectory:
-    """A trajectory sampled at ``times`` (m,), s, each rounded to a nanosecond before it is sampled."""
+def from_trajectory(
+    trajectory: Trajectory, times: Array, stamp: int = 0
+) -> MultiDOFJointTrajectory:
+    """A trajectory sampled at ``times`` (m,), s, each rounded to a nanosecond before it
+    is sampled.
+    """
     times = np.round(np.asarray(times) * NANOSECONDS) / NANOSECONDS
     message = MultiDOFJointTrajectory(
-        header=Header(stamp=to_time(stamp), frame_id=BASE_FRAME), joint_names=[END_EFFECTOR_NAME]
+        header=Header(stamp=to_time(stamp), frame_id=BASE_FRAME),
+        joint_names=[END_EFFECTOR_NAME],
     )
     for time, p, v, a in zip(times, *trajectory.table(times), strict=True):
         message.points.append(
@@ -97,14 +118,20 @@ def from_trajectory(trajectory: Trajectory, times: Array, stamp: int = 0) -> Mul
 
 def stop_trajectory() -> MultiDOFJointTrajectory:
     """A trajectory without points: stop."""
-    return MultiDOFJointTrajectory(header=Header(frame_id=BASE_FRAME), joint_names=[END_EFFECTOR_NAME])
+    return MultiDOFJointTrajectory(
+        header=Header(frame_id=BASE_FRAME), joint_names=[END_EFFECTOR_NAME]
+    )
 
 
 def to_path(trajectory: Trajectory, times: Array) -> Path:
     """A trajectory as a Path whose poses are stamped with the time from its start."""
     path = Path(header=Header(frame_id=BASE_FRAME))
     for time, p in zip(times, trajectory.table(times)[0], strict=True):
-        pose: Any = PoseStamped(header=Header(stamp=to_time(round(float(time) * NANOSECONDS)), frame_id=BASE_FRAME))
+        pose: Any = PoseStamped(
+            header=Header(
+                stamp=to_time(round(float(time) * NANOSECONDS)), frame_id=BASE_FRAME
+            )
+        )
         pose.pose.position.x, pose.pose.position.y = float(p[0]), float(p[1])
         path.poses.append(pose)
     return path

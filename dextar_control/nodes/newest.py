@@ -1,4 +1,6 @@
-"""The newest of what a robot's topics say, for who shows it at a pace of its own: nothing on the control path waits for it."""
+"""The newest of what a robot's topics say, for who shows it at a pace of its own:
+nothing on the control path waits for it.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, JOINT_STATES, PLATFORM_NAMES, TRAJECTORY
+from dextar_control.contract.topics import (
+    CONTROLLER_STATE,
+    CRITERION,
+    JOINT_STATES,
+    PLATFORM_NAMES,
+    TRAJECTORY,
+)
 from dextar_control.nodekit.cdr import read_message
 from dextar_control.nodekit.node import DextarNode, qos
 from dextar_control.nodes import messages
@@ -18,7 +26,11 @@ from dextar_control.nodes.scene import View
 from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.types import Array
 
-STREAMS = {JOINT_STATES.name: JointState, CRITERION.name: JointState, CONTROLLER_STATE.name: JointTrajectory}
+STREAMS = {
+    JOINT_STATES.name: JointState,
+    CRITERION.name: JointState,
+    CONTROLLER_STATE.name: JointTrajectory,
+}
 STALE_AFTER = 1.0  # s on the steady clock without a joint state
 UNKNOWN = np.full(2, np.nan)
 UNCHANGED = object()
@@ -46,10 +58,16 @@ class Newest:
 
     def open(self) -> None:
         """Begin to read."""
-        newest = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.BEST_EFFORT,
-                            durability=DurabilityPolicy.VOLATILE)  # fmt: skip
+        newest = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=1,
+            reliability=ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.VOLATILE,
+        )
         for name, kind in STREAMS.items():
-            self._readers[name] = self._node.create_polled_subscription(kind, name, newest)
+            self._readers[name] = self._node.create_polled_subscription(
+                kind, name, newest
+            )
         self._readers[TRAJECTORY.name] = self._node.create_polled_subscription(
             MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY), raw=True
         )
@@ -62,7 +80,8 @@ class Newest:
         self.seen.clear()
 
     def take(self) -> Any:
-        """The newest sample of each topic into ``seen``; the trajectory that has come, None for a stop, or UNCHANGED.
+        """The newest sample of each topic into ``seen``; the trajectory that has come,
+        None for a stop, or UNCHANGED.
 
         Raises:
             TrajectoryError: that trajectory is none.
@@ -92,11 +111,17 @@ class Newest:
         if joints is None:
             return None
         criterion = self.seen.get(CRITERION.name)
-        scalars = {} if criterion is None else dict(zip(criterion.name, criterion.position, strict=False))
+        scalars = (
+            {}
+            if criterion is None
+            else dict(zip(criterion.name, criterion.position, strict=False))
+        )
         points = getattr(self.seen.get(CONTROLLER_STATE.name), "points", ())
         x_ref, x_hat = (_position(points, row) for row in (0, 1))
         q_a = messages.active_joints(joints) - self._node.robot.encoder_offset
-        return View(q_a, x_hat, x_ref, scalars, time.monotonic() - self.arrival > STALE_AFTER)
+        return View(
+            q_a, x_hat, x_ref, scalars, time.monotonic() - self.arrival > STALE_AFTER
+        )
 
 
 def _trajectory(raw: bytes) -> Trajectory | None:

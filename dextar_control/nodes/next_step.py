@@ -1,4 +1,6 @@
-"""What a user does from where a controller stands so that it takes a trip, in words that a refusal ends with."""
+"""What a user does from where a controller stands so that it takes a trip, in words
+that a refusal ends with.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,31 @@ def next_step(controller: str, lifecycle: str, phase: str, enabling: str = "") -
         enabling: as its diagnostics tell it.
     """
     if lifecycle != "active":
-        steps = {"unconfigured": ("configure", "activate"), "inactive": ("activate",)}.get(lifecycle, ())
-        calls = ", then ".join(f"ros2 lifecycle set {controller} {step}" for step in steps)
-        return f"type {calls}" if calls else "start another controller" if lifecycle == "finalized" else "wait, then ask again"
-    enable, reset, stop = (command(controller, name) for name in ("enable", "reset", "stop"))
+        steps = {
+            "unconfigured": ("configure", "activate"),
+            "inactive": ("activate",),
+        }.get(lifecycle, ())
+        calls = ", then ".join(
+            f"ros2 lifecycle set {controller} {step}" for step in steps
+        )
+        return (
+            f"type {calls}"
+            if calls
+            else (
+                "start another controller"
+                if lifecycle == "finalized"
+                else "wait, then ask again"
+            )
+        )
+    enable, reset, stop = (
+        command(controller, name) for name in ("enable", "reset", "stop")
+    )
     if phase == "IDLE":
-        return "wait until it enables by itself" if enabling == "waiting" else f"type {enable}"
+        return (
+            "wait until it enables by itself"
+            if enabling == "waiting"
+            else f"type {enable}"
+        )
     if phase == "SAFE_STOP":
         return f"once the robot rests type {reset}, then {enable}"
     if phase == "FAULT":
@@ -37,7 +58,8 @@ def command(controller: str, name: str) -> str:
 
 
 def why_not(controller: str, told: Mapping[str, str]) -> str:
-    """Why a controller would not take a trajectory now, as far as it has told; empty when it would.
+    """Why a controller would not take a trajectory now, as far as it has told; empty
+    when it would.
 
     It takes one while it holds, and while it waits to enable itself.
 
@@ -54,6 +76,18 @@ def why_not(controller: str, told: Mapping[str, str]) -> str:
         return f"the controller is {lifecycle}; a trip needs an active one: {step}"
     if phase == "HOLD" or (phase == "IDLE" and enabling == "waiting"):
         return ""
-    second = next((text for key in ("other_commanders", "state_publishers") if (text := told.get(key, ""))), "")
-    why = "; ".join(text for text in (reason, second if second not in reason else "") if text)
-    return f"the controller is in phase {phase}{f' ({why})' if why else ''}; a trip starts from HOLD: {step}"
+    second = next(
+        (
+            text
+            for key in ("other_commanders", "state_publishers")
+            if (text := told.get(key, ""))
+        ),
+        "",
+    )
+    why = "; ".join(
+        text for text in (reason, second if second not in reason else "") if text
+    )
+    return (
+        f"the controller is in phase {phase}{f' ({why})' if why else ''}; a trip starts"
+        f" from HOLD: {step}"
+    )

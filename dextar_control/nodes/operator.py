@@ -1,4 +1,6 @@
-"""An operator's client of a robot whose nodes run: starts a trip and follows it, stops, enables, resets, tells the state."""
+"""An operator's client of a robot whose nodes run: starts a trip and follows it, stops,
+enables, resets, tells the state.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +32,11 @@ from dextar_control.nodes.progress import crossing_line, crossings, trip_line, u
 
 DISCOVERY = 5.0  # s in which a node that runs is heard of
 ANSWER = 10.0  # s in which a service answers that does not plan
-SILENCE = 10.0  # s without a word of a node that speaks each second, after which it counts as gone
-SERVER = 5.0  # s for the trajectory server's part of a stop; on a busy machine it is found up to 3 s after the controller
+# s without a word of a node that speaks each second, after which it counts as gone
+SILENCE = 10.0
+# s for the trajectory server's part of a stop; on a busy machine it is found up to 3 s
+# after the controller
+SERVER = 5.0
 STOPPING = 30.0  # s in which a stop is over
 TICK = 0.05  # s
 MOVING = ("APPROACH", "TRACK", "CROSSING")
@@ -62,17 +67,27 @@ class Operator(Node):
         name: of the node.
 
     Attributes:
-        status: of each node, by its name in the namespace: what it told last, with ``message`` and ``level``.
+        status: of each node, by its name in the namespace: what it told last, with
+            ``message`` and ``level``.
     """
 
     def __init__(self, namespace: str, stop: Stop, name: str = "operator") -> None:
-        super().__init__(name, namespace=namespace, enable_rosout=False, start_parameter_services=False)
+        super().__init__(
+            name,
+            namespace=namespace,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
         self.stop = stop
         self.status: dict[str, dict[str, str]] = {}
         self._heard: dict[str, float] = {}
         self._clients_of: dict[str, Any] = {}
-        self.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS))
-        for name in STOPS:  # known before they are needed: a stop waits for no discovery
+        self.create_subscription(
+            DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS)
+        )
+        for (
+            name
+        ) in STOPS:  # known before they are needed: a stop waits for no discovery
             self._client(Trigger, name)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -81,7 +96,9 @@ class Operator(Node):
             if space == self.get_namespace().rstrip("/"):
                 told = {"message": status.message, "level": str(status.level[0])}
                 self._heard[name] = time.monotonic()
-                self.status[name] = {item.key: item.value for item in status.values} | told
+                self.status[name] = {
+                    item.key: item.value for item in status.values
+                } | told
 
     def full(self, name: str) -> str:
         """A node's or service's name with the namespace."""
@@ -96,7 +113,9 @@ class Operator(Node):
         """Hear for a moment."""
         rclpy.spin_once(self, timeout_sec=TICK)
 
-    def until(self, condition: Callable[[], object], seconds: float, *, through: bool = False) -> bool:
+    def until(
+        self, condition: Callable[[], object], seconds: float, *, through: bool = False
+    ) -> bool:
         """Hear until something holds; False where it does not within so long.
 
         Args:
@@ -122,26 +141,52 @@ class Operator(Node):
         """
         for name in names:
             heard = partial(self.status.__contains__, name)
-            if not self.until(heard, DISCOVERY) and not (self.count_nodes(name) and self.until(heard, SILENCE)):
+            if not self.until(heard, DISCOVERY) and not (
+                self.count_nodes(name) and self.until(heard, SILENCE)
+            ):
                 raise Unreached(self._missing(name))
 
     def hear(self, *names: str) -> None:
-        """Wait until those of these nodes that are known to be there have told of themselves."""
-        self.until(lambda: all(name in self.status or not self.count_nodes(name) for name in names), DISCOVERY, through=True)
+        """Wait until those of these nodes that are known to be there have told of
+        themselves.
+        """
+        self.until(
+            lambda: all(
+                name in self.status or not self.count_nodes(name) for name in names
+            ),
+            DISCOVERY,
+            through=True,
+        )
 
     def _missing(self, name: str) -> str:
-        domain, discovery = os.environ.get("ROS_DOMAIN_ID", "0"), os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+        domain, discovery = (
+            os.environ.get("ROS_DOMAIN_ID", "0"),
+            os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"),
+        )
         nodes = self.get_node_names_and_namespaces()
-        others = sorted({space for node, space in nodes if node == name and space != self.get_namespace()})
+        others = sorted(
+            {
+                space
+                for node, space in nodes
+                if node == name and space != self.get_namespace()
+            }
+        )
         if others:
-            return f"{self.full(name)} does not run, but there is one in {', '.join(others)}: choose by --namespace"
+            return (
+                f"{self.full(name)} does not run, but there is one in"
+                f" {', '.join(others)}: choose by --namespace"
+            )
         where = f"ROS_DOMAIN_ID {domain}, discovery {discovery}"
         if name in [node for node, _ in nodes]:
-            return f"no word of {self.full(name)} for {SILENCE:.0f} s, though it is there ({where}): see its log"
+            return (
+                f"no word of {self.full(name)} for {SILENCE:.0f} s, though it is there"
+                f" ({where}): see its log"
+            )
         return (
-            f"no word of {self.full(name)} within {DISCOVERY:g} s ({where}): start the nodes"
-            " (ros2 launch dextar crossing.launch.py, or each alone), or set ROS_DOMAIN_ID to theirs; dextar demo starts its own"
-            " and tells its domain first"
+            f"no word of {self.full(name)} within {DISCOVERY:g} s ({where}): start the"
+            " nodes (ros2 launch dextar crossing.launch.py, or each alone), or set"
+            " ROS_DOMAIN_ID to theirs; dextar demo starts its own and tells its domain"
+            " first"
         )
 
     def count_nodes(self, name: str) -> int:
@@ -157,12 +202,14 @@ class Operator(Node):
         for name in names:
             if (count := self.count_nodes(name)) > 1:
                 raise Unreached(
-                    f"{count} nodes are called {self.full(name)}: end one or give its robot a namespace (one that was killed"
-                    " counts for up to 20 s)"
+                    f"{count} nodes are called {self.full(name)}: end one or give its"
+                    " robot a namespace (one that was killed counts for up to 20 s)"
                 )
 
     def _client(self, kind: Any, name: str) -> Any:
-        self._clients_of[name] = self._clients_of.get(name) or self.create_client(kind, name)
+        self._clients_of[name] = self._clients_of.get(name) or self.create_client(
+            kind, name
+        )
         return self._clients_of[name]
 
     def ask(self, kind: Any, name: str, request: Any, *, through: bool = False) -> Any:
@@ -187,7 +234,10 @@ class Operator(Node):
         over = self.until(lambda: future.done() or not there(), ANSWER, through=through)
         if not future.done():
             why = "and it has ended" if over else f"within {ANSWER:.0f} s"
-            raise Unreached(f"no answer of {self.full(name)} {why}; see that its node runs, then try again")
+            raise Unreached(
+                f"no answer of {self.full(name)} {why}; see that its node runs, then"
+                " try again"
+            )
         return future.result()
 
     def set_parameters_of(self, node: str, values: Mapping[str, Any]) -> None:
@@ -196,17 +246,24 @@ class Operator(Node):
         Raises:
             ParameterError: they are refused.
         """
-        parameters = [Parameter(name, kind_of(value), value).to_parameter_msg() for name, value in values.items()]
+        parameters = [
+            Parameter(name, kind_of(value), value).to_parameter_msg()
+            for name, value in values.items()
+        ]
         request = SetParametersAtomically.Request(parameters=parameters)
-        result = self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request).result
+        result = self.call(
+            SetParametersAtomically, f"{node}/set_parameters_atomically", request
+        ).result
         if not result.successful:
             raise ParameterError(result.reason)
 
     def prepare(self, values: Mapping[str, Any]) -> None:
-        """See that a trip can begin, and set the task; what is not given stays as it was set last.
+        """See that a trip can begin, and set the task; what is not given stays as it
+        was set last.
 
         Raises:
-            DextarError: a node is missing or there twice, the controller would take no trip, or the task is refused.
+            DextarError: a node is missing or there twice, the controller would take no
+                trip, or the task is refused.
         """
         self.find("controller", "trajectory_server")
         self.alone("controller", "trajectory_server")
@@ -216,13 +273,20 @@ class Operator(Node):
             self.set_parameters_of("trajectory_server", values)
 
     def heard_since(self, name: str, moment: float) -> bool:
-        """Whether a node has told of itself since a moment of the monotonic clock, s."""
+        """Whether a node has told of itself since a moment of the monotonic clock,
+        s.
+        """
         return self._heard.get(name, -SILENCE) > moment
 
     def silence(self, name: str) -> str:
         """That a node has fallen silent; empty when it has not."""
         age = time.monotonic() - self._heard[name]
-        return f"no word of {self.full(name)} for {age:.0f} s; see that it runs, and where the robot is" if age > SILENCE else ""
+        return (
+            f"no word of {self.full(name)} for {age:.0f} s; see that it runs, and where"
+            " the robot is"
+            if age > SILENCE
+            else ""
+        )
 
     def stop_robot(self) -> None:
         """Ask for a safe stop, and that nothing that is still planned begins.
@@ -246,18 +310,28 @@ class Operator(Node):
     def stop_server(self) -> None:
         """Ask that nothing that is still planned begins."""
         server = self._client(Trigger, STOPS[1])
-        if self.until(server.service_is_ready, SERVER, through=True):  # a robot may do without one
+        if self.until(
+            server.service_is_ready, SERVER, through=True
+        ):  # a robot may do without one
             self.until(server.call_async(Trigger.Request()).done, SERVER, through=True)
 
     def at_rest(self) -> bool:
         """Whether a stop is over: the robot holds, or has no torque."""
         phase = self.controller.get("phase", "")
-        return self.controller.get("stopped") == "True" if phase == "SAFE_STOP" else phase not in MOVING
+        return (
+            self.controller.get("stopped") == "True"
+            if phase == "SAFE_STOP"
+            else phase not in MOVING
+        )
 
     def wait_for_rest(self) -> bool:
         """Whether the controller tells, after this call, that a stop is over."""
         since = time.monotonic()
-        return self.until(lambda: self.heard_since("controller", since) and self.at_rest(), STOPPING, through=True)
+        return self.until(
+            lambda: self.heard_since("controller", since) and self.at_rest(),
+            STOPPING,
+            through=True,
+        )
 
     def bag(self) -> str:
         """The file that a recorder of the robot writes; empty without one."""
@@ -280,11 +354,18 @@ class Operator(Node):
         self.until(lambda: self.heard_since("controller", since), SILENCE)
         return self.state()
 
-    def trip(self, values: Mapping[str, Any], show: Callable[[str, float], None], say: Callable[[str], object]) -> bool:
-        """Set the task, have it planned and started, and follow it; whether it was done and each planned crossing crossed.
+    def trip(
+        self,
+        values: Mapping[str, Any],
+        show: Callable[[str, float], None],
+        say: Callable[[str], object],
+    ) -> bool:
+        """Set the task, have it planned and started, and follow it; whether it was done
+        and each planned crossing crossed.
 
         Args:
-            values: parameters of the trajectory server; what is not given stays as it was set last.
+            values: parameters of the trajectory server; what is not given stays as it
+                was set last.
             show, say: as ``Trip`` takes them.
 
         Raises:
@@ -300,28 +381,45 @@ class Operator(Node):
     def state(self) -> str:
         """Phase and reason, and what to do next, as the controller told them last."""
         told = self.controller
-        phase, lifecycle, reason = told.get("phase", ""), told.get("lifecycle", ""), told.get("reason", "")
+        phase, lifecycle, reason = (
+            told.get("phase", ""),
+            told.get("lifecycle", ""),
+            told.get("reason", ""),
+        )
         text = f"{phase or lifecycle}{f' ({reason})' if reason else ''}"
-        step = next_step(self.full("controller"), lifecycle, phase, told.get("enabling", ""))
+        step = next_step(
+            self.full("controller"), lifecycle, phase, told.get("enabling", "")
+        )
         return f"{text}: {step}" if step else text
 
 
 def kind_of(value: Any) -> Parameter.Type:
     """A parameter's type; an empty list is one of floats."""
-    return Parameter.Type.DOUBLE_ARRAY if isinstance(value, list) else Parameter.Type.from_parameter_value(value)
+    return (
+        Parameter.Type.DOUBLE_ARRAY
+        if isinstance(value, list)
+        else Parameter.Type.from_parameter_value(value)
+    )
 
 
 def task_values(asked: Mapping[str, Any]) -> dict[str, Any]:
-    """The trajectory server's parameters that were asked for; one kind of task switches the others off.
+    """The trajectory server's parameters that were asked for; one kind of task switches
+    the others off.
 
     Args:
         asked: tour, point, excite, duration and repeat; None where it was not.
     """
     values: dict[str, Any] = {}
     if any(asked[name] is not None for name in ("tour", "point", "excite")):
-        values = {"tour": asked["tour"] or 0, "point": asked["point"] or [], "excite": asked["excite"] or 0.0}
+        values = {
+            "tour": asked["tour"] or 0,
+            "point": asked["point"] or [],
+            "excite": asked["excite"] or 0.0,
+        }
         values |= {"tour_points": [], "direction": 0}
-    return values | {name: asked[name] for name in ("duration", "repeat") if asked[name] is not None}
+    return values | {
+        name: asked[name] for name in ("duration", "repeat") if asked[name] is not None
+    }
 
 
 @contextmanager
@@ -364,9 +462,17 @@ class Trip:
         bag: file of a recorder that ran at its end; empty without one.
     """
 
-    def __init__(self, me: Operator, show: Callable[[str, float], None], say: Callable[[str], object]) -> None:
+    def __init__(
+        self,
+        me: Operator,
+        show: Callable[[str, float], None],
+        say: Callable[[str], object],
+    ) -> None:
         self._me, self._show, self._say = me, show, say
-        self._before, self._completed = int(me.controller["trajectories"] or 0), me.controller["completed"]
+        self._before, self._completed = (
+            int(me.controller["trajectories"] or 0),
+            me.controller["completed"],
+        )
         self._motions = me.controller["motions"]
         self._told: dict[int, str] = {}
         self._asked = 0.0  # when a stop was, s
@@ -375,9 +481,17 @@ class Trip:
 
     @property
     def verdicts(self) -> list[tuple[str, str]]:
-        """Of each planned crossing the verdict and the confidence in it; none before it began."""
+        """Of each planned crossing the verdict and the confidence in it; none before it
+        began.
+        """
         told = self._me.controller if self.begun else {}
-        return list(zip(told.get("verdicts", "").split(), told.get("confidences", "").split(), strict=True))
+        return list(
+            zip(
+                told.get("verdicts", "").split(),
+                told.get("confidences", "").split(),
+                strict=True,
+            )
+        )
 
     def start(self) -> None:
         """Have it planned and served.
@@ -414,13 +528,18 @@ class Trip:
                 me.stop_robot()
                 self._asked = time.monotonic()
             if self._asked and time.monotonic() - self._asked > STOPPING:
-                self.trouble = f"a stop was asked for and is not over after {STOPPING:.0f} s"
+                self.trouble = (
+                    f"a stop was asked for and is not over after {STOPPING:.0f} s"
+                )
                 break
             if silence := me.silence("controller"):
                 self.trouble = silence
                 break
             if not self._arrived and time.monotonic() - served > ANSWER:
-                raise Unreached(f"the trip was served and has not arrived at {me.full('controller')} within {ANSWER:.0f} s")
+                raise Unreached(
+                    "the trip was served and has not arrived at"
+                    f" {me.full('controller')} within {ANSWER:.0f} s"
+                )
             self._tell()
             me.turn()
         self._tell()
@@ -432,7 +551,9 @@ class Trip:
     def _over(self) -> bool:
         me, told = self._me, self._me.controller
         phase, note = told.get("phase", ""), told.get("trajectory", "")
-        self.begun = self.begun or (self._arrived and told.get("motions") != self._motions)
+        self.begun = self.begun or (
+            self._arrived and told.get("motions") != self._motions
+        )
         if self._asked:
             return me.heard_since("controller", self._asked) and me.at_rest()
         if told.get("lifecycle") != "active":
@@ -445,7 +566,9 @@ class Trip:
         self.begun = self.begun or self.done or phase in MOVING
         if phase in MOVING or note == "checking":
             return False
-        waits = told["waiting_for"] or (phase == "IDLE" and told["enabling"] == "waiting")
+        waits = told["waiting_for"] or (
+            phase == "IDLE" and told["enabling"] == "waiting"
+        )
         return me.at_rest() and (self.begun or not waits)
 
     def _tell(self) -> None:
@@ -459,8 +582,19 @@ class Trip:
                 self._told[index] = verdict
                 self._say(crossing_line(index, len(verdicts), verdict, confidence))
         duration = float(told.get("duration") or 0.0)
-        share = 1.0 if self.done else min(float(told.get("reference_time") or 0.0) / duration, 1.0) if duration else 0.0
-        self._show(f"{'done' if self.done else told.get('phase', ''):<9} {crossings(told)}", share)
+        share = (
+            1.0
+            if self.done
+            else (
+                min(float(told.get("reference_time") or 0.0) / duration, 1.0)
+                if duration
+                else 0.0
+            )
+        )
+        self._show(
+            f"{'done' if self.done else told.get('phase', ''):<9} {crossings(told)}",
+            share,
+        )
 
     def end(self) -> bool:
         """Say how it ended; whether it was done and every planned crossing crossed."""
@@ -471,7 +605,10 @@ class Trip:
             if index not in self._told:
                 self._say(crossing_line(index, len(verdicts), *verdicts[index]))
         if self.begun:
-            self._say(f"{'done' if self.done else 'not done'}: {trip_line(crossed, len(verdicts), float(told['largest_error']))}")
+            self._say(
+                f"{'done' if self.done else 'not done'}:"
+                f" {trip_line(crossed, len(verdicts), float(told['largest_error']))}"
+            )
         elif not self.trouble:
             self._say("not done: the trip was dropped before it began")
         self.bag = me.bag()
@@ -486,11 +623,22 @@ class Trip:
 def go(arguments: argparse.Namespace) -> int:
     """Start a trip and follow it; the exit code."""
     values, console = task_values(vars(arguments)), Terminal()
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn())
-    with operator(arguments.namespace) as me, Steps(*columns, console=console, transient=True) as bars:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    with (
+        operator(arguments.namespace) as me,
+        Steps(*columns, console=console, transient=True) as bars,
+    ):
         bar = bars.add_task("planning", total=1.0)
-        good = me.trip(values, lambda text, share: bars.update(bar, description=text, completed=share),
-                       lambda text: console.print(text, soft_wrap=True))  # fmt: skip
+        good = me.trip(
+            values,
+            lambda text, share: bars.update(bar, description=text, completed=share),
+            lambda text: console.print(text, soft_wrap=True),
+        )
         me.stop.check()
     return 0 if good else EXIT_FAILED
 
@@ -500,13 +648,22 @@ def stop(arguments: argparse.Namespace) -> int:
     with operator(arguments.namespace) as me:
         me.stop_robot()
         rests = me.wait_for_rest()
-        say(me.state() if rests else f"the stop is asked for and not over after {STOPPING:.0f} s: {me.state()}")
+        say(
+            me.state()
+            if rests
+            else (
+                f"the stop is asked for and not over after {STOPPING:.0f} s:"
+                f" {me.state()}"
+            )
+        )
     return 0 if rests else EXIT_FAILED
 
 
 def enable(arguments: argparse.Namespace) -> int:
     """Torque on, or off; the exit code."""
-    return _ask_controller(arguments, SetBool, "enable", SetBool.Request(data=not arguments.off))
+    return _ask_controller(
+        arguments, SetBool, "enable", SetBool.Request(data=not arguments.off)
+    )
 
 
 def reset(arguments: argparse.Namespace) -> int:
@@ -514,7 +671,9 @@ def reset(arguments: argparse.Namespace) -> int:
     return _ask_controller(arguments, Trigger, "reset", Trigger.Request())
 
 
-def _ask_controller(arguments: argparse.Namespace, kind: Any, name: str, request: Any) -> int:
+def _ask_controller(
+    arguments: argparse.Namespace, kind: Any, name: str, request: Any
+) -> int:
     with operator(arguments.namespace) as me:
         say(me.ask_controller(kind, name, request))
     return 0
@@ -532,14 +691,22 @@ def status(arguments: argparse.Namespace) -> int:
         if told.get("x", "nan") != "nan":
             x, y, s = (float(told[key]) for key in ("x", "y", "s"))
             side = "known" if told["mode_known"] == "True" else "not known"
-            say(f"robot: x {x:.4f} m, y {y:.4f} m, s {s:+.3f}, side of the locus {side}"
-                f" (confidence {float(told['mode_confidence']):.3f})")  # fmt: skip
+            say(
+                f"robot: x {x:.4f} m, y {y:.4f} m, s {s:+.3f}, side of the locus {side}"
+                f" (confidence {float(told['mode_confidence']):.3f})"
+            )
         if float(told.get("duration") or 0.0):
-            trip = trip_line(int(told["crossed"]), int(told["crossings"]), float(told["largest_error"]))
+            trip = trip_line(
+                int(told["crossed"]),
+                int(told["crossings"]),
+                float(told["largest_error"]),
+            )
             say(f"last trip: {crossings(told)}{', ' if crossings(told) else ''}{trip}")
         for name, values in nodes.items():
             if name != "controller" or values["level"] != OK:
-                say(f"{name}: {values['message']} {values.get('planning', '')}".rstrip())
+                say(
+                    f"{name}: {values['message']} {values.get('planning', '')}".rstrip()
+                )
         wrong = any(values["level"] == ERROR for values in nodes.values())
     return EXIT_FAILED if wrong else 0
 

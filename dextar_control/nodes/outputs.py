@@ -1,4 +1,6 @@
-"""What the controller sends: commands, and what it thought of the state that they answer."""
+"""What the controller sends: commands, and what it thought of the state that they
+answer.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +13,45 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from dextar_control.contract.robot import JOINT_NAMES
-from dextar_control.contract.topics import CONTROLLER_STATE, CRITERION, EFFORT_COMMANDS, JOINT_COMMANDS
+from dextar_control.contract.topics import (
+    CONTROLLER_STATE,
+    CRITERION,
+    EFFORT_COMMANDS,
+    JOINT_COMMANDS,
+)
 from dextar_control.control.phases import Tick, indices_of
 from dextar_control.nodekit.cdr import NANOSECONDS, canonical, places_in
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodekit.node import DextarNode, qos
 from dextar_control.nodes.readable import Readable
 
-STATE = ("reference.x", "reference.x_dot", "reference.x_ddot", "estimate.x", "estimate.x_dot", "output.error", "output.error_dot",
-         "output.u", "output.force")  # fmt: skip
-JUDGED = ("output.residual", "output.s", "output.sigma_min", "output.weight", "estimate.assembly_mode", "estimate.confidence",
-          "output.limit", "estimate.innovation_square", "estimate.innovation", "estimate.b", "estimate.d")  # fmt: skip
-"""What of a tick is told on ``controller_state``, and on ``criterion``, where phase and verdict stand about the confidence."""
+STATE = (
+    "reference.x",
+    "reference.x_dot",
+    "reference.x_ddot",
+    "estimate.x",
+    "estimate.x_dot",
+    "output.error",
+    "output.error_dot",
+    "output.u",
+    "output.force",
+)
+JUDGED = (
+    "output.residual",
+    "output.s",
+    "output.sigma_min",
+    "output.weight",
+    "estimate.assembly_mode",
+    "estimate.confidence",
+    "output.limit",
+    "estimate.innovation_square",
+    "estimate.innovation",
+    "estimate.b",
+    "estimate.d",
+)
+"""What of a tick is told on ``controller_state``, and on ``criterion``, where phase and
+verdict stand about the confidence.
+"""
 
 
 class EffortArray:
@@ -44,7 +73,8 @@ class Outputs:
     Args:
         node: that publishes.
         array: whether the torques go out as ``effort_commands`` too.
-        readable: whether what was thought goes out in messages of ``dextar_interfaces`` too.
+        readable: whether what was thought goes out in messages of ``dextar_interfaces``
+            too.
 
     Attributes:
         stamp: of the state answered last, ns; negative before the first.
@@ -55,14 +85,30 @@ class Outputs:
         self._commands_out = template(JOINT_COMMANDS)
         self._state_out = template(CONTROLLER_STATE)
         self._criterion_out = template(CRITERION)
-        self._commands = node.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
-        self._states = node.create_publisher(JointTrajectory, CONTROLLER_STATE.name, qos(CONTROLLER_STATE))
-        self._criterion = node.create_publisher(JointState, CRITERION.name, qos(CRITERION))
+        self._commands = node.create_publisher(
+            JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS)
+        )
+        self._states = node.create_publisher(
+            JointTrajectory, CONTROLLER_STATE.name, qos(CONTROLLER_STATE)
+        )
+        self._criterion = node.create_publisher(
+            JointState, CRITERION.name, qos(CRITERION)
+        )
         self._array_out = EffortArray() if array else None
-        self._efforts = node.create_publisher(Float64MultiArray, EFFORT_COMMANDS.name, qos(EFFORT_COMMANDS)) if array else None
-        self._command_topics = [p.topic_name for p in (self._commands, self._efforts) if p is not None]
+        self._efforts = (
+            node.create_publisher(
+                Float64MultiArray, EFFORT_COMMANDS.name, qos(EFFORT_COMMANDS)
+            )
+            if array
+            else None
+        )
+        self._command_topics = [
+            p.topic_name for p in (self._commands, self._efforts) if p is not None
+        ]
         self._readable = Readable(node) if readable else None
-        self._state_of, self._judged_of = (indices_of(len(JOINT_NAMES), *fields) for fields in (STATE, JUDGED))
+        self._state_of, self._judged_of = (
+            indices_of(len(JOINT_NAMES), *fields) for fields in (STATE, JUDGED)
+        )
         self._read = True, True
         self._last = (b"", b"")
         self.stamp = -1
@@ -75,7 +121,10 @@ class Outputs:
     def command(self, stamp: int, torque: Sequence[float]) -> None:
         """The command (2), N m, that answers a state; its stamp, ns."""
         self.stamp = stamp
-        self._send(self._commands_out.pack(stamp, torque), self._array_out.pack(torque) if self._array_out is not None else b"")
+        self._send(
+            self._commands_out.pack(stamp, torque),
+            self._array_out.pack(torque) if self._array_out is not None else b"",
+        )
 
     def tell(self, stamp: int, tick: Tick, verdict: float) -> None:
         """What was thought of the state that was answered, to those who read it."""
@@ -92,16 +141,23 @@ class Outputs:
             self._readable.publish(stamp, state, reference_time, judged)
 
     def look(self) -> None:
-        """Who reads what: for topics that nobody does, as in a bare loop, no message is made. About 10 us."""
+        """Who reads what: for topics that nobody does, as in a bare loop, no message is
+        made. About 10 us.
+        """
         if self._readable is None:  # which needs both
-            self._read = self._states.get_subscription_count() > 0, self._criterion.get_subscription_count() > 0
+            self._read = (
+                self._states.get_subscription_count() > 0,
+                self._criterion.get_subscription_count() > 0,
+            )
 
     def repeat(self) -> None:
         """The last command once more."""
         self._send(*self._last)
 
     def release(self) -> None:
-        """No torque, in answer to the last state once more; nothing before the first."""
+        """No torque, in answer to the last state once more; nothing before the
+        first.
+        """
         if self.stamp >= 0:
             self.command(self.stamp, [0.0, 0.0])
 
@@ -116,7 +172,9 @@ class Outputs:
             self._efforts.publish(array)
 
     def others(self) -> str:
-        """Who else publishes commands, in words; empty when nobody does. About 5 us for each topic."""
+        """Who else publishes commands, in words; empty when nobody does. About 5 us for
+        each topic.
+        """
         for name in self._command_topics:
             if told := self._node.too_many_publishers(name):
                 return told
@@ -124,7 +182,15 @@ class Outputs:
 
     def close(self) -> None:
         """Destroy the publishers."""
-        publishers: list[Any] = [self._commands, self._states, self._criterion, self._efforts]
-        for publisher in [*publishers, *(self._readable.publishers if self._readable is not None else ())]:
+        publishers: list[Any] = [
+            self._commands,
+            self._states,
+            self._criterion,
+            self._efforts,
+        ]
+        for publisher in [
+            *publishers,
+            *(self._readable.publishers if self._readable is not None else ()),
+        ]:
             if publisher is not None:
                 self._node.destroy_publisher(publisher)

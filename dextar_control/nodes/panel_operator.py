@@ -1,4 +1,6 @@
-"""What a panel asks of the nodes: the operator's own requests, each kind in a thread of its own."""
+"""What a panel asks of the nodes: the operator's own requests, each kind in a thread of
+its own.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +28,19 @@ from dextar_control.nodes import controller, recorder, trajectory_server
 from dextar_control.nodes.operator import MOVING, TICK, Operator, Unreached, task_values
 
 SPECS: dict[str, tuple[Parameter, ...]] = {
-    "controller": controller.PARAMETERS, "trajectory_server": trajectory_server.PARAMETERS, "recorder": recorder.SPECS,
-}  # fmt: skip
+    "controller": controller.PARAMETERS,
+    "trajectory_server": trajectory_server.PARAMETERS,
+    "recorder": recorder.SPECS,
+}
 """Of the nodes that a panel sets."""
-REBUILT = ("law", "estimator")  # of the controller, which takes them only where it is built anew
+REBUILT = (
+    "law",
+    "estimator",
+)  # of the controller, which takes them only where it is built anew
 KINDS = ("trip", "point", "tour")  # of a task
-SILENT = 3.0  # s without a word of a node, after which its parameters are asked for again
+SILENT = (
+    3.0  # s without a word of a node, after which its parameters are asked for again
+)
 LINES = 40  # that are kept of what was said
 EVENTS_DEPTH = 100
 
@@ -55,9 +64,11 @@ class PanelOperator(Operator):
         namespace: of the robot's nodes.
 
     Attributes:
-        values: of the parameters of each node of ``SPECS``; empty where they are not known.
+        values: of the parameters of each node of ``SPECS``; empty where they are not
+            known.
         lines: what was said last, each with its number, the oldest first.
-        progress: of the trip that this panel has started: what is under way, and how much of it is done; None without one.
+        progress: of the trip that this panel has started: what is under way, and how
+            much of it is done; None without one.
     """
 
     def __init__(self, namespace: str) -> None:
@@ -65,10 +76,18 @@ class PanelOperator(Operator):
         self._news = threading.Condition()
         self._leaving = False
         self._snapshots = {name: ParameterSnapshot(self, name) for name in SPECS}
-        self._threads = {name: ThreadPoolExecutor(1, name) for name in ("stop", "drop", "trip", "desk")}
+        self._threads = {
+            name: ThreadPoolExecutor(1, name)
+            for name in ("stop", "drop", "trip", "desk")
+        }
         self.lines: deque[tuple[int, str]] = deque(maxlen=LINES)
         self.progress: tuple[str, float] | None = None
-        self.create_subscription(ParameterEvent, "/parameter_events", self._on_parameters, QoSProfile(depth=EVENTS_DEPTH))
+        self.create_subscription(
+            ParameterEvent,
+            "/parameter_events",
+            self._on_parameters,
+            QoSProfile(depth=EVENTS_DEPTH),
+        )
 
     def hear(self, *names: str) -> None:
         """What is known is known: this client hears all the time."""
@@ -92,12 +111,21 @@ class PanelOperator(Operator):
     def _on_parameters(self, event: ParameterEvent) -> None:
         space, _, name = event.node.rpartition("/")
         snapshot = self._snapshots.get(name)
-        if snapshot is not None and snapshot.values is not None and space == self.get_namespace().rstrip("/"):
-            changed = {entry.name: parameter_value_to_python(entry.value) for entry in event.changed_parameters}
+        if (
+            snapshot is not None
+            and snapshot.values is not None
+            and space == self.get_namespace().rstrip("/")
+        ):
+            changed = {
+                entry.name: parameter_value_to_python(entry.value)
+                for entry in event.changed_parameters
+            }
             snapshot.values = snapshot.values | changed
 
     def each_second(self) -> None:
-        """Ask for parameters that are not known; forget those of a node that has gone."""
+        """Ask for parameters that are not known; forget those of a node that has
+        gone.
+        """
         for name, snapshot in self._snapshots.items():
             if not self.fresh(name):
                 snapshot.renew()
@@ -111,8 +139,15 @@ class PanelOperator(Operator):
     @property
     def values(self) -> dict[str, dict[str, Any]]:
         """Of each node the parameters of its table."""
-        return {name: {spec.name: known[spec.name] for spec in SPECS[name] if spec.name in known}
-                for name, snapshot in self._snapshots.items() if (known := snapshot.values) is not None}  # fmt: skip
+        return {
+            name: {
+                spec.name: known[spec.name]
+                for spec in SPECS[name]
+                if spec.name in known
+            }
+            for name, snapshot in self._snapshots.items()
+            if (known := snapshot.values) is not None
+        }
 
     def stop_now(self, answer: Callable[[bool, str], None]) -> None:
         """A safe stop, whatever else is under way; answered when the controller has."""
@@ -130,20 +165,32 @@ class PanelOperator(Operator):
 
     def enable(self, on: bool, answer: Callable[[bool, str], None]) -> None:
         """Torque, or none."""
-        self._do("desk", lambda: self.ask_controller(SetBool, "enable", SetBool.Request(data=on)), answer)
+        self._do(
+            "desk",
+            lambda: self.ask_controller(SetBool, "enable", SetBool.Request(data=on)),
+            answer,
+        )
 
     def reset(self, answer: Callable[[bool, str], None]) -> None:
         """Leave a fault or a safe stop."""
-        self._do("desk", lambda: self.ask_controller(Trigger, "reset", Trigger.Request()), answer)
+        self._do(
+            "desk",
+            lambda: self.ask_controller(Trigger, "reset", Trigger.Request()),
+            answer,
+        )
 
-    def go(self, values: Mapping[str, Any], answer: Callable[[bool, str], None]) -> None:
+    def go(
+        self, values: Mapping[str, Any], answer: Callable[[bool, str], None]
+    ) -> None:
         """A trip; answered when it has ended.
 
         Raises:
             Unreached: one is under way.
         """
         if self.progress is not None:
-            raise Unreached("a trip of this panel is under way: wait until it ends, or stop it")
+            raise Unreached(
+                "a trip of this panel is under way: wait until it ends, or stop it"
+            )
         self.progress = "planning", 0.0
 
         def show(text: str, share: float) -> None:
@@ -158,8 +205,11 @@ class PanelOperator(Operator):
 
         self._do("trip", work, answer)
 
-    def put(self, node: str, values: Mapping[str, Any], answer: Callable[[bool, str], None]) -> None:
-        """Live parameters of a node; law and estimator of the controller too, which is built anew for them, without torque.
+    def put(
+        self, node: str, values: Mapping[str, Any], answer: Callable[[bool, str], None]
+    ) -> None:
+        """Live parameters of a node; law and estimator of the controller too, which is
+        built anew for them, without torque.
 
         Raises:
             ParameterError: there is no such parameter, or its value cannot be.
@@ -177,7 +227,9 @@ class PanelOperator(Operator):
                 self.set_parameters_of(node, checked)
             if anew:
                 self._rebuild(anew)
-            return "; ".join(f"{name} is {value}" for name, value in (checked | anew).items())
+            return "; ".join(
+                f"{name} is {value}" for name, value in (checked | anew).items()
+            )
 
         self._do("desk", work, answer)
 
@@ -192,8 +244,12 @@ class PanelOperator(Operator):
 
         self._do("desk", work, answer)
 
-    def record(self, on: bool, labels: Mapping[str, str], answer: Callable[[bool, str], None]) -> None:
-        """A new recording with this name and these notes, or the end of the one that is on."""
+    def record(
+        self, on: bool, labels: Mapping[str, str], answer: Callable[[bool, str], None]
+    ) -> None:
+        """A new recording with this name and these notes, or the end of the one that is
+        on.
+        """
 
         def work() -> str:
             self.find("recorder")
@@ -201,7 +257,9 @@ class PanelOperator(Operator):
             self.set_parameters_of("recorder", labels)
             if (self.status["recorder"].get("recording") == "True") == on:
                 return "name and notes are set"
-            told = self.call(Trigger, f"recorder/{'start' if on else 'stop'}", Trigger.Request())
+            told = self.call(
+                Trigger, f"recorder/{'start' if on else 'stop'}", Trigger.Request()
+            )
             if not told.success:
                 raise Unreached(told.message)
             return str(told.message)
@@ -209,12 +267,17 @@ class PanelOperator(Operator):
         self._do("desk", work, answer)
 
     def _rebuild(self, values: Mapping[str, Any]) -> None:
-        """The controller with another law or estimator: it lets go of the robot first, and asks for torque as at its start."""
+        """The controller with another law or estimator: it lets go of the robot first,
+        and asks for torque as at its start.
+        """
         self.find("controller")
         self.alone("controller")
         if (phase := self.controller.get("phase", "")) in MOVING:
             what = ", ".join(values)
-            raise Unreached(f"the controller is in phase {phase}; {what} can be changed once it holds or has stopped")
+            raise Unreached(
+                f"the controller is in phase {phase}; {what} can be changed once it"
+                " holds or has stopped"
+            )
         if self.controller["lifecycle"] == "active":
             self._change("deactivate")
         self._change("cleanup")
@@ -230,7 +293,9 @@ class PanelOperator(Operator):
             raise Unreached(f"the controller does not {label}; its log says why")
 
     def _do(self, thread: str, work: Job, answer: Callable[[bool, str], None]) -> None:
-        """Work in a thread; a panel of the same name would ask the same robot, so there may be one."""
+        """Work in a thread; a panel of the same name would ask the same robot, so there
+        may be one.
+        """
 
         def run() -> None:
             try:
@@ -259,7 +324,8 @@ def task_of(asked: Mapping[str, Any]) -> dict[str, Any]:
     """The trajectory server's parameters of a task that a page asks for.
 
     Args:
-        asked: ``kind`` of KINDS; ``start`` and ``goal``, or ``point``, or ``count`` of a tour; ``duration``, ``repeat``.
+        asked: ``kind`` of KINDS; ``start`` and ``goal``, or ``point``, or ``count`` of
+            a tour; ``duration``, ``repeat``.
 
     Raises:
         ParameterError: one is missing or is no number.
@@ -268,11 +334,20 @@ def task_of(asked: Mapping[str, Any]) -> dict[str, Any]:
     if kind not in KINDS:
         raise ParameterError(f"task {kind!r}; it must be one of {', '.join(KINDS)}")
     chosen = dict(
-        tour=asked["count"] if kind == "tour" else 0, point=asked["point"] if kind == "point" else None, excite=None,
-        duration=asked.get("duration"), repeat=asked.get("repeat"),
-    )  # fmt: skip
+        tour=asked["count"] if kind == "tour" else 0,
+        point=asked["point"] if kind == "point" else None,
+        excite=None,
+        duration=asked.get("duration"),
+        repeat=asked.get("repeat"),
+    )
     values = task_values(chosen) | {"task.start": asked["start"]}
     if kind == "trip":
         values["task.goal"] = asked["goal"]
-    defaults, specs = node_defaults("trajectory_server"), {spec.name: spec for spec in trajectory_server.PARAMETERS}
-    return {name: check_value(specs[name], value, defaults[name]) for name, value in values.items()}
+    defaults, specs = (
+        node_defaults("trajectory_server"),
+        {spec.name: spec for spec in trajectory_server.PARAMETERS},
+    )
+    return {
+        name: check_value(specs[name], value, defaults[name])
+        for name, value in values.items()
+    }

@@ -1,4 +1,6 @@
-"""controller_state and criterion in messages of ``dextar_interfaces``, where each number has a name."""
+"""controller_state and criterion in messages of ``dextar_interfaces``, where each
+number has a name.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,12 @@ from typing import Any
 from builtin_interfaces.msg import Duration
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.topics import INTERFACES, READABLE_CRITERION, READABLE_STATE, WITHOUT_INTERFACES
+from dextar_control.contract.topics import (
+    INTERFACES,
+    READABLE_CRITERION,
+    READABLE_STATE,
+    WITHOUT_INTERFACES,
+)
 from dextar_control.nodekit.cdr import NANOSECONDS, to_time
 from dextar_control.nodekit.node import DextarNode, qos
 
@@ -28,14 +35,24 @@ class Readable:
         try:
             types = importlib.import_module(f"{INTERFACES}.msg")
         except ImportError as error:
-            raise ParameterError(f"publish_readable = true: {WITHOUT_INTERFACES}, or leave it false") from error
+            raise ParameterError(
+                f"publish_readable = true: {WITHOUT_INTERFACES}, or leave it false"
+            ) from error
         self._messages = types.ControllerState(), types.Criterion()
         self.publishers = [
             node.create_publisher(type(message), topic.name, qos(topic))
-            for message, topic in zip(self._messages, (READABLE_STATE, READABLE_CRITERION), strict=True)
+            for message, topic in zip(
+                self._messages, (READABLE_STATE, READABLE_CRITERION), strict=True
+            )
         ]
 
-    def publish(self, stamp: int, state: Sequence[float], reference_time: int, criterion: Sequence[float]) -> None:
+    def publish(
+        self,
+        stamp: int,
+        state: Sequence[float],
+        reference_time: int,
+        criterion: Sequence[float],
+    ) -> None:
         """What controller_state and criterion say.
 
         Args:
@@ -44,8 +61,12 @@ class Readable:
             reference_time: since the trajectory's start, ns.
             criterion: in the order of CRITERION_NAMES.
         """
-        self._messages[0].reference_time = Duration(sec=reference_time // NANOSECONDS, nanosec=reference_time % NANOSECONDS)
-        for publisher, message, values in zip(self.publishers, self._messages, (state, criterion), strict=True):
+        self._messages[0].reference_time = Duration(
+            sec=reference_time // NANOSECONDS, nanosec=reference_time % NANOSECONDS
+        )
+        for publisher, message, values in zip(
+            self.publishers, self._messages, (state, criterion), strict=True
+        ):
             message.header.stamp = to_time(stamp)
             fill(message, values)
             publisher.publish(message)

@@ -1,4 +1,6 @@
-"""Trajectories as they arrive at the controller: read and checked beside the loop, kept until they begin or are too old."""
+"""Trajectories as they arrive at the controller: read and checked beside the loop, kept
+until they begin or are too old.
+"""
 
 from __future__ import annotations
 
@@ -41,26 +43,32 @@ class Waiting(NamedTuple):
 class ReferenceReader:
     """Polled subscription of ``trajectory``: the newest one counts.
 
-    One that was served before the controller was active, or long before it arrived, is refused: a latched or
-    delayed trajectory moves nothing by surprise. Nor does one that has waited too long to begin. Reading and checking
-    take a thread of their own (a long one takes tenths of a second).
+    One that was served before the controller was active, or long before it arrived, is
+        refused: a latched or
+    delayed trajectory moves nothing by surprise. Nor does one that has waited too long
+    to begin. Reading and checking take a thread of their own (a long one takes tenths
+    of a second).
 
-    How old it is when it arrives is the difference of two times of the system clocks, the server's and this machine's; how
-    long the controller has been active is measured on a clock that does not step. So a system clock that is set while
-    both run costs at most the trajectory that is on its way.
+    How old it is when it arrives is the difference of two times of the system clocks,
+    the server's and this machine's; how long the controller has been active is measured
+    on a clock that does not step. So a system clock that is set while both run costs at
+    most the trajectory that is on its way.
 
     Args:
         node: that subscribes, and whose log tells what became of a trajectory.
 
     Attributes:
-        note: what became of the last one: none, checking, accepted, stop or refused, with the reason.
+        note: what became of the last one: none, checking, accepted, stop or refused,
+            with the reason.
         arrived: how many have been read.
         waiting: the one that is accepted and has not begun.
     """
 
     def __init__(self, node: DextarNode) -> None:
         self._node = node
-        self._subscription = node.create_polled_subscription(MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY))
+        self._subscription = node.create_polled_subscription(
+            MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY)
+        )
         self._checker = ThreadPoolExecutor(max_workers=1)
         self._checking: Future[Reference | None] | None = None
         self._clock = node.unstepped_clock
@@ -89,8 +97,16 @@ class ReferenceReader:
         self.note = f"refused: {reason}"
         self._node.get_logger().error(f"trajectory refused: {reason}")
 
-    def poll(self, loop: ControlLoop, limits: Mapping[str, Any], clock: float, now: float, keep: bool) -> bool:
-        """Read, check, hand over to the loop, drop what has waited too long; whether ``note`` changed.
+    def poll(
+        self,
+        loop: ControlLoop,
+        limits: Mapping[str, Any],
+        clock: float,
+        now: float,
+        keep: bool,
+    ) -> bool:
+        """Read, check, hand over to the loop, drop what has waited too long; whether
+        ``note`` changed.
 
         Args:
             limits: the parameters ``max_reference_age`` and ``reference_timeout``, s.
@@ -102,7 +118,9 @@ class ReferenceReader:
         try:
             if (taken := self._take(loop, limits["max_reference_age"])) is not None:
                 before = ""
-                self._admit(loop, taken[0], limits["reference_timeout"], clock, now, keep)
+                self._admit(
+                    loop, taken[0], limits["reference_timeout"], clock, now, keep
+                )
             self._drop_old(loop, limits["reference_timeout"], clock)
         except DextarError as error:
             before = ""
@@ -120,7 +138,9 @@ class ReferenceReader:
         except TrajectoryError as error:
             self.refuse(str(error))
 
-    def _take(self, loop: ControlLoop, max_age: float) -> tuple[Reference | None] | None:
+    def _take(
+        self, loop: ControlLoop, max_age: float
+    ) -> tuple[Reference | None] | None:
         """What was read and checked: a reference, or (None,) for a stop."""
         if (newest := self._newest()) is not None:
             raw, info = newest
@@ -128,9 +148,13 @@ class ReferenceReader:
                 self._checking.cancel()
             self.arrived += 1
             received = info["received_timestamp"]
-            age = ((received or time.time_ns()) - info["source_timestamp"]) / NANOSECONDS
+            age = (
+                (received or time.time_ns()) - info["source_timestamp"]
+            ) / NANOSECONDS
             active = (self._clock.arrival(received) - self._since) / NANOSECONDS
-            self._checking = self._checker.submit(self._read, loop.check, bytes(raw), age, active, max_age)
+            self._checking = self._checker.submit(
+                self._read, loop.check, bytes(raw), age, active, max_age
+            )
         if self._checking is None:
             return None
         if not self._checking.done():
@@ -140,14 +164,25 @@ class ReferenceReader:
         return (checking.result(),)
 
     def _newest(self) -> tuple[bytes, Mapping[str, int]] | None:
-        """The last message that waits, with what the middleware says of it; those before it are passed over."""
+        """The last message that waits, with what the middleware says of it; those
+        before it are passed over.
+        """
         newest = None
-        while (taken := self._subscription.handle.take_message(MultiDOFJointTrajectory, True)) is not None:
+        while (
+            taken := self._subscription.handle.take_message(
+                MultiDOFJointTrajectory, True
+            )
+        ) is not None:
             newest = taken
         return newest
 
     def _read(
-        self, check: Callable[[Trajectory], Certificate], raw: bytes, age: float, active: float, max_age: float
+        self,
+        check: Callable[[Trajectory], Certificate],
+        raw: bytes,
+        age: float,
+        active: float,
+        max_age: float,
     ) -> Reference | None:
         """Judge how old a message is, then what it says; None is a stop.
 
@@ -159,47 +194,72 @@ class ReferenceReader:
             max_age: s.
         """
         if age > active:
-            raise TrajectoryError(f"it was served {age - active:.1f} s before this controller began; serve it again")
+            raise TrajectoryError(
+                f"it was served {age - active:.1f} s before this controller began;"
+                " serve it again"
+            )
         if age > max_age:
             raise TrajectoryError(
-                f"it was served {age:.1f} s before it arrived; the limit is {max_age:g} s: serve it again, and if that does"
-                " not help synchronise the clock of the server's machine with this one's"
+                f"it was served {age:.1f} s before it arrived; the limit is {max_age:g}"
+                " s: serve it again, and if that does not help synchronise the clock"
+                " of the server's machine with this one's"
             )
         if age < -max_age:
             raise TrajectoryError(
-                f"it was served {-age:.1f} s after it arrived; the limit is {max_age:g} s: if this machine's clock was set back"
-                " just now serve it again, else synchronise the clock of the server's machine with this one's"
+                f"it was served {-age:.1f} s after it arrived; the limit is {max_age:g}"
+                " s: if this machine's clock was set back just now serve it again,"
+                " else synchronise the clock of the server's machine with this one's"
             )
         message = read_message(raw, TRAJECTORY.type)
         if len(message.points) == 0:
             return None
         if len(message.points) > MAX_TRAJECTORY_POINTS:
-            raise TrajectoryError(f"the trajectory has {len(message.points)} points; the limit is {MAX_TRAJECTORY_POINTS}")
+            raise TrajectoryError(
+                f"the trajectory has {len(message.points)} points; the limit is"
+                f" {MAX_TRAJECTORY_POINTS}"
+            )
         stamp = from_time(message.header.stamp)
         trajectory = messages.to_trajectory(message)
-        return Reference(trajectory, check(trajectory), stamp / NANOSECONDS if stamp else None)
+        return Reference(
+            trajectory, check(trajectory), stamp / NANOSECONDS if stamp else None
+        )
 
     def _admit(
-        self, loop: ControlLoop, reference: Reference | None, limit: float, clock: float, now: float, keep: bool
+        self,
+        loop: ControlLoop,
+        reference: Reference | None,
+        limit: float,
+        clock: float,
+        now: float,
+        keep: bool,
     ) -> None:
         if reference is None:
             self.note, self.waiting = "stop", None
             loop.stop("stopped by the trajectory server")
             return
         if reference.start is not None and reference.start - now > limit:
-            raise TrajectoryError(f"the trajectory starts {reference.start - now:.1f} s from now; the limit is {limit:g} s")
+            raise TrajectoryError(
+                f"the trajectory starts {reference.start - now:.1f} s from now; the"
+                f" limit is {limit:g} s"
+            )
         if not keep:
             self._schedule(loop, reference)
         self.note, self.waiting = "accepted", Waiting(reference, clock, not keep)
-        self._node.get_logger().info(f"trajectory accepted: {in_words(reference.certificate)}")
+        self._node.get_logger().info(
+            f"trajectory accepted: {in_words(reference.certificate)}"
+        )
 
     def _schedule(self, loop: ControlLoop, reference: Reference) -> None:
         """Hand over to the loop; a refusal because of its phase says what to call."""
         try:
             loop.schedule(*reference)
         except TrajectoryError as error:
-            step = next_step(self._node.get_fully_qualified_name(), "active", loop.phase.name)
-            raise TrajectoryError(f"{error}: {step}, then serve it again" if step else str(error)) from error
+            step = next_step(
+                self._node.get_fully_qualified_name(), "active", loop.phase.name
+            )
+            raise TrajectoryError(
+                f"{error}: {step}, then serve it again" if step else str(error)
+            ) from error
 
     def _drop_old(self, loop: ControlLoop, limit: float, clock: float) -> None:
         waiting = self.waiting
@@ -212,7 +272,10 @@ class ReferenceReader:
         elif clock - waiting.since > limit:
             if waiting.scheduled:
                 loop.stop("")  # while it holds only what waits is dropped
-            raise TrajectoryError(f"it has waited {clock - waiting.since:.1f} s to begin; the limit is {limit:g} s")
+            raise TrajectoryError(
+                f"it has waited {clock - waiting.since:.1f} s to begin; the limit is"
+                f" {limit:g} s"
+            )
 
     def close(self) -> None:
         """Destroy the subscription; what is being checked is given up."""

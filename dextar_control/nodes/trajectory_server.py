@@ -1,4 +1,6 @@
-"""The trajectory server: plans a trip or a tour through the locus, says and draws what it planned, serves it."""
+"""The trajectory server: plans a trip or a tour through the locus, says and draws what
+it planned, serves it.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,11 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from dextar_control.contract.errors import DextarError, TrajectoryError
 from dextar_control.contract.parameters import Parameter
-from dextar_control.contract.topics import DIAGNOSTICS, MAX_TRAJECTORY_POINTS, TRAJECTORY
+from dextar_control.contract.topics import (
+    DIAGNOSTICS,
+    MAX_TRAJECTORY_POINTS,
+    TRAJECTORY,
+)
 from dextar_control.nodekit.node import EXIT_USAGE, DextarNode, qos, run_node
 from dextar_control.nodekit.worker import Done, GivenUp, Worker
 from dextar_control.nodes import messages, task
@@ -31,17 +37,38 @@ from dextar_control.symbols.types import Array
 
 PARAMETERS = (
     *task.PARAMETERS,
-    Parameter("approach_speed", "The robot moves to the start of the trip with at most this speed.",
-              1e-3, 2.0, unit="m/s", live=True),
-    Parameter("sample_period", "The points of a served trajectory are this far apart in time, and farther apart in a very long"
-              " one.", 1e-4, 0.02, unit="s", live=True),
-    Parameter("autostart", "The server serves the trip once it is planned and an active controller holds or waits to be"
-              " enabled."),
-    Parameter("drawing", "The server draws each plan to this .png before it runs, autostart's at the end; an empty name draws"
-              " none.", live=True),
-)  # fmt: skip
+    Parameter(
+        "approach_speed",
+        "The robot moves to the start of the trip with at most this speed.",
+        1e-3,
+        2.0,
+        unit="m/s",
+        live=True,
+    ),
+    Parameter(
+        "sample_period",
+        "The points of a served trajectory are this far apart in time, and farther"
+        " apart in a very long one.",
+        1e-4,
+        0.02,
+        unit="s",
+        live=True,
+    ),
+    Parameter(
+        "autostart",
+        "The server serves the trip once it is planned and an active controller holds"
+        " or waits to be enabled.",
+    ),
+    Parameter(
+        "drawing",
+        "The server draws each plan to this .png before it runs, autostart's at the"
+        " end; an empty name draws none.",
+        live=True,
+    ),
+)
 
-FRESH = 2.0  # s, age of the controller's diagnostics that still tells where the robot stands
+# s, age of the controller's diagnostics that still tells where the robot stands
+FRESH = 2.0
 COARSEST = 0.005  # s between the served points of a long tour
 RESOLUTION = 130  # dots per inch of the drawing
 MOST_TOLD = 60  # crossings that the diagnostics repeat each second
@@ -60,14 +87,17 @@ class Served(NamedTuple):
 
 
 class TrajectoryServer(DextarNode):
-    """Plans at start and on ``~/plan``; ``~/start`` serves the trip from where the robot stands.
+    """Plans at start and on ``~/plan``; ``~/start`` serves the trip from where the
+    robot stands.
 
-    What is planned are the parameters of ``Task``. The way to its start, on one side of the locus, is served with
-    the trip as one trajectory. ``~/stop`` serves an empty trajectory: the controller stops safely. A trip
-    that is still being planned then is not served.
-    ``~/get_plan`` plans one way between any two poses (A and B where both are zero) and returns its path.
+    What is planned are the parameters of ``Task``. The way to its start, on one side of
+    the locus, is served with the trip as one trajectory. ``~/stop`` serves an empty
+    trajectory: the controller stops safely. A trip that is still being planned then is
+    not served. ``~/get_plan`` plans one way between any two poses (A and B where both
+    are zero) and returns its path.
 
-    Planning runs in a thread of its own; the services that need it answer when it is done, ``~/stop`` at once.
+    Planning runs in a thread of its own; the services that need it answer when it is
+    done, ``~/stop`` at once.
     """
 
     NAME = "trajectory_server"
@@ -86,8 +116,12 @@ class TrajectoryServer(DextarNode):
         self._worker = Worker()
         self._told = (0.0, "")
         self._starting: object | None = None  # the trip that is planned to be served
-        self._trajectory_publisher = self.create_publisher(MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY))
-        self.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS))
+        self._trajectory_publisher = self.create_publisher(
+            MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY)
+        )
+        self.create_subscription(
+            DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS)
+        )
         self._requests: list[tuple[Any, Callable[[Any, Any, Any], None]]] = [
             (self.create_polled_service(Trigger, "~/plan"), self._on_plan),
             (self.create_polled_service(Trigger, "~/start"), self._on_start),
@@ -104,9 +138,13 @@ class TrajectoryServer(DextarNode):
         self._task = Task.from_values(self.values)
 
     def _poll(self) -> None:
-        """Requests, results, and the served trip once there is a controller, which refuses what is older than itself."""
+        """Requests, results, and the served trip once there is a controller, which
+        refuses what is older than itself.
+        """
         for service, answer in self._requests:
-            while (taken := service.handle.service_take_request(service.srv_type.Request))[1] is not None:
+            while (
+                taken := service.handle.service_take_request(service.srv_type.Request)
+            )[1] is not None:
                 answer(service, *taken)
         self._worker.poll()
         self._tell_progress()
@@ -121,7 +159,9 @@ class TrajectoryServer(DextarNode):
             self.get_logger().info(f"planning, {self._worker.fraction:.0%}: {stage}")
             self._diagnose()
 
-    def _plan_of(self, wanted: Task, progress: Progress | None = None) -> Callable[[], tuple[Task, Plan]]:
+    def _plan_of(
+        self, wanted: Task, progress: Progress | None = None
+    ) -> Callable[[], tuple[Task, Plan]]:
         """A job: the plan of a task, drawn where that is asked for and nobody waits."""
         drawing = "" if self._waiting else self.values["drawing"]
 
@@ -132,7 +172,10 @@ class TrajectoryServer(DextarNode):
             else:
                 begin = time.perf_counter()
                 plan = wanted.plan(self.robot, progress or self._worker.progress)
-                self.get_logger().info(f"planned in {time.perf_counter() - begin:.2f} s: {in_words(plan.certificate)}")
+                self.get_logger().info(
+                    f"planned in {time.perf_counter() - begin:.2f} s:"
+                    f" {in_words(plan.certificate)}"
+                )
             if drawing and self._drawn != (wanted, drawing):
                 _draw(self.robot, plan, Path(drawing).expanduser())
                 self._drawn = wanted, drawing
@@ -141,7 +184,9 @@ class TrajectoryServer(DextarNode):
         return work
 
     def _trip(self, origin: Array, progress: Progress) -> Callable[[], Served]:
-        """A job: the planned trip with the way from where the robot stands before it, as a message."""
+        """A job: the planned trip with the way from where the robot stands before it,
+        as a message.
+        """
         plan_now = self._plan_of(self._task, progress)
         speed, period = self.values["approach_speed"], self.values["sample_period"]
 
@@ -149,14 +194,20 @@ class TrajectoryServer(DextarNode):
             wanted, plan = plan_now()
             trajectory, certificate = plan_from(self.robot, origin, plan, speed)
             times = served_times(trajectory, certificate, period)
-            return Served(plan, wanted, certificate, messages.from_trajectory(trajectory, times))
+            return Served(
+                plan, wanted, certificate, messages.from_trajectory(trajectory, times)
+            )
 
         return work
 
     def _submit_trip(self, done: Done) -> None:
-        """Plan the trip from where the robot stands, for ``done`` to serve it, unless ``~/stop`` is called before."""
+        """Plan the trip from where the robot stands, for ``done`` to serve it, unless
+        ``~/stop`` is called before.
+        """
         self._starting = starting = object()
-        stopped = GivenUp("the trip is not served: a stop was asked for while it was planned")
+        stopped = GivenUp(
+            "the trip is not served: a stop was asked for while it was planned"
+        )
 
         def progress(fraction: float, stage: str) -> None:
             if self._starting is not starting:
@@ -178,23 +229,39 @@ class TrajectoryServer(DextarNode):
         return x if np.isfinite(x).all() else np.array(self._task.start)
 
     def _publish(self, served: Served) -> str:
-        self._planned, self._certificate = (served.task, served.plan), served.certificate
+        self._planned, self._certificate = (
+            (served.task, served.plan),
+            served.certificate,
+        )
         self._trajectory_publisher.publish(served.message)
         self._served += 1
         self._error = ""
-        text = f"served {len(served.message.points)} points over {served.certificate.duration:.3f} s"
+        text = (
+            f"served {len(served.message.points)} points over"
+            f" {served.certificate.duration:.3f} s"
+        )
         self.get_logger().info(text)
         self._diagnose(whole=True)
         return text
 
     def _check_robot(self) -> None:
-        """Raise TrajectoryError unless the controller holds the robot somewhere known."""
+        """Raise TrajectoryError unless the controller holds the robot somewhere
+        known.
+        """
         if time.monotonic() - self._controller_time > FRESH:
-            raise TrajectoryError(f"no word of {self._controller_name} on {DIAGNOSTICS.name} for {FRESH:.1f} s; see that it runs")
+            raise TrajectoryError(
+                f"no word of {self._controller_name} on {DIAGNOSTICS.name} for"
+                f" {FRESH:.1f} s; see that it runs"
+            )
         if reason := self._why_not():
             raise TrajectoryError(reason)
-        if not np.isfinite([float(self._controller[axis]) for axis in ("x", "y")]).all():
-            raise TrajectoryError("the controller has had no joint state yet; see that the rig or plant runs")
+        if not np.isfinite(
+            [float(self._controller[axis]) for axis in ("x", "y")]
+        ).all():
+            raise TrajectoryError(
+                "the controller has had no joint state yet; see that the rig or plant"
+                " runs"
+            )
 
     def _why_not(self) -> str:
         """Why the controller would not take a trajectory now; empty when it would."""
@@ -210,8 +277,12 @@ class TrajectoryServer(DextarNode):
                 self._controller = {item.key: item.value for item in status.values}
                 self._controller_time = time.monotonic()
 
-    def _on_first_plan(self, planned: tuple[Task, Plan] | None, error: DextarError | None) -> None:
-        """A server whose parameters have no plan ends as one with a wrong parameter does."""
+    def _on_first_plan(
+        self, planned: tuple[Task, Plan] | None, error: DextarError | None
+    ) -> None:
+        """A server whose parameters have no plan ends as one with a wrong parameter
+        does.
+        """
         if error is not None:
             self._error = str(error)
             print(f"error: {error}", file=sys.stderr)
@@ -227,7 +298,11 @@ class TrajectoryServer(DextarNode):
 
     def _take(self, planned: tuple[Task, Plan] | None) -> None:
         if planned is not None:
-            self._planned, self._certificate, self._error = planned, planned[1].certificate, ""
+            self._planned, self._certificate, self._error = (
+                planned,
+                planned[1].certificate,
+                "",
+            )
             self._diagnose(whole=True)
 
     def _note(self, error: DextarError | None) -> str:
@@ -240,20 +315,31 @@ class TrajectoryServer(DextarNode):
     def _on_plan(self, service: Any, _: Trigger.Request, header: Any) -> None:
         def done(planned: tuple[Task, Plan] | None, error: DextarError | None) -> None:
             self._take(planned)
-            message = self._note(error) if planned is None else in_words(planned[1].certificate)
-            service.send_response(Trigger.Response(success=planned is not None, message=message), header)
+            message = (
+                self._note(error)
+                if planned is None
+                else in_words(planned[1].certificate)
+            )
+            service.send_response(
+                Trigger.Response(success=planned is not None, message=message), header
+            )
 
         self._worker.submit(self._plan_of(self._task), done)
 
     def _on_start(self, service: Any, _: Trigger.Request, header: Any) -> None:
         def done(served: Served | None, error: DextarError | None) -> None:
             message = self._note(error) if served is None else self._publish(served)
-            service.send_response(Trigger.Response(success=served is not None, message=message), header)
+            service.send_response(
+                Trigger.Response(success=served is not None, message=message), header
+            )
 
         try:
             if self._starting is not None:
                 stop = command(self._controller_name, "stop")
-                raise TrajectoryError(f"another trip is being planned and starts then: wait, or type {stop}")
+                raise TrajectoryError(
+                    "another trip is being planned and starts then: wait, or type"
+                    f" {stop}"
+                )
             self._check_robot()
         except DextarError as error:
             done(None, error)
@@ -272,48 +358,83 @@ class TrajectoryServer(DextarNode):
             if plan is None:
                 self._note(error)
             else:
-                response.plan = messages.to_path(plan.trajectory, plan.certificate.profile.time)
+                response.plan = messages.to_path(
+                    plan.trajectory, plan.certificate.profile.time
+                )
             service.send_response(response, header)
 
-        self._worker.submit(lambda: wanted.plan_between(self.robot, start, goal, self._worker.progress), done)
+        self._worker.submit(
+            lambda: wanted.plan_between(self.robot, start, goal, self._worker.progress),
+            done,
+        )
 
-    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_stop(
+        self, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         self._starting, self._waiting = None, False
         self._trajectory_publisher.publish(messages.stop_trajectory())
         response.success, response.message = True, "stop served"
         return response
 
     def _diagnose(self, whole: bool = False) -> None:
-        """Where planning is, and the certificate; ``whole``: with all its crossings, however many."""
+        """Where planning is, and the certificate; ``whole``: with all its crossings,
+        however many.
+        """
         worker = self._worker
         planning = f"{worker.fraction:.0%}, {worker.stage}" if worker.stage else ""
-        values: dict[str, object] = {"served": self._served, "error": self._error, "planning": planning,
-                                     "waiting_for": self._why_not() if self._waiting else ""}  # fmt: skip
+        values: dict[str, object] = {
+            "served": self._served,
+            "error": self._error,
+            "planning": planning,
+            "waiting_for": self._why_not() if self._waiting else "",
+        }
         certificate = self._certificate
         if certificate is not None:
-            told = certificate if whole else certificate._replace(crossings=certificate.crossings[:MOST_TOLD])
+            told = (
+                certificate
+                if whole
+                else certificate._replace(crossings=certificate.crossings[:MOST_TOLD])
+            )
             values |= {
-                "crossings": len(certificate.crossings), "peak_torque": certificate.peak_torque,
-                "duration": certificate.duration, "certificate": told.to_json(),
-            }  # fmt: skip
-        trouble = self._error or self.too_many_publishers(self._trajectory_publisher.topic_name)
+                "crossings": len(certificate.crossings),
+                "peak_torque": certificate.peak_torque,
+                "duration": certificate.duration,
+                "certificate": told.to_json(),
+            }
+        trouble = self._error or self.too_many_publishers(
+            self._trajectory_publisher.topic_name
+        )
         level = DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK
         state = "planning" if certificate is None or planning else "planned"
         self.publish_diagnostics(level, trouble or state, values)
 
     def close(self) -> None:
-        """A last word; a plan under way is given up. The drawing that nobody waited for is made."""
+        """A last word; a plan under way is given up. The drawing that nobody waited for
+        is made.
+        """
         self._worker.close()
         self._diagnose()
-        if self.values["autostart"] and self.values["drawing"] and self._planned is not None and self._drawn is None:
+        if (
+            self.values["autostart"]
+            and self.values["drawing"]
+            and self._planned is not None
+            and self._drawn is None
+        ):
             try:
-                _draw(self.robot, self._planned[1], Path(self.values["drawing"]).expanduser())
+                _draw(
+                    self.robot,
+                    self._planned[1],
+                    Path(self.values["drawing"]).expanduser(),
+                )
             except TrajectoryError as error:
                 self.get_logger().error(str(error))
 
 
-def served_times(trajectory: Trajectory, certificate: Certificate, period: float) -> Array:
-    """When a trajectory is sampled: every period, at its knots and at its crossings; a long one less often.
+def served_times(
+    trajectory: Trajectory, certificate: Certificate, period: float
+) -> Array:
+    """When a trajectory is sampled: every period, at its knots and at its crossings; a
+    long one less often.
 
     Raises:
         TrajectoryError: even COARSEST apart there are more than MAX_TRAJECTORY_POINTS.
@@ -325,8 +446,9 @@ def served_times(trajectory: Trajectory, certificate: Certificate, period: float
             return times
         if period >= COARSEST:
             raise TrajectoryError(
-                f"the trajectory of {trajectory.duration:.0f} s has {len(times)} points {1e3 * period:g} ms apart;"
-                f" the limit is {MAX_TRAJECTORY_POINTS} points: repeat it less often"
+                f"the trajectory of {trajectory.duration:.0f} s has {len(times)} points"
+                f" {1e3 * period:g} ms apart; the limit is {MAX_TRAJECTORY_POINTS}"
+                " points: repeat it less often"
             )
         period = min(period * len(times) / MAX_TRAJECTORY_POINTS * 1.01, COARSEST)
 

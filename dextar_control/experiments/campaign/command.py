@@ -15,7 +15,9 @@ from dextar_control.experiments.campaign.selection import names, select
 
 
 def run_command(
-    arguments: argparse.Namespace, trial_module: str = TRIAL_MODULE, printed: Callable[[Path], Path] | None = None
+    arguments: argparse.Namespace,
+    trial_module: str = TRIAL_MODULE,
+    printed: Callable[[Path], Path] | None = None,
 ) -> int:
     """Run a campaign, or one of its rows; the exit code.
 
@@ -25,7 +27,8 @@ def run_command(
         printed: makes a PDF of a page beside it, where the arguments ask for one.
 
     Raises:
-        DextarError: the campaign file, an argument, the folder or the workers cannot be used.
+        DextarError: the campaign file, an argument, the folder or the workers cannot be
+            used.
     """
     console = Terminal()
     config = select(
@@ -40,7 +43,9 @@ def run_command(
     folder = arguments.output or campaign.folder(arguments.config)
     if arguments.row is not None:
         return rerun(campaign, folder, arguments.row, console)
-    code = run_campaign(campaign, folder, console, arguments.workers, arguments.scheduler)
+    code = run_campaign(
+        campaign, folder, console, arguments.workers, arguments.scheduler
+    )
     if arguments.pdf and printed is not None and code <= EXIT_FAILED:
         console.print(f"{printed(folder / PAGE_FILE)}", soft_wrap=True)
     return code

@@ -7,7 +7,13 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    Field,
+    FiniteFloat,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from dextar_control.contract.settings import Settings
 from dextar_control.contract.validation import Section, load_yaml, problem, unknown
@@ -25,7 +31,9 @@ class Points(Section):
     @model_validator(mode="after")
     def _folded_among_all(self) -> Points:
         if self.folded > self.count:
-            raise problem(f"folded = {self.folded} of count = {self.count}; it must be <= count")
+            raise problem(
+                f"folded = {self.folded} of count = {self.count}; it must be <= count"
+            )
         return self
 
 
@@ -44,7 +52,9 @@ class Combination(Section):
 
 
 class Default(Section):
-    """The combination and the plant that the bars are for; ``judged_plants`` names others, or more."""
+    """The combination and the plant that the bars are for; ``judged_plants`` names
+    others, or more.
+    """
 
     law: str
     estimator: str
@@ -52,7 +62,9 @@ class Default(Section):
 
 
 class Case(Section):
-    """One perturbation, and what the default combination, or those that it names, must reach under it."""
+    """One perturbation, and what the default combination, or those that it names, must
+    reach under it.
+    """
 
     title: str = ""
     perturbation: Numbers = {}
@@ -73,7 +85,8 @@ class Case(Section):
 
 
 class Sweep(Section):
-    """One number of the perturbation at several levels, each a case named ``<sweep> <level>``.
+    """One number of the perturbation at several levels, each a case named ``<sweep>
+    <level>``.
 
     Attributes:
         number: of ``ranges.PERTURBATIONS``.
@@ -113,7 +126,12 @@ class Sweep(Section):
         """The case of one level."""
         title = f"{self.title} {self.shown(level)} {self.unit}".strip()
         numbers = self.perturbation | {self.number: level}
-        return Case(title=title, perturbation=numbers, settings=self.settings, duration=self.duration)
+        return Case(
+            title=title,
+            perturbation=numbers,
+            settings=self.settings,
+            duration=self.duration,
+        )
 
 
 class CampaignConfig(Section):
@@ -139,9 +157,14 @@ class CampaignConfig(Section):
 
     @field_validator("cases")
     @classmethod
-    def _with_sweeps(cls, cases: dict[str, Case], info: ValidationInfo) -> dict[str, Case]:
-        swept = {sweep_case(name, level): sweep.case(level)
-                 for name, sweep in info.data.get("sweeps", {}).items() for level in sweep.levels}  # fmt: skip
+    def _with_sweeps(
+        cls, cases: dict[str, Case], info: ValidationInfo
+    ) -> dict[str, Case]:
+        swept = {
+            sweep_case(name, level): sweep.case(level)
+            for name, sweep in info.data.get("sweeps", {}).items()
+            for level in sweep.levels
+        }
         if not cases and not swept:
             raise problem("it must have at least one of cases or sweeps")
         return swept | cases
@@ -151,7 +174,10 @@ class CampaignConfig(Section):
     def _signs(cls, directions: list[int]) -> list[int]:
         for direction in directions:
             if direction not in (1, -1):
-                raise problem(f"direction {direction}; it must be 1 or -1, the sign of s after the first crossing")
+                raise problem(
+                    f"direction {direction}; it must be 1 or -1, the sign of s after"
+                    " the first crossing"
+                )
         return _each_once(directions, "direction")
 
     @field_validator("plants")
@@ -161,24 +187,41 @@ class CampaignConfig(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> CampaignConfig:
-        _each_once([combination.name for combination in self.combinations], "combination")
+        _each_once(
+            [combination.name for combination in self.combinations], "combination"
+        )
         sections: list[tuple[str, CampaignConfig | Combination | Case]] = [("", self)]
-        sections += [(f"combination {combination.name}: ", combination) for combination in self.combinations]
+        sections += [
+            (f"combination {combination.name}: ", combination)
+            for combination in self.combinations
+        ]
         sections += [(f"case {name}: ", case) for name, case in self.cases.items()]
-        settings = [field.name for field in fields(Settings) if field.name not in ("law", "estimator")]
+        settings = [
+            field.name
+            for field in fields(Settings)
+            if field.name not in ("law", "estimator")
+        ]
         for where, section in sections:
             _within(section.perturbation, PERTURBATIONS, "perturbation", where)
             for key in section.settings:
                 _known(key, settings, "setting", where)
         laws = list(dict.fromkeys(combination.law for combination in self.combinations))
-        estimators = list(dict.fromkeys(combination.estimator for combination in self.combinations))
+        estimators = list(
+            dict.fromkeys(combination.estimator for combination in self.combinations)
+        )
         for plant in self.judged_plants or []:
             _known(plant, self.plants, "plant", "judged_plants: ")
         for name, case in self.cases.items():
             for chosen, known, what in (
-                (case.plants, self.plants, "plant"), (case.laws, laws, "law"), (case.estimators, estimators, "estimator"),
-                (case.judged, [combination.name for combination in self.combinations], "combination"),
-            ):  # fmt: skip
+                (case.plants, self.plants, "plant"),
+                (case.laws, laws, "law"),
+                (case.estimators, estimators, "estimator"),
+                (
+                    case.judged,
+                    [combination.name for combination in self.combinations],
+                    "combination",
+                ),
+            ):
                 for item in chosen or []:
                     _known(item, known, what, f"case {name}: ")
         return self
@@ -193,17 +236,22 @@ def load_config(path: str | Path) -> CampaignConfig:
     """A campaign from its YAML file.
 
     Raises:
-        ParameterError: the file cannot be read, or something in it is unknown, missing or out of its range.
+        ParameterError: the file cannot be read, or something in it is unknown, missing
+            or out of its range.
     """
     return load_yaml(CampaignConfig, path, "campaign file")
 
 
-def _within(numbers: Numbers, ranges: Mapping[str, Range], what: str, where: str = "") -> Numbers:
+def _within(
+    numbers: Numbers, ranges: Mapping[str, Range], what: str, where: str = ""
+) -> Numbers:
     for key, value in numbers.items():
         _known(key, ranges, what, where)
         low, high, _ = ranges[key]
         if not low <= value <= high:
-            raise problem(f"{where}{what} {key} = {value:g}; it must lie in [{low:g}, {high:g}]")
+            raise problem(
+                f"{where}{what} {key} = {value:g}; it must lie in [{low:g}, {high:g}]"
+            )
     return numbers
 
 
@@ -215,5 +263,8 @@ def _known(name: str, known: Collection[str], what: str, where: str = "") -> Non
 def _each_once(items: list[Any], what: str) -> list[Any]:
     for item in items:
         if items.count(item) > 1:
-            raise problem(f"{what} {item} stands there {items.count(item)} times; it must be there once")
+            raise problem(
+                f"{what} {item} stands there {items.count(item)} times; it must be"
+                " there once"
+            )
     return items

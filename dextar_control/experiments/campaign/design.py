@@ -1,4 +1,6 @@
-"""The trials of a campaign: plain data that determine one row each, with a key of their content."""
+"""The trials of a campaign: plain data that determine one row each, with a key of their
+content.
+"""
 
 from __future__ import annotations
 
@@ -73,33 +75,45 @@ class Trial:
         """One flat cell for each attribute; mappings as JSON text."""
         cells = dataclasses.asdict(self)
         cells["point_x"], cells["point_y"] = cells.pop("point")
-        cells["working_mode"] = "".join("+" if side > 0 else "-" for side in self.working_mode)
+        cells["working_mode"] = "".join(
+            "+" if side > 0 else "-" for side in self.working_mode
+        )
         for name in ("perturbation", "settings"):
             cells[name] = json.dumps(cells[name], sort_keys=True)
         return cells
 
 
-def trials_of(config: CampaignConfig, points: Sequence[CrossingPoint]) -> Iterator[Trial]:
+def trials_of(
+    config: CampaignConfig, points: Sequence[CrossingPoint]
+) -> Iterator[Trial]:
     """The trials, those with the same crossing point and direction one after the other.
 
-    The seed of a row depends on the campaign's seed, the point, the direction and the row's number among the
-    seeds alone: laws, estimators and cases meet the same random numbers.
+    The seed of a row depends on the campaign's seed, the point, the direction and the
+    row's number among the seeds alone: laws, estimators and cases meet the same random
+    numbers.
     """
     for index, point in enumerate(points):
         for direction in config.directions:
             for number in range(config.seeds):
-                sequence = np.random.SeedSequence([config.seed, index, int(direction > 0), number])
+                sequence = np.random.SeedSequence(
+                    [config.seed, index, int(direction > 0), number]
+                )
                 seed = int(sequence.generate_state(1)[0])
                 yield from _at(config, index, point, direction, seed)
 
 
-def _at(config: CampaignConfig, index: int, point: CrossingPoint, direction: int, seed: int) -> Iterator[Trial]:
+def _at(
+    config: CampaignConfig, index: int, point: CrossingPoint, direction: int, seed: int
+) -> Iterator[Trial]:
     for name, case in config.cases.items():
         for plant in case.plants or config.plants:
             for combination in config.combinations:
                 if case.laws is not None and combination.law not in case.laws:
                     continue
-                if case.estimators is not None and combination.estimator not in case.estimators:
+                if (
+                    case.estimators is not None
+                    and combination.estimator not in case.estimators
+                ):
                     continue
                 yield Trial(
                     index=index,
@@ -108,12 +122,16 @@ def _at(config: CampaignConfig, index: int, point: CrossingPoint, direction: int
                     family=point.family,
                     direction=direction,
                     case=name,
-                    perturbation=config.perturbation | combination.perturbation | case.perturbation,
+                    perturbation=config.perturbation
+                    | combination.perturbation
+                    | case.perturbation,
                     law=combination.law,
                     estimator=combination.estimator,
                     plant=plant,
                     seed=seed,
-                    duration=config.duration if case.duration is None else case.duration,
+                    duration=(
+                        config.duration if case.duration is None else case.duration
+                    ),
                     dwell=config.dwell if case.dwell is None else case.dwell,
                     repeat=config.repeat if case.repeat is None else case.repeat,
                     settings=config.settings | combination.settings | case.settings,
@@ -121,8 +139,12 @@ def _at(config: CampaignConfig, index: int, point: CrossingPoint, direction: int
 
 
 def row_key(robot: RobotParameters, rig: str, trial: Trial) -> str:
-    """Digest of all that determines a row: the trial, the robot, the rig and the package's version."""
-    return digest([dataclasses.asdict(trial), flatten(robot), rig, version()])[:KEY_LENGTH]
+    """Digest of all that determines a row: the trial, the robot, the rig and the
+    package's version.
+    """
+    return digest([dataclasses.asdict(trial), flatten(robot), rig, version()])[
+        :KEY_LENGTH
+    ]
 
 
 def digest(content: Any) -> str:
@@ -138,12 +160,22 @@ def version() -> str:
         return "unknown"
 
 
-NUMBERS = "contract", "symbols", "mechanisms", "model", "planning", "estimation", "control", "identification"
+NUMBERS = (
+    "contract",
+    "symbols",
+    "mechanisms",
+    "model",
+    "planning",
+    "estimation",
+    "control",
+    "identification",
+)
 """Rooms that a row comes from."""
 
 
 def code_digest(rig: str, trial: str) -> str:
-    """Digest of the sources that a row's numbers come from: contract, mathematics, the trial and the rig's package.
+    """Digest of the sources that a row's numbers come from: contract, mathematics, the
+    trial and the rig's package.
 
     Args:
         rig: ``module:Class``.

@@ -1,4 +1,6 @@
-"""A robot's description once its recordings were learnt from: a tour that calibrates it, a motion that identifies it."""
+"""A robot's description once its recordings were learnt from: a tour that calibrates
+it, a motion that identifies it.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def record(robot: RobotParameters, plan: Plan, rig: Any) -> Recorded:
         plan: of it.
         rig: see ``trial.run_trial``; it is closed at the end.
     """
-    start = ControlLoop(robot, default_settings(), 1).model.place(plan.trajectory.at(0.0).x)
+    start = ControlLoop(robot, default_settings(), 1).model.place(
+        plan.trajectory.at(0.0).x
+    )
     side = round(float(np.sign(start.s[0])))
     loop = ControlLoop(robot, default_settings(), side)
     rig.reset_joints(start.q_a + np.array(robot.encoder_offset), side)
@@ -47,7 +51,11 @@ def record(robot: RobotParameters, plan: Plan, rig: Any) -> Recorded:
                 time.append(sample.time)
                 readings.append(sample.q_a)
                 torques.append(torque)
-                sides.append(0.0 if loop.tick is None else float(loop.tick.estimate.assembly_mode))
+                sides.append(
+                    0.0
+                    if loop.tick is None
+                    else float(loop.tick.estimate.assembly_mode)
+                )
                 if sample.pose is not None:
                     seen.append(sample.pose.time)
                     places.append(sample.pose.x)
@@ -55,14 +63,26 @@ def record(robot: RobotParameters, plan: Plan, rig: Any) -> Recorded:
     finally:
         rig.close()
     poses = (np.array(seen), np.array(places)) if seen else None
-    return Recorded(Path("recorded"), robot.working_mode, np.array(time), np.array(readings), np.array(torques), np.array(sides),
-                    poses)  # fmt: skip
+    return Recorded(
+        Path("recorded"),
+        robot.working_mode,
+        np.array(time),
+        np.array(readings),
+        np.array(torques),
+        np.array(sides),
+        poses,
+    )
 
 
 def learnt(
-    robot: RobotParameters, rig: Callable[[], Any], *, calibrated: bool, identified: bool
+    robot: RobotParameters,
+    rig: Callable[[], Any],
+    *,
+    calibrated: bool,
+    identified: bool,
 ) -> tuple[RobotParameters, dict[str, bool]]:
-    """The description after a recorded tour and an exciting motion, and whether each fit was told enough.
+    """The description after a recorded tour and an exciting motion, and whether each
+    fit was told enough.
 
     Args:
         robot: as it is drawn, in the working mode of the recordings.
@@ -74,21 +94,31 @@ def learnt(
         found, told["calibrated"] = _calibrated(robot, rig)
     if identified:
         try:
-            found, told["identified"] = identify_recorded(found, [record(robot, _exciting(robot), rig())]).after, True
+            found, told["identified"] = (
+                identify_recorded(
+                    found, [record(robot, _exciting(robot), rig())]
+                ).after,
+                True,
+            )
         except CalibrationError:
             told["identified"] = False
     return found, told
 
 
-def _calibrated(robot: RobotParameters, rig: Callable[[], Any]) -> tuple[RobotParameters, bool]:
+def _calibrated(
+    robot: RobotParameters, rig: Callable[[], Any]
+) -> tuple[RobotParameters, bool]:
     """The calibrated description, and whether there is one.
 
-    Where a tour ended too early to tell anything another one goes the other way round, and both are taken together; where it told
-    all but the difference of the distal lengths another one is recorded with what it told.
+    Where a tour ended too early to tell anything another one goes the other way round,
+    and both are taken together; where it told all but the difference of the distal
+    lengths another one is recorded with what it told.
     """
     told, motions = False, list[Recorded]()
     for _ in range(TOURS):
-        motions.append(record(robot, _tour(robot, CROSSINGS * (-1) ** len(motions)), rig()))
+        motions.append(
+            record(robot, _tour(robot, CROSSINGS * (-1) ** len(motions)), rig())
+        )
         try:
             calibration = calibrate_recorded(robot, motions)
         except CalibrationError:

@@ -30,7 +30,9 @@ def resolve(name: str) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What a compiled library says on standard error while it is loaded goes nowhere."""
+    """What a compiled library says on standard error while it is loaded goes
+    nowhere.
+    """
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)

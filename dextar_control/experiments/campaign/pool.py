@@ -1,4 +1,6 @@
-"""Worker processes: one for each core of this machine, or those of a running Dask scheduler."""
+"""Worker processes: one for each core of this machine, or those of a running Dask
+scheduler.
+"""
 
 from __future__ import annotations
 
@@ -42,17 +44,25 @@ class _Batch(NamedTuple):
 
 def core_count() -> int:
     """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return (
+        len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count() or 1
+    )
 
 
 def check_workers(workers: int | None, scheduler: str | None) -> None:
     """Whether there can be a ``Pool`` of them, without starting any.
 
     Raises:
-        ParameterError: there are too few, or workers and scheduler contradict each other.
+        ParameterError: there are too few, or workers and scheduler contradict each
+            other.
     """
     if workers is not None and scheduler is not None:
-        raise ParameterError(f"workers = {workers} with scheduler {scheduler}; a scheduler has its own workers")
+        raise ParameterError(
+            f"workers = {workers} with scheduler {scheduler}; a scheduler has its own"
+            " workers"
+        )
     if workers is not None and workers < 1:
         raise ParameterError(f"workers = {workers}; it must be >= 1")
 
@@ -60,7 +70,9 @@ def check_workers(workers: int | None, scheduler: str | None) -> None:
 class Pool:
     """Worker processes that may die; a context manager."""
 
-    def __init__(self, workers: int | None = None, scheduler: str | None = None) -> None:
+    def __init__(
+        self, workers: int | None = None, scheduler: str | None = None
+    ) -> None:
         """Start workers on this machine, or connect to a scheduler that has some.
 
         Args:
@@ -84,7 +96,12 @@ class Pool:
     def __enter__(self) -> Pool:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self.close()
 
     def close(self) -> None:
@@ -94,10 +111,13 @@ class Pool:
             if self._cluster is not None:
                 self._cluster.close()
 
-    def map(self, call: Call, job: Job, batches: Iterable[Sequence[Trial]]) -> Iterator[tuple[Sequence[Trial], list[Row]]]:
+    def map(
+        self, call: Call, job: Job, batches: Iterable[Sequence[Trial]]
+    ) -> Iterator[tuple[Sequence[Trial], list[Row]]]:
         """Each batch with its rows, in the order in which they are done.
 
-        The trials of a batch whose worker died run again one by one, no two of them at the same time: what
+        The trials of a batch whose worker died run again one by one, no two of them at
+            the same time: what
         dies then, ``ATTEMPTS`` times, has itself to blame and gets a row that says so.
 
         Raises:
@@ -138,13 +158,17 @@ class Pool:
                 else:
                     in_a_row += 1
                     if in_a_row >= MANY_DEATHS:
-                        raise CampaignError(f"the workers died of {in_a_row} trials in a row; run one with --row to see why")
+                        raise CampaignError(
+                            f"the workers died of {in_a_row} trials in a row; run one"
+                            " with --row to see why"
+                        )
                     yield trials, [failed_row(DIED)]
         finally:
             self._client.cancel(list(running))
 
     def _next(self, done: as_completed) -> Future:
-        """What is done next. Dask now and then starts no other worker for one that died: without any one is asked for.
+        """What is done next. Dask now and then starts no other worker for one that
+        died: without any one is asked for.
 
         Raises:
             CampaignError: none comes.
@@ -159,19 +183,26 @@ class Pool:
             if self._client.nthreads():
                 seen = now
             elif now - seen > GONE_AFTER:
-                raise CampaignError(f"all workers have been gone for {now - seen:.0f} s; call the command again to go on")
+                raise CampaignError(
+                    f"all workers have been gone for {now - seen:.0f} s; call the"
+                    " command again to go on"
+                )
             elif self._cluster is not None:
                 self._cluster.scale(self.workers)
         return next(done)
 
     def _local(self, workers: int) -> Client:
-        with _uninterrupted(), dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        with (
+            _uninterrupted(),
+            dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        ):
             self._cluster = LocalCluster(
                 n_workers=workers,
                 threads_per_worker=1,
                 processes=True,
                 host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",  # without one Dask takes port 8787, and warns where that is taken
+                # without one Dask takes port 8787, and warns where that is taken
+                dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
             )
             return Client(self._cluster)
@@ -181,18 +212,23 @@ class Pool:
 def _uninterrupted() -> Iterator[None]:
     """A signal that asks to end waits until the block is done.
 
-    Threads and processes that start in it, and theirs, never see a signal of the terminal (Ctrl-C, hang-up): who started them
-    ends them. The tracker of multiprocessing starts before, since starting it lifts the block.
+    Threads and processes that start in it, and theirs, never see a signal of the
+    terminal (Ctrl-C, hang-up): who started them ends them. The tracker of
+    multiprocessing starts before, since starting it lifts the block.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    hang_up = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # a closed terminal must not end the tracker before the workers
+    hang_up = signal.signal(
+        signal.SIGHUP, signal.SIG_IGN
+    )  # a closed terminal must not end the tracker before the workers
     resource_tracker.ensure_running()
     signal.signal(signal.SIGHUP, hang_up)
     came: list[int] = []
     before = signals.install(lambda number, _: came.append(number))
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, set(signals.ENDING) - {signal.SIGTERM})
+    mask = signal.pthread_sigmask(
+        signal.SIG_BLOCK, set(signals.ENDING) - {signal.SIGTERM}
+    )
     try:
         yield
     finally:
@@ -206,13 +242,22 @@ def _connected(scheduler: str) -> Client:
     try:
         client = Client(scheduler, timeout=CONNECT_TIMEOUT)
     except (OSError, TimeoutError, ValueError) as error:
-        raise CampaignError(f"no Dask scheduler answers at {scheduler} within {CONNECT_TIMEOUT:g} s") from error
+        raise CampaignError(
+            f"no Dask scheduler answers at {scheduler} within {CONNECT_TIMEOUT:g} s"
+        ) from error
     threads = client.nthreads()
     how = f"dask worker {scheduler} --nworkers auto --nthreads 1"
     if not threads or max(threads.values()) > 1:
         client.close()
-        problem = f"workers with {max(threads.values())} threads, and a trial needs its own process" if threads else "no workers"
-        raise CampaignError(f"the Dask scheduler at {scheduler} has {problem}; start some with: {how}")
+        problem = (
+            f"workers with {max(threads.values())} threads, and a trial needs its own"
+            " process"
+            if threads
+            else "no workers"
+        )
+        raise CampaignError(
+            f"the Dask scheduler at {scheduler} has {problem}; start some with: {how}"
+        )
     return client
 
 
@@ -227,4 +272,6 @@ def _result(future: Future) -> list[Row] | None:
         return None
     if isinstance(error, DextarError):
         raise error
-    raise CampaignError(f"a worker cannot run trials: {type(error).__name__}: {error}") from error
+    raise CampaignError(
+        f"a worker cannot run trials: {type(error).__name__}: {error}"
+    ) from error

@@ -1,4 +1,6 @@
-"""The campaign in words: its table for a terminal and for a file, and the trials that failed."""
+"""The campaign in words: its table for a terminal and for a file, and the trials that
+failed.
+"""
 
 from __future__ import annotations
 
@@ -14,28 +16,75 @@ from dextar_control.experiments.campaign.trial import SAID
 from dextar_control.experiments.campaign.worker import Row
 
 LENGTHS = {"max_error", "median_error", "max_end_error"}  # bars in m, said in mm
-SHARES = {"min_success", "min_crossed", "min_planned", "min_recognised", "min_safe_after"}
-HEADINGS = ("case", "law / estimator", "n", "cross %", "ok %", "med. mm", "max mm", "end mm", "near ×", "sat.",
-            "called %", "false", "bars")  # fmt: skip
-LEGEND = (
-    "cross: the true robot crossed at each planned crossing; ok: besides, its true error stayed < 5 mm and ended < 1 mm;"
-    " med., max: over the trials, of each one's largest true error; end: largest at the end; near: largest torque within"
-    " |s| < 0.1 over the planned peak; sat.: saturated ticks of the worst trial; called: bounces that were called so;"
-    " false: crossings that were called bounces"
+SHARES = {
+    "min_success",
+    "min_crossed",
+    "min_planned",
+    "min_recognised",
+    "min_safe_after",
+}
+HEADINGS = (
+    "case",
+    "law / estimator",
+    "n",
+    "cross %",
+    "ok %",
+    "med. mm",
+    "max mm",
+    "end mm",
+    "near ×",
+    "sat.",
+    "called %",
+    "false",
+    "bars",
 )
-FAILURE_HEADINGS = ("row", "case", "law / estimator", "plant", "point", "x, y (mm)", "mode", "family", "s after",
-                    "max error (mm)", "reason")  # fmt: skip
+LEGEND = (
+    "cross: the true robot crossed at each planned crossing; ok: besides, its true"
+    " error stayed < 5 mm and ended < 1 mm; med., max: over the trials, of each one's"
+    " largest true error; end: largest at the end; near: largest torque within |s| <"
+    " 0.1 over the planned peak; sat.: saturated ticks of the worst trial; called:"
+    " bounces that were called so; false: crossings that were called bounces"
+)
+FAILURE_HEADINGS = (
+    "row",
+    "case",
+    "law / estimator",
+    "plant",
+    "point",
+    "x, y (mm)",
+    "mode",
+    "family",
+    "s after",
+    "max error (mm)",
+    "reason",
+)
 
 
 def terminal_table(groups: Sequence[Group], title: str) -> Table:
-    """The summary for a terminal, a section for each case; columns without a number are left out."""
+    """The summary for a terminal, a section for each case; columns without a number are
+    left out.
+    """
     many = len({group.plant for group in groups}) > 1
     rows = [cells(group, many) for group in groups]
-    shown = [index for index in range(1, len(HEADINGS)) if any(row[index] != "-" for row in rows)]
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1), collapse_padding=True)
+    shown = [
+        index
+        for index in range(1, len(HEADINGS))
+        if any(row[index] != "-" for row in rows)
+    ]
+    table = Table(
+        title=title,
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 0, 0, 1),
+        collapse_padding=True,
+    )
     for index in shown:
         table.add_column(
-            HEADINGS[index], justify="left" if index == 1 else "right", vertical="bottom", overflow="fold", no_wrap=index == 1
+            HEADINGS[index],
+            justify="left" if index == 1 else "right",
+            vertical="bottom",
+            overflow="fold",
+            no_wrap=index == 1,
         )
     case = ""
     for group, row in zip(groups, rows, strict=True):
@@ -44,7 +93,10 @@ def terminal_table(groups: Sequence[Group], title: str) -> Table:
             table.add_section()
             table.add_row(case, style="italic")
         style = "bold red" if group.missed else "bold" if group.judged else None
-        table.add_row(*(row[index] if index > 1 else f" {row[index]}" for index in shown), style=style)
+        table.add_row(
+            *(row[index] if index > 1 else f" {row[index]}" for index in shown),
+            style=style,
+        )
     return table
 
 
@@ -54,13 +106,20 @@ def markdown_table(groups: Sequence[Group]) -> str:
     rows = []
     for group in groups:
         row = cells(group, many)
-        rows.append([f"**{cell}**" if group.judged and index < 2 else cell for index, cell in enumerate(row)])
+        rows.append(
+            [
+                f"**{cell}**" if group.judged and index < 2 else cell
+                for index, cell in enumerate(row)
+            ]
+        )
     return _markdown(HEADINGS, rows, left=2)
 
 
 def cells(group: Group, with_plant: bool) -> list[str]:
     """One group in the order of ``HEADINGS``."""
-    name = f"{group.law} / {group.estimator}" + (f" / {group.plant}" if with_plant else "")
+    name = f"{group.law} / {group.estimator}" + (
+        f" / {group.plant}" if with_plant else ""
+    )
     return [
         group.case,
         name,
@@ -79,21 +138,38 @@ def cells(group: Group, with_plant: bool) -> list[str]:
 
 
 def reliability_table(found: dict[str, dict[str, Bin]]) -> str:
-    """How often the estimators that tell the side were right, by the confidence that they stated."""
+    """How often the estimators that tell the side were right, by the confidence that
+    they stated.
+    """
     names = [*(f"{odds:g}" for odds in SAID), VERDICTS]
-    lines = [[estimator, *(_share_right(bins.get(name)) for name in names)] for estimator, bins in found.items()]
-    headings = ("right % (95 % interval; of), at a confidence from", *names[:-1], "at its verdicts")
+    lines = [
+        [estimator, *(_share_right(bins.get(name)) for name in names)]
+        for estimator, bins in found.items()
+    ]
+    headings = (
+        "right % (95 % interval; of), at a confidence from",
+        *names[:-1],
+        "at its verdicts",
+    )
     return _markdown(headings, lines, left=1) if lines else ""
 
 
 def _share_right(one: Bin | None) -> str:
-    return "-" if one is None else f"{percent(one.right)} ({percent(one.least)}–{percent(one.most)}; {one.runs})"
+    return (
+        "-"
+        if one is None
+        else (
+            f"{percent(one.right)} ({percent(one.least)}–{percent(one.most)};"
+            f" {one.runs})"
+        )
+    )
 
 
 def missed_lines(groups: Iterable[Group]) -> list[str]:
     """One sentence for each bar that does not hold."""
     return [
-        f"{group.case}, {group.law} / {group.estimator}: {verdict.bar} is {_bar_value(verdict.bar, verdict.measured)}, the bar is"
+        f"{group.case}, {group.law} / {group.estimator}: {verdict.bar} is"
+        f" {_bar_value(verdict.bar, verdict.measured)}, the bar is"
         f" {_bar_value(verdict.bar, verdict.limit)}"
         for group in groups
         for verdict in group.missed
@@ -126,13 +202,17 @@ def reason_of(row: Row) -> str:
     return str(row.get("plan_problem") or row.get("reason") or "no reason given")
 
 
-def markdown_failures(judged: Sequence[list[str]], others: Sequence[list[str]], judged_name: str) -> str:
+def markdown_failures(
+    judged: Sequence[list[str]], others: Sequence[list[str]], judged_name: str
+) -> str:
     """The trials that failed, those that the bars are for first."""
     parts = []
     for title, found in ((judged_name, judged), ("the other combinations", others)):
         parts.append(f"## {title}: {len(found)} failed\n")
         if found:
-            parts.append(_markdown(FAILURE_HEADINGS, found, left=len(FAILURE_HEADINGS)) + "\n")
+            parts.append(
+                _markdown(FAILURE_HEADINGS, found, left=len(FAILURE_HEADINGS)) + "\n"
+            )
     return "\n".join(parts)
 
 

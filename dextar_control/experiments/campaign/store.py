@@ -1,4 +1,6 @@
-"""A campaign's folder: what it is of, its rows appended as they come, and the columnar file in the end."""
+"""A campaign's folder: what it is of, its rows appended as they come, and the columnar
+file in the end.
+"""
 
 from __future__ import annotations
 
@@ -30,14 +32,18 @@ class Store:
             manifest: plain data that say what the rows are of.
 
         Raises:
-            CampaignError: the folder is another campaign's, is in use, or cannot be written.
+            CampaignError: the folder is another campaign's, is in use, or cannot be
+                written.
         """
         self.folder = folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self._file = open(folder / ROWS, "a+b")
         except OSError as error:
-            raise CampaignError(f"cannot write into {folder}: {error.strerror or error}; name another with --output") from error
+            raise CampaignError(
+                f"cannot write into {folder}: {error.strerror or error}; name another"
+                " with --output"
+            ) from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -55,13 +61,17 @@ class Store:
     def append(self, rows: Iterable[Row]) -> None:
         """Rows with their ``key``; on the disk when this returns."""
         rows = list(rows)
-        text = "".join(json.dumps(as_plain(row), allow_nan=False) + "\n" for row in rows)
+        text = "".join(
+            json.dumps(as_plain(row), allow_nan=False) + "\n" for row in rows
+        )
         try:
             self._file.write(text.encode())
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError as error:
-            raise CampaignError(f"cannot write into {self.folder / ROWS}: {error.strerror or error}") from error
+            raise CampaignError(
+                f"cannot write into {self.folder / ROWS}: {error.strerror or error}"
+            ) from error
         self.rows.update({row["key"]: as_plain(row) for row in rows})
 
     def write_table(self, keys: Iterable[str]) -> Path:
@@ -90,10 +100,14 @@ class Store:
             difference = _difference(found, wanted)
             if difference:
                 raise CampaignError(
-                    f"{self.folder} holds rows of another campaign: {difference}; name another folder with --output"
+                    f"{self.folder} holds rows of another campaign: {difference}; name"
+                    " another folder with --output"
                 )
         elif self._file.tell():
-            raise CampaignError(f"{self.folder} has rows without {MANIFEST}; name another folder with --output")
+            raise CampaignError(
+                f"{self.folder} has rows without {MANIFEST}; name another folder with"
+                " --output"
+            )
         else:
             part = path.with_suffix(".part")
             part.write_text(json.dumps(wanted, indent=1) + "\n", encoding="utf-8")
@@ -129,7 +143,9 @@ def _rows(path: Path, content: bytes) -> dict[str, Row]:
             row = json.loads(line)
             rows[row["key"]] = row
         except (ValueError, KeyError, TypeError) as error:
-            raise CampaignError(f"{path}: line {number} is not a row; delete it and run again") from error
+            raise CampaignError(
+                f"{path}: line {number} is not a row; delete it and run again"
+            ) from error
     return rows
 
 
@@ -145,7 +161,9 @@ def _column(values: list[Any]) -> pa.Array:
     if kinds == {int, float}:
         return pa.array(values, pa.float64())
     if len(kinds) > 1:
-        return pa.array([None if value is None else str(value) for value in values], pa.string())
+        return pa.array(
+            [None if value is None else str(value) for value in values], pa.string()
+        )
     return pa.array(values, pa.float64() if not kinds else None)
 
 
@@ -160,7 +178,11 @@ def _difference(found: Any, wanted: Any, where: str = "") -> str:
             if inner:
                 return inner
         return ""
-    return "" if found == wanted else f"{where} is {_short(found)} there, {_short(wanted)} here"
+    return (
+        ""
+        if found == wanted
+        else f"{where} is {_short(found)} there, {_short(wanted)} here"
+    )
 
 
 def _short(value: Any) -> str:

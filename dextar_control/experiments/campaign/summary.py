@@ -1,4 +1,6 @@
-"""Statistics of the rows of each case and combination, and the bars that they hold or miss."""
+"""Statistics of the rows of each case and combination, and the bars that they hold or
+miss.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,9 @@ class Verdict(NamedTuple):
 class Group:
     """The rows of one case, law, estimator and plant.
 
-    Shares are of all rows; a trial without a plan, a raised exception and a dead worker count as not crossed.
-    Errors and torques are of the rows that have them; nan if none has.
+    Shares are of all rows; a trial without a plan, a raised exception and a dead worker
+    count as not crossed. Errors and torques are of the rows that have them; nan if none
+    has.
     """
 
     case: str
@@ -55,7 +58,9 @@ class Group:
     stopped_after_crossing: float  # rows
     recognition_delay: float  # s, the longest
     torque_after_bounce: float  # largest from a bounce on, over the planned peak
-    safe_after: float  # share of the recognised bounces whose torque brakes or is gone in time
+    safe_after: (
+        float  # share of the recognised bounces whose torque brakes or is gone in time
+    )
     judged: bool = False
     verdicts: tuple[Verdict, ...] = ()
 
@@ -91,21 +96,31 @@ MEASURES = {
 
 
 def summarise(config: CampaignConfig, rows: Iterable[Row]) -> list[Group]:
-    """One group for each case, plant and combination, in the order of the campaign file."""
+    """One group for each case, plant and combination, in the order of the campaign
+    file.
+    """
     sorted_rows: dict[tuple[str, str, str, str], list[Row]] = {}
     for row in rows:
-        sorted_rows.setdefault((row["case"], row["plant"], row["law"], row["estimator"]), []).append(row)
+        sorted_rows.setdefault(
+            (row["case"], row["plant"], row["law"], row["estimator"]), []
+        ).append(row)
     groups = []
     default = f"{config.default.law}/{config.default.estimator}"
     for name, case in config.cases.items():
         for plant in config.plants:
             for combination in config.combinations:
-                found = sorted_rows.get((name, plant, combination.law, combination.estimator))
+                found = sorted_rows.get(
+                    (name, plant, combination.law, combination.estimator)
+                )
                 if not found:
                     continue
                 group = _group(found)
-                if plant in (config.judged_plants or [config.default.plant]) and combination.name in (case.judged or [default]):
-                    verdicts = tuple(_verdict(group, bar, limit) for bar, limit in case.bars.items())
+                if plant in (
+                    config.judged_plants or [config.default.plant]
+                ) and combination.name in (case.judged or [default]):
+                    verdicts = tuple(
+                        _verdict(group, bar, limit) for bar, limit in case.bars.items()
+                    )
                     group = dataclasses.replace(group, judged=True, verdicts=verdicts)
                 groups.append(group)
     return groups
@@ -118,7 +133,9 @@ def crossed_all(row: Row) -> bool:
 
 
 def real_time_factor(rows: Iterable[Row]) -> float:
-    """Simulated over wall time of a worker, which has one core: the median over the rows, nan without any."""
+    """Simulated over wall time of a worker, which has one core: the median over the
+    rows, nan without any.
+    """
     times = [(row.get("simulated_time"), row.get("wall_time")) for row in rows]
     factors = [simulated / wall for simulated, wall in times if simulated and wall]
     return float(np.median(factors)) if factors else math.nan

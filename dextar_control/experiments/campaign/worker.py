@@ -1,4 +1,6 @@
-"""What a worker process does: a few trials, each of which may fail without the others."""
+"""What a worker process does: a few trials, each of which may fail without the
+others.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +37,17 @@ def run_trials(job: Job, trials: Sequence[Trial]) -> list[Row]:
         try:
             rows.append(dict(run(job.robot, trial, rig)))
         except (Exception, SystemExit) as error:
-            rows.append(failed_row(_in_words(error)) | {"wall_time": time.perf_counter() - begin})
+            rows.append(
+                failed_row(_in_words(error))
+                | {"wall_time": time.perf_counter() - begin}
+            )
     return rows
 
 
 def plan_trials(job: Job, trials: Sequence[Trial]) -> list[Row]:
-    """Plans of the trials into the planner's cache; what cannot be planned says so when it is run."""
+    """Plans of the trials into the planner's cache; what cannot be planned says so when
+    it is run.
+    """
     _prepared(job)
     plan = importlib.import_module(job.trial).plan_trial
     for trial in trials:
@@ -66,6 +73,7 @@ def _prepared(job: Job) -> Any:
     mine = code_digest(job.rig, job.trial)
     if mine != job.code:
         raise CampaignError(
-            f"a worker runs other code ({mine}) than this process ({job.code}); install the same version on all machines"
+            f"a worker runs other code ({mine}) than this process ({job.code}); install"
+            " the same version on all machines"
         )
     return resolve(job.rig)

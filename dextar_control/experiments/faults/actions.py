@@ -34,18 +34,29 @@ from dextar_control.nodekit.cdr import NANOSECONDS
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodekit.node import qos
 
-REACTION = 0.06  # s after a fault's end within which its outcome counts as its own; a stamp may be ahead by 0.05 s
+# s after a fault's end within which its outcome counts as its own; a stamp may be ahead
+# by 0.05 s
+REACTION = 0.06
 START_PATIENCE = 60.0  # s
 END_PATIENCE = 20.0  # s until a node that was sent SIGTERM has ended
 SECOND_TORQUE = (0.05, -0.05)  # N m, of the second commander
 SECOND_LASTS = 0.5  # s
 MOST_PENDING = 40  # services asked and not answered
-GAINS = {"natural_frequency": (45.0, 55.0), "damping_ratio": (0.9, 1.1)}  # that are set live
-REFUSED = ({"natural_frequency": 1e9}, {"damping_ratio": -1.0}, {"assembly_mode": -1}, {"task__sample_period": 0.002})
+GAINS = {
+    "natural_frequency": (45.0, 55.0),
+    "damping_ratio": (0.9, 1.1),
+}  # that are set live
+REFUSED = (
+    {"natural_frequency": 1e9},
+    {"damping_ratio": -1.0},
+    {"assembly_mode": -1},
+    {"task__sample_period": 0.002},
+)
 CURVE = 0.12  # s of torque after a commander's last word that are kept for the figure
 KEEP = 5  # each so manyth state of it
 
-# Arguments: size, folder of the small disk, where the bag goes in the end, then the recorder's command.
+# Arguments: size, folder of the small disk, where the bag goes in the end, then the
+# recorder's command.
 SMALL_DISK = """
 mount -t tmpfs -o size="$1" small "$2" || exit 70
 disk=$2 out=$3; shift 3
@@ -70,11 +81,13 @@ class Trouble(NamedTuple):
 
 
 class Action:
-    """A fault of one kind: prepared, armed once the trip has begun, polled, released, and its damage repaired.
+    """A fault of one kind: prepared, armed once the trip has begun, polled, released,
+    and its damage repaired.
 
     Attributes:
         single: one crossing of the trip is faulted, not each.
-        grace: after the instant of judgement, within which a stop still counts as this fault's, ns.
+        grace: after the instant of judgement, within which a stop still counts as this
+            fault's, ns.
         refused: what was asked for was refused.
     """
 
@@ -95,7 +108,9 @@ class Action:
         self.chance = chance
 
     def arm(self, times: Sequence[int]) -> None:
-        """The trip has begun; ``times`` at which the faults are due, ns of the rig's clock."""
+        """The trip has begun; ``times`` at which the faults are due, ns of the rig's
+        clock.
+        """
 
     def poll(self, now: int) -> Trouble | None:
         """In each turn; a trouble that only this fault's maker can know."""
@@ -147,7 +162,9 @@ class LinkAction(Action):
                     link.add(Window(at, at + lasting, Shape(self.case.window.shape)))
         else:
             for link in self._links:
-                link.configure(Transport(**self.case.transport or {}), self.chance.randrange(2**31))
+                link.configure(
+                    Transport(**self.case.transport or {}), self.chance.randrange(2**31)
+                )
 
     def release(self) -> None:
         """Whole links."""
@@ -162,7 +179,9 @@ class LinkAction(Action):
             return True
         touched = ("dropped", "duplicated", "held_back", "lost_in_outage", "shaped")
         return any(
-            link.counts[kind] > before[kind] for link, before in zip(self._links, self._before, strict=True) for kind in touched
+            link.counts[kind] > before[kind]
+            for link, before in zip(self._links, self._before, strict=True)
+            for kind in touched
         )
 
 
@@ -189,7 +208,11 @@ class KillAction(Action):
         if not self._killed and now >= self._at:
             self._killed = now
             self.stack.processes.send(self._node, signal.Signals[self.case.kill.signal])
-        return Trouble(self._killed, Outcome.LIMP) if self._node == "controller" and self.done else None
+        return (
+            Trouble(self._killed, Outcome.LIMP)
+            if self._node == "controller" and self.done
+            else None
+        )
 
     def took_effect(self) -> bool:
         """Whether it was killed."""
@@ -199,15 +222,21 @@ class KillAction(Action):
         """Start it again."""
         if not self._killed:
             return
-        if not self.stack.operator.until(lambda: self.stack.processes.ended(self._node), END_PATIENCE):
-            raise NodesError(f"{self._node} did not end within {END_PATIENCE:.0f} s of its signal")
+        if not self.stack.operator.until(
+            lambda: self.stack.processes.ended(self._node), END_PATIENCE
+        ):
+            raise NodesError(
+                f"{self._node} did not end within {END_PATIENCE:.0f} s of its signal"
+            )
         self.stack.restart(self._node)
 
     def bags(self) -> list[Path]:
         """The killed recorder's."""
         if self._node != "recorder" or self._bag is None or not self._killed:
             return []
-        self.stack.operator.until(lambda: self.stack.processes.ended(self._node), END_PATIENCE)
+        self.stack.operator.until(
+            lambda: self.stack.processes.ended(self._node), END_PATIENCE
+        )
         return [self._bag]
 
     def broken_bags(self) -> list[str]:
@@ -216,16 +245,28 @@ class KillAction(Action):
         if self.case.kill.signal != "SIGTERM":
             return []
         unfinished = [path for path in self.bags() if not finished(path)]
-        return [f"{path.name} is not finished although SIGTERM asked for it" for path in unfinished]
+        return [
+            f"{path.name} is not finished although SIGTERM asked for it"
+            for path in unfinished
+        ]
 
     def extra(self, records: list[dict[str, Any]], evidence: Evidence) -> None:
-        """Torque after the commander's last word, for the figure; how much of a recording was lost."""
+        """Torque after the commander's last word, for the figure; how much of a
+        recording was lost.
+        """
         if self._node == "controller" and records:
-            last = evidence.command_stamps[-1] if len(evidence.command_stamps) else self._killed
+            last = (
+                evidence.command_stamps[-1]
+                if len(evidence.command_stamps)
+                else self._killed
+            )
             age = (evidence.stamps - last) / NANOSECONDS
             near = (age >= -0.02) & (age <= CURVE)
             size = np.abs(evidence.torque[near]).max(axis=1, initial=0.0)
-            records[0]["curve"] = [[round(float(t), 4), float(value)] for t, value in zip(age[near], size, strict=True)]
+            records[0]["curve"] = [
+                [round(float(t), 4), float(value)]
+                for t, value in zip(age[near], size, strict=True)
+            ]
 
 
 class CommanderAction(Action):
@@ -243,14 +284,18 @@ class CommanderAction(Action):
     @property
     def done(self) -> bool:
         """Whether it was there for long enough."""
-        return bool(self._begun) and self.stack.operator.now >= self._begun + round(SECOND_LASTS * NANOSECONDS)
+        return bool(self._begun) and self.stack.operator.now >= self._begun + round(
+            SECOND_LASTS * NANOSECONDS
+        )
 
     def poll(self, now: int) -> Trouble | None:
         """Answer the newest state, as the controller does."""
         if now >= self._at and now > self._sent:
             if self._publisher is None:
                 self._begun = now
-                self._publisher = self.stack.operator.create_publisher(JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS))
+                self._publisher = self.stack.operator.create_publisher(
+                    JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS)
+                )
             self._publisher.publish(self._template.pack(now, SECOND_TORQUE))
             self._sent = now
         return None
@@ -261,7 +306,10 @@ class CommanderAction(Action):
         if self._publisher is not None:
             operator.destroy_publisher(self._publisher)
             self._publisher = None
-            operator.until(lambda: operator.count_publishers(JOINT_COMMANDS.name) <= 1, END_PATIENCE)
+            operator.until(
+                lambda: operator.count_publishers(JOINT_COMMANDS.name) <= 1,
+                END_PATIENCE,
+            )
 
     def took_effect(self) -> bool:
         """Whether it commanded."""
@@ -277,13 +325,28 @@ class FloodAction(Action):
         operator = self.stack.operator
         self._calls: list[tuple[Any, Any]] = [
             (operator.client(SetBool, "controller/enable"), SetBool.Request(data=True)),
-            (operator.client(GetParameters, "controller/get_parameters"), GetParameters.Request(names=["law", "zone"])),
-            (operator.client(SetParameters, "controller/set_parameters"), SetParameters.Request()),
+            (
+                operator.client(GetParameters, "controller/get_parameters"),
+                GetParameters.Request(names=["law", "zone"]),
+            ),
+            (
+                operator.client(SetParameters, "controller/set_parameters"),
+                SetParameters.Request(),
+            ),
             (operator.client(Trigger, "plant/step"), Trigger.Request()),
-            (operator.client(GetParameters, "plant/get_parameters"), GetParameters.Request(names=["mode"])),
-            (operator.client(GetParameters, "trajectory_server/get_parameters"), GetParameters.Request(names=["repeat"])),
+            (
+                operator.client(GetParameters, "plant/get_parameters"),
+                GetParameters.Request(names=["mode"]),
+            ),
+            (
+                operator.client(GetParameters, "trajectory_server/get_parameters"),
+                GetParameters.Request(names=["repeat"]),
+            ),
         ]
-        if not operator.until(lambda: all(client.service_is_ready() for client, _ in self._calls), START_PATIENCE):
+        if not operator.until(
+            lambda: all(client.service_is_ready() for client, _ in self._calls),
+            START_PATIENCE,
+        ):
             raise NodesError("not every service is there to be flooded")
         self._pending: list[tuple[str, Any]] = []
         self._sent = self._answered = 0
@@ -311,7 +374,9 @@ class FloodAction(Action):
     def release(self) -> None:
         """Wait for the answers still to come."""
         self._begun = 0.0
-        self.stack.operator.until(lambda: all(future.done() for _, future in self._pending), END_PATIENCE)
+        self.stack.operator.until(
+            lambda: all(future.done() for _, future in self._pending), END_PATIENCE
+        )
         self._count()
         self.stack.answers += [f"{name} did not answer" for name, _ in self._pending]
         self.stack.answers.append(f"{self._answered} of {self._sent} calls answered")
@@ -324,7 +389,9 @@ class FloodAction(Action):
 
 
 class ParameterAction(Action):
-    """A gain that may be changed live, and a value that must be refused, while the robot crosses."""
+    """A gain that may be changed live, and a value that must be refused, while the
+    robot crosses.
+    """
 
     def arm(self, times: Sequence[int]) -> None:
         """At each time."""
@@ -347,18 +414,33 @@ class ParameterAction(Action):
 
     def _ask(self, values: dict[str, Any], *, valid: bool) -> None:
         client = self.stack.operator.client(SetParameters, "controller/set_parameters")
-        request = SetParameters.Request(parameters=[parameter(name.replace("__", "."), value) for name, value in values.items()])
+        request = SetParameters.Request(
+            parameters=[
+                parameter(name.replace("__", "."), value)
+                for name, value in values.items()
+            ]
+        )
         self._futures.append((client.call_async(request), valid))
         self._asked += 1
 
     def release(self) -> None:
-        """Take the answers; a valid change refused or an invalid one taken is a fault of the controller."""
-        self.stack.operator.until(lambda: all(future.done() for future, _ in self._futures), END_PATIENCE)
+        """Take the answers; a valid change refused or an invalid one taken is a fault
+        of the controller.
+        """
+        self.stack.operator.until(
+            lambda: all(future.done() for future, _ in self._futures), END_PATIENCE
+        )
         right = 0
         for future, valid in self._futures:
             result = future.result().results[0] if future.done() else None
-            if result is None or result.successful != valid or not (valid or result.reason):
-                self.stack.answers.append(f"a {'valid' if valid else 'wrong'} value was answered by {result}")
+            if (
+                result is None
+                or result.successful != valid
+                or not (valid or result.reason)
+            ):
+                self.stack.answers.append(
+                    f"a {'valid' if valid else 'wrong'} value was answered by {result}"
+                )
             else:
                 right += 1
                 self.refused |= not valid
@@ -368,14 +450,18 @@ class ParameterAction(Action):
     def restore(self) -> None:
         """The gains of the parameter file."""
         defaults = node_defaults("controller")
-        self.stack.operator.change_parameters("controller", **{name: float(defaults[name]) for name in GAINS})
+        self.stack.operator.change_parameters(
+            "controller", **{name: float(defaults[name]) for name in GAINS}
+        )
 
 
 class DiskAction(Action):
     """A disk under the recorder that becomes full while the robot crosses."""
 
     def prepare(self, chance: random.Random) -> None:
-        """Another recorder, on a disk of its own; by a limit on the file's size where no such disk can be made."""
+        """Another recorder, on a disk of its own; by a limit on the file's size where
+        no such disk can be made.
+        """
         super().prepare(chance)
         stack = self.stack
         stack.processes.stop("recorder")
@@ -386,14 +472,28 @@ class DiskAction(Action):
         if can_mount():
             disk = stack.folder / "small_disk"
             disk.mkdir(exist_ok=True)
-            wrap = ["unshare", "--mount", "sh", "-c", SMALL_DISK, "small_disk", str(size), str(disk), str(self._bag)]
+            wrap = [
+                "unshare",
+                "--mount",
+                "sh",
+                "-c",
+                SMALL_DISK,
+                "small_disk",
+                str(size),
+                str(disk),
+                str(self._bag),
+            ]
             stack.start_recorder(wrap=wrap, path=disk / "run.mcap", compression="none")
         else:
             limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
             stack.start_recorder(path=self._bag, limit=limit, compression="none")
         stack.processes.may_end("recorder")
-        up = lambda: "recorder" in stack.operator.status or stack.processes.ended("recorder")  # noqa: E731
-        if not stack.operator.until(up, START_PATIENCE):
+        if not stack.operator.until(
+            lambda: (
+                "recorder" in stack.operator.status or stack.processes.ended("recorder")
+            ),
+            START_PATIENCE,
+        ):
             raise NodesError("the recorder on the small disk did not start")
 
     @property
@@ -429,7 +529,10 @@ class NetworkAction(Action):
     def release(self) -> None:
         """A whole link."""
         after = self._ask({})
-        self._took = any(after[key] > self._counts[key] for key in ("dropped", "duplicated", "reordered"))
+        self._took = any(
+            after[key] > self._counts[key]
+            for key in ("dropped", "duplicated", "reordered")
+        )
         self._took |= bool({"delay", "jitter"} & set(self.case.network or {}))
 
     def took_effect(self) -> bool:
@@ -447,13 +550,24 @@ def can_mount() -> bool:
     """Whether this process may mount a disk in a namespace of its own."""
     if os.geteuid() != 0 or shutil.which("unshare") is None:
         return False
-    return subprocess.run(["unshare", "--mount", "true"], capture_output=True, check=False).returncode == 0
+    return (
+        subprocess.run(
+            ["unshare", "--mount", "true"], capture_output=True, check=False
+        ).returncode
+        == 0
+    )
 
 
 KINDS: dict[str, Callable[[Case, Stack], Action]] = {
-    "transport": LinkAction, "window": LinkAction, "kill": KillAction, "commander": CommanderAction, "flood": FloodAction,
-    "parameters": ParameterAction, "disk": DiskAction, "network": NetworkAction,
-}  # fmt: skip
+    "transport": LinkAction,
+    "window": LinkAction,
+    "kill": KillAction,
+    "commander": CommanderAction,
+    "flood": FloodAction,
+    "parameters": ParameterAction,
+    "disk": DiskAction,
+    "network": NetworkAction,
+}
 
 
 def make_action(case: Case, stack: Stack) -> Action:

@@ -1,4 +1,6 @@
-"""The cases of ``config/faults.yaml``: which fault, where, how often, what may come of it and who must say so."""
+"""The cases of ``config/faults.yaml``: which fault, where, how often, what may come of
+it and who must say so.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,16 @@ from dextar_control.experiments.faults.link import Shape, Transport
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Node = Literal["plant", "controller", "trajectory_server", "recorder"]
 Way = Literal["states", "commands"]
-KINDS = ("transport", "window", "kill", "commander", "flood", "parameters", "disk", "network")
+KINDS = (
+    "transport",
+    "window",
+    "kill",
+    "commander",
+    "flood",
+    "parameters",
+    "disk",
+    "network",
+)
 
 
 class Kill(Section):
@@ -44,11 +55,14 @@ class Window(Section):
 class Case(Section):
     """One fault: exactly one of the ``KINDS``.
 
-    ``crossings`` faulted ones are tried in a full run, ``quick`` in a quick one (0 leaves the case out); ``trips`` return
-    trips make one trajectory. An outcome that is not among ``expect`` fails the run. Of ``reported`` at least one must be
-    seen for each fault that took effect: ``node.key`` (a counter in the diagnostics that rose), ``node.key~words``
-    (a text that held the words), ``exit.node`` (an exit code that is not 0), ``silent.node`` (its diagnostics stopped),
-    ``log.node~words``, ``answer~words`` (of a service); an empty list is a fault that nobody needs to notice.
+    ``crossings`` faulted ones are tried in a full run, ``quick`` in a quick one (0
+    leaves the case out); ``trips`` return trips make one trajectory. An outcome that is
+    not among ``expect`` fails the run. Of ``reported`` at least one must be seen for
+    each fault that took effect: ``node.key`` (a counter in the diagnostics that rose),
+    ``node.key~words`` (a text that held the words), ``exit.node`` (an exit code that is
+    not 0), ``silent.node`` (its diagnostics stopped), ``log.node~words``,
+    ``answer~words`` (of a service); an empty list is a fault that nobody needs to
+    notice.
     """
 
     title: str
@@ -78,15 +92,24 @@ class Case(Section):
     def _known_outcomes(cls, expect: list[str]) -> list[str]:
         for outcome in expect:
             if outcome not in list(Outcome):
-                raise problem(f"unknown outcome '{outcome}'; known are: {', '.join(Outcome)}")
+                raise problem(
+                    f"unknown outcome '{outcome}'; known are: {', '.join(Outcome)}"
+                )
         return expect
 
     @model_validator(mode="after")
     def _one_fault(self) -> Case:
         kinds = [kind for kind in KINDS if getattr(self, kind)]
         if len(kinds) != 1:
-            raise problem(f"it has {' and '.join(kinds) or 'no fault'}; it must have exactly one of: {', '.join(KINDS)}")
-        if self.kind not in ("transport", "window") and self.clock == "lockstep" and self.kind != "parameters":
+            raise problem(
+                f"it has {' and '.join(kinds) or 'no fault'}; it must have exactly one"
+                f" of: {', '.join(KINDS)}"
+            )
+        if (
+            self.kind not in ("transport", "window")
+            and self.clock == "lockstep"
+            and self.kind != "parameters"
+        ):
             raise problem(f"{self.kind} needs the clock realtime")
         try:
             Transport(**(self.transport or {}))
@@ -115,6 +138,7 @@ def load_cases(path: str | Path) -> FaultConfig:
     """The cases of a YAML file.
 
     Raises:
-        ParameterError: the file cannot be read, or something in it is unknown, missing or out of its range.
+        ParameterError: the file cannot be read, or something in it is unknown, missing
+            or out of its range.
     """
     return load_yaml(FaultConfig, path, "fault file")

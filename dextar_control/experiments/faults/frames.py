@@ -1,4 +1,6 @@
-"""What a bad link does to the frames of one direction: which are lost, and when the others leave."""
+"""What a bad link does to the frames of one direction: which are lost, and when the
+others leave.
+"""
 
 from __future__ import annotations
 
@@ -39,9 +41,15 @@ class LinkQuality:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value, limit = getattr(self, field.name), LONGEST if field.name in TIMES else 1.0
+            value, limit = (
+                getattr(self, field.name),
+                LONGEST if field.name in TIMES else 1.0,
+            )
             if not (math.isfinite(value) and 0.0 <= value <= limit):
-                raise LinkError(f"link quality '{field.name}' = {value}; it must lie in [0, {limit:g}]")
+                raise LinkError(
+                    f"link quality '{field.name}' = {value}; it must lie in [0,"
+                    f" {limit:g}]"
+                )
 
 
 TIMES = ("delay", "jitter", "hold")
@@ -59,7 +67,8 @@ class LinkStatistics:
         forwarded: frames that left the link, second copies included.
         reordered: of these, overtaken by a later one.
         refused: that the interface at the far end did not take.
-        overrun: that this machine lost before the relay saw them; 0 unless it was too slow.
+        overrun: that this machine lost before the relay saw them; 0 unless it was too
+            slow.
         waiting: still under way, second copies included.
     """
 
@@ -78,7 +87,8 @@ class LinkStatistics:
 
 
 class FrameSchedule:
-    """The queue of one direction. The n-th frame's fate depends on the seed and n alone, not on the clock.
+    """The queue of one direction. The n-th frame's fate depends on the seed and n
+    alone, not on the clock.
 
     Args:
         quality: of the link; may be replaced at any time.
@@ -89,7 +99,9 @@ class FrameSchedule:
         self.quality = quality
         self.statistics = LinkStatistics()
         self._random = random.Random(seed)
-        self._queue: list[tuple[float, int, int, bytes]] = []  # departure (s), order of entry, number of the frame, frame
+        self._queue: list[
+            tuple[float, int, int, bytes]
+        ] = []  # departure (s), order of entry, number of the frame, frame
         self._entries = 0
         self._last = -math.inf
         self._newest = -1
@@ -121,7 +133,9 @@ class FrameSchedule:
         return self._queue[0][0] if self._queue else math.inf
 
     def leave(self, now: float) -> list[bytes]:
-        """The frames whose time has come at the time now (s), in the order in which they leave."""
+        """The frames whose time has come at the time now (s), in the order in which
+        they leave.
+        """
         frames = []
         while self._queue and self._queue[0][0] <= now:
             _, _, number, frame = heapq.heappop(self._queue)

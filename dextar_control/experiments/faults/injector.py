@@ -1,11 +1,14 @@
-"""Between rig and controller: states one way, commands the other, each through a faulty link.
+"""Between rig and controller: states one way, commands the other, each through a faulty
+link.
 
-The rig's topics are remapped to ``rig/joint_states`` and ``rig/joint_commands``; the controller keeps the contract's.
-Messages pass as the bytes they are; only one that gets another shape is decoded.
+The rig's topics are remapped to ``rig/joint_states`` and ``rig/joint_commands``; the
+controller keeps the contract's. Messages pass as the bytes they are; only one that gets
+another shape is decoded.
 
-In lockstep the rig waits at each state. The injector delivers what is due at the state's stamp, waits for the
-controller's answers to it, delivers the commands that are due, and acknowledges the state where none of them
-answers it. Delays are then in simulated time, and nothing depends on how fast the machine is.
+In lockstep the rig waits at each state. The injector delivers what is due at the
+state's stamp, waits for the controller's answers to it, delivers the commands that are
+due, and acknowledges the state where none of them answers it. Delays are then in
+simulated time, and nothing depends on how fast the machine is.
 """
 
 from __future__ import annotations
@@ -18,16 +21,34 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
-from dextar_control.experiments.faults.link import ENCODER_STEP, NON_FINITE, STAMP_EARLINESS, STAMP_SHIFT, Delivery, Link, Shape
+from dextar_control.experiments.faults.link import (
+    ENCODER_STEP,
+    NON_FINITE,
+    STAMP_EARLINESS,
+    STAMP_SHIFT,
+    Delivery,
+    Link,
+    Shape,
+)
 from dextar_control.nodekit.cdr import NANOSECONDS, CdrTemplate, from_time, to_time
 from dextar_control.nodekit.node import qos
 
 RIG_STATES = f"rig/{JOINT_STATES.name}"
 RIG_COMMANDS = f"rig/{JOINT_COMMANDS.name}"
-REMAPPINGS = (f"{JOINT_STATES.name}:={RIG_STATES}", f"{JOINT_COMMANDS.name}:={RIG_COMMANDS}")
-ANSWERED = (None, Shape.STEP, Shape.STAMP_FUTURE, Shape.STAMP_EARLY)  # states that a controller answers
+REMAPPINGS = (
+    f"{JOINT_STATES.name}:={RIG_STATES}",
+    f"{JOINT_COMMANDS.name}:={RIG_COMMANDS}",
+)
+ANSWERED = (
+    None,
+    Shape.STEP,
+    Shape.STAMP_FUTURE,
+    Shape.STAMP_EARLY,
+)  # states that a controller answers
 PATIENCE = 2.0  # s on the steady clock for an answer of a controller that answers
-SHORT_PATIENCE = 0.01  # s for one of a controller that did not answer last, or to a state that need not be answered
+# s for one of a controller that did not answer last, or to a state that need not be
+# answered
+SHORT_PATIENCE = 0.01
 
 
 def stamp_of(raw: bytes) -> int:
@@ -77,7 +98,8 @@ class Injector:
     Attributes:
         states, commands: the links.
         now: stamp of the rig's last state, ns; -1 before the first.
-        bad_stamps: of the states that were delivered with numbers that are not finite, ns.
+        bad_stamps: of the states that were delivered with numbers that are not finite,
+            ns.
         unanswered: states that were delivered whole and not answered in time.
     """
 
@@ -96,19 +118,41 @@ class Injector:
         self._newest_delivered = -1
         self._answered_at_rig = False
         self._empty = CdrTemplate(JointState())
-        self._to_controller = node.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
-        self._to_rig = node.create_publisher(JointState, RIG_COMMANDS, qos(JOINT_COMMANDS))
-        node.create_subscription(JointState, RIG_STATES, self._on_state, qos(JOINT_STATES, reliable=lockstep), raw=True)
+        self._to_controller = node.create_publisher(
+            JointState, JOINT_STATES.name, qos(JOINT_STATES)
+        )
+        self._to_rig = node.create_publisher(
+            JointState, RIG_COMMANDS, qos(JOINT_COMMANDS)
+        )
         node.create_subscription(
-            JointState, JOINT_COMMANDS.name, self._on_command, qos(JOINT_COMMANDS, reliable=lockstep), raw=True
+            JointState,
+            RIG_STATES,
+            self._on_state,
+            qos(JOINT_STATES, reliable=lockstep),
+            raw=True,
+        )
+        node.create_subscription(
+            JointState,
+            JOINT_COMMANDS.name,
+            self._on_command,
+            qos(JOINT_COMMANDS, reliable=lockstep),
+            raw=True,
         )
 
     def clock(self) -> int:
-        """The links' time, ns: the rig's, in real time with what has passed since its last state."""
-        return self.now if self._lockstep else self.now + time.monotonic_ns() - self._arrived
+        """The links' time, ns: the rig's, in real time with what has passed since its
+        last state.
+        """
+        return (
+            self.now
+            if self._lockstep
+            else self.now + time.monotonic_ns() - self._arrived
+        )
 
     def clear(self) -> None:
-        """Links without windows and with nothing under way, as after a restart of the rig."""
+        """Links without windows and with nothing under way, as after a restart of the
+        rig.
+        """
         self.states.clear()
         self.commands.clear()
         self.bad_stamps.clear()
@@ -123,7 +167,9 @@ class Injector:
     def _on_state(self, raw: bytes) -> None:
         stamp = stamp_of(raw)
         self._arrived = time.monotonic_ns()
-        if stamp <= self.now:  # the rig repeats itself: what answered it was lost or has not come
+        if (
+            stamp <= self.now
+        ):  # the rig repeats itself: what answered it was lost or has not come
             if self._lockstep and self._waiting is None:
                 self._acknowledge(stamp)
             return
@@ -159,8 +205,16 @@ class Injector:
     def left(self) -> float:
         """Seconds until ``poll`` has something to do, at most 0.05."""
         if self._lockstep:
-            return 0.05 if self._waiting is None else min(max(self._deadline - time.monotonic(), 0.0), 0.05)
-        dues = [due for due in (self.states.next_due(), self.commands.next_due()) if due is not None]
+            return (
+                0.05
+                if self._waiting is None
+                else min(max(self._deadline - time.monotonic(), 0.0), 0.05)
+            )
+        dues = [
+            due
+            for due in (self.states.next_due(), self.commands.next_due())
+            if due is not None
+        ]
         return min(max(1e-9 * (min(dues) - self.clock()), 0.0), 0.05) if dues else 0.05
 
     def _deliver_states(self) -> None:
@@ -175,14 +229,18 @@ class Injector:
             if whole:
                 self._newest_delivered = stamp
                 self._expected.add(stamp)
-            patience = max(patience, PATIENCE if whole and self._answers else SHORT_PATIENCE)
+            patience = max(
+                patience, PATIENCE if whole and self._answers else SHORT_PATIENCE
+            )
         self._deadline = time.monotonic() + patience
 
     def _deliver_commands(self) -> None:
         for delivery in self.commands.due(self.clock()):
             raw = self._shaped(delivery)
             self._to_rig.publish(raw)
-            self._answered_at_rig |= delivery.shape in (None, Shape.STEP) and stamp_of(raw) == self.now
+            self._answered_at_rig |= (
+                delivery.shape in (None, Shape.STEP) and stamp_of(raw) == self.now
+            )
 
     def _settle(self) -> None:
         """Let the rig go on once the answers are there, or are not going to come."""
@@ -202,5 +260,8 @@ class Injector:
 
     @staticmethod
     def _shaped(delivery: Delivery[bytes]) -> bytes:
-        return delivery.item if delivery.shape is None else reshape(delivery.item, delivery.shape, delivery.began)
-
+        return (
+            delivery.item
+            if delivery.shape is None
+            else reshape(delivery.item, delivery.shape, delivery.began)
+        )

@@ -1,7 +1,9 @@
-"""What became of a faulted crossing, and what must never happen: from the robot's truth and the topics at the rig.
+"""What became of a faulted crossing, and what must never happen: from the robot's truth
+and the topics at the rig.
 
-Nothing here asks the controller: the torque is the one the drives applied, the side of the locus that of the true
-joints, and when a commander was last heard is read from its commands. Stamps are ns, torques N m.
+Nothing here asks the controller: the torque is the one the drives applied, the side of
+the locus that of the true joints, and when a commander was last heard is read from its
+commands. Stamps are ns, torques N m.
 """
 
 from __future__ import annotations
@@ -24,13 +26,20 @@ NANOSECONDS = 1e9
 class Outcome(str, Enum):
     """Of one faulted crossing."""
 
-    CROSSED = "crossed"  # the true robot is on the planned side, and the controller goes on
-    REFUSED = "refused, crossed"  # what was asked for was refused, and the robot crossed all the same
+    CROSSED = (  # the true robot is on the planned side, and the controller goes on
+        "crossed"
+    )
+    REFUSED = (  # what was asked for was refused, and the robot crossed all the same
+        "refused, crossed"
+    )
     SAFE_STOP = "safe stop"
     FAULT = "fault"
     LIMP = "no torque"  # the commander is gone, and the robot without torque
-    MISSED = "missed"  # the true robot is not on the planned side, and the controller goes on: never expected
-    DISTURBED = "disturbed"  # the machine itself stopped the rig's states for longer than the controller allows
+    # the true robot is not on the planned side, and the controller goes on: never
+    # expected
+    MISSED = "missed"
+    # the machine itself stopped the rig's states for longer than the controller allows
+    DISTURBED = "disturbed"
 
     def __str__(self) -> str:
         return self.value
@@ -53,7 +62,9 @@ class Check(str, Enum):
 class Tally:
     """How often each check was made, and where it failed."""
 
-    looked: dict[str, int] = field(default_factory=lambda: dict.fromkeys((check.value for check in Check), 0))
+    looked: dict[str, int] = field(
+        default_factory=lambda: dict.fromkeys((check.value for check in Check), 0)
+    )
     violations: list[tuple[str, str]] = field(default_factory=list)
 
     def count(self, check: Check, looked: int, violations: Iterable[str]) -> None:
@@ -84,15 +95,21 @@ class Evidence:
 
 
 def true_side(joints: np.ndarray) -> np.ndarray:
-    """Sign of r_1 x r_2, r_i along distal link i, of joints (n, 4): the assembly mode, shape (n,)."""
-    return np.sign(np.sin((joints[:, 2] + joints[:, 3]) - (joints[:, 0] + joints[:, 1])))
+    """Sign of r_1 x r_2, r_i along distal link i, of joints (n, 4): the assembly mode,
+    shape (n,).
+    """
+    return np.sign(
+        np.sin((joints[:, 2] + joints[:, 3]) - (joints[:, 0] + joints[:, 1]))
+    )
 
 
 def true_position(robot: RobotParameters, joints: np.ndarray) -> np.ndarray:
     """End effector (n, 2), m, of joints (n, 4), along the left leg."""
     first, second = joints[:, 0], joints[:, 0] + joints[:, 1]
     near, far = robot.left.proximal_length, robot.left.distal_length
-    reached = near * np.column_stack([np.cos(first), np.sin(first)]) + far * np.column_stack([np.cos(second), np.sin(second)])
+    reached = near * np.column_stack(
+        [np.cos(first), np.sin(first)]
+    ) + far * np.column_stack([np.cos(second), np.sin(second)])
     return reached + robot.left.axis
 
 
@@ -101,32 +118,48 @@ def largest_torque(evidence: Evidence) -> float:
     return float(np.abs(evidence.torque).max(initial=0.0))
 
 
-def torque_after_death(evidence: Evidence, dead_after: float = DEAD_AFTER) -> tuple[int, list[str]]:
-    """Torque acting although no usable command answers a state of the last ``dead_after`` seconds.
+def torque_after_death(
+    evidence: Evidence, dead_after: float = DEAD_AFTER
+) -> tuple[int, list[str]]:
+    """Torque acting although no usable command answers a state of the last
+    ``dead_after`` seconds.
 
     Returns:
-        How many states had no such command, and a line for each span of them with torque.
+        How many states had no such command, and a line for each span of them with
+        torque.
     """
-    usable = np.sort(evidence.command_stamps[np.isfinite(evidence.command_torque).all(axis=1)])
+    usable = np.sort(
+        evidence.command_stamps[np.isfinite(evidence.command_torque).all(axis=1)]
+    )
     place = np.searchsorted(usable, evidence.stamps, side="right") - 1
     newest = np.where(place >= 0, usable[place] if len(usable) else 0, -(2**62))
-    age = evidence.stamps - evidence.period - newest  # when the torque of this state began to act
+    age = (
+        evidence.stamps - evidence.period - newest
+    )  # when the torque of this state began to act
     dead = age >= dead_after * NANOSECONDS
     bad = dead & (np.abs(evidence.torque).max(axis=1, initial=0.0) > NO_TORQUE)
     lines = [
-        f"{np.abs(evidence.torque[first:last]).max():.3g} N m at {evidence.stamps[first]} ns, "
-        + (f"{age[first] / NANOSECONDS:.3f} s after the last command" if place[first] >= 0 else "without any command")
+        f"{np.abs(evidence.torque[first:last]).max():.3g} N m at"
+        f" {evidence.stamps[first]} ns, "
+        + (
+            f"{age[first] / NANOSECONDS:.3f} s after the last command"
+            if place[first] >= 0
+            else "without any command"
+        )
         for first, last in _spans(bad)
     ]
     return int(dead.sum()), lines
 
 
 def torque_beyond(evidence: Evidence, limit: float) -> tuple[int, list[str]]:
-    """Applied torque beyond the limit or not a number; how many states were looked at, and a line for each span."""
+    """Applied torque beyond the limit or not a number; how many states were looked at,
+    and a line for each span.
+    """
     size = np.abs(evidence.torque).max(axis=1, initial=0.0)
     bad = ~(size <= limit * (1.0 + ROUNDING))
     return len(size), [
-        f"{size[first:last].max():.4g} N m at {evidence.stamps[first]} ns; the limit is {limit:g} N m"
+        f"{size[first:last].max():.4g} N m at {evidence.stamps[first]} ns; the limit is"
+        f" {limit:g} N m"
         for first, last in _spans(bad)
     ]
 
@@ -134,7 +167,8 @@ def torque_beyond(evidence: Evidence, limit: float) -> tuple[int, list[str]]:
 def not_finite(
     stamps: np.ndarray, torque: np.ndarray, bad_stamps: Iterable[int], limit: float
 ) -> tuple[int, list[str]]:
-    """Commands that are not finite or beyond the limit, or answer a state that was not finite with a torque.
+    """Commands that are not finite or beyond the limit, or answer a state that was not
+    finite with a torque.
 
     Args:
         stamps: of the controller's commands, ns, shape (n,).
@@ -147,20 +181,35 @@ def not_finite(
     """
     size = np.abs(torque).max(axis=1, initial=0.0)
     finite = size <= limit * (1.0 + ROUNDING)
-    poisoned = np.isin(stamps, np.fromiter(bad_stamps, dtype=np.int64)) & (size > NO_TORQUE)
-    lines = [f"{torque[row].tolist()} N m at {stamps[row]} ns" for row in np.flatnonzero(~finite)]
-    lines += [f"{torque[row].tolist()} N m answer the bad state of {stamps[row]} ns" for row in np.flatnonzero(poisoned)]
+    poisoned = np.isin(stamps, np.fromiter(bad_stamps, dtype=np.int64)) & (
+        size > NO_TORQUE
+    )
+    lines = [
+        f"{torque[row].tolist()} N m at {stamps[row]} ns"
+        for row in np.flatnonzero(~finite)
+    ]
+    lines += [
+        f"{torque[row].tolist()} N m answer the bad state of {stamps[row]} ns"
+        for row in np.flatnonzero(poisoned)
+    ]
     return len(stamps), lines
 
 
 def paused(times: np.ndarray, limit: float) -> bool:
-    """Whether a publisher was silent for longer than the limit, s; ``times`` of publication, ns, ascending."""
+    """Whether a publisher was silent for longer than the limit, s; ``times`` of
+    publication, ns, ascending.
+    """
     return bool(len(times) > 1 and np.diff(times).max() > limit * NANOSECONDS)
 
 
 def _spans(mask: np.ndarray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]
+    edges = np.flatnonzero(
+        np.diff(np.concatenate([[False], mask, [False]]).astype(int))
+    )
+    return [
+        (int(first), int(last))
+        for first, last in zip(edges[::2], edges[1::2], strict=True)
+    ]
 
 
 @dataclass(frozen=True)
@@ -198,7 +247,9 @@ class Seen:
             return words in self.logs.get(name, "")
         if words:
             return any(words in text for text in self.texts.get(place, ()))
-        return _number(self.after.get(kind, {}).get(name)) > _number(self.before.get(kind, {}).get(name))
+        return _number(self.after.get(kind, {}).get(name)) > _number(
+            self.before.get(kind, {}).get(name)
+        )
 
     def reports(self, wanted: Iterable[str]) -> list[str]:
         """Those ways of reporting that were used."""

@@ -1,7 +1,8 @@
-"""One direction of a faulty transport, driven by the receiver's clock: what arrives, when, and in which shape.
+"""One direction of a faulty transport, driven by the receiver's clock: what arrives,
+when, and in which shape.
 
-It knows no ROS: messages are opaque, time is whatever integer nanoseconds its user counts. From one seed the fate
-of the n-th message is always the same.
+It knows no ROS: messages are opaque, time is whatever integer nanoseconds its user
+counts. From one seed the fate of the n-th message is always the same.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ class Shape(Enum):
     SIZES = "sizes"  # one number for two names
     STAMP_BACK = "stamp_back"  # by STAMP_SHIFT
     STAMP_FUTURE = "stamp_future"  # by STAMP_SHIFT
-    STAMP_EARLY = "stamp_early"  # by STAMP_EARLINESS: hardly after that of the state before
+    STAMP_EARLY = (  # by STAMP_EARLINESS: hardly after that of the state before
+        "stamp_early"
+    )
     STAMP_FROZEN = "stamp_frozen"  # that of the window's first message
     STEP = "step"  # of the first joint's number, by ENCODER_STEP
 
@@ -47,10 +50,12 @@ class Transport:
     Attributes:
         drop: probability that it is lost.
         duplicate: probability that it arrives twice.
-        reorder: probability that it is held back by up to ``reorder_time`` while later ones overtake it.
+        reorder: probability that it is held back by up to ``reorder_time`` while later
+            ones overtake it.
         reorder_time: s.
         delay: of each message, s.
-        jitter: on top of it, evenly distributed up to this, s; messages keep their order.
+        jitter: on top of it, evenly distributed up to this, s; messages keep their
+            order.
     """
 
     drop: float = 0.0
@@ -63,10 +68,15 @@ class Transport:
     def __post_init__(self) -> None:
         for name in ("drop", "duplicate", "reorder"):
             if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ParameterError(f"transport {name} = {getattr(self, name)}; it must lie in [0, 1]")
+                raise ParameterError(
+                    f"transport {name} = {getattr(self, name)}; it must lie in [0, 1]"
+                )
         for name in ("reorder_time", "delay", "jitter"):
             if not 0.0 <= getattr(self, name) <= 10.0:
-                raise ParameterError(f"transport {name} = {getattr(self, name)} s; it must lie in [0, 10]")
+                raise ParameterError(
+                    f"transport {name} = {getattr(self, name)} s; it must lie in"
+                    " [0, 10]"
+                )
 
 
 class Window(NamedTuple):
@@ -99,11 +109,23 @@ class Link(Generic[Item]):
         seed: of all chance.
 
     Attributes:
-        counts: messages sent, delivered, dropped, duplicated, held_back, lost_in_outage and shaped.
+        counts: messages sent, delivered, dropped, duplicated, held_back, lost_in_outage
+            and shaped.
     """
 
     def __init__(self, transport: Transport | None = None, seed: int = 0) -> None:
-        self.counts = dict.fromkeys(("sent", "delivered", "dropped", "duplicated", "held_back", "lost_in_outage", "shaped"), 0)
+        self.counts = dict.fromkeys(
+            (
+                "sent",
+                "delivered",
+                "dropped",
+                "duplicated",
+                "held_back",
+                "lost_in_outage",
+                "shaped",
+            ),
+            0,
+        )
         self._line: list[tuple[int, int, Delivery[Item]]] = []
         self._number = 0
         self._last_due = 0
@@ -112,7 +134,9 @@ class Link(Generic[Item]):
         self.configure(transport or Transport(), seed)
 
     def configure(self, transport: Transport, seed: int) -> None:
-        """Another behaviour from the next message on; what is under way arrives as it was going to."""
+        """Another behaviour from the next message on; what is under way arrives as it
+        was going to.
+        """
         self._transport = transport
         self._random = random.Random(seed)
 
@@ -139,10 +163,20 @@ class Link(Generic[Item]):
     def send(self, time: int, item: Item) -> None:
         """Put in one message at a time, ns."""
         transport, draw, counts = self._transport, self._random.random, self.counts
-        lost, twice, held = draw() < transport.drop, draw() < transport.duplicate, draw() < transport.reorder
-        late, back = draw(), draw()  # always five draws: the fate of the n-th message is its own
+        lost, twice, held = (
+            draw() < transport.drop,
+            draw() < transport.duplicate,
+            draw() < transport.reorder,
+        )
+        late, back = (
+            draw(),
+            draw(),
+        )  # always five draws: the fate of the n-th message is its own
         counts["sent"] += 1
-        window = next((window for window in self._windows if window.begin <= time < window.end), None)
+        window = next(
+            (window for window in self._windows if window.begin <= time < window.end),
+            None,
+        )
         if window is not None and window.shape is Shape.OUTAGE:
             counts["lost_in_outage"] += 1
             return

@@ -1,4 +1,6 @@
-"""The one who watches: every word of the nodes, every sample at the rig, and the services an operator calls."""
+"""The one who watches: every word of the nodes, every sample at the rig, and the
+services an operator calls.
+"""
 
 from __future__ import annotations
 
@@ -45,8 +47,12 @@ class Tap:
         rows: its numbers.
     """
 
-    def __init__(self, node: Any, topic: Topic, template: CdrTemplate, name: str = "") -> None:
-        self._subscription = node.create_polled_subscription(JointState, name or topic.name, qos(topic, depth=HISTORY), raw=True)
+    def __init__(
+        self, node: Any, topic: Topic, template: CdrTemplate, name: str = ""
+    ) -> None:
+        self._subscription = node.create_polled_subscription(
+            JointState, name or topic.name, qos(topic, depth=HISTORY), raw=True
+        )
         self._take = self._subscription.handle.take_message
         self._template = template
         self.stamps: list[int] = []
@@ -81,7 +87,9 @@ class Tap:
 
     def table(self, width: int) -> tuple[np.ndarray, np.ndarray]:
         """(stamps (n,), rows (n, width))."""
-        return np.array(self.stamps, dtype=np.int64), np.array(self.rows).reshape(-1, width)
+        return np.array(self.stamps, dtype=np.int64), np.array(self.rows).reshape(
+            -1, width
+        )
 
 
 class Operator(Node):
@@ -94,7 +102,9 @@ class Operator(Node):
 
     def __init__(self, *, injector: bool, lockstep: bool) -> None:
         self._polled: set[int] = set()
-        super().__init__("operator", enable_rosout=False, start_parameter_services=False)
+        super().__init__(
+            "operator", enable_rosout=False, start_parameter_services=False
+        )
         self.status: dict[str, dict[str, str]] = {}
         self.texts: dict[str, list[str]] = {}
         self.heard: dict[str, float] = {}
@@ -103,9 +113,13 @@ class Operator(Node):
         self.commands = Tap(self, JOINT_COMMANDS, template(JOINT_COMMANDS))
         self.at_rig = self.commands
         if injector:
-            self.at_rig = Tap(self, JOINT_COMMANDS, template(JOINT_COMMANDS), RIG_COMMANDS)
+            self.at_rig = Tap(
+                self, JOINT_COMMANDS, template(JOINT_COMMANDS), RIG_COMMANDS
+            )
         self.criterion = Tap(self, CRITERION, template(CRITERION))
-        self.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS))
+        self.create_subscription(
+            DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS)
+        )
         self._known: dict[tuple[type, str], Any] = {}
         self._polled_at = 0.0
         self._executor = make_executor()
@@ -114,23 +128,33 @@ class Operator(Node):
     @property
     def taps(self) -> list[Tap]:
         """All of them, each once."""
-        return list(dict.fromkeys((self.truth, self.commands, self.at_rig, self.criterion)))
+        return list(
+            dict.fromkeys((self.truth, self.commands, self.at_rig, self.criterion))
+        )
 
     @property
     def subscriptions(self) -> Any:
         """What the executor serves: not the polled ones."""
-        return (entity for entity in super().subscriptions if id(entity) not in self._polled)
+        return (
+            entity for entity in super().subscriptions if id(entity) not in self._polled
+        )
 
-    def create_polled_subscription(self, kind: type, name: str, profile: Any, *, raw: bool) -> Any:
+    def create_polled_subscription(
+        self, kind: type, name: str, profile: Any, *, raw: bool
+    ) -> Any:
         """A subscription that no executor serves."""
-        subscription = self.create_subscription(kind, name, lambda _: None, profile, raw=raw)
+        subscription = self.create_subscription(
+            kind, name, lambda _: None, profile, raw=raw
+        )
         self._polled.add(id(subscription))
         return subscription
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             name = status.name.rpartition("/")[2]
-            values = {item.key: item.value for item in status.values} | {"message": status.message}
+            values = {item.key: item.value for item in status.values} | {
+                "message": status.message
+            }
             self.status[name] = values
             self.heard[name] = time.monotonic()
             for key, value in values.items():
@@ -175,10 +199,16 @@ class Operator(Node):
         return True
 
     def forget(self) -> None:
-        """Samples and words count from here on; the last commands stay, since what is held answers to them."""
+        """Samples and words count from here on; the last commands stay, since what is
+        held answers to them.
+        """
         for tap in self.taps:
             tap.drop(300 if tap in (self.commands, self.at_rig) else 1)
-        self.texts = {f"{name}.{key}": [value] for name, values in self.status.items() for key, value in values.items()}
+        self.texts = {
+            f"{name}.{key}": [value]
+            for name, values in self.status.items()
+            for key, value in values.items()
+        }
 
     def client(self, kind: Any, name: str) -> Any:
         """A client of one service, made once."""
@@ -186,7 +216,9 @@ class Operator(Node):
             self._known[kind, name] = self.create_client(kind, name)
         return self._known[kind, name]
 
-    def call(self, kind: Any, name: str, patience: float = SERVICE_PATIENCE, **fields: Any) -> Any:
+    def call(
+        self, kind: Any, name: str, patience: float = SERVICE_PATIENCE, **fields: Any
+    ) -> Any:
         """The answer of one service.
 
         Raises:
@@ -198,14 +230,23 @@ class Operator(Node):
         future = client.call_async(kind.Request(**fields))
         if not self.until(future.done, patience):
             client.remove_pending_request(future)
-            raise NodesError(f"the service {name} did not answer within {patience:.0f} s")
+            raise NodesError(
+                f"the service {name} did not answer within {patience:.0f} s"
+            )
         return future.result()
 
     def change_parameters(self, node: str, **values: Any) -> list[str]:
-        """Set a node's parameters one by one (``__`` is a dot); why each was refused, empty where it was not."""
-        asked = [parameter(name.replace("__", "."), value) for name, value in values.items()]
+        """Set a node's parameters one by one (``__`` is a dot); why each was refused,
+        empty where it was not.
+        """
+        asked = [
+            parameter(name.replace("__", "."), value) for name, value in values.items()
+        ]
         answer = self.call(SetParameters, f"{node}/set_parameters", parameters=asked)
-        return ["" if result.successful else result.reason or "refused" for result in answer.results]
+        return [
+            "" if result.successful else result.reason or "refused"
+            for result in answer.results
+        ]
 
     def close(self) -> None:
         """Leave the executor and ROS."""
@@ -220,9 +261,13 @@ def parameter(name: str, value: Any) -> ParameterMessage:
     if isinstance(value, bool):
         typed = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=value)
     elif isinstance(value, int):
-        typed = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=value)
+        typed = ParameterValue(
+            type=ParameterType.PARAMETER_INTEGER, integer_value=value
+        )
     elif isinstance(value, str):
         typed = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
     else:
-        typed = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=float(value))
+        typed = ParameterValue(
+            type=ParameterType.PARAMETER_DOUBLE, double_value=float(value)
+        )
     return ParameterMessage(name=name, value=typed)

@@ -1,4 +1,6 @@
-"""A run of faults: sessions as processes, some side by side, their events counted, shown and written."""
+"""A run of faults: sessions as processes, some side by side, their events counted,
+shown and written.
+"""
 
 from __future__ import annotations
 
@@ -74,10 +76,22 @@ class Worker(threading.Thread):
     """
 
     def __init__(
-        self, plan: Plan, folder: Path, config: FaultConfig, seed: int, events: queue.Queue[dict[str, Any] | None], label: str
+        self,
+        plan: Plan,
+        folder: Path,
+        config: FaultConfig,
+        seed: int,
+        events: queue.Queue[dict[str, Any] | None],
+        label: str,
     ) -> None:
         super().__init__(name=label, daemon=True)
-        self._plan, self._folder, self._config, self._seed, self._events = plan, folder, config, seed, events
+        self._plan, self._folder, self._config, self._seed, self._events = (
+            plan,
+            folder,
+            config,
+            seed,
+            events,
+        )
         self._process: subprocess.Popen[str] | None = None
         self._stopped = False
 
@@ -85,16 +99,28 @@ class Worker(threading.Thread):
         """Sessions until nothing is left or a case was begun too often."""
         number = 0
         try:
-            while not self._stopped and (cases := {name: count for name, count in self._plan.left.items() if count > 0}):
+            while not self._stopped and (
+                cases := {
+                    name: count for name, count in self._plan.left.items() if count > 0
+                }
+            ):
                 number += 1
                 first = next(iter(cases))
                 self._plan.tries[first] += 1
                 if self._plan.tries[first] > ATTEMPTS:
-                    self._events.put({"event": "failed", "case": first, "text": f"given up after {ATTEMPTS} sessions"})
+                    self._events.put(
+                        {
+                            "event": "failed",
+                            "case": first,
+                            "text": f"given up after {ATTEMPTS} sessions",
+                        }
+                    )
                     self._plan.left[first] = 0
                     continue
                 with self._network() as link:
-                    self._session(self._folder / f"{self.name}-{number}", cases, link, number)
+                    self._session(
+                        self._folder / f"{self.name}-{number}", cases, link, number
+                    )
         except (LinkError, NodesError) as error:
             self._events.put({"event": "failed", "case": "", "text": str(error)})
         finally:
@@ -108,27 +134,41 @@ class Worker(threading.Thread):
         with FaultyLink(seed=self._seed) as link:
             yield link
 
-    def _session(self, folder: Path, cases: dict[str, int], link: FaultyLink | None, number: int) -> None:
+    def _session(
+        self, folder: Path, cases: dict[str, int], link: FaultyLink | None, number: int
+    ) -> None:
         folder.mkdir(parents=True)
         kind = self._plan.kind
         request = Request(
-            str(folder), "lockstep" if kind == "lockstep" else "realtime", cases, self._config.model_dump(),
-            self._seed + 1000 * number, injector=kind == "lockstep", record=kind == "realtime",
+            str(folder),
+            "lockstep" if kind == "lockstep" else "realtime",
+            cases,
+            self._config.model_dump(),
+            self._seed + 1000 * number,
+            injector=kind == "lockstep",
+            record=kind == "realtime",
             prefix={"controller": link.inside("b")} if link is not None else {},
-        )  # fmt: skip
+        )
         command = [sys.executable, "-m", "dextar_control.experiments.faults.session"]
         environment = os.environ if link is None else link.environment()
         domain = str(random.SystemRandom().choice(DOMAINS))
         with (folder / "session.log").open("wb") as log:
             options: dict[str, Any] = {
-                "stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": log, "text": True,
+                "stdin": subprocess.PIPE,
+                "stdout": subprocess.PIPE,
+                "stderr": log,
+                "text": True,
                 "env": {**environment, "ROS_DOMAIN_ID": domain},
-                "start_new_session": True,  # signals to this process's group would reach it twice
-            }  # fmt: skip
+                "start_new_session": (
+                    True
+                ),  # signals to this process's group would reach it twice
+            }
             if link is not None:
                 self._process = link.popen("a", command, **options)
             else:
-                self._process = subprocess.Popen(command, preexec_fn=end_with_parent, **options)
+                self._process = subprocess.Popen(
+                    command, preexec_fn=end_with_parent, **options
+                )
             if self._stopped:  # while it was being started
                 self.stop()
             with contextlib.suppress(BrokenPipeError):  # it ended at once
@@ -147,9 +187,19 @@ class Worker(threading.Thread):
                 self._events.put(event)
             code = self._process.wait()
         if code and not failed and not self._stopped:
-            words = (folder / "session.log").read_text(errors="replace").strip().splitlines()
-            text = f"the session ended with code {code}: {(words or ['nothing was said'])[-1]}"
-            self._events.put({"event": "failed", "case": next(iter(cases)), "text": text})
+            words = (
+                (folder / "session.log")
+                .read_text(errors="replace")
+                .strip()
+                .splitlines()
+            )
+            text = (
+                f"the session ended with code {code}:"
+                f" {(words or ['nothing was said'])[-1]}"
+            )
+            self._events.put(
+                {"event": "failed", "case": next(iter(cases)), "text": text}
+            )
 
     def _write(self, line: str) -> None:
         assert self._process is not None and self._process.stdin is not None
@@ -174,7 +224,9 @@ def _apply(link: FaultyLink, quality: dict[str, float]) -> dict[str, int]:
     return {key: sum(counts[key] for counts in both) for key in both[0]}
 
 
-def select(config: FaultConfig, names: Sequence[str], count: int | None, quick: bool) -> dict[str, int]:
+def select(
+    config: FaultConfig, names: Sequence[str], count: int | None, quick: bool
+) -> dict[str, int]:
     """How many crossings of which case.
 
     Args:
@@ -190,25 +242,41 @@ def select(config: FaultConfig, names: Sequence[str], count: int | None, quick: 
     if names:
         chosen = {}
         for name in names:
-            found = [case for case in config.cases if case == name] or [case for case in config.cases if case.startswith(name)]
+            found = [case for case in config.cases if case == name] or [
+                case for case in config.cases if case.startswith(name)
+            ]
             if not found:
-                raise ParameterError(f"unknown case '{name}'; known are: {', '.join(config.cases)}")
+                raise ParameterError(
+                    f"unknown case '{name}'; known are: {', '.join(config.cases)}"
+                )
             chosen |= dict.fromkeys(found)
-    wanted = {name: config.cases[name].quick if quick else config.cases[name].crossings for name in chosen}
+    wanted = {
+        name: config.cases[name].quick if quick else config.cases[name].crossings
+        for name in chosen
+    }
     return {name: count or number for name, number in wanted.items() if number}
 
 
 def plans(config: FaultConfig, counts: dict[str, int], jobs: int) -> list[list[Plan]]:
-    """Plans that run side by side, one group after the other: the machine's noise matters in real time only."""
+    """Plans that run side by side, one group after the other: the machine's noise
+    matters in real time only.
+    """
     kinds: dict[str, dict[str, int]] = {"lockstep": {}, "realtime": {}, "network": {}}
     for name, count in counts.items():
         case = config.cases[name]
         kinds["network" if case.kind == "network" else case.clock][name] = count
     shares: list[dict[str, int]] = [{} for _ in range(jobs)]
-    for name, count in sorted(kinds["lockstep"].items(), key=lambda item: -_cost(config, *item)):
-        min(shares, key=lambda share: sum(_cost(config, *item) for item in share.items()))[name] = count
+    for name, count in sorted(
+        kinds["lockstep"].items(), key=lambda item: -_cost(config, *item)
+    ):
+        min(
+            shares,
+            key=lambda share: sum(_cost(config, *item) for item in share.items()),
+        )[name] = count
     groups = [[Plan("lockstep", share) for share in shares if share]]
-    groups += [[Plan(kind, kinds[kind])] for kind in ("realtime", "network") if kinds[kind]]
+    groups += [
+        [Plan(kind, kinds[kind])] for kind in ("realtime", "network") if kinds[kind]
+    ]
     return [group for group in groups if group]
 
 
@@ -218,7 +286,14 @@ def _cost(config: FaultConfig, name: str, count: int) -> float:
 
 
 def run_faults(
-    *, config_path: Path | None, names: Sequence[str], seed: int | None, count: int | None, quick: bool, jobs: int, output: Path
+    *,
+    config_path: Path | None,
+    names: Sequence[str],
+    seed: int | None,
+    count: int | None,
+    quick: bool,
+    jobs: int,
+    output: Path,
 ) -> int:
     """Try the faults, print the table, write the folder; the exit code.
 
@@ -233,16 +308,30 @@ def run_faults(
     counts = select(config, names, count, quick)
     folder = _make_folder(output)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    console.print(f"{sum(counts.values())} faulted crossings of {len(counts)} cases, seed {seed}, into {folder}", soft_wrap=True)
+    console.print(
+        f"{sum(counts.values())} faulted crossings of {len(counts)} cases, seed {seed},"
+        f" into {folder}",
+        soft_wrap=True,
+    )
     summary = Summary.of(config, list(counts))
     begun = time.monotonic()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
     interrupted: KeyboardInterrupt | None = None
-    with (folder / "events.jsonl").open("w", encoding="utf-8") as record, Steps(*columns, console=console) as progress:
+    with (
+        (folder / "events.jsonl").open("w", encoding="utf-8") as record,
+        Steps(*columns, console=console) as progress,
+    ):
         whole = progress.add_task("faulted crossings", total=sum(counts.values()))
         try:
             for index, group in enumerate(plans(config, counts, jobs)):
-                with contextlib.closing(_run_group(group, folder, config, seed, index, progress)) as events:
+                with contextlib.closing(
+                    _run_group(group, folder, config, seed, index, progress)
+                ) as events:
                     for event in events:
                         record.write(json.dumps(event) + "\n")
                         summary.take(event)
@@ -255,23 +344,41 @@ def run_faults(
         console.print(table)
     for line in summary.troubles():
         console.print(line, style="bold")
-    console.print(f"{folder}: faults.md faults.json faults.png events.jsonl and each session's logs", soft_wrap=True)
+    console.print(
+        f"{folder}: faults.md faults.json faults.png events.jsonl and each session's"
+        " logs",
+        soft_wrap=True,
+    )
     if interrupted is not None:
         raise interrupted
     return 0 if summary.good else 1
 
 
 def _run_group(
-    group: list[Plan], folder: Path, config: FaultConfig, seed: int, index: int, progress: Steps
+    group: list[Plan],
+    folder: Path,
+    config: FaultConfig,
+    seed: int,
+    index: int,
+    progress: Steps,
 ) -> Generator[dict[str, Any], None, None]:
     events: queue.Queue[dict[str, Any] | None] = queue.Queue()
     workers = [
-        Worker(plan, folder, config, seed + 100_000 * (10 * index + place), events, f"{plan.kind}-{place + 1}")
+        Worker(
+            plan,
+            folder,
+            config,
+            seed + 100_000 * (10 * index + place),
+            events,
+            f"{plan.kind}-{place + 1}",
+        )
         for place, plan in enumerate(group)
     ]
     bars: dict[str, tuple[str, TaskID]] = {}
     for plan in group:
-        bar = progress.add_task(f"  {plan.kind}: starting the nodes", total=sum(plan.cases.values()))
+        bar = progress.add_task(
+            f"  {plan.kind}: starting the nodes", total=sum(plan.cases.values())
+        )
         bars.update(dict.fromkeys(plan.cases, (plan.kind, bar)))
     running = len(workers)
     try:
@@ -285,7 +392,10 @@ def _run_group(
             if event.get("case") in bars:
                 kind, bar = bars[event["case"]]
                 if event["event"] == "start":
-                    progress.update(bar, description=f"  {kind}: {config.cases[event['case']].title}")
+                    progress.update(
+                        bar,
+                        description=f"  {kind}: {config.cases[event['case']].title}",
+                    )
                 elif event["event"] == "record":
                     progress.advance(bar)
             yield event
@@ -304,15 +414,22 @@ def _make_folder(output: Path) -> Path:
     try:
         folder.mkdir(parents=True)
     except OSError as error:
-        raise BagError(f"folder {folder} cannot be made: {error.strerror}; name another with --output") from error
+        raise BagError(
+            f"folder {folder} cannot be made: {error.strerror}; name another with"
+            " --output"
+        ) from error
     return folder
 
 
 def _write(folder: Path, summary: Summary, config: FaultConfig, seed: int) -> None:
     data = {"seed": seed, **summary.to_dict()}
-    (folder / "faults.json").write_text(json.dumps(as_plain(data), indent=1) + "\n", encoding="utf-8")
+    (folder / "faults.json").write_text(
+        json.dumps(as_plain(data), indent=1) + "\n", encoding="utf-8"
+    )
     (folder / "faults.md").write_text(summary.markdown(), encoding="utf-8")
-    (folder / "cases.yaml").write_text(dump_document(config.model_dump()), encoding="utf-8")
+    (folder / "cases.yaml").write_text(
+        dump_document(config.model_dump()), encoding="utf-8"
+    )
     if summary.rows():
         timeout = float(node_defaults("plant")["command_timeout"])
         draw(summary, timeout).savefig(folder / "faults.png", dpi=RESOLUTION)

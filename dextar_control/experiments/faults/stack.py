@@ -1,4 +1,6 @@
-"""The nodes that faults are done to, the recorder among them, and what an operator does to have the robot back."""
+"""The nodes that faults are done to, the recorder among them, and what an operator does
+to have the robot back.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,8 @@ class Request:
         record: whether a recorder runs beside.
         prefix: command words before a node's own, by name.
         plant: further parameters of the plant, NAME:=VALUE.
-        modules: run in the place of a node's own, by name: another driver or controller.
+        modules: run in the place of a node's own, by name: another driver or
+            controller.
     """
 
     folder: str
@@ -77,29 +80,53 @@ class Stack:
         self.config = validate(FaultConfig, request.config, "cases")
         self.lockstep = request.clock == "lockstep"
         self.bags = 0
-        self.processes = Processes(self.folder, self._arguments(), request.prefix, request.modules)
+        self.processes = Processes(
+            self.folder, self._arguments(), request.prefix, request.modules
+        )
         self.answers: list[str] = []
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.operator = Operator(injector=request.injector, lockstep=self.lockstep)
 
     def _arguments(self) -> dict[str, list[str]]:
-        common = ["--params-file", str(config_file(ROBOT_FILE)), "--params-file", str(config_file(NODES_FILE))]
+        common = [
+            "--params-file",
+            str(config_file(ROBOT_FILE)),
+            "--params-file",
+            str(config_file(NODES_FILE)),
+        ]
         trip = self.config.trip
         values = {
-            "plant": [assignment("mode", self.request.clock), assignment("real_time_factor", 0.0),
-                      assignment("start_paused", True), *self.request.plant],
+            "plant": [
+                assignment("mode", self.request.clock),
+                assignment("real_time_factor", 0.0),
+                assignment("start_paused", True),
+                *self.request.plant,
+            ],
             "controller": [assignment("lockstep", self.lockstep)],
-            "trajectory_server": [assignment("duration", trip.duration), assignment("dwell", trip.dwell)],
+            "trajectory_server": [
+                assignment("duration", trip.duration),
+                assignment("dwell", trip.dwell),
+            ],
             "recorder": [assignment("reliable", self.lockstep)],
         }
-        remap = [part for rule in REMAPPINGS for part in ("-r", rule)] if self.request.injector else []
+        remap = (
+            [part for rule in REMAPPINGS for part in ("-r", rule)]
+            if self.request.injector
+            else []
+        )
         return {
-            name: [*common, *(part for value in own for part in ("-p", f"{name}:{value}")), *(remap if name == "plant" else [])]
+            name: [
+                *common,
+                *(part for value in own for part in ("-p", f"{name}:{value}")),
+                *(remap if name == "plant" else []),
+            ]
             for name, own in values.items()
         }
 
     def bag(self) -> Path:
-        """Path of the next recording, in a folder of its own: a bag's metadata belong to it alone."""
+        """Path of the next recording, in a folder of its own: a bag's metadata belong
+        to it alone.
+        """
         self.bags += 1
         path = self._bag_path()
         path.parent.mkdir()
@@ -112,10 +139,21 @@ class Stack:
         """Path of the recording under way."""
         return self._bag_path() if self.bags else None
 
-    def start_recorder(self, *, wrap: Sequence[str] = (), path: Path | None = None, limit: Any = None, **more: str) -> Path:
+    def start_recorder(
+        self,
+        *,
+        wrap: Sequence[str] = (),
+        path: Path | None = None,
+        limit: Any = None,
+        **more: str,
+    ) -> Path:
         """Start the recorder; its bag."""
         path = path or self.bag()
-        extra = [part for item in {"output": path, **more}.items() for part in ("-p", f"recorder:{assignment(*item)}")]
+        extra = [
+            part
+            for item in {"output": path, **more}.items()
+            for part in ("-p", f"recorder:{assignment(*item)}")
+        ]
         self.processes.start("recorder", extra, wrap, limit)
         return path
 
@@ -136,37 +174,54 @@ class Stack:
 
         if not self.operator.until(ready, START_TIMEOUT):
             heard = ", ".join(sorted(self.operator.status)) or "none"
-            raise NodesError(f"the nodes were not ready within {START_TIMEOUT:.0f} s; heard of: {heard}")
+            raise NodesError(
+                f"the nodes were not ready within {START_TIMEOUT:.0f} s; heard of:"
+                f" {heard}"
+            )
         self.operator.call(SetBool, "plant/pause", data=False)
         if not self.recover():
-            raise NodesError(f"the controller does not hold: {self.operator.get('controller', 'reason')}")
+            raise NodesError(
+                "the controller does not hold:"
+                f" {self.operator.get('controller', 'reason')}"
+            )
 
     def holding(self) -> bool:
         """Whether the controller says, and its answers show, that it holds."""
-        return self.operator.get("controller", "phase") == Phase.HOLD.name and self.operator.phase == Phase.HOLD
+        return (
+            self.operator.get("controller", "phase") == Phase.HOLD.name
+            and self.operator.phase == Phase.HOLD
+        )
 
     def recover(self, *, disable: bool = False) -> bool:
-        """What an operator does: side told, reset, the robot back to its start, enable; whether it then holds.
+        """What an operator does: side told, reset, the robot back to its start, enable;
+        whether it then holds.
 
-        The drives take commands again once one commander alone has spoken for a while, whoever the middleware still
-        counts as publisher: that is waited for.
+        The drives take commands again once one commander alone has spoken for a while,
+        whoever the middleware still counts as publisher: that is waited for.
 
         Args:
-            disable: also a robot that holds, because its controller does not know the side.
+            disable: also a robot that holds, because its controller does not know the
+                side.
         """
         operator = self.operator
         if operator.injector is not None:
             operator.injector.clear()
             for link in (operator.injector.states, operator.injector.commands):
                 link.configure(Transport(), 0)
-        operator.until(lambda: operator.get("plant", "commands_taken") != "False", LEASE_PATIENCE)
+        operator.until(
+            lambda: operator.get("plant", "commands_taken") != "False", LEASE_PATIENCE
+        )
         if disable:
             operator.call(SetBool, "controller/enable", data=False)
             operator.until(lambda: not self.holding(), 1.0)
         deadline = time.monotonic() + RECOVERY_PATIENCE
-        while not operator.until(self.holding, HOLD_WAIT) and time.monotonic() < deadline:
+        while (
+            not operator.until(self.holding, HOLD_WAIT) and time.monotonic() < deadline
+        ):
             operator.change_parameters("controller", assembly_mode=1)
-            operator.call(Trigger, "controller/reset")  # first: a safe stop that brakes would push the robot from its start
+            operator.call(
+                Trigger, "controller/reset"
+            )  # first: a safe stop that brakes would push the robot from its start
             operator.call(Trigger, "plant/reset")
             self.linger(HOLD_WAIT)
             operator.change_parameters("controller", assembly_mode=1)
@@ -182,7 +237,10 @@ class Stack:
         if name == "recorder":
             bag = self.start_recorder()
         else:
-            self.processes.start(name, ["-p", "controller:enabled:=false"] if name == "controller" else [])
+            self.processes.start(
+                name,
+                ["-p", "controller:enabled:=false"] if name == "controller" else [],
+            )
         if name == "plant" and operator.injector is not None:
             operator.injector.forget_rig()
 
@@ -190,7 +248,9 @@ class Stack:
             self.processes.check()
             if bag is not None and not bag.exists():
                 return False
-            return name in operator.status and (name != "trajectory_server" or bool(operator.get(name, "crossings")))
+            return name in operator.status and (
+                name != "trajectory_server" or bool(operator.get(name, "crossings"))
+            )
 
         if not operator.until(ready, START_TIMEOUT):
             raise NodesError(f"{name} did not come back within {START_TIMEOUT:.0f} s")

@@ -1,4 +1,6 @@
-"""The faulted crossings counted: by case, outcome, place and who reported; as a table to read and as numbers."""
+"""The faulted crossings counted: by case, outcome, place and who reported; as a table
+to read and as numbers.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,15 @@ from rich.table import Table
 from dextar_control.experiments.faults.cases import FaultConfig
 from dextar_control.experiments.faults.judgement import Check, Outcome
 
-HEAD = ("fault", "where in the crossing", "expected", "outcome", "true error, max (mm)", "reported by", "count")
+HEAD = (
+    "fault",
+    "where in the crossing",
+    "expected",
+    "outcome",
+    "true error, max (mm)",
+    "reported by",
+    "count",
+)
 
 
 @dataclass
@@ -27,7 +37,8 @@ class CaseCount:
         places: how often the fault began there.
         reported: how often each way of reporting was seen.
         unexpected: outcomes that may not be, robots that did not come back, failures.
-        worst_error: largest true distance from the reference in a crossing that was completed, m; nan without one.
+        worst_error: largest true distance from the reference in a crossing that was
+            completed, m; nan without one.
         curves: torque (N m) over time (s) after a commander's death.
     """
 
@@ -44,15 +55,24 @@ class CaseCount:
     @property
     def count(self) -> int:
         """Faulted crossings that count: not those that the machine disturbed."""
-        return sum(count for outcome, count in self.outcomes.items() if outcome != Outcome.DISTURBED.value)
+        return sum(
+            count
+            for outcome, count in self.outcomes.items()
+            if outcome != Outcome.DISTURBED.value
+        )
 
     def cells(self) -> list[str]:
         """The row of the table, in the order of ``HEAD``."""
         error = "" if math.isnan(self.worst_error) else f"{1e3 * self.worst_error:.3g}"
         return [
-            self.title, _counted(self.places), ", ".join(self.expected), _counted(self.outcomes), error,
-            _counted(self.reported) or "nobody needs to", str(self.count),
-        ]  # fmt: skip
+            self.title,
+            _counted(self.places),
+            ", ".join(self.expected),
+            _counted(self.outcomes),
+            error,
+            _counted(self.reported) or "nobody needs to",
+            str(self.count),
+        ]
 
 
 @dataclass
@@ -78,7 +98,14 @@ class Summary:
     @classmethod
     def of(cls, config: FaultConfig, names: Sequence[str]) -> Summary:
         """An empty one for these cases."""
-        return cls({name: CaseCount(name, config.cases[name].title, tuple(config.cases[name].expect)) for name in names})
+        return cls(
+            {
+                name: CaseCount(
+                    name, config.cases[name].title, tuple(config.cases[name].expect)
+                )
+                for name in names
+            }
+        )
 
     @property
     def count(self) -> int:
@@ -88,7 +115,11 @@ class Summary:
     @property
     def good(self) -> bool:
         """Nothing happened that never must, and nothing that was not expected."""
-        return not (self.violations or self.failures or any(case.unexpected for case in self.cases.values()))
+        return not (
+            self.violations
+            or self.failures
+            or any(case.unexpected for case in self.cases.values())
+        )
 
     def take(self, event: Mapping[str, Any]) -> None:
         """Count one event of a session."""
@@ -99,7 +130,11 @@ class Summary:
             self.looked.update(event["looked"])
             self.violations += [(check, text) for check, text in event["violations"]]
         elif kind == "failed":
-            self.failures.append(f"{self.cases[name].title}: {event['text']}" if name in self.cases else event["text"])
+            self.failures.append(
+                f"{self.cases[name].title}: {event['text']}"
+                if name in self.cases
+                else event["text"]
+            )
         elif kind == "note":
             self.notes.append(f"{self.cases[name].title}: {event['text']}")
 
@@ -110,34 +145,57 @@ class Summary:
         case.places[record["where"]] += 1
         case.reported.update(record["reported"])
         error = record.get("true_error")
-        if error is not None and not math.isnan(error) and outcome in (Outcome.CROSSED.value, Outcome.REFUSED.value):
-            case.worst_error = error if math.isnan(case.worst_error) else max(case.worst_error, error)
+        if (
+            error is not None
+            and not math.isnan(error)
+            and outcome in (Outcome.CROSSED.value, Outcome.REFUSED.value)
+        ):
+            case.worst_error = (
+                error if math.isnan(case.worst_error) else max(case.worst_error, error)
+            )
         if record.get("curve"):
             case.curves.append(record["curve"])
         where = f"{1e3 * record['offset']:+.0f} ms from the crossing"
         if not record["expected"]:
-            case.unexpected.append(f"{outcome}, {where}: {record['reason'] or 'no reason given'}")
+            case.unexpected.append(
+                f"{outcome}, {where}: {record['reason'] or 'no reason given'}"
+            )
         if not record["recovered"]:
             case.unexpected.append(f"not brought back to HOLD after {outcome}, {where}")
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data."""
         return {
-            "crossings": self.count, "good": self.good, "seconds": self.seconds, "failures": self.failures, "notes": self.notes,
+            "crossings": self.count,
+            "good": self.good,
+            "seconds": self.seconds,
+            "failures": self.failures,
+            "notes": self.notes,
             "never": {
-                check.value: {"looked": self.looked[check.value],
-                              "violations": [text for name, text in self.violations if name == check.value]}
+                check.value: {
+                    "looked": self.looked[check.value],
+                    "violations": [
+                        text for name, text in self.violations if name == check.value
+                    ],
+                }
                 for check in Check
             },
             "cases": {
                 case.name: {
-                    "title": case.title, "expected": list(case.expected), "outcomes": dict(case.outcomes),
-                    "where": dict(case.places), "reported": dict(case.reported), "unexpected": case.unexpected,
-                    "worst_true_error": None if math.isnan(case.worst_error) else case.worst_error, "count": case.count,
+                    "title": case.title,
+                    "expected": list(case.expected),
+                    "outcomes": dict(case.outcomes),
+                    "where": dict(case.places),
+                    "reported": dict(case.reported),
+                    "unexpected": case.unexpected,
+                    "worst_true_error": (
+                        None if math.isnan(case.worst_error) else case.worst_error
+                    ),
+                    "count": case.count,
                 }
                 for case in self.cases.values()
             },
-        }  # fmt: skip
+        }
 
     def rows(self) -> list[list[str]]:
         """Of the cases that were tried."""
@@ -146,14 +204,26 @@ class Summary:
     def never_rows(self) -> list[list[str]]:
         """Of the checks: name, looked at, happened."""
         happened = Counter(check for check, _ in self.violations)
-        return [[check.value, str(self.looked[check.value]), str(happened[check.value])] for check in Check]
+        return [
+            [check.value, str(self.looked[check.value]), str(happened[check.value])]
+            for check in Check
+        ]
 
     def tables(self) -> list[Table]:
         """For the terminal."""
         shown = (0, 3, 5, 6)  # the others stand in the file
-        cases = Table(*(HEAD[column] for column in shown), title=f"{self.count} faulted crossings")
-        for row, case in zip(self.rows(), [case for case in self.cases.values() if case.outcomes], strict=True):
-            cases.add_row(*(row[column] for column in shown), style="bold" if case.unexpected else None)
+        cases = Table(
+            *(HEAD[column] for column in shown), title=f"{self.count} faulted crossings"
+        )
+        for row, case in zip(
+            self.rows(),
+            [case for case in self.cases.values() if case.outcomes],
+            strict=True,
+        ):
+            cases.add_row(
+                *(row[column] for column in shown),
+                style="bold" if case.unexpected else None,
+            )
         never = Table("must never happen", "looked at", "happened")
         for row in self.never_rows():
             never.add_row(*row, style="bold" if row[2] != "0" else None)
@@ -162,14 +232,28 @@ class Summary:
     def troubles(self) -> list[str]:
         """Lines about what should not have been."""
         lines = [f"{check}: {text}" for check, text in self.violations]
-        lines += [f"{case.title}: {text}" for case in self.cases.values() for text in case.unexpected]
+        lines += [
+            f"{case.title}: {text}"
+            for case in self.cases.values()
+            for text in case.unexpected
+        ]
         return [*lines, *self.failures]
 
     def markdown(self) -> str:
         """For a file or a README."""
-        lines = [f"{self.count} faulted crossings in {self.seconds:.0f} s.", "", *_markdown(HEAD, self.rows()), ""]
-        lines += _markdown(("must never happen", "looked at", "happened"), self.never_rows())
-        for title, texts in (("Not as expected", self.troubles()), ("Notes", self.notes)):
+        lines = [
+            f"{self.count} faulted crossings in {self.seconds:.0f} s.",
+            "",
+            *_markdown(HEAD, self.rows()),
+            "",
+        ]
+        lines += _markdown(
+            ("must never happen", "looked at", "happened"), self.never_rows()
+        )
+        for title, texts in (
+            ("Not as expected", self.troubles()),
+            ("Notes", self.notes),
+        ):
             if texts:
                 lines += ["", f"{title}:", "", *(f"- {text}" for text in texts)]
         return "\n".join(lines) + "\n"
@@ -181,4 +265,7 @@ def _counted(counter: Counter[str]) -> str:
 
 def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     table = [head, ["---"] * len(head), *rows]
-    return ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in table]
+    return [
+        "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
+        for row in table
+    ]
