@@ -94,7 +94,7 @@ def _acceleration(
     push: Terms,
     legs: list[Terms],
     shared: Terms,
-) -> tuple[Term, Term, Term]:
+) -> tuple[ca.SX, ca.SX, ca.SX]:
     """z_ddot and the least |sin delta| of the legs outside the coordinates.
 
     Args:
@@ -223,7 +223,7 @@ def _substep(
     h: Term,
     legs: list[Terms],
     shared: Terms,
-) -> tuple[Terms, Terms, Term]:
+) -> tuple[list[ca.SX], list[ca.SX], ca.SX]:
     """One Runge-Kutta step of fourth order: coordinates, rates, and the least |sin
     delta| met.
     """
@@ -257,7 +257,7 @@ def _substep(
 
 def _placed(
     z: Terms, z_dot: Terms, chart: int, sides: Terms, joints: Terms, legs: list[Terms]
-) -> tuple[Terms, Terms, Terms, Term]:
+) -> tuple[list[ca.SX], list[ca.SX], list[ca.SX], ca.SX]:
     """Platform (x, y, x_dot, y_dot), joints beside the turns they had, their rates, and
     the least |sin delta|.
     """

@@ -450,7 +450,7 @@ def _watches(
     ]
 
 
-def _zeros(fields: Any) -> dict[str, float]:
+def _zeros(fields: Any) -> dict[str, float | Floats]:
     return dict.fromkeys((one.name for one in fields), 0.0)
 
 

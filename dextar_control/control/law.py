@@ -41,14 +41,14 @@ of one.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 
 from dextar_control.contract.settings import Law
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.estimation.transmission import LEAST_INERTIA
-from dextar_control.mechanisms.mechanism import Mechanism
+from dextar_control.mechanisms.mechanism import Mechanism, Values
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
 from dextar_control.model.model import equations_of
@@ -160,7 +160,12 @@ def joint_feedback(planned: Equations, a: Symbol, weight: Symbol) -> Symbol:
 
 
 def within_reach(
-    mechanism: Mechanism, p: Any, x: Symbol, x_dot: Symbol, u: Symbol, frequency: Symbol
+    mechanism: Mechanism,
+    p: Values,
+    x: Symbol,
+    x_dot: Symbol,
+    u: Symbol,
+    frequency: Symbol,
 ) -> Symbol:
     """u (n,), changed as little as keeps each leg from Type 1, behind which nothing of
     it is known: a control barrier function.

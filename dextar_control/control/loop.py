@@ -106,11 +106,8 @@ class ControlLoop:
         self._offset = (
             np.array(robot.encoder_offset) if any(robot.encoder_offset) else None
         )
-        self._answer, self._integral, self._q_a = (
-            self._output.tau,
-            np.zeros(n),
-            np.zeros(n),
-        )
+        self._answer: Array = self._output.tau
+        self._integral, self._q_a = np.zeros(n), np.zeros(n)
         self._given = {
             "dt": np.zeros(1),
             "limit": np.zeros(1),
@@ -544,7 +541,8 @@ class ControlLoop:
         else:
             self._servo(reference_time, dt)
         self.tick = Tick(time, reference_time, self.phase, self._frame)
-        return self._answer.copy()
+        answer: Array = self._answer.copy()
+        return answer
 
     def _begin(
         self,

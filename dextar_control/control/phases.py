@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dextar_control.control.law import OUTPUT
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.symbols.record import Layout, Record
-from dextar_control.symbols.types import Array
+from dextar_control.symbols.types import Array, Slice
 
 
 class Phase(IntEnum):
@@ -31,7 +31,7 @@ MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
 
 @lru_cache
-def frame_of(n: int) -> dict[str, tuple[slice, Layout]]:
+def frame_of(n: int) -> dict[str, tuple[Slice, Layout]]:
     """Where reference, estimate and output of one sample lie beside each other, for n
     degrees of freedom.
     """
@@ -87,30 +87,20 @@ class Frame:
     )
 
 
-@lru_cache
-def _place(n: int, part: str, field: str) -> slice | int:
-    """Of one field in a frame."""
-    within, layout = frame_of(n)[part]
-    place, shape = layout.places[field]
-    return (
-        within.start + place
-        if shape is None
-        else slice(within.start + place.start, within.start + place.stop)
-    )
-
-
 def indices_of(n: int, *fields: str) -> NDArray[np.int64]:
     """Where the numbers of these fields, each PART.NAME, lie in a frame, in this
     order.
     """
-    every = np.arange(max(place.stop for place, _ in frame_of(n).values()))
-    return np.concatenate(
-        [np.atleast_1d(every[_place(n, *field.split("."))]) for field in fields]
-    )
+    every = np.arange(max(within.stop for within, _ in frame_of(n).values()))
+    found = []
+    for part, name in (field.split(".") for field in fields):
+        within, layout = frame_of(n)[part]
+        found.append(np.atleast_1d(every[within][layout.places[name][0]]))
+    return np.concatenate(found)
 
 
 def _field(part: str, name: str, doc: str) -> property:
-    return property(lambda self: self.numbers[_place(self.n, part, name)], doc=doc)
+    return property(lambda self: getattr(self._part(part), name), doc=doc)
 
 
 class Tick(Frame):

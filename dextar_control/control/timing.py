@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dextar_control.symbols.types import Array
+
 
 class Regularity(NamedTuple):
     """Of the intervals in a window; nan without any.
@@ -44,7 +46,7 @@ class Window:
         self._found = 0, Regularity(math.nan, math.nan, math.nan, math.nan)
 
     @property
-    def numbers(self) -> np.ndarray:
+    def numbers(self) -> Array:
         """(n,), in no particular order."""
         return self._numbers[: min(self._count, len(self._numbers))]
 

@@ -17,7 +17,6 @@ joint error along t_s and, at folded points, does not exist. The precautions:
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -30,7 +29,13 @@ from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.model import Model, equations_of
-from dextar_control.symbols.functions import Library, cache_folder, in_place, named
+from dextar_control.symbols.functions import (
+    Fast,
+    Library,
+    cache_folder,
+    in_place,
+    named,
+)
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.singular import singular_vectors
 from dextar_control.symbols.smooth import smooth_step
@@ -240,7 +245,7 @@ class DirectEstimator:
         self.mode_known = self.mode_known and not crossing
         self._memory.q_ref, self._memory.q_ref_dot = self._memory.q, 0.0
 
-    def _take(self, step: Any, dt: float, q_a: Array) -> None:
+    def _take(self, step: Fast, dt: float, q_a: Array) -> None:
         given = step.arguments
         given.q_meas[:] = q_a
         given.dt[0], given.bandwidth[0], given.assembly_mode[0] = (

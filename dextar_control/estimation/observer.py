@@ -7,15 +7,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dextar_control.estimation.belief import CERTAIN, DOUBT_S, Belief, log_odds_of_side
 from dextar_control.estimation.filters import FILTER, NOISE, TOLD, filters_of
 from dextar_control.estimation.records import ESTIMATE
 from dextar_control.model.model import Model
-from dextar_control.symbols.functions import Fast
+from dextar_control.symbols.functions import Fast, Results
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
@@ -171,10 +172,10 @@ class Observer:
         self,
         name: str,
         state: Record,
-        *arguments: Any,
+        *arguments: ArrayLike,
         noise: Record | None = None,
         p: Array | None = None,
-    ) -> Any:
+    ) -> Results:
         """One of the filter's steps on a state, which is changed; its other results."""
         fast = self._steps[name]
         given = fast.arguments

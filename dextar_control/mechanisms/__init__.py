@@ -1,7 +1,6 @@
 """Mechanisms: the only place that knows a length, an elbow or a working mode."""
 
 from collections.abc import Mapping
-from typing import Any
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.mechanisms.five_bar import DetailedFiveBar, FiveBar
@@ -17,7 +16,7 @@ MECHANISMS: dict[str, Mechanism] = {
 DETAILED_FIVE_BAR = DetailedFiveBar()
 
 
-def five_bar_of(values: Mapping[str, Any]) -> Mechanism:
+def five_bar_of(values: Mapping[str, object]) -> Mechanism:
     """The five-bar of these values: with friction of its passive joints and elastic
     transmissions where there is some.
     """

@@ -8,14 +8,12 @@ e_i + l1 u_i, u_i = (cos q_i, sin q_i), to the end effector x, |x - P_i| = l2.
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 
 from dextar_control.mechanisms.bodies import Bodies, Pin
 from dextar_control.mechanisms.five_bar_locus import LEAST_CHORD, SIDES, FiveBarLocus
-from dextar_control.mechanisms.mechanism import Coordinate, Parameter
+from dextar_control.mechanisms.mechanism import Coordinate, Parameter, Values
 from dextar_control.mechanisms.planar import (
     circles,
     direction,
@@ -60,29 +58,27 @@ class FiveBar(FiveBarLocus):
         ),
     )
 
-    def elbow(self, leg: int, angle: Symbol | float, p: Any) -> Symbol:
+    def elbow(self, leg: int, angle: Symbol | float, p: Values) -> Symbol:
         """P_i (2,), m, at a motor's angle."""
-        return self.base(leg, p) + getattr(p, SIDES[leg]).proximal_length * direction(
-            angle
-        )
+        return self.base(leg, p) + p[SIDES[leg]].proximal_length * direction(angle)
 
-    def closures(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    def closures(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """Half of |x - P_i|^2 - l2^2, m^2."""
         rods = [x - self.elbow(leg, q_a[leg], p) for leg in range(2)]
-        lengths = [getattr(p, side).distal_length for side in SIDES]
+        lengths = [p[side].distal_length for side in SIDES]
         return ca.vertcat(
             *(0.5 * (ca.sumsqr(r) - l2**2) for r, l2 in zip(rods, lengths, strict=True))
         )
 
     def lagrangian(
-        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any
+        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Values
     ) -> Symbol:
         """Each distal rod is seen from its two ends, the elbow and the end effector."""
         energy = 0.5 * p.end_effector_mass * ca.sumsqr(
             x_dot
         ) + p.end_effector_mass * ca.dot(p.gravity, x)
         for leg, side in enumerate(SIDES):
-            link, base = getattr(p, side), self.base(leg, p)
+            link, base = p[side], self.base(leg, p)
             P = self.elbow(leg, q_a[leg], p)
             P_dot = ca.jtimes(P, q_a, q_a_dot)
             energy += 0.5 * link.rotor_inertia * q_a_dot[leg] ** 2
@@ -106,27 +102,27 @@ class FiveBar(FiveBarLocus):
             )
         return energy
 
-    def inverse_geometric_model(self, x: Symbol, p: Any) -> Symbol:
+    def inverse_geometric_model(self, x: Symbol, p: Values) -> Symbol:
         """In closed form, in [-pi, pi)."""
         return ca.vertcat(
             *(
                 two_link_angle(
                     x - self.base(leg, p),
-                    getattr(p, side).proximal_length,
-                    getattr(p, side).distal_length,
+                    p[side].proximal_length,
+                    p[side].distal_length,
                     p.working_mode[leg],
                 )
                 for leg, side in enumerate(SIDES)
             )
         )
 
-    def nearest_joints(self, x: Symbol, p: Any) -> tuple[Symbol, Symbol]:
+    def nearest_joints(self, x: Symbol, p: Values) -> tuple[Symbol, Symbol]:
         """In closed form."""
         found = [
             nearest_two_link_angle(
                 x - self.base(leg, p),
-                getattr(p, side).proximal_length,
-                getattr(p, side).distal_length,
+                p[side].proximal_length,
+                p[side].distal_length,
                 p.working_mode[leg],
             )
             for leg, side in enumerate(SIDES)
@@ -135,11 +131,11 @@ class FiveBar(FiveBarLocus):
             *(extension for _, extension in found)
         )
 
-    def unreached(self, x: Array, q_a: Array, p: Any) -> str:
+    def unreached(self, x: Array, q_a: Array, p: Values) -> str:
         """The distance of the first leg that does not reach, and its limits."""
         leg = int(np.argmin(np.isfinite(q_a)))
         link, distance = (
-            getattr(p, SIDES[leg]),
+            p[SIDES[leg]],
             float(np.hypot(*(x - np.array(self.base(leg, p)).ravel()))),
         )
         l1, l2 = float(link.proximal_length[0]), float(link.distal_length[0])
@@ -150,7 +146,7 @@ class FiveBar(FiveBarLocus):
         )
 
     def direct_geometric_model(
-        self, q_a: Symbol, assembly_mode: Symbol, p: Any
+        self, q_a: Symbol, assembly_mode: Symbol, p: Values
     ) -> Symbol:
         """The distal links' circles about the elbows, never on the line of the elbows
         itself, where the velocity would be 0/0.
@@ -160,26 +156,26 @@ class FiveBar(FiveBarLocus):
         left, right = (self.elbow(leg, q_a[leg], p) for leg in range(2))
         return circles(
             left,
-            p.left.distal_length,
+            p["left"].distal_length,
             right,
-            p.right.distal_length,
+            p["right"].distal_length,
             assembly_mode,
             LEAST_CHORD,
         )
 
-    def mirror_image(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    def mirror_image(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """Mirrored on the line of the elbows."""
         first, second = (x - self.elbow(leg, q_a[leg], p) for leg in range(2))
         side = first[0] * second[1] - first[1] * second[0]  # of the sign of s
         return self.direct_geometric_model(q_a, ca.if_else(side > 0.0, -1.0, 1.0), p)
 
-    def why_open(self, q_a: Array, p: Any) -> str:
+    def why_open(self, q_a: Array, p: Values) -> str:
         """By the distance of the elbows."""
         left, right = (
             np.array(self.elbow(leg, float(q_a[leg]), p)).ravel() for leg in range(2)
         )
         distance = float(np.hypot(*(right - left)))
-        lengths = float(p.left.distal_length[0]), float(p.right.distal_length[0])
+        lengths = float(p["left"].distal_length[0]), float(p["right"].distal_length[0])
         low, high = abs(lengths[0] - lengths[1]), sum(lengths)
         if low <= distance <= high and distance != 0.0:
             return ""
@@ -188,84 +184,84 @@ class FiveBar(FiveBarLocus):
             f" to {high:.6f} m"
         )
 
-    def folded(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    def folded(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """Of the distal links: the image is a whole turn of them away where they point
         the same way.
         """
         return ca.dot(x - self.elbow(0, q_a[0], p), x - self.elbow(1, q_a[1], p))
 
-    def singularity_of_joints(self, q_a: Symbol, p: Any) -> Symbol:
+    def singularity_of_joints(self, q_a: Symbol, p: Values) -> Symbol:
         """Sine of the angle between the distal links, which follows from the distance
         of the elbows.
         """
-        l2, r2 = p.left.distal_length, p.right.distal_length
+        l2, r2 = p["left"].distal_length, p["right"].distal_length
         between = ca.sumsqr(self.elbow(1, q_a[1], p) - self.elbow(0, q_a[0], p))
         cosine = 0.5 * (l2**2 + r2**2 - between) / (l2 * r2)
         square = 1.0 - cosine**2
         closes = square > 0.0
         return ca.if_else(closes, ca.sqrt(ca.if_else(closes, square, 1.0)), 0.0)
 
-    def linkage(self, q_a: Array, x: Array, p: Any) -> Array:
+    def linkage(self, q_a: Array, x: Array, p: Values) -> Array:
         """(5, 2) motor, elbow, end effector, elbow, motor, m, to draw; ``p`` has
         numbers.
         """
         (left, first), (right, second) = (
             (self.base(leg, p), self.elbow(leg, float(q_a[leg]), p)) for leg in range(2)
         )
-        return np.array(ca.horzcat(left, first, ca.DM(x), second, right)).T
+        points: Array = np.array(ca.horzcat(left, first, ca.DM(x), second, right)).T
+        return points
 
-    def bodies(self, p: Any) -> Bodies:
+    def bodies(self, p: Values) -> Bodies:
         """Both legs, half of the end effector's mass on each tip: pinned together they
         are one body.
         """
         links = leg_links(
             [self.base(leg, p) for leg in range(2)],
-            [p.left, p.right],
+            [p["left"], p["right"]],
             0.5 * p.end_effector_mass,
         )
         left, right = (
-            ca.vertcat(link.distal_length, 0.0) for link in (p.left, p.right)
+            ca.vertcat(link.distal_length, 0.0) for link in (p["left"], p["right"])
         )
         return Bodies(
             tuple(links), (Pin((1, 3), (left, right)),), p.gravity, p.coulomb_speed
         )
 
-    def tree_joints(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    def tree_joints(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """q11, q12, q21, q22."""
         return ca.vertcat(
             *leg_joints(q_a, [x - self.elbow(leg, q_a[leg], p) for leg in range(2)])
         )
 
-    def tree_platform(self, joints: Symbol, p: Any) -> Symbol:
+    def tree_platform(self, joints: Symbol, p: Values) -> Symbol:
         """In the middle of the tips."""
         left, right = (
             self.elbow(leg, joints[2 * leg], p)
-            + getattr(p, side).distal_length
-            * direction(joints[2 * leg] + joints[2 * leg + 1])
+            + p[side].distal_length * direction(joints[2 * leg] + joints[2 * leg + 1])
             for leg, side in enumerate(SIDES)
         )
         return 0.5 * (left + right)
 
-    def singularity_scale(self, p: Any) -> Symbol:
+    def singularity_scale(self, p: Values) -> Symbol:
         """s is then the sine of the angle between the distal links."""
-        return p.left.distal_length * p.right.distal_length
+        return p["left"].distal_length * p["right"].distal_length
 
-    def singularity_length(self, p: Any) -> Symbol:
+    def singularity_length(self, p: Values) -> Symbol:
         """Geometric mean of the distal lengths, m."""
-        return ca.sqrt(p.left.distal_length * p.right.distal_length)
+        return ca.sqrt(p["left"].distal_length * p["right"].distal_length)
 
-    def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    def type1_sines(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """Sines of the elbows' angles."""
         sines = []
         for leg, side in enumerate(SIDES):
-            link, u = getattr(p, side), direction(q_a[leg])
+            link, u = p[side], direction(q_a[leg])
             r = x - self.elbow(leg, q_a[leg], p)
             sines.append((u[0] * r[1] - u[1] * r[0]) / link.distal_length)
         return ca.vertcat(*sines)
 
-    def friction(self, q_a_dot: Symbol, p: Any) -> Symbol:
+    def friction(self, q_a_dot: Symbol, p: Values) -> Symbol:
         """Of the motors."""
-        return friction(q_a_dot, [getattr(p, side) for side in SIDES], p.coulomb_speed)
+        return friction(q_a_dot, [p[side] for side in SIDES], p.coulomb_speed)
 
 
 class DetailedFiveBar(FiveBar):
@@ -297,9 +293,9 @@ class DetailedFiveBar(FiveBar):
     )
     parameters = (*FiveBar.parameters, *detail)
 
-    def transmission(self, p: Any) -> tuple[Symbol, Symbol, Symbol]:
+    def transmission(self, p: Values) -> tuple[Symbol, Symbol, Symbol]:
         """Of the motors."""
-        legs = [getattr(p, side) for side in SIDES]
+        legs = [p[side] for side in SIDES]
         inertia, stiffness, damping = (
             [getattr(leg, name) for leg in legs]
             for name in (
@@ -311,7 +307,7 @@ class DetailedFiveBar(FiveBar):
         return ca.vertcat(*inertia), ca.vertcat(*stiffness), ca.vertcat(*damping)
 
     def passive_friction(
-        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any
+        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Values
     ) -> tuple[Symbol, Symbol]:
         """Of the left elbow, the right one and the pin."""
         turning = []
@@ -319,19 +315,18 @@ class DetailedFiveBar(FiveBar):
             P = self.elbow(leg, q_a[leg], p)
             r, r_dot = x - P, x_dot - ca.jtimes(P, q_a, q_a_dot)
             turning.append(
-                (r[0] * r_dot[1] - r[1] * r_dot[0])
-                / getattr(p, side).distal_length ** 2
+                (r[0] * r_dot[1] - r[1] * r_dot[0]) / p[side].distal_length ** 2
             )
         left, right = turning
         rates = ca.vertcat(left - q_a_dot[0], right - q_a_dot[1], right - left)
         viscous = ca.vertcat(
-            p.left.passive_viscous_friction,
-            p.right.passive_viscous_friction,
+            p["left"].passive_viscous_friction,
+            p["right"].passive_viscous_friction,
             p.pin_viscous_friction,
         )
         coulomb = ca.vertcat(
-            p.left.passive_coulomb_friction,
-            p.right.passive_coulomb_friction,
+            p["left"].passive_coulomb_friction,
+            p["right"].passive_coulomb_friction,
             p.pin_coulomb_friction,
         )
         return rates, rubbing(rates, viscous, coulomb, p.coulomb_speed)

@@ -14,12 +14,11 @@ equal distal links t_s is tangent to the locus: s changes only along v_1, radial
 from __future__ import annotations
 
 from enum import Enum
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from dextar_control.mechanisms.mechanism import Mechanism
+from dextar_control.mechanisms.mechanism import Mechanism, Values
 from dextar_control.mechanisms.planar import circles, direction, overlap
 from dextar_control.symbols.types import Array, Symbol
 
@@ -48,12 +47,12 @@ class FiveBarLocus(Mechanism):
     families = Family
     working_modes = ((1, -1), (1, 1), (-1, 1), (-1, -1))
 
-    def base(self, leg: int, p: Any) -> Symbol:
+    def base(self, leg: int, p: Values) -> Symbol:
         """e_i (2,), m, a motor's axis."""
-        return getattr(p, SIDES[leg]).axis
+        return p[SIDES[leg]].axis
 
     def type2_locus(
-        self, family: Symbol, branch: Symbol, angle: Symbol, p: Any
+        self, family: Symbol, branch: Symbol, angle: Symbol, p: Values
     ) -> tuple[Symbol, Symbol, Symbol]:
         """(q_a (2,), x (2,), closing) of the locus at a tracing angle, rad: of the left
         motor (stretched) or of d (folded).
@@ -62,7 +61,7 @@ class FiveBarLocus(Mechanism):
         below zero; where it is, the place is the nearest to closing.
         """
         stretched = family > 0.0
-        left, right = (getattr(p, side) for side in SIDES)
+        left, right = (p[side] for side in SIDES)
         first, second, turn = self.base(0, p), self.base(1, p), direction(angle)
         coupler = left.distal_length + family * right.distal_length
         center = first + ca.if_else(stretched, left.proximal_length, coupler) * turn
@@ -97,25 +96,21 @@ class FiveBarLocus(Mechanism):
         """
         return np.where(type1_sines < 0.0, 1, -1)
 
-    def workspace(self, p: Any) -> tuple[Array, Array]:
+    def workspace(self, p: Values) -> tuple[Array, Array]:
         """Corners (2,), m, of a box that holds every place it reaches; ``p`` has
         numbers.
         """
         reach = np.array(
             [
-                float(
-                    (getattr(p, side).proximal_length + getattr(p, side).distal_length)[
-                        0
-                    ]
-                )
+                float((p[side].proximal_length + p[side].distal_length)[0])
                 for side in SIDES
             ]
         )
         axes = np.array([np.array(self.base(leg, p)).ravel() for leg in range(2)])
         return (axes - reach[:, None]).max(axis=0), (axes + reach[:, None]).min(axis=0)
 
-    def length(self, p: Any) -> float:
+    def length(self, p: Values) -> float:
         """The mean distal length, m, by which distances are measured; ``p`` has
         numbers.
         """
-        return float(np.mean([getattr(p, side).distal_length[0] for side in SIDES]))
+        return float(np.mean([p[side].distal_length[0] for side in SIDES]))

@@ -11,15 +11,13 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.mechanisms.bodies import Bodies
-from dextar_control.symbols.types import Array, Symbol
+from dextar_control.symbols.types import Array, Slice, Symbol
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class Parameter:
     above: float = -math.inf
     size: int = 1
 
-    def check(self, value: Any) -> list[float]:
+    def check(self, value: object) -> list[float]:
         """The numbers of a value.
 
         Raises:
@@ -70,16 +68,19 @@ class Parameter:
         numbers = (
             list(value) if isinstance(value, (list, tuple, np.ndarray)) else [value]
         )
-        kinds = (int, float, np.number)
-        if len(numbers) != self.size or not all(
-            isinstance(n, kinds) and not isinstance(n, bool) and math.isfinite(n)
-            for n in numbers
-        ):
+        finite = [
+            float(number)
+            for number in numbers
+            if isinstance(number, (int, float, np.integer, np.floating))
+            and not isinstance(number, bool)
+            and math.isfinite(number)
+        ]
+        if not len(finite) == len(numbers) == self.size:
             raise ParameterError(
                 f"robot.{self.name} = {value!r}; it must be {self.size} finite"
                 f" number{'s' * (self.size > 1)}"
             )
-        for number in numbers:
+        for number in finite:
             if number <= self.above:
                 raise ParameterError(
                     f"robot.{self.name} = {value}; it must be > {self.above:g}"
@@ -90,7 +91,28 @@ class Parameter:
                     f"robot.{self.name} = {value}; it must lie in [{self.minimum:g},"
                     f" {self.maximum:g}] {self.unit}"
                 )
-        return [float(number) for number in numbers]
+        return finite
+
+
+class Values:
+    """Parameters by name: symbols, or numbers, on which the same expressions work.
+
+    A parameter without a dot is an attribute, ``p.gravity``; those that share what
+    stands before the dot are reached by it, ``p["left"].distal_length``.
+
+    Args:
+        values: parameters, or groups of them, by name.
+    """
+
+    def __init__(self, **values: Symbol | Array | Values) -> None:
+        self.__dict__.update(values)
+
+    def __getattr__(self, name: str) -> Symbol:
+        raise AttributeError(f"there is no parameter '{name}' among {[*vars(self)]}")
+
+    def __getitem__(self, group: str) -> Values:
+        values: Values = getattr(self, group)
+        return values
 
 
 class Mechanism(ABC):
@@ -117,22 +139,22 @@ class Mechanism(ABC):
         return len(self.joints)
 
     @abstractmethod
-    def closures(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    def closures(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """h(q_a, x) (n,): zero where the loops are closed."""
 
     @abstractmethod
     def lagrangian(
-        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any
+        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Values
     ) -> Symbol:
         """L(q_a, x, q_a_dot, x_dot), J: kinetic less potential energy."""
 
     @abstractmethod
-    def inverse_geometric_model(self, x: Symbol, p: Any) -> Symbol:
+    def inverse_geometric_model(self, x: Symbol, p: Values) -> Symbol:
         """q_a (n,) of a platform position in the working mode of ``p``; nan where it is
         not reached.
         """
 
-    def nearest_joints(self, x: Symbol, p: Any) -> tuple[Symbol, Symbol]:
+    def nearest_joints(self, x: Symbol, p: Values) -> tuple[Symbol, Symbol]:
         """(q_a (n,), extension (n,)): the inverse geometric model with finite numbers
         and derivatives everywhere.
 
@@ -145,7 +167,7 @@ class Mechanism(ABC):
             " that method"
         )
 
-    def unreached(self, x: Array, q_a: Array, p: Any) -> str:
+    def unreached(self, x: Array, q_a: Array, p: Values) -> str:
         """Why q_a is nan at x, in words; ``p`` has numbers."""
         joint = self.joints[int(np.argmin(np.isfinite(q_a)))].name
         return (
@@ -154,7 +176,7 @@ class Mechanism(ABC):
 
     @abstractmethod
     def direct_geometric_model(
-        self, q_a: Symbol, assembly_mode: Symbol, p: Any
+        self, q_a: Symbol, assembly_mode: Symbol, p: Values
     ) -> Symbol | None:
         """x (n,) of joint positions with sign(s) = assembly_mode, its root kept above
         zero; None where it has no closed form.
@@ -164,7 +186,7 @@ class Mechanism(ABC):
         """
 
     def type2_locus(
-        self, family: Symbol, branch: Symbol, angle: Symbol, p: Any
+        self, family: Symbol, branch: Symbol, angle: Symbol, p: Values
     ) -> tuple[Symbol, Symbol, Symbol] | None:
         """(q_a (n,), x (n,), closing) of the Type 2 locus at a tracing angle; None
         where it is not traced in closed form.
@@ -180,17 +202,17 @@ class Mechanism(ABC):
         """
         return ""
 
-    def length(self, p: Any) -> float:
+    def length(self, p: Values) -> float:
         """By which distances are measured, m; ``p`` has numbers."""
         return float(np.ravel(self.singularity_length(p))[0])
 
-    def mirror_image(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol | None:
+    def mirror_image(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol | None:
         """The other place (n,) of the platform that the joints q_a leave, with
         -sign(s); None where it has no closed form.
         """
         return None
 
-    def why_open(self, q_a: Array, p: Any) -> str:
+    def why_open(self, q_a: Array, p: Values) -> str:
         """Why no place of the platform closes the loops at joints q_a (n,), in words;
         "" where one does or that is not known.
 
@@ -198,7 +220,7 @@ class Mechanism(ABC):
         """
         return ""
 
-    def folded(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    def folded(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """Positive where that other place is far away even near the locus, so that
         joints that fit one do not fit the other.
 
@@ -206,56 +228,56 @@ class Mechanism(ABC):
         """
         return ca.SX(-1.0)
 
-    def singularity_of_joints(self, q_a: Symbol, p: Any) -> Symbol | None:
+    def singularity_of_joints(self, q_a: Symbol, p: Values) -> Symbol | None:
         """|s| from the active joints alone, the same in both assembly modes, 0 where
         they do not close; None where unknown.
         """
         return None
 
-    def linkage(self, q_a: Array, x: Array, p: Any) -> Array:
+    def linkage(self, q_a: Array, x: Array, p: Values) -> Array:
         """(k, 2) places in the plane, m, whose polygon is drawn as the robot; none
         where there is no picture of it.
         """
         return np.zeros((0, 2))
 
-    def bodies(self, p: Any) -> Bodies | None:
+    def bodies(self, p: Values) -> Bodies | None:
         """What it is built of, for who builds it; None where that is not said, and then
         the next two are not asked.
         """
         return None
 
-    def tree_joints(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    def tree_joints(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """Positions (m,) of all joints of its bodies, rad or m, where the loops are
         closed.
         """
         raise NotImplementedError
 
-    def tree_platform(self, joints: Symbol, p: Any) -> Symbol:
+    def tree_platform(self, joints: Symbol, p: Values) -> Symbol:
         """x (n,) of the bodies at positions (m,) of all joints."""
         raise NotImplementedError
 
     @abstractmethod
-    def singularity_scale(self, p: Any) -> Symbol:
+    def singularity_scale(self, p: Values) -> Symbol:
         """What det(A_r) is divided by to give s, dimensionless and about 1 far from the
         Type 2 locus; (k,) of blocks of A_r.
         """
 
     @abstractmethod
-    def singularity_length(self, p: Any) -> Symbol:
+    def singularity_length(self, p: Values) -> Symbol:
         """What the least singular value of A_r is divided by to be dimensionless."""
 
     @abstractmethod
-    def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    def type1_sines(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """One number a leg that is zero where the leg is at a Type 1 singularity, and
         at most 1 in size.
         """
 
     @abstractmethod
-    def friction(self, q_a_dot: Symbol, p: Any) -> Symbol:
+    def friction(self, q_a_dot: Symbol, p: Values) -> Symbol:
         """Friction torque of the active joints (n,), opposing q_a_dot."""
 
     def passive_friction(
-        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any
+        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Values
     ) -> tuple[Symbol, Symbol]:
         """(rates (k,), rad/s, of joints without a motor, friction torques (k,), N m,
         that oppose them); none where there is none.
@@ -265,7 +287,7 @@ class Mechanism(ABC):
         """
         return ca.SX(0, 1), ca.SX(0, 1)
 
-    def transmission(self, p: Any) -> tuple[Symbol, Symbol, Symbol] | None:
+    def transmission(self, p: Values) -> tuple[Symbol, Symbol, Symbol] | None:
         """(rotor inertia, kg m^2, stiffness, N m/rad, 0 where rigid, damping, N m
         s/rad), (n,) each, between motors and joints.
 
@@ -273,12 +295,12 @@ class Mechanism(ABC):
         """
         return None
 
-    def symbols(self) -> tuple[Symbol, Any]:
+    def symbols(self) -> tuple[Symbol, Values]:
         """(all parameters as one vector, the same by their dotted names)."""
         vector = ca.SX.sym("p", sum(parameter.size for parameter in self.parameters))
         return vector, self.named(vector)
 
-    def rows_of(self, name: str) -> slice | None:
+    def rows_of(self, name: str) -> Slice | None:
         """Where a parameter stands in the vector; None where there is none of that
         name.
         """
@@ -289,21 +311,19 @@ class Mechanism(ABC):
             place += parameter.size
         return None
 
-    def named(self, vector: Any) -> Any:
+    def named(self, vector: Symbol | ca.DM | Array) -> Values:
         """The parameters of a vector of symbols or numbers by their dotted names."""
-        named, place = SimpleNamespace(), 0
+        named, place = Values(), 0
         for parameter in self.parameters:
             *groups, last = parameter.name.split(".")
             owner = named
             for group in groups:
-                if not hasattr(owner, group):
-                    setattr(owner, group, SimpleNamespace())
-                owner = getattr(owner, group)
-            setattr(owner, last, vector[place : place + parameter.size])
+                owner = owner.__dict__.setdefault(group, Values())
+            owner.__dict__[last] = vector[place : place + parameter.size]
             place += parameter.size
         return named
 
-    def values(self, flat: Mapping[str, Any]) -> Array:
+    def values(self, flat: Mapping[str, object]) -> Array:
         """The vector of ``symbols`` for dotted names and values; others' keys are
         ignored.
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import casadi as ca
 
 from dextar_control.mechanisms.bodies import GROUND, Link
-from dextar_control.mechanisms.mechanism import Parameter
+from dextar_control.mechanisms.mechanism import Parameter, Values
 from dextar_control.symbols.types import Symbol
 
 Ends = tuple[Symbol, Symbol]
@@ -55,7 +54,7 @@ def leg_parameters(leg: str) -> tuple[Parameter, ...]:
     )
 
 
-def friction(q_a_dot: Symbol, legs: Sequence[Any], coulomb_speed: Symbol) -> Symbol:
+def friction(q_a_dot: Symbol, legs: Sequence[Values], coulomb_speed: Symbol) -> Symbol:
     """Viscous and smoothed Coulomb friction (n,), N m, of the legs' motors, opposing
     q_a_dot (n,), rad/s.
     """
@@ -125,7 +124,7 @@ def loaded_rod(
 
 
 def leg_links(
-    bases: Sequence[Symbol], legs: Sequence[Any], load: Symbol | float
+    bases: Sequence[Symbol], legs: Sequence[Values], load: Symbol | float
 ) -> list[Link]:
     """Links on q11, q12, q21, q22, ... of legs whose motors stand at ``bases``, a point
     mass, kg, at the end of each.

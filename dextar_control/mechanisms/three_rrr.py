@@ -10,13 +10,11 @@ length, as the others.
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 
 from dextar_control.mechanisms.bodies import Bodies, Link, Pin
-from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter
+from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter, Values
 from dextar_control.mechanisms.planar import (
     direction,
     friction,
@@ -85,36 +83,34 @@ class ThreeRRR(Mechanism):
         ),
     )
 
-    def base(self, leg: int, p: Any) -> Symbol:
+    def base(self, leg: int, p: Values) -> Symbol:
         """e_i (2,), m."""
         return p.base_radius * direction(ANGLES[leg])
 
-    def elbow(self, leg: int, angle: Symbol | float, p: Any) -> Symbol:
+    def elbow(self, leg: int, angle: Symbol | float, p: Values) -> Symbol:
         """P_i (2,), m, at a motor's angle."""
-        return self.base(leg, p) + getattr(p, LEGS[leg]).proximal_length * direction(
-            angle
-        )
+        return self.base(leg, p) + p[LEGS[leg]].proximal_length * direction(angle)
 
-    def corner(self, leg: int, x: Symbol | ca.DM, p: Any) -> Symbol:
+    def corner(self, leg: int, x: Symbol | ca.DM, p: Values) -> Symbol:
         """C_i (2,), m."""
         return x[:2] + p.platform_radius * direction(
             ANGLES[leg] + x[2] / p.rotation_radius
         )
 
-    def closures(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    def closures(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """Half of |C_i - P_i|^2 - l2^2, m^2."""
         rods = [
             self.corner(leg, x, p) - self.elbow(leg, q_a[leg], p) for leg in range(3)
         ]
         return ca.vertcat(
             *(
-                0.5 * (ca.sumsqr(r) - getattr(p, name).distal_length ** 2)
+                0.5 * (ca.sumsqr(r) - p[name].distal_length ** 2)
                 for r, name in zip(rods, LEGS, strict=True)
             )
         )
 
     def lagrangian(
-        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any
+        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Values
     ) -> Symbol:
         """Each distal rod is seen from its two ends, the elbow and the platform's
         corner.
@@ -127,7 +123,7 @@ class ThreeRRR(Mechanism):
         energy += p.platform_mass * ca.dot(p.gravity, x[:2])
         for leg, name in enumerate(LEGS):
             link, P, C = (
-                getattr(p, name),
+                p[name],
                 self.elbow(leg, q_a[leg], p),
                 self.corner(leg, x, p),
             )
@@ -153,9 +149,9 @@ class ThreeRRR(Mechanism):
             )
         return energy
 
-    def inverse_geometric_model(self, x: Symbol, p: Any) -> Symbol:
+    def inverse_geometric_model(self, x: Symbol, p: Values) -> Symbol:
         """In closed form, in [-pi, pi)."""
-        legs = [getattr(p, name) for name in LEGS]
+        legs = [p[name] for name in LEGS]
         return ca.vertcat(
             *(
                 two_link_angle(
@@ -168,11 +164,11 @@ class ThreeRRR(Mechanism):
             )
         )
 
-    def nearest_joints(self, x: Symbol, p: Any) -> tuple[Symbol, Symbol]:
+    def nearest_joints(self, x: Symbol, p: Values) -> tuple[Symbol, Symbol]:
         """In closed form."""
         found = []
         for leg, name in enumerate(LEGS):
-            link, reach = getattr(p, name), self.corner(leg, x, p) - self.base(leg, p)
+            link, reach = p[name], self.corner(leg, x, p) - self.base(leg, p)
             found.append(
                 nearest_two_link_angle(
                     reach, link.proximal_length, link.distal_length, p.working_mode[leg]
@@ -183,11 +179,11 @@ class ThreeRRR(Mechanism):
         )
 
     def direct_geometric_model(
-        self, q_a: Symbol, assembly_mode: Symbol, p: Any
+        self, q_a: Symbol, assembly_mode: Symbol, p: Values
     ) -> None:
         """None: up to six solutions, of a polynomial of the sixth degree."""
 
-    def linkage(self, q_a: Array, x: Array, p: Any) -> Array:
+    def linkage(self, q_a: Array, x: Array, p: Values) -> Array:
         """(16, 2) from each corner to its motor and back, along the platform's edges to
         the first again.
         """
@@ -206,11 +202,11 @@ class ThreeRRR(Mechanism):
         ]
         return np.array([ca.DM(point).full().ravel() for point in (*ways, legs[0][0])])
 
-    def bodies(self, p: Any) -> Bodies:
+    def bodies(self, p: Values) -> Bodies:
         """The first leg carries the platform by its corner, at q13; the other legs are
         pinned to it.
         """
-        legs = [getattr(p, name) for name in LEGS]
+        legs = [p[name] for name in LEGS]
         links = leg_links([self.base(leg, p) for leg in range(3)], legs, 0.0)
         tips = [ca.vertcat(leg.distal_length, 0.0) for leg in legs]
         corners = [p.platform_radius * direction(angle) for angle in ANGLES]
@@ -223,7 +219,7 @@ class ThreeRRR(Mechanism):
         )
         return Bodies((*links, platform), pins, p.gravity, p.coulomb_speed)
 
-    def tree_joints(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    def tree_joints(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """q11, q12, q21, q22, q31, q32, q13."""
         legs = leg_joints(
             q_a,
@@ -231,30 +227,32 @@ class ThreeRRR(Mechanism):
         )
         return ca.vertcat(*legs, x[2] / p.rotation_radius - legs[0] - legs[1])
 
-    def tree_platform(self, joints: Symbol, p: Any) -> Symbol:
+    def tree_platform(self, joints: Symbol, p: Values) -> Symbol:
         """The corner on the first leg, and from there."""
         distal = joints[0] + joints[1]
-        corner = self.elbow(0, joints[0], p) + p.leg1.distal_length * direction(distal)
+        corner = self.elbow(0, joints[0], p) + p["leg1"].distal_length * direction(
+            distal
+        )
         turned = ca.vertcat(0.0, 0.0, p.rotation_radius * (distal + joints[6]))
         return turned + ca.vertcat(corner - self.corner(0, turned, p), 0.0)
 
-    def singularity_scale(self, p: Any) -> Symbol:
+    def singularity_scale(self, p: Values) -> Symbol:
         """The distal lengths, and the lever of a corner over rho."""
         return (
-            p.leg1.distal_length
-            * p.leg2.distal_length
-            * p.leg3.distal_length
+            p["leg1"].distal_length
+            * p["leg2"].distal_length
+            * p["leg3"].distal_length
             * p.platform_radius
             / p.rotation_radius
         )
 
-    def singularity_length(self, p: Any) -> Symbol:
+    def singularity_length(self, p: Values) -> Symbol:
         """Geometric mean of the distal lengths, m."""
-        return (p.leg1.distal_length * p.leg2.distal_length * p.leg3.distal_length) ** (
-            1.0 / 3.0
-        )
+        return (
+            p["leg1"].distal_length * p["leg2"].distal_length * p["leg3"].distal_length
+        ) ** (1.0 / 3.0)
 
-    def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+    def type1_sines(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """Sines of the elbows' angles."""
         sines = []
         for leg, name in enumerate(LEGS):
@@ -262,9 +260,9 @@ class ThreeRRR(Mechanism):
                 direction(q_a[leg]),
                 self.corner(leg, x, p) - self.elbow(leg, q_a[leg], p),
             )
-            sines.append((u[0] * r[1] - u[1] * r[0]) / getattr(p, name).distal_length)
+            sines.append((u[0] * r[1] - u[1] * r[0]) / p[name].distal_length)
         return ca.vertcat(*sines)
 
-    def friction(self, q_a_dot: Symbol, p: Any) -> Symbol:
+    def friction(self, q_a_dot: Symbol, p: Values) -> Symbol:
         """Of the motors."""
-        return friction(q_a_dot, [getattr(p, name) for name in LEGS], p.coulomb_speed)
+        return friction(q_a_dot, [p[name] for name in LEGS], p.coulomb_speed)

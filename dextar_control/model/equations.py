@@ -18,7 +18,6 @@ these lines are what runs. Three departures from the print, each with its reason
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -107,8 +106,8 @@ class Equations:
         q_a: Symbol,
         x: Symbol,
         x_dot: Symbol,
-        x_ddot: Any = 0.0,
-        tau: Any = 0.0,
+        x_ddot: Symbol | float = 0.0,
+        tau: Symbol | float = 0.0,
     ) -> Equations:
         """The same for other symbols or expressions."""
         names = [field.name for field in fields(self) if field.name != "singular"]
@@ -194,15 +193,10 @@ def equations(mechanism: Mechanism) -> Equations:
     drift = -ca.solve(B, b)  # Eq. 12
     q_a_ddot = J_inv @ x_ddot + drift  # Eq. 12
     w_b, w_d = ca.substitute([w_b, w_d], [a], [q_a_ddot])  # Eq. 10
-    force = (
-        J_inv.T @ w_b + w_d
-    )  # Eqs. 7, 8; w_b and w_d are Eq. 10's, which makes it what Eq. 13 inverts
-    M = (
-        J_inv.T @ M_a @ J_inv + J_inv.T @ M_ax + M_ax.T @ J_inv + M_x
-    )  # Eq. 14, with cross terms
-    h = (
-        J_inv.T @ (M_a @ drift + c_a) + M_ax.T @ drift + c_x
-    )  # Eq. 14, with M_a on B^-1 b
+    force = J_inv.T @ w_b + w_d  # Eqs. 7, 8; with Eq. 10's wrenches Eq. 13 inverts it
+    # with the cross terms of Eq. 10, and M_a on B^-1 b:
+    M = J_inv.T @ M_a @ J_inv + J_inv.T @ M_ax + M_ax.T @ J_inv + M_x  # Eq. 14
+    h = J_inv.T @ (M_a @ drift + c_a) + M_ax.T @ drift + c_x  # Eq. 14
     multipliers = ca.solve(A_r.T, w_d)  # Eq. 1
     inverse_dynamics = w_b - B.T @ multipliers  # Eq. 4
     singular = singular_vectors(A_r)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -18,7 +18,12 @@ from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.equations import Equations, equations
 from dextar_control.model.robot import AnyRobot
 from dextar_control.model.solved import closed_near, mirror_image
-from dextar_control.symbols.functions import Fast, Library, cache_folder, named
+from dextar_control.symbols.functions import (
+    Library,
+    NumericFunction,
+    cache_folder,
+    named,
+)
 from dextar_control.symbols.singular import blocks
 from dextar_control.symbols.types import Array, Symbol
 
@@ -59,7 +64,7 @@ class Model:
         ParameterError: a parameter is missing or out of its bounds.
     """
 
-    def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
+    def __init__(self, mechanism: Mechanism, values: Mapping[str, object]) -> None:
         self.mechanism, self.n = mechanism, mechanism.n
         self.p = mechanism.values(values)
         self.library, self.blocks = (
@@ -68,7 +73,7 @@ class Model:
         )
         self._inverse = self.library.fast("inverse_geometric_model")
         self.place, self.state, self.wrenches, self.platform_dynamics = (
-            self._bound(name)
+            self._bound(self.library.fast(name))
             for name in ("place", "state", "wrenches", "platform_dynamics")
         )
 
@@ -80,9 +85,9 @@ class Model:
             return cls(five_bar_of(flat), flat)
         return cls(robot.mechanism, robot.numbers)
 
-    def _bound(self, name: str) -> Any:
-        fast: Fast = self.library.fast(name)
-        return lambda *arguments: fast(self.p, *arguments)
+    def _bound(self, function: NumericFunction) -> NumericFunction:
+        """A function whose first argument is ``p``, of the others alone."""
+        return lambda *arguments: function(self.p, *arguments)
 
     def inverse_geometric_model(self, x: Array) -> Array:
         """q_a (n,) of a platform position x (n,).

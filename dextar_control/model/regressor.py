@@ -9,7 +9,7 @@ this.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -129,7 +129,7 @@ def regressors(mechanism: Mechanism) -> Library:
         e.x_dot,
         e.x_ddot,
     )
-    needed: Any = placed.inverse_dynamics + placed.friction
+    needed = placed.inverse_dynamics + placed.friction
     joints = {"p": e.p, "q_a": e.q_a, "x": e.x}
     return Library(
         [

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import PREFIX, RobotParameters
@@ -53,7 +53,7 @@ class Robot:
     """
 
     mechanism: Mechanism
-    items: tuple[tuple[str, Any], ...]
+    items: tuple[tuple[str, object], ...]
     max_torque: float
     max_joint_speed: float
     max_platform_speed: float
@@ -61,7 +61,7 @@ class Robot:
     joint_range: tuple[tuple[float, ...], tuple[float, ...]]
 
     @classmethod
-    def of(cls, mechanism: Mechanism, values: Mapping[str, Any]) -> Robot:
+    def of(cls, mechanism: Mechanism, values: Mapping[str, object]) -> Robot:
         """From dotted names: the mechanism's parameters, LIMITS, and where there are
         bounds ``joint_min`` and ``joint_max``.
 
@@ -113,7 +113,7 @@ class Robot:
         return cls(mechanism, frozen, **limits, joint_range=(low, high))
 
     @property
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> dict[str, object]:
         """The mechanism's parameters by their dotted names."""
         return dict(self.items)
 
@@ -130,9 +130,12 @@ class Robot:
     @property
     def working_mode(self) -> tuple[int, ...]:
         """Of the legs, where the mechanism has such a parameter."""
-        return tuple(int(side) for side in self.numbers.get("working_mode", ()))
+        return tuple(
+            int(side)
+            for side in cast("tuple[float, ...]", self.numbers.get("working_mode", ()))
+        )
 
-    def replace(self, **changes: Any) -> Robot:
+    def replace(self, **changes: object) -> Robot:
         """A copy with numbers or limits changed, by their dotted names."""
         low, high = self.joint_range
         now = (

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 
-from dextar_control.mechanisms.mechanism import Mechanism
+from dextar_control.mechanisms.mechanism import Mechanism, Values
 from dextar_control.symbols.singular import singular_vectors
 from dextar_control.symbols.types import Symbol
 
 NEWTON_STEPS = 6  # from a guess of the second order: each doubles the digits
 
 
-def mirror_image(mechanism: Mechanism, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
+def mirror_image(mechanism: Mechanism, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
     """The other place (n,) of the platform that the joints q_a leave, with -sign(s);
     near the locus near to x.
 
@@ -34,7 +32,7 @@ def mirror_image(mechanism: Mechanism, q_a: Symbol, x: Symbol, p: Any) -> Symbol
     return closed_near(mechanism, q_a, guess, p)
 
 
-def closed_near(mechanism: Mechanism, q_a: Symbol, guess: Symbol, p: Any) -> Symbol:
+def closed_near(mechanism: Mechanism, q_a: Symbol, guess: Symbol, p: Values) -> Symbol:
     """The place (n,) of the platform that closes the loops, by Newton's method from a
     guess near it.
     """

@@ -234,7 +234,7 @@ def _nearest_duration(robot: AnyRobot, found: Attempt) -> float | None:
     sound = np.isfinite(seen.profile.torque).all() and len(seen.crossing_times) == 1
     if not sound or seen.least_type1 < robot.min_type1_distance:
         return None
-    low = problem.task.duration
+    low: float = problem.task.duration
     high = min(_needed(robot, seen, robot.max_torque) * HEADROOM, LONGEST_STRETCH) * low
 
     def works(duration: float) -> bool:

@@ -12,7 +12,7 @@ on the symbols, in reverse mode.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -272,9 +272,9 @@ def _crossing(mechanism: Mechanism, e: Equations, layout: Layouts) -> ca.Functio
         ca.horzcat(z[name] * task["length"], ca.SX.zeros(mechanism.n, 3))
         for name in ("start", "goal")
     ]
-    own = 10.0 * _over(ca.fabs(z["split"] - 0.5), 0.5 - SPLIT_LEAST) + UNCLOSED * _over(
-        0.0, closing
-    )
+    own = 10.0 * _excess(
+        ca.fabs(z["split"] - 0.5), 0.5 - SPLIT_LEAST
+    ) + UNCLOSED * _excess(0.0, closing)
     return _parts(
         [e.p, layout.limits.symbols()[0], given, free],
         {
@@ -305,7 +305,7 @@ def _leg(p: Symbol, layout: Layouts) -> ca.Function:
     )
     spans = ca.exp(ca.fmin(z["spans"], SPAN_MOST)) * task["duration"]
     own = (
-        10.0 * ca.sum1(_over(ca.fabs(z["spans"]), SPAN_MOST))
+        10.0 * ca.sum1(_excess(ca.fabs(z["spans"]), SPAN_MOST))
         + ca.sum1(spans) / limit["time"]
     )
     return _parts(
@@ -365,7 +365,7 @@ def _joined(name: str, parts: ca.Function, curve: ca.Function) -> ca.Function:
     )
 
 
-def _over(value: Any, limit: Any) -> Any:
+def _excess(value: Symbol | float, limit: Symbol | float) -> Symbol:
     return ca.fmax(value - limit, 0.0)
 
 
@@ -378,7 +378,7 @@ def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Functi
     sign, floor = ca.SX.sym("sign"), ca.SX.sym("floor")
     q_a, extension = mechanism.nearest_joints(e.x, p)
     worst = ca.mmax(ca.fabs(extension))
-    missed = 100.0 * _over(worst, ca.sqrt(_over(1.0, limit["type1"] ** 2)))
+    missed = 100.0 * _excess(worst, ca.sqrt(_excess(1.0, limit["type1"] ** 2)))
     at = e.at(e.p, q_a, e.x, e.x_dot, e.x_ddot)
     tau, s, reached = (
         at.inverse_dynamics + at.friction,
@@ -388,10 +388,10 @@ def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Functi
     near = ca.exp(-((s / NEAR) ** 2))
     square = ((1.0 + NEAR_EMPHASIS * near) / limit["torque"] * tau) ** 2
     fourth = square * square
-    broken = 10.0 * _over(floor, s) + _over(
+    broken = 10.0 * _excess(floor, s) + _excess(
         ca.norm_2(e.x_dot) / limit["platform_speed"], SPEED_SHARE
     )
-    broken += _over(ca.mmax(ca.fabs(at.q_a_dot)) / limit["joint_speed"], SPEED_SHARE)
+    broken += _excess(ca.mmax(ca.fabs(at.q_a_dot)) / limit["joint_speed"], SPEED_SHARE)
     costs = ca.if_else(
         reached,
         ca.vertcat(ca.sum1(fourth * fourth * fourth), near, broken, 1.0),
@@ -405,7 +405,7 @@ def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Functi
         {"cse": True, **only},
     )
     end = missed + ca.if_else(
-        reached, 20.0 * _over(limit["end_s"], s), UNREACHABLE / HALF_SAMPLES
+        reached, 20.0 * _excess(limit["end_s"], s), UNREACHABLE / HALF_SAMPLES
     )
     only = {"is_diff_in": [False, False, False, True]}
     return sample, ca.Function(
@@ -413,7 +413,7 @@ def _instant(mechanism: Mechanism, e: Equations) -> tuple[ca.Function, ca.Functi
     )
 
 
-def _basis(order: int) -> Any:
+def _basis(order: int) -> ca.DM:
     """(ROWS, samples) the powers of the samples' fractions, differentiated so many
     times.
     """
@@ -471,7 +471,7 @@ def _cost(
     torque = ca.fmax(peak / ca.fmax(total, 1e-9), 1e-12) ** (1.0 / SOFT_MAXIMUM)
     cost = (
         torque
-        + EXCESS * _over(torque, 1.0)
+        + EXCESS * ca.fmax(torque - 1.0, 0.0)
         + near / limits[place["near_time"][0]]
         + own
     )

@@ -5,7 +5,7 @@ limits.
 from __future__ import annotations
 
 import json
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,7 @@ class Certificate(NamedTuple):
         "q_a", "rad"
     )  # an active one, whose units torques and joint speeds have
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Everything but the profile, in plain numbers and lists: what travels with the
         trajectory.
         """

@@ -211,7 +211,7 @@ def clear_times(certificate: Certificate, index: int) -> tuple[float, float]:
     )
 
 
-def _clear_row(clearance: np.ndarray) -> int:
+def _clear_row(clearance: Array) -> int:
     clear = np.flatnonzero(clearance >= SIDE)
     return (
         int(clear[0])

@@ -7,7 +7,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,7 @@ class LocusPoint(NamedTuple):
 
     x: Array  # (n,) m
     working_mode: Mode
-    family: Any  # member of the mechanism's families; None where there is one
+    family: Family | None  # member of the mechanism's families; None where there is one
     t_s: Array  # (n,) unit kernel of A_r
     gradient: Array  # (n,) of s, 1/m: a crossing towards s > 0 moves along it
     type1: float  # distance to Type 1
@@ -192,7 +192,7 @@ def _passable(
                 planning_model(robot.replace(working_mode=mode)), x[rows], type1
             )
     every = np.arange(len(x))
-    return (
+    return np.asarray(
         seen[every // THIN * THIN]
         & seen[np.minimum(-(-every // THIN) * THIN, thinned[-1])]
     )

@@ -5,9 +5,9 @@ with its numbers.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import casadi as ca
 
@@ -38,16 +38,13 @@ class StatesModel(Model):
         numbers: the parameters by their dotted names.
     """
 
-    def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
+    def __init__(self, mechanism: Mechanism, values: Mapping[str, object]) -> None:
         super().__init__(mechanism, values)
         library, self.numbers = states_library(mechanism), mechanism.named(self.p)
         self.sides, self.instants = (
-            self._with_numbers(library.batch(name)) for name in ("sides", "instants")
+            self._bound(library.batch(name)) for name in ("sides", "instants")
         )
-        self.side = self._with_numbers(library.fast("sides"))
-
-    def _with_numbers(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        return lambda *arguments: function(self.p, *arguments)
+        self.side = self._bound(library.fast("sides"))
 
     def s(self, x: Array) -> float:
         """Of a platform position (n,) in the working mode; nan out of reach."""
@@ -67,14 +64,14 @@ class PlanningModel(StatesModel):
             five-bar.
     """
 
-    def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
+    def __init__(self, mechanism: Mechanism, values: Mapping[str, object]) -> None:
         super().__init__(mechanism, values)
         library = planning_library(mechanism)
         self.half = library.fast("half")
         if "locus" in library.symbolic:
-            self.locus = self._with_numbers(library.batch("locus"))
+            self.locus = self._bound(library.batch("locus"))
         self.crossing, self.leg, self.crossing_cost, self.leg_cost = (
-            self._with_numbers(library.fast(name))
+            self._bound(library.fast(name))
             for name in ("crossing", "leg", "crossing_cost", "leg_cost")
         )
         self.layouts = layouts(self.n)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,8 @@ def sample_times(trajectory: Trajectory, period: float) -> Array:
         return knots
     merged = np.union1d(grid, knots)
     keep = np.concatenate([[True], np.diff(merged) > 1e-9])
-    return merged[keep]
+    spaced: Array = merged[keep]
+    return spaced
 
 
 def sample_profile(robot: AnyRobot, trajectory: Trajectory, times: Array) -> Profile:
@@ -100,7 +101,7 @@ def _continued(
     trajectory: Trajectory,
     times: Array,
     s: Array,
-    around: tuple[Any, Any],
+    around: tuple[int, int],
     inside: Array,
 ) -> Array:
     """The multipliers (k, n) at times (k,) between the two rows ``around`` a crossing,

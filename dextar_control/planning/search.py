@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.locus import REST_S, LocusPoint, rests_around
 from dextar_control.planning.model import PlanningModel, planning_model
 from dextar_control.planning.trajectory import Trajectory
+from dextar_control.symbols.functions import Results
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
@@ -101,7 +102,7 @@ class Problem(NamedTuple):
             else (IMPOSSIBLE, np.zeros(len(gradient)))
         )
 
-    def halves(self, z: Record) -> Any:
+    def halves(self, z: Record) -> Results:
         """The halves of a candidate, first and second (n, ROWS), and their spans (2,),
         s.
         """

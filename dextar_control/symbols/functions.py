@@ -17,14 +17,15 @@ import subprocess
 import sys
 import tempfile
 from collections import namedtuple
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Protocol, cast
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dextar_control.contract import caches, signals
 from dextar_control.symbols.types import Array, Symbol
@@ -42,6 +43,35 @@ _told: set[str] = set()
 _given_up: set[str] = set()  # compilers that took too long in this process
 COMPILER_VARIABLE = "DEXTAR_CC"
 """Environment variable that names the C compiler; empty for none."""
+
+
+class Results(Protocol):
+    """What a function gives: arrays by name, and in their order."""
+
+    def __getattr__(self, name: str) -> Array:
+        """That of this name."""
+
+    def __iter__(self) -> Iterator[Array]:
+        """All."""
+
+
+class NumericFunction(Protocol):
+    """A function on numbers: ``Fast``, ``Batch``, or one of them with some given."""
+
+    def __call__(self, *arguments: ArrayLike) -> Results:
+        """The results of arguments in their order."""
+
+
+class _MakeResults(Protocol):
+    def __call__(self, *results: Array) -> Results: ...
+
+
+class _Buffer(Protocol):
+    """CasADi's, whose stubs ask for a size that it knows."""
+
+    def set_arg(self, i: int, place: memoryview) -> None: ...
+
+    def set_res(self, i: int, place: memoryview) -> None: ...
 
 
 class Fast:
@@ -65,18 +95,17 @@ class Fast:
     ) -> None:
         given = dict(shared or {})
         self.arguments = SimpleNamespace()
-        self._buffer: Any
-        self._buffer, self.run = function.buffer()
+        self._buffer, self.run = _buffer_of(function)
         self._places: list[Array] = []
         for i, name in enumerate(function.name_in()):
-            place: Any = _place(name, function.sparsity_in(i), given)
-            self._buffer.set_arg(i, memoryview(place))
+            place = _place(name, function.sparsity_in(i), given)
+            self._buffer.set_arg(i, place.data)
             self._places.append(place)
             setattr(self.arguments, name, place)
         results = []
         for i, name in enumerate(function.name_out()):
             place = _place(name, function.sparsity_out(i), given)
-            self._buffer.set_res(i, memoryview(place))
+            self._buffer.set_res(i, place.data)
             results.append(
                 place.reshape(function.size_out(i), order="F")
                 if function.size2_out(i) > 1
@@ -88,10 +117,10 @@ class Fast:
     def views(self) -> SimpleNamespace:
         """The arguments as memoryviews: numbers go into them in half the time."""
         return SimpleNamespace(
-            **{name: memoryview(place) for name, place in vars(self.arguments).items()}
+            **{name: place.data for name, place in vars(self.arguments).items()}
         )
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: ArrayLike) -> Results:
         """The results as a record of new arrays."""
         for place, argument in zip(self._places, arguments, strict=True):
             place[:] = argument
@@ -107,23 +136,22 @@ class Batch:
     """
 
     def __init__(self, function: ca.Function) -> None:
-        buffer: Any
-        buffer, self._run = function.map(BLOCK).buffer()
-        self._places: list[Any] = [
+        buffer, self._run = _buffer_of(function.map(BLOCK))
+        self._places: list[Array] = [
             np.zeros((BLOCK, function.numel_in(i))) for i in range(function.n_in())
         ]
-        self._results: list[Any] = [
+        self._results: list[Array] = [
             np.zeros((BLOCK, function.numel_out(i))) for i in range(function.n_out())
         ]
         for i, place in enumerate(self._places):
-            buffer.set_arg(i, memoryview(place.reshape(-1)))
+            buffer.set_arg(i, place.reshape(-1).data)
         for i, place in enumerate(self._results):
-            buffer.set_res(i, memoryview(place.reshape(-1)))
+            buffer.set_res(i, place.reshape(-1).data)
         self._buffer = buffer
         self._shapes = [function.size_out(i) for i in range(function.n_out())]
         self._record = _record(function.name(), tuple(function.name_out()))
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: ArrayLike) -> Results:
         """A record of (m, size) or (m, rows, columns), of arguments (m, size), or
         (size,) for all states.
         """
@@ -191,7 +219,7 @@ class Library:
 
 
 def named(
-    name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Any]
+    name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Symbol]
 ) -> ca.Function:
     """A function on symbols with dense results, its common parts computed once."""
     dense = [ca.densify(result) for result in results.values()]
@@ -222,9 +250,14 @@ def in_place(function: ca.Function) -> ca.Function:
     )
 
 
+def _buffer_of(function: ca.Function) -> tuple[_Buffer, Callable[[], None]]:
+    """Where a function's arguments and results lie, and what computes these."""
+    return cast("tuple[_Buffer, Callable[[], None]]", function.buffer())
+
+
 @lru_cache
-def _record(name: str, results: tuple[str, ...]) -> Any:
-    return namedtuple(name, results)  # noqa: PYI024  the names are the function's
+def _record(name: str, results: tuple[str, ...]) -> _MakeResults:
+    return cast("_MakeResults", namedtuple(name, results))  # noqa: PYI024
 
 
 def _matrices(table: Array, shape: tuple[int, int]) -> Array:

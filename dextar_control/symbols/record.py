@@ -8,13 +8,16 @@ written, ``Record`` where it is called. No index is written anywhere else.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from dextar_control.symbols.types import Array, Symbol
+from dextar_control.symbols.types import Array, Slice, Symbol
+
+# A float or an array: the layout says which.
+Value: TypeAlias = Any  # type: ignore[explicit-any, unused-ignore]
 
 
 class Field(NamedTuple):
@@ -50,14 +53,14 @@ class Record:
 
     def __init__(self, numbers: Array | None = None) -> None:
         self.numbers = np.zeros(self.layout.size) if numbers is None else numbers
-        self._view = memoryview(self.numbers)  # type: ignore[arg-type]
+        self._view = self.numbers.data
 
-    def __getattr__(self, name: str) -> Any:  # what the class does not know
+    def __getattr__(self, name: str) -> Value:  # what the class does not know
         raise AttributeError(f"a record '{self.layout.name}' has no field '{name}'")
 
     if TYPE_CHECKING:
 
-        def __setattr__(self, name: str, value: Any) -> None:
+        def __setattr__(self, name: str, value: Value) -> None:
             """Each layout's class has its fields."""
 
     def copy(self) -> Record:
@@ -69,29 +72,31 @@ class Record:
         self.numbers[:] = other.numbers
 
 
-def _property(field: Field, place: Any, shape: tuple[int, ...] | None) -> property:
+def _property(
+    field: Field, place: int | Slice, shape: tuple[int, ...] | None
+) -> property:
     if shape is None:
 
-        def read(self: Record) -> Any:
+        def read(self: Record) -> Value:
             return self._view[place]
 
-        def write(self: Record, value: Any) -> None:
+        def write(self: Record, value: Value) -> None:
             self._view[place] = value
 
     elif len(shape) == 1:
 
-        def read(self: Record) -> Any:
+        def read(self: Record) -> Value:
             return self.numbers[place]
 
-        def write(self: Record, value: Any) -> None:
+        def write(self: Record, value: Value) -> None:
             self.numbers[place] = value
 
     else:
 
-        def read(self: Record) -> Any:
+        def read(self: Record) -> Value:
             return self.numbers[place].reshape(shape, order="F")
 
-        def write(self: Record, value: Any) -> None:
+        def write(self: Record, value: Value) -> None:
             self.numbers[place] = np.ravel(value, order="F")
 
     return property(read, write, doc=f"{field.meaning}, {field.unit}.")
@@ -113,7 +118,7 @@ class Layout:
 
     def __init__(self, name: str, n: int, fields: tuple[Field, ...]) -> None:
         self.name, self.n, self.fields = name, n, fields
-        self.places: dict[str, tuple[Any, tuple[int, ...] | None]] = {}
+        self.places: dict[str, tuple[int | Slice, tuple[int, ...] | None]] = {}
         start = 0
         for field in fields:
             rows, columns = self._count(field.rows), self._count(field.columns)
@@ -128,7 +133,7 @@ class Layout:
         members = {
             field.name: _property(field, *self.places[field.name]) for field in fields
         }
-        self._class: Any = type(
+        self._class: type[Record] = type(
             name.title().replace("_", ""),
             (Record,),
             {"__slots__": (), "layout": self, **members},
@@ -137,7 +142,7 @@ class Layout:
     def _count(self, size: int | str) -> int:
         return size if isinstance(size, int) else int(size[:-1] or "1") * self.n
 
-    def make(self, **values: Any) -> Record:
+    def make(self, **values: ArrayLike) -> Record:
         """A record of zeros but for these fields."""
         record: Record = self._class()
         for name, value in values.items():
@@ -149,7 +154,7 @@ class Layout:
         record: Record = self._class(numbers)
         return record
 
-    def rows(self, **columns: Any) -> Array:
+    def rows(self, **columns: ArrayLike) -> Array:
         """(m, size) of many records: each field (m,), or (m, its size), a matrix column
         by column; or one number for all.
         """

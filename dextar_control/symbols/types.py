@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 Symbol = ca.SX
 Array = NDArray[np.float64]
+Slice: TypeAlias = "slice[int, int, None]"

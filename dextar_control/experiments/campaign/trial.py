@@ -106,7 +106,7 @@ def sample_points(
         CrossingPoint(
             (float(place.x[0]), float(place.x[1])),
             (int(place.working_mode[0]), int(place.working_mode[1])),
-            place.family.name.lower(),
+            place.family.name.lower() if place.family else "",
         )
         for place in sample_locus(robot, count, seed, folded=folded)
     ]
