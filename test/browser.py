@@ -173,6 +173,7 @@ class Page:
             )
 
     def screenshot(self, file: Path) -> None:
+        self._call("Emulation.setScrollbarsHidden", hidden=True)
         file.write_bytes(
             base64.b64decode(
                 self._call("Page.captureScreenshot", captureBeyondViewport=True)["data"]

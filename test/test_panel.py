@@ -432,7 +432,9 @@ def test_numbers_that_are_none_and_a_browser_without_streams_are_told() -> None:
         "action": "",
         "nodes": {},
         "plant": {},
-        "margins": [{"name": "locus", "value": "nan", "limit": "nan", "used": nan}],
+        "margins": [
+            {"name": "locus", "value": "nan", "limit": "nan", "unit": "", "used": nan}
+        ],
         "recorder": {},
         "values": {},
         "lines": [],
