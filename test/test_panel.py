@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browser import PATIENCE, Page
+from browser import PATIENCE, WIDTHS, Page
 from rig import start, stop
 from tornado.websocket import websocket_connect
 
@@ -38,7 +38,6 @@ NODES = {
     "trajectory_server": ("dextar_control.nodes.trajectory_server", ("dwell:=0.05",)),
     "recorder": ("dextar_control.nodes.recorder", ("record_from_start:=false",)),
 }
-WIDTHS = (420, 768, 1280, 1920)
 CUT = """(() => {
   const found = [];
   if (document.documentElement.scrollWidth > innerWidth) found.push("the page is wider than the window");
