@@ -84,16 +84,22 @@ def status(number: int) -> dict[str, object]:
     }
 
 
+async def taken(server: PanelServer) -> None:
+    """Until a page is there, which connects anew by itself, and has taken all."""
+    while not server.pages:
+        await asyncio.sleep(0.1)
+    page = server.pages[0]
+    while page._flight is not None and not page._flight.done():
+        await asyncio.sleep(0)
+
+
 async def feed(server: PanelServer, begin: int, end: int) -> None:
     """Each message as soon as the page has taken the one before."""
     for number in range(begin, end):
-        page = server.pages[0]
-        while page._flight is not None and not page._flight.done():
-            await asyncio.sleep(0)
+        await taken(server)
         server.send("state", state(number))
         if number % (RATE // STATUS_RATE) == 0:
-            while page._flight is not None and not page._flight.done():
-                await asyncio.sleep(0)
+            await taken(server)
             server.send("status", status(number), keep=True)
 
 
@@ -138,7 +144,6 @@ def main(hours: float) -> None:
                     f"  {resident():10.1f}",
                     flush=True,
                 )
-            assert page.errors == [], page.errors
     finally:
         loop.call_soon_threadsafe(server.close)
         loop.call_soon_threadsafe(loop.stop)
