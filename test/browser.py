@@ -16,6 +16,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from dextar_control.cli.pdf import find_browser
+
 PATIENCE = 60.0  # s for a browser on a busy machine
 FLAGS = (
     "--headless",
@@ -30,6 +32,28 @@ FLAGS = (
     "--window-size=1400,1200",
     "--remote-debugging-pipe",
 )
+
+
+WIDTHS = (420, 768, 1280, 1920)
+# Each line of text: its box, px, its words, whether its container scrolls, the page's
+# width.
+WORDS = """(() => {
+  const found = [], wide = document.documentElement.clientWidth;
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  for (let node = walker.nextNode(); node; node = walker.nextNode()) {
+    const parent = node.parentElement;
+    if (!node.data.trim() || parent.closest("script, style, noscript, .readout") || !parent.checkVisibility()) continue;
+    const range = document.createRange();
+    range.selectNodeContents(node);
+    const scrolled = parent.closest(".scroll, .drawn");
+    for (const box of range.getClientRects())
+      if (box.width > 1)
+        found.push([box.left, box.top, box.right, box.bottom, node.data.trim().slice(0, 30), scrolled !== null, wide]);
+  }
+  return found;
+})()"""
+SLACK = 2.0  # px: a font's box is taller than its letters
+SIDEWAYS = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
 
 
 class Page:
@@ -173,6 +197,7 @@ class Page:
             )
 
     def screenshot(self, file: Path) -> None:
+        self._call("Emulation.setScrollbarsHidden", hidden=True)
         file.write_bytes(
             base64.b64decode(
                 self._call("Page.captureScreenshot", captureBeyondViewport=True)["data"]
@@ -251,3 +276,46 @@ class Page:
             self.requests.append(parameters["request"]["url"])
         elif method == "Page.loadEventFired":
             self._loaded = True
+
+
+def is_legible(page: Page, width: int) -> None:
+    """No word is cut by the page's edge, and no two lie on each other."""
+    page.resize(width)
+    page.evaluate(
+        "new Promise((done) => requestAnimationFrame(() =>"
+        " requestAnimationFrame(done)))"
+    )
+    assert not page.evaluate(SIDEWAYS), width
+    boxes = sorted(page.evaluate(WORDS), key=lambda box: box[1])
+    assert len(boxes) > 20
+    for index, (left, top, right, bottom, words, scrolls, wide) in enumerate(boxes):
+        assert scrolls or (left >= 0.0 and right <= wide), (width, words, left, right)
+        for other in boxes[index + 1 :]:
+            if other[1] >= bottom - SLACK:
+                break
+            apart = (
+                other[0] >= right - SLACK
+                or other[2] <= left + SLACK
+                or other[3] <= top + SLACK
+            )
+            assert apart or scrolls != other[5], (
+                width,
+                words,
+                other[4],
+                (left, top, right, bottom),
+                other[:4],
+            )
+
+
+def looks_right(file: Path) -> None:
+    """A page is legible at every width, without a word on the console or a request;
+    not looked at where there is no Chromium.
+    """
+    program = find_browser()
+    if program is None:
+        return
+    with Page(program, file.as_uri()) as page:
+        for width in WIDTHS:
+            is_legible(page, width)
+        assert page.errors == []
+        assert all(one.startswith(("file:", "data:", "blob:")) for one in page.requests)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import Page
+from browser import WIDTHS, Page, is_legible
 from recorded_run import lockstep_bag
 from synthetic_run import write_run
 
@@ -27,30 +27,10 @@ pytestmark = pytest.mark.skipif(
     reason="no Chromium here: apt install chromium to look at the pages",
 )
 
-WIDTHS = (420, 768, 1280, 1920)
 CURVES = (
     "[...document.querySelectorAll('figure svg[role=img]')].map((svg) =>"
     " svg.querySelectorAll('path, line').length)"
 )
-# Each line of text: its box, px, its words, whether its container scrolls, the page's
-# width.
-WORDS = """(() => {
-  const found = [], wide = document.documentElement.clientWidth;
-  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
-  for (let node = walker.nextNode(); node; node = walker.nextNode()) {
-    const parent = node.parentElement;
-    if (!node.data.trim() || parent.closest("script, style, noscript, .readout") || !parent.checkVisibility()) continue;
-    const range = document.createRange();
-    range.selectNodeContents(node);
-    const scrolled = parent.closest(".scroll, .drawn");
-    for (const box of range.getClientRects())
-      if (box.width > 1)
-        found.push([box.left, box.top, box.right, box.bottom, node.data.trim().slice(0, 30), scrolled !== null, wide]);
-  }
-  return found;
-})()"""
-SLACK = 2.0  # px: a font's box is taller than its letters
-SIDEWAYS = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
 
 
 def opened(file: Path) -> Page:
@@ -62,35 +42,6 @@ def is_drawn(page: Page) -> None:
     """Each figure has axes, and at least one of its curves or marks."""
     counts = page.evaluate(CURVES)
     assert counts and min(counts) > 5, counts
-
-
-def is_legible(page: Page, width: int) -> None:
-    """No word is cut by the page's edge, and no two lie on each other."""
-    page.resize(width)
-    page.evaluate(
-        "new Promise((done) => requestAnimationFrame(() =>"
-        " requestAnimationFrame(done)))"
-    )
-    assert not page.evaluate(SIDEWAYS), width
-    boxes = sorted(page.evaluate(WORDS), key=lambda box: box[1])
-    assert len(boxes) > 20
-    for index, (left, top, right, bottom, words, scrolls, wide) in enumerate(boxes):
-        assert scrolls or (left >= 0.0 and right <= wide), (width, words, left, right)
-        for other in boxes[index + 1 :]:
-            if other[1] >= bottom - SLACK:
-                break
-            apart = (
-                other[0] >= right - SLACK
-                or other[2] <= left + SLACK
-                or other[3] <= top + SLACK
-            )
-            assert apart or scrolls != other[5], (
-                width,
-                words,
-                other[4],
-                (left, top, right, bottom),
-                other[:4],
-            )
 
 
 @pytest.fixture(scope="module")

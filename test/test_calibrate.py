@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import synthetic_run as made
 import yaml
+from browser import looks_right
 
 from dextar_control.analysis.load import load_run
 from dextar_control.bags.writer import BagWriter, Sample
@@ -641,6 +642,7 @@ def test_the_command_writes_a_robot_file_and_a_page(
         == ROBOT
     )
     page = (tmp_path / "out" / "calibration.html").read_text(encoding="utf-8")
+    looks_right(tmp_path / "out" / "calibration.html")
     assert "180.0000 mm" in page
     assert str(other) in page
     assert "12 crossings with gaps of" in capsys.readouterr().out.replace("\n", " ")

@@ -11,6 +11,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from browser import looks_right
 from rich.console import Console
 
 from dextar_control.experiments.campaign import reliability, report
@@ -303,6 +304,7 @@ def test_the_outcome_is_in_its_folder(tmp_path: Path, config: CampaignConfig) ->
             .replace("http://creativecommons.org", "")
         )
     )
+    looks_right(tmp_path / "report.html")
     said = console.export_text()
     assert "1 of 6 bars hold" in said
     assert (

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import synthetic_run as made
 import yaml
+from browser import looks_right
 
 from dextar_control.bags.writer import BagWriter, Sample
 from dextar_control.cli import main as cli
@@ -427,6 +428,7 @@ def test_the_command_writes_a_robot_file_and_a_page(
     assert robot.left.proximal_length == ROBOT.left.proximal_length
     page = (tmp_path / "out" / "identification.html").read_text(encoding="utf-8")
     assert str(other) in page
+    looks_right(tmp_path / "out" / "identification.html")
     assert "The robot is tilted" in page
     said = capsys.readouterr().out.replace("\n", " ")
     assert "not used: of torques of" in said

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browser import PATIENCE, Page
+from browser import PATIENCE, WIDTHS, Page
 from rig import start, stop
 from tornado.websocket import websocket_connect
 
@@ -38,7 +38,6 @@ NODES = {
     "trajectory_server": ("dextar_control.nodes.trajectory_server", ("dwell:=0.05",)),
     "recorder": ("dextar_control.nodes.recorder", ("record_from_start:=false",)),
 }
-WIDTHS = (420, 768, 1280, 1920)
 CUT = """(() => {
   const found = [];
   if (document.documentElement.scrollWidth > innerWidth) found.push("the page is wider than the window");
@@ -432,7 +431,9 @@ def test_numbers_that_are_none_and_a_browser_without_streams_are_told() -> None:
         "action": "",
         "nodes": {},
         "plant": {},
-        "margins": [{"name": "locus", "value": "nan", "limit": "nan", "used": nan}],
+        "margins": [
+            {"name": "locus", "value": "nan", "limit": "nan", "unit": "", "used": nan}
+        ],
         "recorder": {},
         "values": {},
         "lines": [],

@@ -433,6 +433,11 @@ def test_who_is_heard_of_is_named_where_the_controller_is_not() -> None:
     assert mend("/left", {}, {"panel": 0, "plant": 0})[0].startswith(
         "No controller is heard of in /left; heard of: plant."
     )
+    just_begun = mend("/left", {}, {}, listening=True)
+    assert (
+        just_begun[0].startswith("The panel has just begun to listen")
+        and not just_begun[1]
+    )
 
 
 def test_the_watch_that_is_nearest_to_its_limit_comes_first() -> None:
@@ -444,7 +449,9 @@ def test_the_watch_that_is_nearest_to_its_limit_comes_first() -> None:
         "watch_estimator": "nan of 0.04",
         "phase": "HOLD",
     }
-    rows = {row["name"]: row["used"] for row in shown_margins(told)}
+    shown = shown_margins(told, {"locus": "", "tracking_error": "m"})
+    assert {row["name"]: row["unit"] for row in shown}["tracking_error"] == "m"
+    rows = {row["name"]: row["used"] for row in shown}
     assert list(rows)[:2] == ["estimator", "tracking_error"]
     assert (
         rows["locus"] == 0.5
