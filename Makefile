@@ -71,12 +71,12 @@ set-up-test:
 	@$(SET_UP) campaign export video interfaces test oracle
 
 # The test with Foxglove's own readers is skipped where these cannot be installed.
-.venv/installed-js: test/js/package.json | set-up-test
+.venv/installed-js: test/tools/js/package.json | set-up-test
 	@command -v node >/dev/null && command -v npm >/dev/null || \
 		{ echo "no Node.js with npm here: the test with Foxglove's readers is skipped"; exit 0; }
 	echo "installing Foxglove's readers for a test (npm)"
 	mkdir -p .venv/js
-	cp test/js/package.json .venv/js/
+	cp test/tools/js/package.json .venv/js/
 	cd .venv/js
 	npm install --no-audit --no-fund --no-update-notifier --loglevel=error >/dev/null || \
 		{ echo "npm could not install them: that test is skipped"; exit 0; }
