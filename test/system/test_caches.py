@@ -181,13 +181,18 @@ def test_settings_and_logs_find_a_folder_where_the_home_cannot_be_written(
 
 
 def test_help_loads_neither_mathematics_nor_ros() -> None:
-    code = (
-        "import sys\nfrom dextar_control import cli\nfor words in ([], *([name] for"
-        " name in cli.COMMANDS)):\n    try: cli.main([*words, '--help'])\n    except"
-        " SystemExit as end: assert end.code == 0\nprint({name.split('.')[0] for name"
-        " in sys.modules} & {'casadi', 'numpy', 'rclpy', 'matplotlib'}, [name for name"
-        " in sys.modules if name.startswith('dextar_control.model')])"
-    )
+    code = """
+import sys
+from dextar_control.cli import main as cli
+for words in ([], *([name] for name in cli.COMMANDS)):
+    try: cli.main([*words, "--help"])
+    except SystemExit as end: assert end.code == 0
+loaded = {name.split(".")[0] for name in sys.modules}
+print(
+    loaded & {"casadi", "numpy", "rclpy", "matplotlib"},
+    [name for name in sys.modules if name.startswith("dextar_control.model")],
+)
+"""
     answer = subprocess.run(
         [sys.executable, "-c", code],
         check=True,

@@ -198,12 +198,15 @@ def test_a_folder_that_cannot_be_written_is_one_sentence(
 def test_only_parquet_needs_pyarrow(tmp_path: Path, folder: Path) -> None:
     """In a process in which pyarrow cannot be imported."""
     write_run(tmp_path / "run.mcap")
-    code = (
-        "import sys\nsys.modules['pyarrow'] = None\nfrom dextar_control import"
-        f" cli\nbag = {str(tmp_path / 'run.mcap')!r}\ncodes = [cli.main(['export', bag,"
-        " '--format', kind]) for kind in ('csv', 'mat', 'parquet')]\nprint(codes,"
-        " cli.main(['export', bag]))\n"
-    )
+    code = f"""
+import sys
+sys.modules["pyarrow"] = None
+from dextar_control.cli import main as cli
+bag = {str(tmp_path / "run.mcap")!r}
+kinds = "csv", "mat", "parquet"
+codes = [cli.main(["export", bag, "--format", kind]) for kind in kinds]
+print(codes, cli.main(["export", bag]))
+"""
     command = [sys.executable, "-c", code]
     answer = subprocess.run(
         command,
