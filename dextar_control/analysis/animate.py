@@ -116,7 +116,7 @@ def animate(
 
 
 class OnePaletteWriter(PillowWriter):
-    """Writes a GIF whose frames share one palette, which makes it four times smaller."""
+    """Writes a GIF whose frames share one palette, which makes it a fifth as large."""
 
     def finish(self) -> None:
         """Write the frames with the palette of the one in the middle."""

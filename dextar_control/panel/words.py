@@ -29,7 +29,7 @@ def mend(
     """
     if not told and listening:
         return (
-            "The panel has just begun to listen: each node tells of itself once a second.",
+            "The panel has just begun to listen: each node tells of itself every second.",
             "",
         )
     if not told:

@@ -17,13 +17,13 @@ from pathlib import Path
 
 import pytest
 from browser import PATIENCE, WIDTHS, Page
+from no_robot import Nothing
 from rig import start, stop
 from tornado.websocket import websocket_connect
 
 from dextar_control.cli.pdf import find_browser
-from dextar_control.contract import style
 from dextar_control.nodes.panel import ros_arguments
-from dextar_control.panel.server import Backend, PanelServer
+from dextar_control.panel.server import PanelServer
 
 CHROMIUM = find_browser()
 PICTURE = os.environ.get(
@@ -370,35 +370,6 @@ def test_it_comes_back_by_itself_when_controller_or_panel_end_and_begin_again(
     page.errors.clear()
     says(page, "driver", "This page drives.")
     ready(page)
-
-
-class Nothing(Backend):
-    """Knows of no number that is one."""
-
-    def setup(self) -> dict[str, object]:
-        lines = {
-            f"{kind}{part}": line._asdict()
-            for (kind, part), line in style.LINES.items()
-        }
-        specs = {
-            "controller": [
-                {"name": name, "choices": ["a"], "live": False}
-                for name in ("law", "estimator")
-            ]
-        }
-        return {
-            "robot": "none",
-            "namespace": "/",
-            "low": [-0.1, -0.1],
-            "high": [0.1, 0.1],
-            "arcs": [],
-            "lines": lines,
-            "specs": specs,
-        }
-
-    def ask(self, name: str, arguments: object, answer: object) -> None: ...
-
-    def watched(self, viewers: int) -> None: ...
 
 
 def test_numbers_that_are_none_and_a_browser_without_streams_are_told() -> None:

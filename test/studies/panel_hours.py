@@ -1,4 +1,4 @@
-"""What hours in front of the panel cost: ``python test/panel_hours.py 8``.
+"""What hours in front of the panel cost: ``python test/studies/panel_hours.py 8``.
 
 Sends a page in headless Chromium the pictures and the words of that many hours as fast as
 it takes them, from the panel's own server with no robot behind it, and prints what page
@@ -15,10 +15,14 @@ import os
 import sys
 import threading
 import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 
 from browser import Page
-from test_panel import CHROMIUM, Nothing
+from no_robot import Nothing
 
+from dextar_control.cli.pdf import find_browser
 from dextar_control.panel.server import PanelServer
 
 RATE, STATUS_RATE = 25, 5  # messages of the panel in a second
@@ -129,7 +133,7 @@ def main(hours: float) -> None:
     total = round(3600 * RATE * hours)
     print("hours  messages  page, MB  nodes  server, MB")
     try:
-        with Page(str(CHROMIUM), server.address) as page:
+        with Page(str(find_browser()), server.address) as page:
             page._call("Performance.enable")
             page.wait("document.getElementById('link').textContent === 'connected'")
             edges = [total * part // PARTS for part in range(PARTS + 1)]
