@@ -446,7 +446,7 @@ class _Filters:
         sines, sines_here = (
             mechanism.type1_sines(e.q_a, place, self.p) for place in (other, state["x"])
         )
-        p, rows = ca.SX(self.vector), mechanism.rows_of("working_mode")
+        p, rows = ca.SX(self.vector), mechanism.rows().get("working_mode")
         if rows is not None:
             p[rows] *= ca.if_else(sines * sines_here < 0.0, -1.0, 1.0)
         off = ca.norm_1(

@@ -11,6 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import accumulate
 
 import casadi as ca
 import numpy as np
@@ -34,7 +35,7 @@ class Coordinate:
 
     @property
     def effort_unit(self) -> str:
-        """Of what drives it."""
+        """The unit of the force or torque that drives it."""
         return "N" if self.unit == "m" else "N m"
 
 
@@ -140,7 +141,7 @@ class Mechanism(ABC):
 
     @abstractmethod
     def closures(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """h(q_a, x) (n,): zero where the loops are closed."""
+        """h(q_a, x), (n,): zero where the loops are closed."""
 
     @abstractmethod
     def lagrangian(
@@ -150,17 +151,19 @@ class Mechanism(ABC):
 
     @abstractmethod
     def inverse_geometric_model(self, x: Symbol, p: Values) -> Symbol:
-        """q_a (n,) of a platform position in the working mode of ``p``; nan where it is
-        not reached.
+        """q_a (n,) of a platform position x (n,) in the working mode of ``p``; nan where
+        it is not reached.
         """
 
     def nearest_joints(self, x: Symbol, p: Values) -> tuple[Symbol, Symbol]:
         """(q_a (n,), extension (n,)): the inverse geometric model with finite numbers
-        and derivatives everywhere.
+        and derivatives everywhere, which planning needs.
 
         The extension of a leg is within [-1, 1] where it reaches x, +-1 at Type 1 and
         beyond that by how far it misses; there the joint is the one that comes nearest.
-        What optimises needs it; a mechanism for which nothing is planned does without.
+
+        Raises:
+            ParameterError: the mechanism has none.
         """
         raise ParameterError(
             f"mechanism {self.name} has no nearest_joints, which planning needs: write"
@@ -168,7 +171,9 @@ class Mechanism(ABC):
         )
 
     def unreached(self, x: Array, q_a: Array, p: Values) -> str:
-        """Why q_a is nan at x, in words; ``p`` has numbers."""
+        """The sentence that says why q_a (n,), rad or m, is nan at x (n,), m; ``p`` has
+        numbers.
+        """
         joint = self.joints[int(np.argmin(np.isfinite(q_a)))].name
         return (
             f"x = {np.round(x, 6).tolist()} is out of reach: {joint} has no angle there"
@@ -178,10 +183,10 @@ class Mechanism(ABC):
     def direct_geometric_model(
         self, q_a: Symbol, assembly_mode: Symbol, p: Values
     ) -> Symbol | None:
-        """x (n,) of joint positions with sign(s) = assembly_mode, its root kept above
+        """x (n,) of joints q_a (n,) with sign(s) = assembly_mode, its root kept above
         zero; None where it has no closed form.
 
-        Where A_r has k blocks the assembly mode has a sign for each (k,), or one for
+        Where A_r has k blocks the assembly mode has a sign for each, (k,), or one for
         all.
         """
 
@@ -191,58 +196,53 @@ class Mechanism(ABC):
         """(q_a (n,), x (n,), closing) of the Type 2 locus at a tracing angle; None
         where it is not traced in closed form.
 
-        Of a mechanism without, a place of the locus is found near a given one, and
-        planned for as it stands.
+        Without it a point of the locus is found near a given place.
         """
         return None
 
     def family_name(self, A_r: Array) -> str:
-        """Which family of the locus a place of it belongs to, by A_r (n, n); "" where
-        there is one.
+        """The family of the locus that a point of it belongs to, by A_r (n, n), m
+        (the closures' unit over m); "" where there is one family.
         """
         return ""
 
     def length(self, p: Values) -> float:
-        """By which distances are measured, m; ``p`` has numbers."""
+        """The length by which distances are measured, m; ``p`` has numbers."""
         return float(np.ravel(self.singularity_length(p))[0])
 
     def mirror_image(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol | None:
-        """The other place (n,) of the platform that the joints q_a leave, with
-        -sign(s); None where it has no closed form.
+        """The platform position (n,) with -sign(s) that has the same joints q_a as x;
+        None where it has no closed form.
         """
         return None
 
     def why_open(self, q_a: Array, p: Values) -> str:
-        """Why no place of the platform closes the loops at joints q_a (n,), in words;
-        "" where one does or that is not known.
-
-        ``p`` has numbers.
+        """The sentence that says why no platform position closes the loops at joints
+        q_a (n,), rad or m; "" where one does or that is not known; ``p`` has numbers.
         """
         return ""
 
     def folded(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """Positive where that other place is far away even near the locus, so that
-        joints that fit one do not fit the other.
-
-        Of all, or (k,) of blocks of A_r.
+        """Positive where the ``mirror_image`` is far from x even near the locus; of all
+        blocks of A_r, or (k,) of each.
         """
         return ca.SX(-1.0)
 
     def singularity_of_joints(self, q_a: Symbol, p: Values) -> Symbol | None:
-        """|s| from the active joints alone, the same in both assembly modes, 0 where
-        they do not close; None where unknown.
+        """|s| of the joints q_a (n,), which is the same in both assembly modes, 0 where
+        they do not close the loops; None where that is not known.
         """
         return None
 
     def linkage(self, q_a: Array, x: Array, p: Values) -> Array:
-        """(k, 2) places in the plane, m, whose polygon is drawn as the robot; none
-        where there is no picture of it.
+        """The points (k, 2), m, whose polygon is drawn as the robot at joints q_a (n,)
+        and platform position x (n,); none where there is no picture of it.
         """
         return np.zeros((0, 2))
 
     def bodies(self, p: Values) -> Bodies | None:
-        """What it is built of, for who builds it; None where that is not said, and then
-        the next two are not asked.
+        """The bodies it is built of; None where that is not said, and then neither
+        ``tree_joints`` nor ``tree_platform`` is called.
         """
         return None
 
@@ -253,23 +253,23 @@ class Mechanism(ABC):
         raise NotImplementedError
 
     def tree_platform(self, joints: Symbol, p: Values) -> Symbol:
-        """x (n,) of the bodies at positions (m,) of all joints."""
+        """The platform position x (n,) of the bodies at positions (m,) of all joints."""
         raise NotImplementedError
 
     @abstractmethod
     def singularity_scale(self, p: Values) -> Symbol:
-        """What det(A_r) is divided by to give s, dimensionless and about 1 far from the
-        Type 2 locus; (k,) of blocks of A_r.
+        """The number, or (k,) for blocks of A_r, over which det(A_r) is s: dimensionless
+        and about 1 far from the Type 2 locus.
         """
 
     @abstractmethod
     def singularity_length(self, p: Values) -> Symbol:
-        """What the least singular value of A_r is divided by to be dimensionless."""
+        """The number over which the least singular value of A_r is dimensionless."""
 
     @abstractmethod
     def type1_sines(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
-        """One number a leg that is zero where the leg is at a Type 1 singularity, and
-        at most 1 in size.
+        """One number a leg, at most 1 in size: zero where the leg is at a Type 1
+        singularity.
         """
 
     @abstractmethod
@@ -289,9 +289,7 @@ class Mechanism(ABC):
 
     def transmission(self, p: Values) -> tuple[Symbol, Symbol, Symbol] | None:
         """(rotor inertia, kg m^2, stiffness, N m/rad, 0 where rigid, damping, N m
-        s/rad), (n,) each, between motors and joints.
-
-        None where all are rigid.
+        s/rad), (n,) each, between motors and joints; None where all are rigid.
         """
         return None
 
@@ -300,32 +298,32 @@ class Mechanism(ABC):
         vector = ca.SX.sym("p", sum(parameter.size for parameter in self.parameters))
         return vector, self.named(vector)
 
-    def rows_of(self, name: str) -> Slice | None:
-        """Where a parameter stands in the vector; None where there is none of that
-        name.
-        """
-        place = 0
-        for parameter in self.parameters:
-            if parameter.name == name:
-                return slice(place, place + parameter.size)
-            place += parameter.size
-        return None
+    def rows(self) -> dict[str, Slice]:
+        """The rows of each parameter in the vector of ``symbols``, by its name."""
+        ends = accumulate(parameter.size for parameter in self.parameters)
+        return {
+            parameter.name: slice(end - parameter.size, end)
+            for parameter, end in zip(self.parameters, ends, strict=True)
+        }
 
     def named(self, vector: Symbol | ca.DM | Array) -> Values:
-        """The parameters of a vector of symbols or numbers by their dotted names."""
-        named, place = Values(), 0
-        for parameter in self.parameters:
-            *groups, last = parameter.name.split(".")
+        """The parameters of a vector (m,) of symbols, or of numbers in SI units (m, kg,
+        N and so on), by their dotted names.
+        """
+        named = Values()
+        for name, rows in self.rows().items():
+            *groups, last = name.split(".")
             owner = named
             for group in groups:
-                owner = owner.__dict__.setdefault(group, Values())
-            owner.__dict__[last] = vector[place : place + parameter.size]
-            place += parameter.size
+                owner = vars(owner).setdefault(group, Values())
+            vars(owner)[last] = vector[rows]
         return named
 
     def values(self, flat: Mapping[str, object]) -> Array:
-        """The vector of ``symbols`` for dotted names and values; others' keys are
-        ignored.
+        """The vector (m,) of ``symbols`` with numbers, in SI units (m, kg, N and so on).
+
+        Args:
+            flat: values by dotted names; other names are ignored.
 
         Raises:
             ParameterError: one is missing or out of its bounds.

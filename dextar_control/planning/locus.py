@@ -150,7 +150,7 @@ def trace_locus(
     assert isinstance(mechanism, FiveBarLocus)
     angles = np.linspace(-np.pi, np.pi, TRACE + 1)
     arcs = []
-    for family in mechanism.families:
+    for family in Family:
         for branch in (1, -1):
             traced = model.locus([family.value], [branch], angles[:, None])
             modes: list[Mode] = [

@@ -1,4 +1,4 @@
-"""From symbols to fast functions: compiled together once where there is a C compiler,
+"""Fast functions of symbols: compiled together once where there is a C compiler,
 interpreted otherwise.
 
 CasADi writes all functions of a mechanism as one file of C; the system's compiler makes
@@ -30,15 +30,12 @@ from numpy.typing import ArrayLike
 from dextar_control.contract import caches, signals
 from dextar_control.symbols.types import Array, Symbol
 
-FLAGS = (
-    "-fPIC",
-    "-shared",
-    "-ffp-contract=off",
-)  # no fused operations: the same numbers on every machine of a kind
+# without fused operations: the same numbers on every machine of a kind
+FLAGS = ("-fPIC", "-shared", "-ffp-contract=off")
 BLOCK = 64  # states of a batch that one call takes
 COMPILE_TIMEOUT = 60.0  # s
 KEPT = 60  # libraries: some ten for each version of the equations
-SEAL = 32  # bytes
+SEAL = 32  # bytes of the hash behind a library
 _told: set[str] = set()
 _given_up: set[str] = set()  # compilers that took too long in this process
 COMPILER_VARIABLE = "DEXTAR_CC"
@@ -46,20 +43,17 @@ COMPILER_VARIABLE = "DEXTAR_CC"
 
 
 class Results(Protocol):
-    """What a function gives: arrays by name, and in their order."""
+    """The results of a function: arrays by name, and in their order."""
 
-    def __getattr__(self, name: str) -> Array:
-        """That of this name."""
+    def __getattr__(self, name: str) -> Array: ...
 
-    def __iter__(self) -> Iterator[Array]:
-        """All."""
+    def __iter__(self) -> Iterator[Array]: ...
 
 
 class NumericFunction(Protocol):
-    """A function on numbers: ``Fast``, ``Batch``, or one of them with some given."""
+    """A function of numbers, such as ``Fast`` and ``Batch``."""
 
-    def __call__(self, *arguments: ArrayLike) -> Results:
-        """The results of arguments in their order."""
+    def __call__(self, *arguments: ArrayLike) -> Results: ...
 
 
 class _MakeResults(Protocol):
@@ -75,14 +69,13 @@ class _Buffer(Protocol):
 
 
 class Fast:
-    """One function with places of its own for arguments and results: not for two
+    """One function with arrays of its own for arguments and results: not for two
     threads at once.
 
     Args:
-        function: with names, dense arguments and dense results.
-        shared: arrays that serve as places of arguments or results of these names: of
-            one function's result and another's argument, or of a record. The caller
-            keeps them.
+        function: named, with dense arguments and dense results.
+        shared: arrays that serve as arguments or results of these names, such as one
+            function's result that is another's argument. The caller keeps them.
 
     Attributes:
         arguments: by name, arrays that ``run`` reads, (size,); a matrix column by
@@ -115,13 +108,13 @@ class Fast:
         self.results = self._record(*results)
 
     def views(self) -> SimpleNamespace:
-        """The arguments as memoryviews: numbers go into them in half the time."""
+        """The arguments as memoryviews, into which numbers go in half the time."""
         return SimpleNamespace(
             **{name: place.data for name, place in vars(self.arguments).items()}
         )
 
     def __call__(self, *arguments: ArrayLike) -> Results:
-        """The results as a record of new arrays."""
+        """Results in new arrays, of arguments in their order."""
         for place, argument in zip(self._places, arguments, strict=True):
             place[:] = argument
         self.run()
@@ -132,7 +125,7 @@ class Batch:
     """One function of many states, block by block: not for two threads at once.
 
     Args:
-        function: with names, dense arguments and dense results.
+        function: named, with dense arguments and dense results.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -152,8 +145,8 @@ class Batch:
         self._record = _record(function.name(), tuple(function.name_out()))
 
     def __call__(self, *arguments: ArrayLike) -> Results:
-        """A record of (m, size) or (m, rows, columns), of arguments (m, size), or
-        (size,) for all states.
+        """Results (m, size) or (m, rows, columns) of arguments (m, size), or (size,)
+        for all states.
         """
         given = [np.asarray(argument, dtype=np.float64) for argument in arguments]
         many = [
@@ -182,7 +175,7 @@ class Batch:
 
 
 class Library:
-    """Functions of one mechanism that are compiled together.
+    """Functions that are compiled together.
 
     Args:
         functions: on symbols, with names of their own.
@@ -192,7 +185,7 @@ class Library:
 
     Attributes:
         compiled: whether they are.
-        symbolic: by name, as they were given.
+        symbolic: the functions by name, as they were given.
     """
 
     def __init__(
@@ -210,18 +203,20 @@ class Library:
         self._functions = self.symbolic if loaded is None else loaded
 
     def fast(self, name: str, **shared: Array) -> Fast:
-        """A function with places of its own, but for those of these names."""
+        """A function with arrays of its own, but for the ``shared`` ones, (size,) each
+        in the unit that the function takes, such as rad, or 1.
+        """
         return Fast(self._functions[name], shared)
 
     def batch(self, name: str) -> Batch:
-        """The same for many states at once."""
+        """A function of many states at once."""
         return Batch(self._functions[name])
 
 
 def named(
     name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Symbol]
 ) -> ca.Function:
-    """A function on symbols with dense results, its common parts computed once."""
+    """A function with dense results, whose common parts are computed once."""
     dense = [ca.densify(result) for result in results.values()]
     return ca.Function(
         name,
@@ -234,8 +229,8 @@ def named(
 
 
 def in_place(function: ca.Function) -> ca.Function:
-    """The same function, whose results may take the places of its arguments: it reads
-    all of these first.
+    """The same function, which reads all arguments before it writes a result, so that
+    the two may share arrays.
     """
     given = [
         ca.MX.sym(name, function.size1_in(i))
@@ -261,8 +256,8 @@ def _record(name: str, results: tuple[str, ...]) -> _MakeResults:
 
 
 def _matrices(table: Array, shape: tuple[int, int]) -> Array:
-    """(m, rows) or (m, rows, columns) of a table whose rows hold matrices column by
-    column.
+    """(m, rows) or (m, rows, columns) of a table (m, rows * columns) whose rows hold
+    matrices column by column.
     """
     rows, columns = shape
     return (
@@ -284,8 +279,8 @@ def _place(name: str, sparsity: ca.Sparsity, given: Mapping[str, Array]) -> Arra
 
 
 def cache_folder() -> Path | None:
-    """Where compiled functions are kept; None where nothing can be written, which is
-    told.
+    """The folder of compiled functions; None where none can be written, which is
+    printed.
     """
     folder = caches.cache_folder("functions")
     if folder is None:
@@ -297,7 +292,7 @@ def cache_folder() -> Path | None:
 
 
 def compiler() -> str | None:
-    """Path of the C compiler, or None."""
+    """The path of the C compiler, or None."""
     named = os.environ.get(COMPILER_VARIABLE)
     if named is not None:
         return shutil.which(named) if named else None
@@ -308,7 +303,7 @@ def _compiled(
     functions: Mapping[str, ca.Function], folder: Path, flags: Sequence[str]
 ) -> Mapping[str, ca.Function] | None:
     """The functions from a library, compiled unless it is there already; None where
-    that cannot be done, which is told.
+    that cannot be done, which is printed.
     """
     command = compiler()
     if command is None:
@@ -348,21 +343,18 @@ def _compiled(
             )
             with target.open("r+b") as stream:
                 stream.write(_seal(stream.read()))
-            os.replace(
-                target, library
-            )  # whole or not at all, whoever else compiles the same
+            # whole or not at all, whoever else compiles the same:
+            os.replace(target, library)
         _prune(folder)
     except subprocess.TimeoutExpired:
         _given_up.add(command)
         _tell(f"the C compiler {command} took more than {COMPILE_TIMEOUT:g} s")
     except subprocess.CalledProcessError as error:
-        lines = error.stderr.decode(errors="replace").strip().splitlines() or [
-            "no message"
-        ]
-        if (
-            -error.returncode not in signals.ENDING
-        ):  # whoever asked it to end asks this process too
-            _tell(f"the C compiler {command} failed: {lines[0]}")
+        lines = error.stderr.decode(errors="replace").strip().splitlines()
+        # whoever asked the compiler to end asks this process too
+        if -error.returncode not in signals.ENDING:
+            said = lines[0] if lines else "no message"
+            _tell(f"the C compiler {command} failed: {said}")
     except OSError as error:
         _tell(f"{folder} cannot be written: {error.strerror or error}")
     else:
@@ -375,12 +367,12 @@ def _compiled(
 def _loaded(
     functions: Mapping[str, ca.Function], library: Path
 ) -> Mapping[str, ca.Function] | None:
-    """The functions of a compiled library; None where it is none."""
+    """The functions of a compiled library; None where the file is none."""
     try:
         content = library.read_bytes()
         if content[-SEAL:] != _seal(content[:-SEAL]):
             return None
-        os.utime(library)  # the least recently used ones go
+        os.utime(library)  # the least recently used ones are removed
     except OSError:
         if not os.access(library, os.R_OK):
             return None
@@ -391,21 +383,21 @@ def _loaded(
 
 
 def _seal(content: bytes) -> bytes:
-    """What stands behind a whole library: a cut one would end the process that calls
-    into it.
+    """The hash that stands behind a whole library: a library cut off would end the
+    process that calls it.
     """
     return hashlib.sha256(content).digest()
 
 
 def _prune(folder: Path) -> None:
-    """Keep the libraries that were used last."""
+    """Remove all libraries but those that were used last."""
     used = sorted(folder.glob("model-*.so"), key=lambda file: file.stat().st_mtime)
     for file in used[:-KEPT]:
         file.unlink(missing_ok=True)
 
 
 def _tell(why: str) -> None:
-    """Once in a process."""
+    """Print why the equations are interpreted, once in a process."""
     text = (
         "dextar: the model's equations are interpreted, two to three times slower:"
         f" {why}"

@@ -1,4 +1,4 @@
-"""Numbers by name: a record's fields on symbols and in an array, laid out once.
+"""Records: numbers by name, on symbols and in an array, laid out once.
 
 A fast function takes and gives whole records, one contiguous vector each. Both sides of
 it address the numbers by the same names: ``Layout.symbols`` where the function is
@@ -27,7 +27,7 @@ class Field(NamedTuple):
         name: by which it is addressed.
         unit: SI; of a platform coordinate m, of a joint that joint's.
         meaning: in a few words.
-        rows, columns: of its shape; "n" stands for the degrees of freedom, "3n" for
+        rows, columns: its shape; "n" stands for the degrees of freedom, "3n" for
             three times as many.
     """
 
@@ -39,13 +39,11 @@ class Field(NamedTuple):
 
 
 class Record:
-    """The numbers of one record; fields are attributes, views into ``numbers``:
-    (size,), (rows, columns), or a float.
-
-    Each layout has its class of them.
+    """The numbers of one record, whose fields are attributes: views of ``numbers``, in
+    shapes (size,) or (rows, columns), or floats. Each layout has its own class.
 
     Args:
-        numbers: the array that holds them; zeros when None.
+        numbers: the array that holds them, (size,); zeros when None.
     """
 
     __slots__ = ("_view", "numbers")
@@ -64,11 +62,11 @@ class Record:
             """Each layout's class has its fields."""
 
     def copy(self) -> Record:
-        """One with numbers of its own."""
+        """A record of the same numbers in an array of its own."""
         return type(self)(self.numbers.copy())
 
     def take(self, other: Record) -> None:
-        """Become the other's numbers."""
+        """Copy the numbers of another record."""
         self.numbers[:] = other.numbers
 
 
@@ -103,7 +101,7 @@ def _property(
 
 
 class Layout:
-    """Where the fields of a kind of record lie, for a number of degrees of freedom.
+    """The layout of one kind of record for a number of degrees of freedom.
 
     Args:
         name: of the kind.
@@ -111,9 +109,9 @@ class Layout:
         fields: in order.
 
     Attributes:
-        size: of all fields.
-        places: per field, its index (of a scalar) or slice, and its shape (None for a
-            scalar).
+        size: of all fields together.
+        places: of each field, its index (of a scalar) or slice, and its shape (None for
+            a scalar).
     """
 
     def __init__(self, name: str, n: int, fields: tuple[Field, ...]) -> None:
@@ -143,37 +141,36 @@ class Layout:
         return size if isinstance(size, int) else int(size[:-1] or "1") * self.n
 
     def make(self, **values: ArrayLike) -> Record:
-        """A record of zeros but for these fields."""
+        """A record of zeros but for ``values``, in the fields' shapes such as (n,) and
+        units such as rad.
+        """
         record: Record = self._class()
         for name, value in values.items():
             setattr(record, name, value)
         return record
 
     def of(self, numbers: Array) -> Record:
-        """The record whose numbers are in this array (size,)."""
+        """The record whose numbers are in this array (size,), in the fields' units such
+        as rad.
+        """
         record: Record = self._class(numbers)
         return record
 
     def rows(self, **columns: ArrayLike) -> Array:
-        """(m, size) of many records: each field (m,), or (m, its size), a matrix column
-        by column; or one number for all.
+        """Many records as a table (m, size), in the fields' units such as rad.
+
+        Args:
+            columns: of each field, (m,), or (m, k) where it has k numbers, a matrix
+                column by column; or one number for all.
         """
-        table = np.empty(
-            (
-                max(
-                    np.shape(column)[0]
-                    for column in columns.values()
-                    if np.ndim(column)
-                ),
-                self.size,
-            )
-        )
+        many = max(np.shape(one)[0] for one in columns.values() if np.ndim(one))
+        table = np.empty((many, self.size))
         for name, column in columns.items():
             table[:, self.places[name][0]] = column
         return table
 
     def indices(self, *names: str) -> NDArray[np.int64]:
-        """Where the numbers of these fields lie in the vector, rising."""
+        """The indices (k,), 1, of these fields' numbers in the vector, rising."""
         every = np.arange(self.size)
         return np.sort(
             np.concatenate(
@@ -182,12 +179,12 @@ class Layout:
         )
 
     def symbols(self, name: str = "") -> tuple[Symbol, dict[str, Symbol]]:
-        """(a vector of symbols, its fields by name)."""
+        """(a vector of symbols (size,), its fields by name)."""
         vector = ca.SX.sym(name or self.name, self.size)
         return vector, self.split(vector)
 
     def split(self, vector: Symbol) -> dict[str, Symbol]:
-        """The fields of a vector on symbols."""
+        """The fields, by name, of a vector on symbols (size,)."""
         parts = {}
         for name, (place, shape) in self.places.items():
             part = vector[place]
@@ -197,7 +194,7 @@ class Layout:
         return parts
 
     def join(self, fields: Mapping[str, Symbol | float]) -> Symbol:
-        """One vector on symbols of all fields."""
+        """The vector on symbols (size,) of all fields."""
         return ca.vertcat(
             *(ca.vec(ca.densify(ca.SX(fields[field.name]))) for field in self.fields)
         )

@@ -1,4 +1,4 @@
-"""What numbers and symbols are."""
+"""The types of arrays and symbols."""
 
 from __future__ import annotations
 
