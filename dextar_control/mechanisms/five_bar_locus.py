@@ -104,8 +104,8 @@ class FiveBarLocus(TwoLinkLegs):
         return self.family(A_r).name.lower()
 
     def modes(self, type1_sines: Array) -> Array:
-        """Working modes (m, 2), 1, of the sines (m, 2), 1, of the elbows' angles: +1 where
-        the elbow is on the left, which makes the sine negative.
+        """Working modes (m, 2), 1, of the sines (m, 2), 1, of the elbows' angles: +1
+        where the elbow is on the left, which makes the sine negative.
         """
         return np.where(type1_sines < 0.0, 1, -1)
 

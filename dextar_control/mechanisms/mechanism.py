@@ -151,8 +151,8 @@ class Mechanism(ABC):
 
     @abstractmethod
     def inverse_geometric_model(self, x: Symbol, p: Values) -> Symbol:
-        """q_a (n,) of a platform position x (n,) in the working mode of ``p``; nan where
-        it is not reached.
+        """q_a (n,) of a platform position x (n,) in the working mode of ``p``; nan
+        where it is not reached.
         """
 
     def nearest_joints(self, x: Symbol, p: Values) -> tuple[Symbol, Symbol]:
@@ -253,13 +253,13 @@ class Mechanism(ABC):
         raise NotImplementedError
 
     def tree_platform(self, joints: Symbol, p: Values) -> Symbol:
-        """The platform position x (n,) of the bodies at positions (m,) of all joints."""
+        """x (n,) of the platform where all joints are at positions (m,)."""
         raise NotImplementedError
 
     @abstractmethod
     def singularity_scale(self, p: Values) -> Symbol:
-        """The number, or (k,) for blocks of A_r, over which det(A_r) is s: dimensionless
-        and about 1 far from the Type 2 locus.
+        """The number, or (k,) for blocks of A_r, over which det(A_r) is s:
+        dimensionless and about 1 far from the Type 2 locus.
         """
 
     @abstractmethod
@@ -320,7 +320,8 @@ class Mechanism(ABC):
         return named
 
     def values(self, flat: Mapping[str, object]) -> Array:
-        """The vector (m,) of ``symbols`` with numbers, in SI units (m, kg, N and so on).
+        """The vector (m,) of ``symbols`` with numbers, in SI units (m, kg, N and so
+        on).
 
         Args:
             flat: values by dotted names; other names are ignored.

@@ -1,6 +1,4 @@
-"""A robot of any mechanism: its numbers, and the limits that planner and controller
-keep.
-"""
+"""A robot of any mechanism: its numbers and limits."""
 
 from __future__ import annotations
 
@@ -38,8 +36,7 @@ LIMITS = (
 
 @dataclass(frozen=True)
 class Robot:
-    """A mechanism with its numbers and limits; what ``RobotParameters`` is for the
-    five-bar.
+    """A mechanism with its numbers and limits, as ``RobotParameters`` is the five-bar.
 
     Attributes:
         mechanism: the equations.
@@ -62,8 +59,8 @@ class Robot:
 
     @classmethod
     def of(cls, mechanism: Mechanism, values: Mapping[str, object]) -> Robot:
-        """From dotted names: the mechanism's parameters, LIMITS, and where there are
-        bounds ``joint_min`` and ``joint_max``.
+        """The robot of values by dotted names: the mechanism's parameters, LIMITS, and
+        where the joints have bounds ``joint_min`` and ``joint_max``.
 
         Raises:
             ParameterError: a number is missing or out of its bounds, or unknown.
@@ -124,12 +121,12 @@ class Robot:
 
     @property
     def encoder_offset(self) -> tuple[float, ...]:
-        """Of the active joints, rad (m): none."""
+        """The offsets of the active joints, rad (m): none."""
         return (0.0,) * self.mechanism.n
 
     @property
     def working_mode(self) -> tuple[int, ...]:
-        """Of the legs, where the mechanism has such a parameter."""
+        """The working mode of the legs, where the mechanism has such a parameter."""
         return tuple(
             int(side)
             for side in cast("tuple[float, ...]", self.numbers.get("working_mode", ()))

@@ -53,7 +53,8 @@ class Results(Protocol):
 class NumericFunction(Protocol):
     """A function of numbers, such as ``Fast`` and ``Batch``."""
 
-    def __call__(self, *arguments: ArrayLike) -> Results: ...
+    def __call__(self, *arguments: ArrayLike) -> Results:
+        """The results of arguments in their order."""
 
 
 class _MakeResults(Protocol):

@@ -25,7 +25,11 @@ from dextar_control.experiments.campaign.learnt import learnt
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import clear_times
 from dextar_control.planning.locus import locus_point, nearest_point, sample_locus
-from dextar_control.planning.planner import Criterion, Plan, plan_return_trip_through
+from dextar_control.planning.planner import (
+    CrossingCriterion,
+    Plan,
+    plan_return_trip_through,
+)
 from dextar_control.symbols.types import Array
 
 if TYPE_CHECKING:
@@ -214,7 +218,9 @@ def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
 def _plan_for(robot: RobotParameters, trial: Trial) -> Plan:
     """The trip that is planned for a robot as it is known."""
     criterion = (
-        Criterion.ZERO_WRENCH if trial.law == "multi_model" else Criterion.RECIPROCAL
+        CrossingCriterion.ZERO_WRENCH
+        if trial.law == "multi_model"
+        else CrossingCriterion.RECIPROCAL
     )
     return _planned(
         robot,
@@ -235,7 +241,7 @@ def _planned(
     duration: float,
     dwell: float,
     repeat: int,
-    criterion: Criterion,
+    criterion: CrossingCriterion,
 ) -> Plan:
     place = locus_point(robot, np.array(point))
     return plan_return_trip_through(
