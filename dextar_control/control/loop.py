@@ -18,7 +18,7 @@ from dextar_control.control.reference import PlannedReference
 from dextar_control.control.safe_stop import SafeStop, Stage, Stopped
 from dextar_control.control.supervisor import Supervisor, acts_of
 from dextar_control.control.verdicts import CrossingJudge, Passed
-from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimate import ExternalPosition
 from dextar_control.estimation.estimator import make_estimator
 from dextar_control.model.model import Model
 from dextar_control.model.robot import AnyRobot
@@ -489,7 +489,9 @@ class ControlLoop:
         self.estimator.start(x, q_a, self._assembly_mode)
         self._hold_at(x)
 
-    def step(self, time: float, q_a: Array, pose: Pose | None = None) -> Array:
+    def step(
+        self, time: float, q_a: Array, pose: ExternalPosition | None = None
+    ) -> Array:
         """Torque (n,), N m, that answers the active joints q_a (n,), rad, sampled at
         ``time``, s.
 

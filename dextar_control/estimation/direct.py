@@ -1,5 +1,5 @@
-"""Platform state by the direct geometric model, the paper's estimator, with its
-precautions (section 4.2).
+"""The platform's state by the direct geometric model, with the paper's precautions
+(section 4.2).
 
 Away from the locus the direct model gives the platform. Near it that amplifies any
 joint error along t_s and, at folded points, does not exist. The precautions:
@@ -23,7 +23,7 @@ import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.settings import Settings
-from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimate import ExternalPosition
 from dextar_control.estimation.joint_filter import JOINTS, track_joints
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.mechanisms.mechanism import Mechanism
@@ -46,7 +46,7 @@ REFINEMENTS = 2  # Newton steps of the strong directions inside the zone
 
 @lru_cache
 def direct_of(mechanism: Mechanism) -> Library:
-    """The direct estimators' steps as functions.
+    """The functions of the direct estimators: ``follow`` and ``coast``.
 
     Raises:
         ParameterError: the mechanism has no direct model in closed form.
@@ -54,10 +54,8 @@ def direct_of(mechanism: Mechanism) -> Library:
     n = mechanism.n
     vector, p = mechanism.symbols()
     joints, estimates = Layout("joints", n, JOINTS), Layout("estimate", n, ESTIMATE)
-    (memory_vector, memory), (before_vector, before) = (
-        joints.symbols("memory"),
-        estimates.symbols(),
-    )
+    memory_vector, memory = joints.symbols("memory")
+    before_vector, before = estimates.symbols()
     ref_vector, ref = Layout("reference", n, REFERENCE).symbols()
     q_meas = ca.SX.sym("q_meas", n)
     dt, bandwidth, mode, zone, width, outside, returning = (
@@ -179,7 +177,7 @@ def direct_of(mechanism: Mechanism) -> Library:
 
 
 class DirectEstimator:
-    """``dgm`` and, with ``held`` false, ``plain``."""
+    """The estimators ``dgm`` and, with ``held`` false, ``plain``."""
 
     def __init__(
         self, model: Model, settings: Settings, estimate: Record | None, *, held: bool
@@ -188,11 +186,8 @@ class DirectEstimator:
         self._memory = Layout("joints", model.n, JOINTS).make()
         self.estimate = estimate or Layout("estimate", model.n, ESTIMATE).make()
         self.estimate.s = np.nan
-        library, memory, shown = (
-            direct_of(model.mechanism),
-            self._memory.numbers,
-            self.estimate.numbers,
-        )
+        library = direct_of(model.mechanism)
+        memory, shown = self._memory.numbers, self.estimate.numbers
         shared = {
             "p": model.p,
             "memory": memory,
@@ -200,10 +195,8 @@ class DirectEstimator:
             "estimate": shown,
             "estimate_next": shown,
         }
-        self._follow, self._coast = (
-            library.fast("follow", **shared),
-            library.fast("coast", **shared),
-        )
+        self._follow = library.fast("follow", **shared)
+        self._coast = library.fast("coast", **shared)
         self._mode = 1.0
         self._outside = np.inf
         self.mode_known = True
@@ -212,20 +205,18 @@ class DirectEstimator:
 
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
-        self._bandwidth, self._return_time = (
-            settings.filter_bandwidth,
-            settings.return_time,
-        )
+        self._bandwidth = settings.filter_bandwidth
+        self._return_time = settings.return_time
         self.unknown_s = settings.hold_zone
 
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
-        """See ``Estimator``."""
+        """See ``Estimator``: x (n,), m, q_a (n,), rad."""
         self._memory.q, self._memory.q_dot = q_a, 0.0
         self.rebase(q_a)
         self.tell_mode(assembly_mode, q_a)
 
     def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
-        """See ``Estimator``."""
+        """See ``Estimator``: q_a (n,), rad."""
         self._mode = float(assembly_mode)
         self.estimate.assembly_mode, self.estimate.confidence = self._mode, 1.0
         self.mode_known = True
@@ -236,7 +227,7 @@ class DirectEstimator:
         return [(self.estimate.assembly_mode, self.estimate.confidence)] * self._blocks
 
     def rebase(self, q_a: Array) -> None:
-        """See ``Estimator``."""
+        """See ``Estimator``: q_a (n,), rad."""
         self._memory.q_ref, self._memory.q_ref_dot = q_a, 0.0
         self._outside = np.inf
 
@@ -247,12 +238,8 @@ class DirectEstimator:
 
     def _take(self, step: Fast, dt: float, q_a: Array) -> None:
         given = step.arguments
-        given.q_meas[:] = q_a
-        given.dt[0], given.bandwidth[0], given.assembly_mode[0] = (
-            dt,
-            self._bandwidth,
-            self._mode,
-        )
+        given.q_meas[:], given.dt[0] = q_a, dt
+        given.bandwidth[0], given.assembly_mode[0] = self._bandwidth, self._mode
         step.run()
 
     def track(
@@ -264,29 +251,26 @@ class DirectEstimator:
         zone: float,
         width: float,
     ) -> None:
-        """See ``Estimator``."""
+        """See ``Estimator``: q_a (n,), rad, tau (n,), N m."""
         s_ref = reference.s
-        if (
-            s_ref * self._mode < 0.0
-        ):  # the reference has crossed: the direct model's branch changes with it
+        # where the reference has crossed the direct model's branch changes with it
+        if s_ref * self._mode < 0.0:
             self._mode = -self._mode
             self.estimate.confidence = 0.5
         given = self._follow.arguments
         given.reference[:] = reference.numbers
         given.zone[0], given.width[0] = zone if self._held else 0.0, width
-        given.time_outside[0], given.time_return[0] = (
-            min(self._outside, 1e9),
-            self._return_time,
-        )
+        given.time_outside[0] = min(self._outside, 1e9)
+        given.time_return[0] = self._return_time
         self._take(self._follow, dt, q_a)
         self._outside = self._outside + dt if abs(s_ref) > zone else 0.0
 
     def coast(self, dt: float, q_a: Array, tau: Array) -> None:
-        """See ``Estimator``."""
+        """See ``Estimator``: q_a (n,), rad, tau (n,), N m."""
         self._take(self._coast, dt, q_a)
         if not abs(self.estimate.s) >= self.unknown_s:
             self.mode_known = False
             self.estimate.confidence = 0.5
 
-    def take_pose(self, pose: Pose, time: float) -> None:
+    def take_pose(self, pose: ExternalPosition, time: float) -> None:
         """See ``Estimator``."""

@@ -1,6 +1,4 @@
-"""What the loop asks of an estimator: where the platform is, in which assembly mode,
-and how sure that is.
-"""
+"""The interface of estimators."""
 
 from __future__ import annotations
 
@@ -11,22 +9,21 @@ from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
 
 
-class Pose(NamedTuple):
+class ExternalPosition(NamedTuple):
     """An external measurement of the platform."""
 
-    time: float  # when it was true, in the time of the samples, s
+    time: float  # of the measurement, in the time of the samples, s
     x: Array  # (n,) m
 
 
 class Estimator(Protocol):
-    """What the loop asks of an estimator.
+    """The interface of an estimator.
 
     Attributes:
         estimate: of the last sample, a record of ``estimation.records.ESTIMATE``.
-        tells_side: whether it can tell on which side a robot is that has passed the
-            locus.
-        note: what there is to say of the external measurements; empty when they are
-            taken as they come.
+        tells_side: whether it can tell on which side of the locus a robot is that has
+            come near it.
+        note: a sentence about the external measurements; empty while they are used.
     """
 
     estimate: Record
@@ -36,37 +33,39 @@ class Estimator(Protocol):
     @property
     def modes(self) -> list[tuple[float, float]]:
         """(assembly mode, confidence in it, 0.5 to 1) of each block of A_r; the
-        estimate has the least sure one's.
+        estimate has that of the block with the least confidence.
         """
 
     @property
     def mode_known(self) -> bool:
-        """Whether the assembly mode is known well enough to begin a motion from."""
+        """Whether the assembly mode is known well enough to begin a motion."""
 
     @property
     def unknown_s(self) -> float:
-        """|s| of the locus within which a robot at rest is on no known side, whatever
-        was told.
+        """|s| within which the side of a robot at rest counts as unknown, even where
+        it was told.
         """
 
     def configure(self, settings: Settings) -> None:
         """Take the settings that concern it, also while running."""
 
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
-        """The robot rests at x (n,) with joints q_a (n,), in a known assembly mode."""
+        """Begin at rest at x (n,), m, with joints q_a (n,), rad, in a known assembly
+        mode.
+        """
 
     def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
-        """Somebody looked: the robot is in this assembly mode, with joints q_a (n,); it
-        may move.
+        """Take an assembly mode that the operator tells; the robot has joints q_a (n,),
+        rad, and may move.
         """
 
     def rebase(self, q_a: Array) -> None:
-        """The reference is at rest at q_a (n,) from now on, without the robot having
-        moved.
+        """Take a reference at rest at q_a (n,), rad, to which the robot has
+        not moved.
         """
 
     def release(self, crossing: bool) -> None:
-        """There is no reference from now on; it ends while crossing or not."""
+        """Go on without a reference, which ended while crossing or not."""
 
     def track(
         self,
@@ -77,14 +76,23 @@ class Estimator(Protocol):
         zone: float,
         width: float,
     ) -> None:
-        """One sample while a law acts: joints q_a measured, tau acted since the last
-        one, dt ago.
+        """Take a sample while a law acts.
+
+        Args:
+            dt: since the last sample, s.
+            q_a: measured joints, (n,), rad.
+            tau: torques since the last sample, (n,), N m.
+            reference: record of ``estimation.records.REFERENCE``.
+            zone, width: |s| within which the law holds the weak direction, and over
+                which it lets it go.
         """
 
     def coast(self, dt: float, q_a: Array, tau: Array) -> None:
-        """One sample without a reference."""
+        """Take a sample without a reference: joints q_a (n,), rad, torques tau (n,),
+        N m, over dt, s.
+        """
 
-    def take_pose(self, pose: Pose, time: float) -> None:
-        """An external measurement that has arrived at ``time``; ignored by estimators
-        without use for it.
+    def take_pose(self, pose: ExternalPosition, time: float) -> None:
+        """Take an external position that has arrived at ``time``, s; an estimator
+        without use for it ignores it.
         """

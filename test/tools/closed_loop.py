@@ -12,7 +12,7 @@ import numpy as np
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
-from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimate import ExternalPosition
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan
 from dextar_sim.rig import Rig
@@ -105,7 +105,7 @@ def drive(
             pose = (
                 None
                 if sample.pose is None
-                else Pose(sample.pose.time, sample.pose.x + camera_off)
+                else ExternalPosition(sample.pose.time, sample.pose.x + camera_off)
             )
             tau = loop.step(sample.time, sample.q_a, pose)
             tick = loop.tick

@@ -20,7 +20,7 @@ from dextar_control.contract.settings import Estimation, Law, default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import LIMP, Phase
 from dextar_control.control.verdicts import Verdict
-from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimate import ExternalPosition
 from dextar_control.experiments.campaign.learnt import learnt
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import clear_times
@@ -444,7 +444,9 @@ def _drive(loop: ControlLoop, plan: Plan, rig: Any, strike: Strike | None) -> Lo
         sample, truth = rig.read(), rig.truth()
         if sample is not None:
             pose = (
-                None if sample.pose is None else Pose(sample.pose.time, sample.pose.x)
+                None
+                if sample.pose is None
+                else ExternalPosition(sample.pose.time, sample.pose.x)
             )
             tau = loop.step(sample.time, sample.q_a, pose)
             x_ref = loop.tick.x_ref if loop.tick is not None else start
