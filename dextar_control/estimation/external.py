@@ -170,7 +170,7 @@ class ExternalEstimator(ObserverEstimator):
         self._absence = 0.0
 
     def _refuse(self, outcome: PositionOutcome, text: str) -> None:
-        """Count a refused position, and note it where the last one had another outcome."""
+        """Count a refused position; note it where the last had another outcome."""
         self.outcomes[outcome] += 1
         if outcome is not self._last_outcome:
             self.note = text
