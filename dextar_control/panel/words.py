@@ -29,7 +29,7 @@ def mend(
     """
     if not told and listening:
         return (
-            "The panel has just begun to listen: each node tells of itself every second.",
+            "The panel has just begun to listen: nodes tell of themselves each second.",
             "",
         )
     if not told:
