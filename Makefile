@@ -2,6 +2,7 @@
 # LAW=consistent  law of the demo: consistent, projected or classic
 # DURATION=       duration of one way in the demo, s
 # CONFIG=         file of the campaign (config/campaign_small.yaml)
+# TESTS=test      the tests that make test runs, such as test/loop or one file
 # ARGS=           further arguments of dextar or pytest
 # EXTRAS=         of setup.py that make setup adds: campaign, export, video
 # PYTHON=python3  the interpreter that .venv is made with, 3.10 to 3.13
@@ -11,6 +12,7 @@ LAW ?= consistent
 DURATION ?=
 CONFIG ?= config/campaign_small.yaml
 EXTRAS ?=
+TESTS ?= test
 ARGS ?=
 
 SHELL := /bin/bash
@@ -22,6 +24,9 @@ SHELL := /bin/bash
 
 BIN := .venv/bin
 SET_UP := PYTHON="$(PYTHON)" ./set_up.sh
+# Files side by side, each in a process and a DDS domain of its own; what they run of the mathematics is counted.
+PYTEST := $(BIN)/python -m pytest -q --numprocesses=2 --dist=loadfile --cov --cov-report=
+COVERAGE := echo "of the mathematics' lines the tests run $$($(BIN)/coverage report --format=total) % ($(BIN)/coverage report lists them)"
 
 help: ## this list
 	@sed -n 's/^# \{1,2\}//p;/^$$/q' Makefile
@@ -45,12 +50,14 @@ check: set-up-test ## formatter, linter, types, and the tests that start nothing
 	$(BIN)/ruff check .
 	$(BIN)/mypy & types=$$!
 	tests=0
-	$(BIN)/python -m pytest -q -n 2 test/unit $(ARGS) || tests=$$?
+	$(PYTEST) test/unit $(ARGS) || tests=$$?
+	$(COVERAGE)
 	wait $$types
 	exit $$tests
 
 test: set-up-test .venv/installed-js ## run the tests
-	@$(BIN)/python -m pytest -q --durations=10 $(ARGS)
+	@$(PYTEST) --durations=10 $(TESTS) $(ARGS)
+	$(COVERAGE)
 
 interfaces: ## build the action go and the readable messages into install/ (README)
 	@case "$$PWD" in
@@ -69,7 +76,7 @@ bench: ## measure the loop on this machine
 	$(BIN)/dextar bench $(ARGS)
 
 clean: ## remove .venv, builds and caches; recordings in runs/ stay
-	@rm -rf .venv build install log *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	@rm -rf .venv build install log *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .coverage*
 	find . -name .git -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 set-up-test:
