@@ -74,6 +74,7 @@ setup(
             "ros-jazzy-ament-cmake-gtest", "ros-jazzy-ament-cmake-pytest",
         ],
         "oracle": ["pin"],  # needs numpy 2, so it does not go with a Jazzy installation
+        "docs": ["sphinx", "myst-parser", "furo", "latex2mathml"],
         "lint": ["ruff", "mypy", "types-PyYAML"],
     },
     entry_points={

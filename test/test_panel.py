@@ -170,7 +170,7 @@ def goes(page: Page) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.skipif(not PICTURE, reason="makes the documentation's picture: DEXTAR_PICTURE=doc/panel.png, -k picture")
+@pytest.mark.skipif(not PICTURE, reason="makes the documentation's picture: DEXTAR_PICTURE=docs/panel.png, -k picture")
 def test_the_documentations_picture_is_taken_in_a_crossing(page: Page, robot: Robot) -> None:
     page.resize(1280)
     ready(page)
