@@ -1,4 +1,4 @@
-"""Settings of the documentation's site: ``make docs`` builds it into ``docs/_build``, where it opens offline."""
+"""Settings of the site that ``make docs`` builds into ``docs/_build``; it opens offline."""
 
 import sys
 from pathlib import Path
@@ -14,7 +14,9 @@ from reference import tables  # noqa: E402
 
 project = "dextar"
 author = "dextar maintainers"
-release = version = ElementTree.parse(HERE.parent / "package.xml").findtext("version", "")
+release = version = ElementTree.parse(HERE.parent / "package.xml").findtext(
+    "version", ""
+)
 html_title = f"dextar {version}"
 
 extensions = ["myst_parser"]
@@ -28,9 +30,13 @@ html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_copy_source = False
-html_show_search_summary = False  # it would fetch the pages, which a browser refuses to a file
+html_show_search_summary = (
+    False  # it would fetch the pages, which a browser refuses to a file
+)
 html_show_copyright = False
-html_math_renderer = "mathml"  # browsers draw MathML themselves: no script, no font from elsewhere
+html_math_renderer = (
+    "mathml"  # browsers draw MathML themselves: no script, no font from elsewhere
+)
 
 
 def _inline(self, node):
@@ -39,7 +45,9 @@ def _inline(self, node):
 
 
 def _block(self, node):
-    self.body.append(f'<div class="math">{convert(node.astext(), display="block")}</div>')
+    self.body.append(
+        f'<div class="math">{convert(node.astext(), display="block")}</div>'
+    )
     raise nodes.SkipNode
 
 
