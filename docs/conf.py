@@ -1,4 +1,4 @@
-"""Settings of the site that ``make docs`` builds into ``docs/_build``; it opens offline."""
+"""Settings of the site that ``make docs`` builds and that opens offline."""
 
 import sys
 from pathlib import Path

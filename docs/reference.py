@@ -8,8 +8,7 @@ from collections.abc import Iterable
 
 from dextar_control.cli.main import parser
 from dextar_control.contract import resources
-from dextar_control.contract import tables as contract
-from dextar_control.contract.help import first_paragraph
+from dextar_control.contract.help import first_paragraph, rate
 from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.robot import ROBOT_KEYS
 from dextar_control.contract.topics import (
@@ -17,7 +16,10 @@ from dextar_control.contract.topics import (
     PHASES,
     READABLE_CRITERION,
     READABLE_STATE,
+    SERVICES,
     TOPICS,
+    TimeOut,
+    Topic,
 )
 from dextar_control.control.supervisor import WATCHES
 from dextar_control.experiments.launch_arguments import ARGUMENTS
@@ -132,10 +134,44 @@ def nodes() -> str:
     )
 
 
+def quality(topic: Topic) -> str:
+    """What is offered, and what the control path asks for where that is less."""
+    offered = "reliable" if topic.reliable else "best effort"
+    asked = "" if topic.read_reliable else ", read best effort"
+    return f"{'latched, ' if topic.latched else ''}{offered} {topic.depth}{asked}"
+
+
+def time_out(limit: TimeOut) -> str:
+    """Default, outcome and the parameter that holds it."""
+    value = 1e3 * resources.node_defaults(limit.node)[limit.parameter]
+    return f"{value:g} ms: {limit.outcome} ({code(f'{limit.node}.{limit.parameter}')})"
+
+
 def topics() -> str:
     """The contract's topics."""
     header = "topic", "type", "from → to", "QoS", "rate", "unit; joints", "stamp"
-    return table((*header, "time-out"), contract.topic_rows())
+    return table(
+        (*header, "time-out"),
+        (
+            [
+                code(topic.name) + (" (optional)" if topic.optional else ""),
+                topic.type,
+                f"{topic.publisher} → {topic.subscriber}",
+                quality(topic),
+                rate(topic),
+                topic.unit + (f"; {', '.join(topic.joints)}" if topic.joints else ""),
+                topic.stamp,
+                "; ".join(time_out(limit) for limit in topic.timeouts),
+            ]
+            for topic in TOPICS
+        ),
+    )
+
+
+def services() -> str:
+    """The contract's services."""
+    rows = ([code(one.name), one.type, one.meaning] for one in SERVICES)
+    return table(("service", "type", "what it does"), rows)
 
 
 def topic_fields() -> str:
@@ -180,9 +216,11 @@ def tables() -> dict[str, str]:
         "nodes": nodes(),
         "topics": topics(),
         "topic_fields": topic_fields(),
-        "services": "\n".join(contract.service_table()),
+        "services": services(),
         "phases": phases(),
-        "phase_line": contract.phase_line(),
+        "phase_line": ", ".join(
+            f"{number} {name}" for number, name in enumerate(PHASES)
+        ),
         "watches": watches(),
         "launch_arguments": launch_arguments(),
         "commands": commands(),

@@ -11,7 +11,6 @@ from typing import Any
 
 from dextar_control.contract import resources
 from dextar_control.contract.parameters import Parameter
-from dextar_control.contract.tables import rate
 from dextar_control.contract.topics import NODES, SERVICES, Topic
 
 WIDTH = 79
@@ -66,6 +65,11 @@ def node_help(node: Any) -> str:
         ),
     ]
     return "\n\n".join(part for part in parts if part)
+
+
+def rate(topic: Topic) -> str:
+    """A topic's nominal rate in words."""
+    return topic.rate_text or (f"{topic.rate:g} Hz" if topic.rate else "on change")
 
 
 def _section(title: str, items: Iterable[str]) -> str:
