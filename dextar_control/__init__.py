@@ -1,21 +1,12 @@
-"""Control of parallel robots through their Type 2 singularities; the planar five-bar first.
+"""Control of parallel robots through their Type 2 singularities; the planar five-bar
+first.
 
-Rooms and doors (``test/test_doors.py`` holds them all):
-
-- ``contract``: what a rig and its controller share: robot description, topics, node scaffolding.
-- ``symbols``: from symbols to fast functions; records by name.
-- ``mechanisms``: closures, Lagrangian and geometric models: the only place that knows a length.
-- ``model``: the paper's equations, and a mechanism with its numbers.
-- ``planning``, ``estimation``, ``control``: trajectories through the locus, where the platform is, and the law in its loop.
-- ``ros``: the nodes. ``commands``: what ``dextar`` does.
-- ``campaign``: many crossings in a plain loop, in parallel, judged.
-- ``bags``, ``analysis``: a recorded run, its metrics, its figures.
-- ``rig_check``, ``faults``, ``security``: a rig held to the contract, what goes wrong on purpose, who may command.
-
+Where things live, and which room may import which, stands in ``docs/rooms.md``.
 From ``symbols`` to ``control`` there is no ROS and no simulator.
 
-What most users need is here by name, and loaded when it is used: ``load_robot`` a parameter file, ``Model`` its equations,
-``plan_return_trip`` and ``plan_tour`` through the locus, ``default_settings`` and ``ControlLoop`` to drive it, ``load_run`` and
+What most users need is here by name, and loaded when it is used: ``load_robot`` a
+parameter file, ``Model`` its equations, ``plan_return_trip`` and ``plan_tour`` through
+the locus, ``default_settings`` and ``ControlLoop`` to drive it, ``load_run`` and
 ``compute_metrics`` of what was recorded.
 """
 
@@ -35,19 +26,34 @@ if TYPE_CHECKING:
     from dextar_control.planning.tour import plan_tour as plan_tour
 
 _MODULES = {
-    "load_robot": "contract.robot", "Model": "model.model", "plan_return_trip": "planning.planner", "plan_tour": "planning.tour",
-    "default_settings": "contract.settings", "ControlLoop": "control.loop", "load_run": "analysis.load",
+    "load_robot": "contract.robot",
+    "Model": "model.model",
+    "plan_return_trip": "planning.planner",
+    "plan_tour": "planning.tour",
+    "default_settings": "contract.settings",
+    "ControlLoop": "control.loop",
+    "load_run": "analysis.load",
     "compute_metrics": "analysis.metrics",
-}  # fmt: skip
+}
 __all__ = [
-    "ControlLoop", "Model", "compute_metrics", "default_settings", "load_robot", "load_run", "plan_return_trip", "plan_tour",
-]  # fmt: skip
+    "ControlLoop",
+    "Model",
+    "compute_metrics",
+    "default_settings",
+    "load_robot",
+    "load_run",
+    "plan_return_trip",
+    "plan_tour",
+]
 
 
 def __getattr__(name: str) -> Any:
     """One of ``__all__``, loaded now."""
     if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it offers {', '.join(__all__)}")
+        raise AttributeError(
+            f"module {__name__!r} has no attribute {name!r}; it offers"
+            f" {', '.join(__all__)}"
+        )
     return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
 
 

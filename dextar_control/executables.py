@@ -1,7 +1,9 @@
-"""The package's executables, as ``ros2 run dextar NAME`` and ``dextar NAME`` start them; each loads its module when it is called.
+"""The package's executables, as ``ros2 run dextar NAME`` and ``dextar NAME`` start
+them; each loads its module when it is called.
 
-Loading takes seconds, and a Ctrl-C in them ends the process without a traceback; what is loaded then takes the signals itself.
-Once it has ended, further signals change nothing: a launcher repeats the Ctrl-C that the terminal has sent already, and the
+Loading takes seconds, and a Ctrl-C in them ends the process without a traceback; what
+is loaded then takes the signals itself. Once it has ended, further signals change
+nothing: a launcher repeats the Ctrl-C that the terminal has sent already, and the
 interpreter's own end takes long enough to be hit.
 """
 
@@ -35,22 +37,22 @@ def plant() -> int:
 
 def controller() -> int:
     """The controller."""
-    return _node("dextar_control.ros.controller_node")
+    return _node("dextar_control.nodes.controller")
 
 
 def trajectory_server() -> int:
     """The trajectory server."""
-    return _node("dextar_control.ros.trajectory_server")
+    return _node("dextar_control.nodes.trajectory_server")
 
 
 def recorder() -> int:
     """The recorder."""
-    return _node("dextar_control.ros.recorder_node")
+    return _node("dextar_control.nodes.recorder")
 
 
 def markers() -> int:
     """The markers."""
-    return _node("dextar_control.ros.marker_node")
+    return _node("dextar_control.nodes.markers")
 
 
 def go_server() -> int:
@@ -58,12 +60,12 @@ def go_server() -> int:
     if importlib.util.find_spec(INTERFACES) is None:
         signals.tell(f"error: {WITHOUT_INTERFACES}", sys.stderr)
         return signals.EXIT_USAGE
-    return _node("dextar_control.ros.go_server")
+    return _node("dextar_control.nodes.go_server")
 
 
 def panel() -> int:
     """The panel in the browser."""
-    return _node("dextar_control.ros.panel_node")
+    return _node("dextar_control.nodes.panel")
 
 
 def warmup() -> int:
@@ -71,13 +73,27 @@ def warmup() -> int:
     return _run("dextar_control.control.prepare", signals.killed)
 
 
-EXECUTABLES = {run.__name__: run for run in (plant, controller, trajectory_server, recorder, markers, go_server, panel, warmup)}
+EXECUTABLES = {
+    run.__name__: run
+    for run in (
+        plant,
+        controller,
+        trajectory_server,
+        recorder,
+        markers,
+        go_server,
+        panel,
+        warmup,
+    )
+}
 
 
 def dextar() -> int:
-    """The command ``dextar``; ``dextar plant ...`` is what ``ros2 run dextar plant ...`` is."""
+    """The command ``dextar``; ``dextar plant ...`` is what ``ros2 run dextar plant
+    ...`` is.
+    """
     run = EXECUTABLES.get(sys.argv[1]) if len(sys.argv) > 1 else None
     if run is None:
-        return _run("dextar_control.cli", signals.killed)
+        return _run("dextar_control.cli.main", signals.killed)
     sys.argv[:2] = [f"dextar {sys.argv[1]}"]
     return run()

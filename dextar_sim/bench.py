@@ -1,4 +1,5 @@
-"""The plant's step beside raw PyBullet stepping of the same scene: ``python -m dextar_sim.bench``.
+"""The plant's step beside raw PyBullet stepping of the same scene: ``python -m
+dextar_sim.bench``.
 
 Prints one JSON object: microseconds for one sample period (substeps included).
 """
@@ -14,7 +15,12 @@ from collections.abc import Callable
 import numpy as np
 import pybullet as p
 
-from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file, node_defaults
+from dextar_control.contract.resources import (
+    NODES_FILE,
+    ROBOT_FILE,
+    config_file,
+    node_defaults,
+)
 from dextar_control.contract.robot import load_robot
 from dextar_sim import world
 from dextar_sim.plant import Plant
@@ -36,7 +42,10 @@ def measure() -> dict[str, dict[str, float]]:
     """p50 and p99 of one period's step, ours and raw, microseconds."""
     values = node_defaults("plant", config_file(NODES_FILE))
     robot = load_robot(config_file(ROBOT_FILE))
-    ours, bare = (Plant(robot, period=values["task.sample_period"], substeps=values["substeps"]) for _ in range(2))
+    ours, bare = (
+        Plant(robot, period=values["task.sample_period"], substeps=values["substeps"])
+        for _ in range(2)
+    )
     world.set_step(bare._client, bare.period / bare.substeps)
     torque = [1e-3, -1e-3]
 
@@ -57,12 +66,17 @@ def measure() -> dict[str, dict[str, float]]:
     ours.close()
     bare.close()
     return {
-        name: {"p50": float(np.percentile(sample, 50)), "p99": float(np.percentile(sample, 99))}
+        name: {
+            "p50": float(np.percentile(sample, 50)),
+            "p99": float(np.percentile(sample, 99)),
+        }
         for name, sample in times.items()
     }
 
 
 if __name__ == "__main__":
-    argparse.ArgumentParser(description="Time the plant's step beside raw PyBullet steps; one JSON object.").parse_args()
+    argparse.ArgumentParser(
+        description="Time the plant's step beside raw PyBullet steps; one JSON object."
+    ).parse_args()
     print(json.dumps(measure()))
     sys.exit(0)

@@ -1,4 +1,6 @@
-"""A mechanism of any kind as a PyBullet plant: motors in, joint and platform states out. No ROS here."""
+"""A mechanism of any kind as a PyBullet plant: motors in, joint and platform states
+out. No ROS here.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,10 @@ from dextar_sim.urdf import bodies_of
 class BodyPlant:
     """The bodies that a mechanism describes, headless by default.
 
-    PyBullet's semi-implicit Euler (kick, then drift) is the second-order leapfrog seen half a drift
-    later. The positions it holds are therefore half a substep ahead, q + q_dot h/2; ``reset`` and
-    ``state`` convert, which leaves a first-order error in the velocity-dependent forces only.
+    PyBullet's semi-implicit Euler (kick, then drift) is the second-order leapfrog seen
+    half a drift later. The positions it holds are therefore half a substep ahead, q +
+    q_dot h/2; ``reset`` and ``state`` convert, which leaves a first-order error in the
+    velocity-dependent forces only.
 
     Args:
         mechanism: the description.
@@ -37,11 +40,13 @@ class BodyPlant:
         window: open PyBullet's own window.
         max_torque: at which the motors saturate, N m (N).
         sides: what the motors are called; as their joints when None.
-        effects: what acts at the joints instead of constant torques; the mechanism has no friction then.
+        effects: what acts at the joints instead of constant torques; the mechanism has
+            no friction then.
 
     Raises:
-        ParameterError: period or substeps out of range, friction too steep for the substep, no display, or the mechanism does
-            not say of which bodies it is made.
+        ParameterError: period or substeps out of range, friction too steep for the
+            substep, no display, or the mechanism does not say of which bodies it is
+            made.
     """
 
     def __init__(
@@ -68,22 +73,47 @@ class BodyPlant:
         self._friction = [(float(link.viscous), float(link.coulomb)) for link in moved]
         self._coulomb_speed = float(bodies.coulomb_speed)
         self._has_friction = any(map(any, self._friction))
-        check_steps(period, substeps, [
-            Motor(side, viscous + coulomb / self._coulomb_speed,
-                  float(link.mass if link.prismatic else link.inertia + link.mass * ca.sumsqr(link.center)))
-            for side, (viscous, coulomb), link in zip(sides or [link.joint for link in moved], self._friction, moved, strict=True)
-        ])  # fmt: skip
-        self._fast = {name: Fast(function) for name, function in functions_of(mechanism).items()}
+        check_steps(
+            period,
+            substeps,
+            [
+                Motor(
+                    side,
+                    viscous + coulomb / self._coulomb_speed,
+                    float(
+                        link.mass
+                        if link.prismatic
+                        else link.inertia + link.mass * ca.sumsqr(link.center)
+                    ),
+                )
+                for side, (viscous, coulomb), link in zip(
+                    sides or [link.joint for link in moved],
+                    self._friction,
+                    moved,
+                    strict=True,
+                )
+            ],
+        )
+        self._fast = {
+            name: Fast(function) for name, function in functions_of(mechanism).items()
+        }
         self._substep = period / substeps
         self._truth = self._fast["truth"]
         self._layout = state_layout(mechanism.n, len(joints))
-        self._truth.arguments.p[:], self._truth.arguments.lead[:] = self._p, 0.5 * self._substep
+        self._truth.arguments.p[:], self._truth.arguments.lead[:] = (
+            self._p,
+            0.5 * self._substep,
+        )
         if window and not os.environ.get("DISPLAY"):
             raise ParameterError("window = true needs a display; DISPLAY is not set")
         self._window = window
         self._client = world.connect(window)
         self._effects = effects
-        self._divisible = substeps & (substeps - 1) == 0 and not self._has_friction and effects is None
+        self._divisible = (
+            substeps & (substeps - 1) == 0
+            and not self._has_friction
+            and effects is None
+        )
         self._divided = False
         self._steps = 0
         self._impulse: np.ndarray | None = None
@@ -97,7 +127,9 @@ class BodyPlant:
         self._read()
 
     def become(self, values: Mapping[str, Any]) -> None:
-        """Go on from where it is and as fast, with other values of the mechanism's parameters but for its friction."""
+        """Go on from where it is and as fast, with other values of the mechanism's
+        parameters but for its friction.
+        """
         held = self._states
         bodies = bodies_of(self.mechanism, values)
         self._p[:] = self.mechanism.values(values)
@@ -108,7 +140,8 @@ class BodyPlant:
         self._read()
 
     def reset(self, x: Sequence[float], x_dot: Sequence[float] = ()) -> PlantState:
-        """Put the platform at x with velocity x_dot, in the robot's working mode, at time 0.
+        """Put the platform at x with velocity x_dot, in the robot's working mode, at
+        time 0.
 
         Args:
             x: of the platform, shape (n,).
@@ -117,17 +150,36 @@ class BodyPlant:
         Raises:
             GeometryError: a leg does not reach x, or cannot move at x_dot there.
         """
-        closed = self._fast["closed"](self._p, x, x_dot if len(x_dot) else np.zeros(self.mechanism.n))
+        closed = self._fast["closed"](
+            self._p, x, x_dot if len(x_dot) else np.zeros(self.mechanism.n)
+        )
         if not np.isfinite(closed.joints).all():
-            raise GeometryError(self.mechanism.unreached(np.asarray(x), closed.q_a, self.mechanism.named(self._p)))
+            raise GeometryError(
+                self.mechanism.unreached(
+                    np.asarray(x), closed.q_a, self.mechanism.named(self._p)
+                )
+            )
         if not np.isfinite(closed.joints_dot).all():
-            raise GeometryError(f"a leg cannot move at x_dot = {x_dot}: it is stretched or folded at x = {x}")
+            raise GeometryError(
+                f"a leg cannot move at x_dot = {x_dot}: it is stretched or folded at x"
+                f" = {x}"
+            )
         return self._place(closed.joints.tolist(), closed.joints_dot.tolist())
 
-    def _place(self, joints: Sequence[float], joints_dot: Sequence[float]) -> PlantState:
-        self._hold([angle + 0.5 * self._substep * rate for angle, rate in zip(joints, joints_dot, strict=True)], joints_dot)
+    def _place(
+        self, joints: Sequence[float], joints_dot: Sequence[float]
+    ) -> PlantState:
+        self._hold(
+            [
+                angle + 0.5 * self._substep * rate
+                for angle, rate in zip(joints, joints_dot, strict=True)
+            ],
+            joints_dot,
+        )
         if self._effects is not None:
-            self._effects.reset(*([of[motor] for motor in self._motors] for of in (joints, joints_dot)))
+            self._effects.reset(
+                *([of[motor] for motor in self._motors] for of in (joints, joints_dot))
+            )
         self._steps = 0
         self._impulse = None
         self._read()
@@ -135,7 +187,9 @@ class BodyPlant:
 
     def _hold(self, held: Sequence[float], joints_dot: Sequence[float]) -> None:
         for index, angle, rate in zip(self._joints, held, joints_dot, strict=True):
-            p.resetJointState(self._body, index, angle, rate, physicsClientId=self._client)
+            p.resetJointState(
+                self._body, index, angle, rate, physicsClientId=self._client
+            )
 
     def encoded(self) -> list[float]:
         """Where the encoders' discs stand, rad (m)."""
@@ -143,15 +197,23 @@ class BodyPlant:
         return q_a if self._effects is None else self._effects.encoded(q_a)
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:
-        """Strike the platform with an impulse along its coordinates (N s, shape (n,)) during the next step's first substep."""
+        """Strike the platform with an impulse along its coordinates (N s, shape (n,))
+        during the next step's first substep.
+        """
         self._impulse = np.array(impulse, dtype=np.float64)
 
-    def step(self, torque: Sequence[float], earlier: Sequence[float] | None = None, late: int = 0) -> np.ndarray:
+    def step(
+        self,
+        torque: Sequence[float],
+        earlier: Sequence[float] | None = None,
+        late: int = 0,
+    ) -> np.ndarray:
         """Advance one period under constant motor torques.
 
-        A torque that holds over the whole period without friction is one call of PyBullet, which divides the
-        period itself; bit for bit that is the same as a call for each substep where the substep is an exact part
-        of the period (by a power of two).
+        A torque that holds over the whole period without friction is one call of
+        PyBullet, which divides the period itself; bit for bit that is the same as a
+        call for each substep where the substep is an exact part of the period (by a
+        power of two).
 
         Args:
             torque: of the motors, N m (N), shape (n,).
@@ -159,20 +221,29 @@ class BodyPlant:
             late: substeps before the torque acts.
 
         Returns:
-            Motor torque after saturation, before friction, at the end of the period, N m (N), shape (n,).
+            Motor torque after saturation, before friction, at the end of the period, N
+            m (N), shape (n,).
 
         Raises:
             StateError: a torque is not finite.
         """
         net = saturated(torque, self.max_torque)
-        first = saturated(earlier, self.max_torque) if earlier is not None and late else net
+        first = (
+            saturated(earlier, self.max_torque) if earlier is not None and late else net
+        )
         if self._effects is not None:
             self._step_under(self._effects, first, net, late)
             net = tuple(self._effects.motor_torque)
         elif self._divisible and self._impulse is None and first == net:
             if not self._divided:
                 self._divide(True)
-            p.setJointMotorControlArray(self._body, self._active, p.TORQUE_CONTROL, forces=net, physicsClientId=self._client)
+            p.setJointMotorControlArray(
+                self._body,
+                self._active,
+                p.TORQUE_CONTROL,
+                forces=net,
+                physicsClientId=self._client,
+            )
             p.stepSimulation(self._client)
         else:
             self._step_each(first, net, late)
@@ -180,8 +251,11 @@ class BodyPlant:
         self._read()
         return np.array(net)
 
-    def _step_each(self, first: Sequence[float], last: Sequence[float], late: int) -> None:
-        """One call of PyBullet for each substep, the first ``late`` of them under another torque.
+    def _step_each(
+        self, first: Sequence[float], last: Sequence[float], late: int
+    ) -> None:
+        """One call of PyBullet for each substep, the first ``late`` of them under
+        another torque.
 
         Friction is viscous q_dot + coulomb tanh(q_dot / coulomb_speed), N m (N).
         """
@@ -200,25 +274,47 @@ class BodyPlant:
                     for torque, state, (viscous, coulomb) in zip(net, states, friction)  # noqa: B905  in each substep
                 ]
             if self._impulse is None:
-                p.setJointMotorControlArray(body, active, p.TORQUE_CONTROL, forces=net, physicsClientId=client)
+                p.setJointMotorControlArray(
+                    body, active, p.TORQUE_CONTROL, forces=net, physicsClientId=client
+                )
             else:
                 self._strike(self._impulse, net)
                 self._impulse = None
             p.stepSimulation(client)
 
-    def _step_under(self, effects: JointEffects, first: Sequence[float], last: Sequence[float], late: int) -> None:
+    def _step_under(
+        self,
+        effects: JointEffects,
+        first: Sequence[float],
+        last: Sequence[float],
+        late: int,
+    ) -> None:
         """One call of PyBullet for each substep, under what acts at the joints."""
-        client, body, joints, states = self._client, self._body, self._joints, self._states
+        client, body, joints, states = (
+            self._client,
+            self._body,
+            self._joints,
+            self._states,
+        )
         for substep in range(self.substeps):
             if substep:
                 states = p.getJointStates(body, joints, client)
-            effects.joints[:], effects.joints_dot[:] = [state[0] for state in states], [state[1] for state in states]
+            effects.joints[:], effects.joints_dot[:] = (
+                [state[0] for state in states],
+                [state[1] for state in states],
+            )
             effects.act(first if substep < late else last)
             forces = effects.forces
             if self._impulse is not None:
                 forces = forces + self._pushed(self._impulse)
                 self._impulse = None
-            p.setJointMotorControlArray(body, joints, p.TORQUE_CONTROL, forces=forces.tolist(), physicsClientId=client)
+            p.setJointMotorControlArray(
+                body,
+                joints,
+                p.TORQUE_CONTROL,
+                forces=forces.tolist(),
+                physicsClientId=client,
+            )
             p.stepSimulation(client)
 
     def _divide(self, divided: bool) -> None:
@@ -233,12 +329,21 @@ class BodyPlant:
         """A force on the platform over the coming substep, and the motors."""
         forces = self._pushed(impulse)
         forces[self._motors] += net
-        p.setJointMotorControlArray(self._body, self._joints, p.TORQUE_CONTROL, forces=forces.tolist(),
-                                    physicsClientId=self._client)  # fmt: skip
+        p.setJointMotorControlArray(
+            self._body,
+            self._joints,
+            p.TORQUE_CONTROL,
+            forces=forces.tolist(),
+            physicsClientId=self._client,
+        )
 
     def _pushed(self, impulse: np.ndarray) -> np.ndarray:
-        """What a force on the platform over a substep is at all joints as PyBullet holds them."""
-        forces: np.ndarray = self._fast["push"](self._p, [state[0] for state in self._states], impulse / self._substep).forces
+        """What a force on the platform over a substep is at all joints as PyBullet
+        holds them.
+        """
+        forces: np.ndarray = self._fast["push"](
+            self._p, [state[0] for state in self._states], impulse / self._substep
+        ).forces
         return forces
 
     def _read(self) -> None:

@@ -1,4 +1,6 @@
-"""The five-bar in platform coordinates as a second plant: exact constraints, fourth-order steps. No ROS here."""
+"""The five-bar in platform coordinates as a second plant: exact constraints,
+fourth-order steps. No ROS here.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,14 @@ from dextar_sim.platform_motion import Motion
 from dextar_sim.state import PlantState, check_steps, leg_motors, saturated
 
 _LEAST_SINE = 0.01
-"""|sin delta| of a leg outside the coordinates below which the motion is not followed: both legs stretched or folded."""
+"""|sin delta| of a leg outside the coordinates below which the motion is not followed:
+both legs stretched or folded.
+"""
 
 
 class CartesianPlant:
-    """The same surface as ``dextar_sim.plant.Plant`` over the platform's own equations of motion.
+    """The same surface as ``dextar_sim.plant.Plant`` over the platform's own equations
+    of motion.
 
     Args:
         robot: the description.
@@ -29,7 +34,8 @@ class CartesianPlant:
         effects: of drives and friction, beside what the robot's description says.
 
     Raises:
-        ParameterError: period or substeps out of range, friction or a transmission too quick for the substep.
+        ParameterError: period or substeps out of range, friction or a transmission too
+            quick for the substep.
     """
 
     def __init__(
@@ -54,13 +60,18 @@ class CartesianPlant:
         if self._effects is None:
             self._motion = Motion(robot, substeps, self._substep)
         else:
-            self._motion = Motion(without_rotors(robot, effects), 1, self._substep, torques=4)
+            self._motion = Motion(
+                without_rotors(robot, effects), 1, self._substep, torques=4
+            )
         self._steps = 0
         self._push: tuple[float, float] = (0.0, 0.0)
         self._state: PlantState | None = None
 
-    def reset(self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)) -> PlantState:
-        """Put the end effector at x with velocity x_dot, in the robot's working mode, at time 0.
+    def reset(
+        self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
+    ) -> PlantState:
+        """Put the end effector at x with velocity x_dot, in the robot's working mode,
+        at time 0.
 
         Args:
             x: end effector position, m, shape (2,).
@@ -73,9 +84,13 @@ class CartesianPlant:
         return self._place(geometry.joints_at(self.robot, x), x_dot)
 
     def reset_joints(
-        self, q_a: Sequence[float], assembly_mode: int, x_dot: Sequence[float] = (0.0, 0.0)
+        self,
+        q_a: Sequence[float],
+        assembly_mode: int,
+        x_dot: Sequence[float] = (0.0, 0.0),
     ) -> PlantState:
-        """Put the active joints at q_a (rad, shape (2,)) in the given assembly mode, at time 0.
+        """Put the active joints at q_a (rad, shape (2,)) in the given assembly mode, at
+        time 0.
 
         Args:
             q_a: active angles q11, q21.
@@ -91,8 +106,15 @@ class CartesianPlant:
     def _place(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
         joints_dot = geometry.joints_dot_at(self.robot, joints, x_dot)
         self._check(max(abs(math.sin(joints[1])), abs(math.sin(joints[3]))), 0.0)
-        left, right = geometry.tips(geometry.shape(self.robot), tuple(map(float, joints)), (0.0, 0.0, 0.0, 0.0))
-        self._motion.place(joints, joints_dot, [0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1])], x_dot)
+        left, right = geometry.tips(
+            geometry.shape(self.robot), tuple(map(float, joints)), (0.0, 0.0, 0.0, 0.0)
+        )
+        self._motion.place(
+            joints,
+            joints_dot,
+            [0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1])],
+            x_dot,
+        )
         if self._effects is not None:
             self._effects.reset(joints[::2], joints_dot[::2])
         self._steps = 0
@@ -102,7 +124,9 @@ class CartesianPlant:
 
     def take_up(self, mass: float) -> None:
         """Load the end effector with a mass, kg, that moves as it does."""
-        self.robot = self.robot.replace(end_effector_mass=self.robot.end_effector_mass + mass)
+        self.robot = self.robot.replace(
+            end_effector_mass=self.robot.end_effector_mass + mass
+        )
         self._motion.carry(self.robot.end_effector_mass)
 
     def encoded(self) -> list[float]:
@@ -111,10 +135,20 @@ class CartesianPlant:
         return q_a if self._effects is None else self._effects.encoded(q_a)
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:
-        """Strike the end effector with an impulse (N s, shape (2,)) during the next step's first substep."""
-        self._push = float(impulse[0]) / self._substep, float(impulse[1]) / self._substep
+        """Strike the end effector with an impulse (N s, shape (2,)) during the next
+        step's first substep.
+        """
+        self._push = (
+            float(impulse[0]) / self._substep,
+            float(impulse[1]) / self._substep,
+        )
 
-    def step(self, torque: Sequence[float], earlier: Sequence[float] | None = None, late: int = 0) -> np.ndarray:
+    def step(
+        self,
+        torque: Sequence[float],
+        earlier: Sequence[float] | None = None,
+        late: int = 0,
+    ) -> np.ndarray:
         """Advance one period under constant motor torques.
 
         Args:
@@ -123,13 +157,17 @@ class CartesianPlant:
             late: substeps before the torque acts.
 
         Returns:
-            Motor torque after saturation, before friction, at the end of the period, N m, shape (2,).
+            Motor torque after saturation, before friction, at the end of the period, N
+            m, shape (2,).
 
         Raises:
-            StateError: a torque is not finite, or both legs come close to being stretched or folded.
+            StateError: a torque is not finite, or both legs come close to being
+                stretched or folded.
         """
         net = saturated(torque, self.max_torque)
-        first = saturated(earlier, self.max_torque) if earlier is not None and late else net
+        first = (
+            saturated(earlier, self.max_torque) if earlier is not None and late else net
+        )
         if self._effects is None:
             least = self._motion.advance(first, net, late, self._push)
         else:
@@ -141,8 +179,16 @@ class CartesianPlant:
             self._check(least, self._steps * self.period)
         return np.array(net) if self._effects is None else self._effects.motor_torque
 
-    def _step_each(self, effects: JointEffects, first: Sequence[float], last: Sequence[float], late: int) -> float:
-        """One substep after the other, each under what acts at the joints; the least |sin delta| met."""
+    def _step_each(
+        self,
+        effects: JointEffects,
+        first: Sequence[float],
+        last: Sequence[float],
+        late: int,
+    ) -> float:
+        """One substep after the other, each under what acts at the joints; the least
+        |sin delta| met.
+        """
         now, push, least = self._motion.state, self._push, 1.0
         for substep in range(self.substeps):
             effects.joints[:], effects.joints_dot[:] = now.joints, now.joints_dot
@@ -154,7 +200,8 @@ class CartesianPlant:
         return least
 
     def acceleration(self, torque: Sequence[float]) -> np.ndarray:
-        """Platform acceleration (m/s^2, shape (2,)) now, off Type 1, of a plant without effects.
+        """Platform acceleration (m/s^2, shape (2,)) now, off Type 1, of a plant without
+        effects.
 
         Args:
             torque: of the motors, N m, shape (2,), saturated first.
@@ -164,8 +211,9 @@ class CartesianPlant:
     def _check(self, sine: float, time: float) -> None:
         if not sine >= _LEAST_SINE:
             raise StateError(
-                f"at {time:g} s both legs are stretched or folded: the larger |sin| of their elbow angles is {sine:.3g}; "
-                f"this plant needs >= {_LEAST_SINE:g}, the PyBullet plant does not"
+                f"at {time:g} s both legs are stretched or folded: the larger |sin| of"
+                f" their elbow angles is {sine:.3g}; this plant needs >="
+                f" {_LEAST_SINE:g}, the PyBullet plant does not"
             )
 
     def state(self) -> PlantState:

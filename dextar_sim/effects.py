@@ -1,7 +1,9 @@
-"""What makes a simulated rig unlike its drawing, and what acts at its joints over one substep then: on symbols.
+"""What makes a simulated rig unlike its drawing, and what acts at its joints over one
+substep then: on symbols.
 
-Drive, transmission and friction are torques at the joints that hold over a substep. Angles are taken half a substep ahead and
-rates at its begin, which is the leapfrog: a spring keeps its energy as long as its frequency times the substep is below 2.
+Drive, transmission and friction are torques at the joints that hold over a substep.
+Angles are taken half a substep ahead and rates at its begin, which is the leapfrog: a
+spring keeps its energy as long as its frequency times the substep is below 2.
 """
 
 from __future__ import annotations
@@ -17,7 +19,13 @@ import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import LegParameters, RobotParameters
-from dextar_control.symbols.functions import Fast, Library, cache_folder, in_place, named
+from dextar_control.symbols.functions import (
+    Fast,
+    Library,
+    cache_folder,
+    in_place,
+    named,
+)
 from dextar_sim.drive import DRIVE, MEMORY, driven
 from dextar_sim.friction import ELEMENTS, opposed, stiffest
 from dextar_sim.state import Motor, check_steps, proximal_inertia
@@ -35,7 +43,8 @@ FASTEST = 1.0
 class Effects:
     """What the robot's description does not say of the drives, the same at each motor.
 
-    Each field is the plant's parameter of its name, with its meaning and unit; see ``parameters.PARAMETERS``.
+    Each field is the plant's parameter of its name, with its meaning and unit; see
+    ``parameters.PARAMETERS``.
     """
 
     friction: str = "stick"
@@ -49,10 +58,15 @@ class Effects:
     def __post_init__(self) -> None:
         for name, known in (("friction", FRICTIONS), ("encoder_at", ENCODERS)):
             if getattr(self, name) not in known:
-                raise ParameterError(f"{name} = {getattr(self, name)!r}; it must be one of {', '.join(known)}")
+                raise ParameterError(
+                    f"{name} = {getattr(self, name)!r}; it must be one of"
+                    f" {', '.join(known)}"
+                )
         for field in fields(self):
             value = getattr(self, field.name)
-            if not isinstance(value, str) and not (value >= 0.0 and math.isfinite(value)):
+            if not isinstance(value, str) and not (
+                value >= 0.0 and math.isfinite(value)
+            ):
                 raise ParameterError(f"{field.name} = {value}; it must be >= 0")
 
     @property
@@ -80,16 +94,27 @@ def compliance(leg: LegParameters, effects: Effects) -> Compliance:
     if not leg.transmission_stiffness and not effects.backlash:
         return Compliance(0.0, 0.0)
     if not leg.rotor_inertia:
-        raise ParameterError("rotor_inertia = 0 with a compliant transmission or backlash; it must be > 0: what turns behind it")
+        raise ParameterError(
+            "rotor_inertia = 0 with a compliant transmission or backlash; it must be >"
+            " 0: what turns behind it"
+        )
     if not proximal_inertia(leg) > leg.rotor_inertia:
-        raise ParameterError("a massless proximal link behind a compliant transmission or backlash; proximal_inertia must be > 0")
+        raise ParameterError(
+            "a massless proximal link behind a compliant transmission or backlash;"
+            " proximal_inertia must be > 0"
+        )
     if leg.transmission_stiffness:
         return Compliance(leg.transmission_stiffness, leg.transmission_damping)
-    return Compliance(GEAR_STIFFNESS, 2.0 * GEAR_DAMPING_RATIO * math.sqrt(GEAR_STIFFNESS * leg.rotor_inertia))
+    return Compliance(
+        GEAR_STIFFNESS,
+        2.0 * GEAR_DAMPING_RATIO * math.sqrt(GEAR_STIFFNESS * leg.rotor_inertia),
+    )
 
 
 def without_rotors(robot: RobotParameters, effects: Effects) -> RobotParameters:
-    """The robot's links alone: rotors behind a compliant transmission turn by themselves, friction acts from outside."""
+    """The robot's links alone: rotors behind a compliant transmission turn by
+    themselves, friction acts from outside.
+    """
     changes: dict[str, float] = {}
     for side, leg in zip(robot.sides, robot.legs, strict=True):
         changes |= {f"{side}.viscous_friction": 0.0, f"{side}.coulomb_friction": 0.0}
@@ -99,10 +124,16 @@ def without_rotors(robot: RobotParameters, effects: Effects) -> RobotParameters:
 
 
 def are_rough(robot: RobotParameters, effects: Effects) -> bool:
-    """Whether more acts at the joints than constant torques and smooth friction of the motors."""
+    """Whether more acts at the joints than constant torques and smooth friction of the
+    motors.
+    """
     passive = [robot.pin_viscous_friction, robot.pin_coulomb_friction]
     for leg in robot.legs:
-        passive += [leg.passive_viscous_friction, leg.passive_coulomb_friction, leg.transmission_stiffness]
+        passive += [
+            leg.passive_viscous_friction,
+            leg.passive_coulomb_friction,
+            leg.transmission_stiffness,
+        ]
         passive += [leg.coulomb_friction] if effects.friction == "stick" else []
     return effects.of_drive or any(passive)
 
@@ -134,30 +165,63 @@ def rubbings(robot: RobotParameters, effects: Effects) -> list[Rubbing]:
         return one * other / (one + other) if one + other > 0.0 else 0.0
 
     found, links = [], without_rotors(robot, effects).legs
-    for i, (side, leg, link) in enumerate(zip(robot.sides, robot.legs, links, strict=True)):
+    for i, (side, leg, link) in enumerate(
+        zip(robot.sides, robot.legs, links, strict=True)
+    ):
         alone = proximal_inertia(link)
         row = [0.0] * 4
         row[2 * i] = 1.0
-        found.append(Rubbing(f"{side} joint", tuple(row), leg.viscous_friction, leg.coulomb_friction, alone))
+        found.append(
+            Rubbing(
+                f"{side} joint",
+                tuple(row),
+                leg.viscous_friction,
+                leg.coulomb_friction,
+                alone,
+            )
+        )
         row = [0.0] * 4
         row[2 * i + 1] = 1.0
-        found.append(Rubbing(f"{side} elbow", tuple(row), leg.passive_viscous_friction, leg.passive_coulomb_friction,
-                             between(alone, leg.distal_inertia)))  # fmt: skip
+        found.append(
+            Rubbing(
+                f"{side} elbow",
+                tuple(row),
+                leg.passive_viscous_friction,
+                leg.passive_coulomb_friction,
+                between(alone, leg.distal_inertia),
+            )
+        )
     turns = between(robot.left.distal_inertia, robot.right.distal_inertia)
-    found.append(Rubbing("pin", (-1.0, -1.0, 1.0, 1.0), robot.pin_viscous_friction, robot.pin_coulomb_friction, turns))
+    found.append(
+        Rubbing(
+            "pin",
+            (-1.0, -1.0, 1.0, 1.0),
+            robot.pin_viscous_friction,
+            robot.pin_coulomb_friction,
+            turns,
+        )
+    )
     return [each for each in found if each.viscous or each.coulomb]
 
 
 @lru_cache
 def acting(places: int) -> Library:
-    """``act``: the torques at the joints of a five-bar over one substep, and what they leave behind.
+    """``act``: the torques at the joints of a five-bar over one substep, and what they
+    leave behind.
 
     Args:
         places: that rub.
     """
     (memory_vector, memory), (drive_vector, drive) = MEMORY.symbols(), DRIVE.symbols()
-    joints, joints_dot, command = ca.SX.sym("joints", 4), ca.SX.sym("joints_dot", 4), ca.SX.sym("command", 2)
-    rows, element = ca.SX.sym("rows", 4 * places), ca.SX.sym("elements", places * len(ELEMENTS))
+    joints, joints_dot, command = (
+        ca.SX.sym("joints", 4),
+        ca.SX.sym("joints_dot", 4),
+        ca.SX.sym("command", 2),
+    )
+    rows, element = (
+        ca.SX.sym("rows", 4 * places),
+        ca.SX.sym("elements", places * len(ELEMENTS)),
+    )
     bristles, h, lead = ca.SX.sym("bristles", places), ca.SX.sym("h"), ca.SX.sym("lead")
     held = joints + lead * joints_dot
     torque, after = driven(command, held[[0, 2]], joints_dot[[0, 2]], memory, drive, h)
@@ -165,17 +229,38 @@ def acting(places: int) -> Library:
     bent = bristles
     if places:
         against = ca.reshape(rows, 4, places)
-        numbers = dict(zip(ELEMENTS, ca.horzsplit(ca.reshape(element, places, len(ELEMENTS))), strict=True))
+        numbers = dict(
+            zip(
+                ELEMENTS,
+                ca.horzsplit(ca.reshape(element, places, len(ELEMENTS))),
+                strict=True,
+            )
+        )
         rubbed, bent = opposed(against.T @ joints_dot, bristles, numbers, h)
         forces -= against @ rubbed
-    given = {"joints": joints, "joints_dot": joints_dot, "command": command, "memory": memory_vector, "bristles": bristles,
-             "drive": drive_vector, "rows": rows, "elements": element, "h": h, "lead": lead}
-    results: dict[str, Any] = {"forces": forces, "memory_next": MEMORY.join(after), "bristles_next": bent}
+    given = {
+        "joints": joints,
+        "joints_dot": joints_dot,
+        "command": command,
+        "memory": memory_vector,
+        "bristles": bristles,
+        "drive": drive_vector,
+        "rows": rows,
+        "elements": element,
+        "h": h,
+        "lead": lead,
+    }
+    results: dict[str, Any] = {
+        "forces": forces,
+        "memory_next": MEMORY.join(after),
+        "bristles_next": bent,
+    }
     return Library([in_place(named("act", given, results))], cache_folder())
 
 
 class JointEffects:
-    """All of it at the joints of one five-bar, with what it remembers from substep to substep.
+    """All of it at the joints of one five-bar, with what it remembers from substep to
+    substep.
 
     Args:
         robot: the whole description.
@@ -191,30 +276,70 @@ class JointEffects:
         ParameterError: friction or a transmission is too quick for the substep.
     """
 
-    def __init__(self, robot: RobotParameters, effects: Effects, period: float, substeps: int, *, ahead: bool) -> None:
+    def __init__(
+        self,
+        robot: RobotParameters,
+        effects: Effects,
+        period: float,
+        substeps: int,
+        *,
+        ahead: bool,
+    ) -> None:
         check_steps(period, substeps, [])
         self._h = h = period / substeps
-        found, transmissions = rubbings(robot, effects), [compliance(leg, effects) for leg in robot.legs]
+        found, transmissions = (
+            rubbings(robot, effects),
+            [compliance(leg, effects) for leg in robot.legs],
+        )
         _check_transmissions(robot, effects, period, substeps)
         check_steps(period, substeps, [_motor(each, robot, effects) for each in found])
         library, count = acting(len(found)), len(found)
         stick = effects.friction == "stick"
-        elements = np.array([
-            [each.viscous for each in found], [each.coulomb for each in found],
-            *np.array([stiffest(each.inertia, h) if stick else (0.0, 0.0) for each in found]).reshape(count, 2).T,
-            [robot.coulomb_speed] * count,
-        ])  # fmt: skip
+        elements = np.array(
+            [
+                [each.viscous for each in found],
+                [each.coulomb for each in found],
+                *np.array(
+                    [
+                        stiffest(each.inertia, h) if stick else (0.0, 0.0)
+                        for each in found
+                    ]
+                )
+                .reshape(count, 2)
+                .T,
+                [robot.coulomb_speed] * count,
+            ]
+        )
         drive = DRIVE.make()
         drive.stiffness, drive.damping = np.array(transmissions).T
         drive.inertia = [leg.rotor_inertia or 1.0 for leg in robot.legs]
-        for name in ("backlash", "cogging", "cogging_periods", "drive_lag", "torque_step"):
+        for name in (
+            "backlash",
+            "cogging",
+            "cogging_periods",
+            "drive_lag",
+            "torque_step",
+        ):
             setattr(drive, name, float(getattr(effects, name)))
         self._memory, self._bristles = MEMORY.make(), np.zeros(count)
-        self.joints, self.joints_dot, self._command = np.zeros(4), np.zeros(4), np.zeros(2)
+        self.joints, self.joints_dot, self._command = (
+            np.zeros(4),
+            np.zeros(4),
+            np.zeros(2),
+        )
         self._act: Fast = library.fast(
-            "act", joints=self.joints, joints_dot=self.joints_dot, command=self._command, memory=self._memory.numbers,
-            memory_next=self._memory.numbers, bristles=self._bristles, bristles_next=self._bristles, drive=drive.numbers,
-            rows=np.array([each.row for each in found]).reshape(-1), elements=elements.reshape(-1), h=np.array([h]),
+            "act",
+            joints=self.joints,
+            joints_dot=self.joints_dot,
+            command=self._command,
+            memory=self._memory.numbers,
+            memory_next=self._memory.numbers,
+            bristles=self._bristles,
+            bristles_next=self._bristles,
+            drive=drive.numbers,
+            rows=np.array([each.row for each in found]).reshape(-1),
+            elements=elements.reshape(-1),
+            h=np.array([h]),
             lead=np.array([0.0 if ahead else 0.5 * h]),
         )
         self.forces: np.ndarray = self._act.results.forces
@@ -228,7 +353,9 @@ class JointEffects:
         self._memory.rotor_dot = q_a_dot
 
     def act(self, command: Sequence[float]) -> None:
-        """Over the coming substep, under motor commands (2,), N m; ``joints`` and ``joints_dot`` are those at its begin."""
+        """Over the coming substep, under motor commands (2,), N m; ``joints`` and
+        ``joints_dot`` are those at its begin.
+        """
         self._command[:] = command
         self._act.run()
 
@@ -246,15 +373,25 @@ class JointEffects:
 
 
 def _motor(place: Rubbing, robot: RobotParameters, effects: Effects) -> Motor:
-    """As its friction's steepness is checked: sticking friction brings a steepness that is sound by itself."""
+    """As its friction's steepness is checked: sticking friction brings a steepness that
+    is sound by itself.
+    """
     smooth = effects.friction == "smooth"
     if not place.inertia > 0.0:
-        raise ParameterError(f"friction at the {place.name} acts on links without inertia; distal_inertia must be > 0")
-    return Motor(place.name.removesuffix(" joint"), place.viscous + (place.coulomb / robot.coulomb_speed if smooth else 0.0),
-                 place.inertia)  # fmt: skip
+        raise ParameterError(
+            f"friction at the {place.name} acts on links without inertia;"
+            " distal_inertia must be > 0"
+        )
+    return Motor(
+        place.name.removesuffix(" joint"),
+        place.viscous + (place.coulomb / robot.coulomb_speed if smooth else 0.0),
+        place.inertia,
+    )
 
 
-def _check_transmissions(robot: RobotParameters, effects: Effects, period: float, substeps: int) -> None:
+def _check_transmissions(
+    robot: RobotParameters, effects: Effects, period: float, substeps: int
+) -> None:
     links = without_rotors(robot, effects).legs
     for side, leg, link in zip(robot.sides, robot.legs, links, strict=True):
         stiffness, damping = compliance(leg, effects)
@@ -265,8 +402,7 @@ def _check_transmissions(robot: RobotParameters, effects: Effects, period: float
         quickest = max(math.sqrt(stiffness * mobility), damping * mobility)
         if not quickest * period / substeps <= FASTEST:
             raise ParameterError(
-                f"{side} transmission of {stiffness:g} N m/rad and {damping:g} N m s/rad is too quick for substeps of "
-                f"{period / substeps:g} s; substeps must be >= {math.ceil(quickest * period / FASTEST)}"
+                f"{side} transmission of {stiffness:g} N m/rad and {damping:g} N m"
+                f" s/rad is too quick for substeps of {period / substeps:g} s; substeps"
+                f" must be >= {math.ceil(quickest * period / FASTEST)}"
             )
-
-

@@ -1,9 +1,11 @@
-"""Friction that sticks: each place that rubs is an elastic bristle that slips at Coulomb's torque, on symbols.
+"""Friction that sticks: each place that rubs is an elastic bristle that slips at
+Coulomb's torque, on symbols.
 
-The bristle is as stiff as the substep bears, so that an explicit step is sound whatever the torque. At rest it bends by
-Coulomb's torque over that stiffness (some 1e-5 rad) and holds for good; a law over the speed alone lets the joint creep. A
-velocity-level solver, which needs no bristle, would have to know mass matrix and closures: this needs a rate and a bound of the
-inertia, and serves every plant and every joint.
+The bristle is as stiff as the substep bears, so that an explicit step is sound whatever
+the torque. At rest it bends by Coulomb's torque over that stiffness (some 1e-5 rad) and
+holds for good; a law over the speed alone lets the joint creep. A velocity-level
+solver, which needs no bristle, would have to know mass matrix and closures: this needs
+a rate and a bound of the inertia, and serves every plant and every joint.
 """
 
 from __future__ import annotations
@@ -15,24 +17,33 @@ import casadi as ca
 from dextar_control.symbols.types import Symbol
 
 ELEMENTS = "viscous", "coulomb", "stiffness", "damping", "speed"
-"""Of a place: N m s/rad, N m, both of the bristle in N m/rad and N m s/rad (0: it is smooth), rad/s of the smooth law."""
+"""Of a place: N m s/rad, N m, both of the bristle in N m/rad and N m s/rad (0: it is
+smooth), rad/s of the smooth law.
+"""
 QUICKNESS = 0.7
 DAMPING_RATIO = 0.5
-"""Frequency of a bristle with the least inertia that moves there, times the substep, and its damping ratio.
+"""Frequency of a bristle with the least inertia that moves there, times the substep,
+and its damping ratio.
 
-A step that is explicit in the damping is sound while (frequency x substep)^2 + 4 damping ratio x frequency x substep < 4. Each
-body's inertia counts for two bristles at most, so that both terms double: 0.98 + 2.8.
+A step that is explicit in the damping is sound while (frequency x substep)^2 + 4
+damping ratio x frequency x substep < 4. Each body's inertia counts for two bristles at
+most, so that both terms double: 0.98 + 2.8.
 """
 
 
 def stiffest(inertia: float, h: float) -> tuple[float, float]:
-    """Stiffness, N m/rad, and damping, N m s/rad, of a bristle on an inertia, kg m^2, for substeps of ``h``, s."""
+    """Stiffness, N m/rad, and damping, N m s/rad, of a bristle on an inertia, kg m^2,
+    for substeps of ``h``, s.
+    """
     stiffness = inertia * (QUICKNESS / h) ** 2
     return stiffness, 2.0 * DAMPING_RATIO * stiffness * h / QUICKNESS
 
 
-def opposed(rate: Symbol, bristle: Symbol, p: Mapping[str, Symbol], h: Symbol) -> tuple[Symbol, Symbol]:
-    """Torques (k,), N m, that oppose rates (k,), rad/s, over a substep, and the bristles' bending, rad, at half of it.
+def opposed(
+    rate: Symbol, bristle: Symbol, p: Mapping[str, Symbol], h: Symbol
+) -> tuple[Symbol, Symbol]:
+    """Torques (k,), N m, that oppose rates (k,), rad/s, over a substep, and the
+    bristles' bending, rad, at half of it.
 
     Args:
         bristle: bending half a substep before.

@@ -1,7 +1,8 @@
 """Where links and joints of the five-bar are: the simulator's own exact geometry.
 
-Angles are those of the contract's joints q11, q12, q21, q22: active joints from the x axis of
-frame base, passive ones relative to their proximal link, counter-clockwise, in rad.
+Angles are those of the contract's joints q11, q12, q21, q22: active joints from the x
+axis of frame base, passive ones relative to their proximal link, counter-clockwise, in
+rad.
 """
 
 from __future__ import annotations
@@ -24,15 +25,24 @@ def bases(robot: RobotParameters) -> tuple[Point, Point]:
 
 def elbow(leg: LegParameters, q: float, base: Point) -> Point:
     """The elbow of a leg at active angle q, m."""
-    return base[0] + leg.proximal_length * math.cos(q), base[1] + leg.proximal_length * math.sin(q)
+    return base[0] + leg.proximal_length * math.cos(q), base[
+        1
+    ] + leg.proximal_length * math.sin(q)
 
 
-def _intersection(first: Point, second: Point, radius_1: float, radius_2: float, side: int) -> Point | None:
-    """The common point of two circles left (side +1) or right (-1) of the line first -> second."""
+def _intersection(
+    first: Point, second: Point, radius_1: float, radius_2: float, side: int
+) -> Point | None:
+    """The common point of two circles left (side +1) or right (-1) of the line first ->
+    second.
+    """
     dx, dy = second[0] - first[0], second[1] - first[1]
     distance = math.hypot(dx, dy)
     reach = radius_1 + radius_2
-    if not abs(radius_1 - radius_2) <= distance <= reach or distance < _LEAST_SINE * reach:
+    if (
+        not abs(radius_1 - radius_2) <= distance <= reach
+        or distance < _LEAST_SINE * reach
+    ):
         return None
     along = (radius_1**2 - radius_2**2 + distance**2) / (2.0 * distance)
     across = side * math.sqrt(max(radius_1**2 - along**2, 0.0))
@@ -62,22 +72,29 @@ def joints_at(robot: RobotParameters, x: Sequence[float]) -> list[float]:
     if not all(math.isfinite(value) for value in x):
         raise GeometryError(f"end effector position {tuple(x)} m is not finite")
     joints: list[float] = []
-    for side, leg, base, mode in zip(_SIDES, robot.legs, bases(robot), robot.working_mode, strict=True):
-        point = _intersection(base, (x[0], x[1]), leg.proximal_length, leg.distal_length, mode)
+    for side, leg, base, mode in zip(
+        _SIDES, robot.legs, bases(robot), robot.working_mode, strict=True
+    ):
+        point = _intersection(
+            base, (x[0], x[1]), leg.proximal_length, leg.distal_length, mode
+        )
         if point is None:
             distance = math.hypot(x[0] - base[0], x[1] - base[1])
             least = abs(leg.proximal_length - leg.distal_length)
             raise GeometryError(
-                f"end effector at ({x[0]:g}, {x[1]:g}) m is {distance:.6g} m from the {side} motor axis; "
-                f"that leg reaches from {least:.6g} to {leg.proximal_length + leg.distal_length:.6g} m"
-                f"{' and not its own axis' if least == 0.0 else ''}"
+                f"end effector at ({x[0]:g}, {x[1]:g}) m is {distance:.6g} m from the"
+                f" {side} motor axis; that leg reaches from {least:.6g} to"
+                f" {leg.proximal_length + leg.distal_length:.6g}"
+                f" m{' and not its own axis' if least == 0.0 else ''}"
             )
         q = math.atan2(point[1] - base[1], point[0] - base[0])
         joints += [q, _distal_angle(q, point, x)]
     return joints
 
 
-def joints_of(robot: RobotParameters, q_a: Sequence[float], assembly_mode: int) -> list[float]:
+def joints_of(
+    robot: RobotParameters, q_a: Sequence[float], assembly_mode: int
+) -> list[float]:
     """The four joint angles at active angles q_a, in the given assembly mode.
 
     Args:
@@ -86,17 +103,24 @@ def joints_of(robot: RobotParameters, q_a: Sequence[float], assembly_mode: int) 
         assembly_mode: sign of r_1 x r_2, r_i from elbow i to the end effector.
 
     Raises:
-        GeometryError: the distal links do not meet, or both elbows coincide (folded: x is undefined).
+        GeometryError: the distal links do not meet, or both elbows coincide (folded: x
+            is undefined).
     """
     if assembly_mode not in (-1, 1):
         raise GeometryError(f"assembly mode {assembly_mode}; it must be +1 or -1")
-    left, right = (elbow(leg, q, base) for leg, q, base in zip(robot.legs, q_a, bases(robot), strict=True))
-    x = _intersection(left, right, robot.left.distal_length, robot.right.distal_length, assembly_mode)
+    left, right = (
+        elbow(leg, q, base)
+        for leg, q, base in zip(robot.legs, q_a, bases(robot), strict=True)
+    )
+    x = _intersection(
+        left, right, robot.left.distal_length, robot.right.distal_length, assembly_mode
+    )
     if x is None:
         raise GeometryError(
-            f"at q_a = ({q_a[0]:g}, {q_a[1]:g}) rad the elbows are {math.dist(left, right):.6g} m apart; "
-            f"the distal links reach at most {robot.left.distal_length + robot.right.distal_length:.6g} m"
-            " and leave the end effector undefined where the elbows coincide"
+            f"at q_a = ({q_a[0]:g}, {q_a[1]:g}) rad the elbows are"
+            f" {math.dist(left, right):.6g} m apart; the distal links reach at most"
+            f" {robot.left.distal_length + robot.right.distal_length:.6g} m and leave"
+            " the end effector undefined where the elbows coincide"
         )
     joints: list[float] = []
     for q, point in ((q_a[0], left), (q_a[1], right)):
@@ -104,11 +128,15 @@ def joints_of(robot: RobotParameters, q_a: Sequence[float], assembly_mode: int) 
     return joints
 
 
-def joints_dot_at(robot: RobotParameters, joints: Sequence[float], x_dot: Sequence[float]) -> list[float]:
+def joints_dot_at(
+    robot: RobotParameters, joints: Sequence[float], x_dot: Sequence[float]
+) -> list[float]:
     """The four joint velocities with which both distal tips move at x_dot.
 
-    Each leg: x_dot = l1 n_1 q_dot + l2 n_2 omega, with u along and n left of a link. The parts along
-    u_2 and u_1 give q_dot = x_dot . u_2 / (l1 sin q_passive), omega = -x_dot . u_1 / (l2 sin q_passive).
+    Each leg: x_dot = l1 n_1 q_dot + l2 n_2 omega, with u along and n left of a link.
+        The parts along
+    u_2 and u_1 give q_dot = x_dot . u_2 / (l1 sin q_passive), omega = -x_dot . u_1 /
+    (l2 sin q_passive).
 
     Args:
         robot: the description.
@@ -121,22 +149,43 @@ def joints_dot_at(robot: RobotParameters, joints: Sequence[float], x_dot: Sequen
     if not any(x_dot):
         return [0.0] * 4
     rates: list[float] = []
-    for side, leg, q, passive in zip(_SIDES, robot.legs, joints[::2], joints[1::2], strict=True):
+    for side, leg, q, passive in zip(
+        _SIDES, robot.legs, joints[::2], joints[1::2], strict=True
+    ):
         sine = math.sin(passive)
         if abs(sine) < _LEAST_SINE:
-            raise GeometryError(f"{side} leg: |sin| of its elbow angle is {abs(sine):.3g}; a velocity needs > 0")
+            raise GeometryError(
+                f"{side} leg: |sin| of its elbow angle is {abs(sine):.3g}; a velocity"
+                " needs > 0"
+            )
         distal = q + passive
-        rate = (x_dot[0] * math.cos(distal) + x_dot[1] * math.sin(distal)) / (leg.proximal_length * sine)
-        total = -(x_dot[0] * math.cos(q) + x_dot[1] * math.sin(q)) / (leg.distal_length * sine)
+        rate = (x_dot[0] * math.cos(distal) + x_dot[1] * math.sin(distal)) / (
+            leg.proximal_length * sine
+        )
+        total = -(x_dot[0] * math.cos(q) + x_dot[1] * math.sin(q)) / (
+            leg.distal_length * sine
+        )
         rates += [rate, total - rate]
     return rates
 
 
 def _tip(
-    base_x: float, base_y: float, l1: float, l2: float, q: float, passive: float, rate: float, passive_rate: float
+    base_x: float,
+    base_y: float,
+    l1: float,
+    l2: float,
+    q: float,
+    passive: float,
+    rate: float,
+    passive_rate: float,
 ) -> tuple[float, float, float, float]:
     total, total_rate = q + passive, rate + passive_rate
-    cos_1, sin_1, cos_2, sin_2 = math.cos(q), math.sin(q), math.cos(total), math.sin(total)
+    cos_1, sin_1, cos_2, sin_2 = (
+        math.cos(q),
+        math.sin(q),
+        math.cos(total),
+        math.sin(total),
+    )
     return (
         base_x + l1 * cos_1 + l2 * cos_2,
         base_y + l1 * sin_1 + l2 * sin_2,
@@ -146,7 +195,9 @@ def _tip(
 
 
 def shape(robot: RobotParameters) -> tuple[float, ...]:
-    """What ``tips`` takes of a robot: x, y of the motor axis and both lengths, left and right, m."""
+    """What ``tips`` takes of a robot: x, y of the motor axis and both lengths, left and
+    right, m.
+    """
     return tuple(
         float(value)
         for leg, base in zip(robot.legs, bases(robot), strict=True)
@@ -157,13 +208,32 @@ def shape(robot: RobotParameters) -> tuple[float, ...]:
 def tips(
     shape: tuple[float, ...], joints: tuple[float, ...], joints_dot: tuple[float, ...]
 ) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
-    """Position (m) and velocity (m/s) of the left and the right distal tip: x, y, x_dot, y_dot of each.
+    """Position (m) and velocity (m/s) of the left and the right distal tip: x, y,
+    x_dot, y_dot of each.
 
     Args:
         shape: of the robot.
         joints, joints_dot: q11, q12, q21, q22, rad and rad/s.
     """
     return (
-        _tip(shape[0], shape[1], shape[2], shape[3], joints[0], joints[1], joints_dot[0], joints_dot[1]),
-        _tip(shape[4], shape[5], shape[6], shape[7], joints[2], joints[3], joints_dot[2], joints_dot[3]),
+        _tip(
+            shape[0],
+            shape[1],
+            shape[2],
+            shape[3],
+            joints[0],
+            joints[1],
+            joints_dot[0],
+            joints_dot[1],
+        ),
+        _tip(
+            shape[4],
+            shape[5],
+            shape[6],
+            shape[7],
+            joints[2],
+            joints[3],
+            joints_dot[2],
+            joints_dot[3],
+        ),
     )

@@ -24,17 +24,30 @@ class Happenings:
     """
 
     def __init__(
-        self, *, payload: float = 0.0, payload_time: float = 0.0, push: Sequence[float] = (0.0, 0.0), push_time: float = 0.0,
+        self,
+        *,
+        payload: float = 0.0,
+        payload_time: float = 0.0,
+        push: Sequence[float] = (0.0, 0.0),
+        push_time: float = 0.0,
         push_duration: float = 0.0,
-    ) -> None:  # fmt: skip
-        for name, value in (("payload", payload), ("payload_time", payload_time), ("push_time", push_time),
-                            ("push_duration", push_duration)):  # fmt: skip
+    ) -> None:
+        for name, value in (
+            ("payload", payload),
+            ("payload_time", payload_time),
+            ("push_time", push_time),
+            ("push_duration", push_duration),
+        ):
             if not (value >= 0.0 and math.isfinite(value)):
                 raise ParameterError(f"{name} = {value}; it must be >= 0")
         if not all(map(math.isfinite, push)):
             raise ParameterError(f"push = {list(push)} N; it must be finite")
         self._payload, self._from = payload, payload_time
-        self._push, self._begin, self._end = push, push_time, push_time + (push_duration if any(push) else 0.0)
+        self._push, self._begin, self._end = (
+            push,
+            push_time,
+            push_time + (push_duration if any(push) else 0.0),
+        )
         self._carried = 0.0
 
     def reset(self, plant: AnyPlant) -> None:

@@ -10,9 +10,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from dextar_control.contract.cdr import from_time
 from dextar_control.contract.errors import StateError
-from dextar_control.contract.layouts import template
 from dextar_control.contract.robot import JOINT_NAMES
 from dextar_control.contract.topics import (
     CLOCK,
@@ -23,6 +21,8 @@ from dextar_control.contract.topics import (
     SIM_END_EFFECTOR,
     SIM_JOINT_STATES,
 )
+from dextar_control.nodekit.cdr import from_time
+from dextar_control.nodekit.layouts import template
 from dextar_sim.sensors import Acknowledgement, Command
 from dextar_sim.state import PlantState
 
@@ -37,21 +37,39 @@ class StateWriter:
         self._pose = template(EXTERNAL_POSE)
         self._clock = template(CLOCK)
 
-    def measured(self, stamp: int, q_a: np.ndarray, q_a_dot: np.ndarray, torque: np.ndarray) -> bytes:
-        """``joint_states``: encoder position (rad) and velocity (rad/s), applied torque (N m), each (2,)."""
-        return self._measured.pack(stamp, [*q_a.tolist(), *q_a_dot.tolist(), *torque.tolist()])
+    def measured(
+        self, stamp: int, q_a: np.ndarray, q_a_dot: np.ndarray, torque: np.ndarray
+    ) -> bytes:
+        """``joint_states``: encoder position (rad) and velocity (rad/s), applied torque
+        (N m), each (2,).
+        """
+        return self._measured.pack(
+            stamp, [*q_a.tolist(), *q_a_dot.tolist(), *torque.tolist()]
+        )
 
     def true_joints(self, stamp: int, state: PlantState, torque: np.ndarray) -> bytes:
         """``sim/joint_states``."""
         first, second = torque.tolist()
-        return self._true.pack(stamp, [*state.joints.tolist(), *state.joints_dot.tolist(), first, 0.0, second, 0.0])
+        return self._true.pack(
+            stamp,
+            [
+                *state.joints.tolist(),
+                *state.joints_dot.tolist(),
+                first,
+                0.0,
+                second,
+                0.0,
+            ],
+        )
 
     def true_end_effector(self, stamp: int, state: PlantState) -> bytes:
         """``sim/end_effector``."""
         return self._platform.pack(stamp, [*state.x.tolist(), *state.x_dot.tolist()])
 
     def external_pose(self, stamp: int, x: Sequence[float]) -> bytes:
-        """``external_pose``: measured end effector position (m), shape (2,), at the stamp (ns) when it was true."""
+        """``external_pose``: measured end effector position (m), shape (2,), at the
+        stamp (ns) when it was true.
+        """
         return self._pose.pack(stamp, (*x, 0.0, 0.0, 0.0, 0.0, 1.0))
 
     def clock(self, stamp: int) -> bytes:
@@ -60,21 +78,27 @@ class StateWriter:
 
 
 def read_efforts(raw: bytes) -> tuple[float, float]:
-    """Torques (N m) of q11 and q21 from the raw bytes of ``effort_commands``; its layout field is not looked at.
+    """Torques (N m) of q11 and q21 from the raw bytes of ``effort_commands``; its
+    layout field is not looked at.
 
     Raises:
         StateError: not two numbers, or one that is not finite.
     """
     efforts = list(deserialize_message(raw, Float64MultiArray).data)
     if len(efforts) != len(JOINT_NAMES):
-        raise StateError(f"{EFFORT_COMMANDS.name}: {len(efforts)} efforts; expected {len(JOINT_NAMES)}: {list(JOINT_NAMES)}")
+        raise StateError(
+            f"{EFFORT_COMMANDS.name}: {len(efforts)} efforts; expected"
+            f" {len(JOINT_NAMES)}: {list(JOINT_NAMES)}"
+        )
     if not all(math.isfinite(value) for value in efforts):
         raise StateError(f"{EFFORT_COMMANDS.name}: effort {efforts} N m is not finite")
     return efforts[0], efforts[1]
 
 
 class CommandReader:
-    """Motor commands from the raw bytes of ``joint_commands``: quickly when laid out as expected."""
+    """Motor commands from the raw bytes of ``joint_commands``: quickly when laid out as
+    expected.
+    """
 
     def __init__(self) -> None:
         self._template = template(JOINT_COMMANDS)
@@ -84,29 +108,43 @@ class CommandReader:
 
         Args:
             raw: CDR bytes of the message.
-            lockstep: a message without joints and numbers is an acknowledgement; otherwise it is refused.
+            lockstep: a message without joints and numbers is an acknowledgement;
+                otherwise it is refused.
 
         Raises:
-            StateError: the joints are not the motors, sizes differ or a torque is not finite.
+            StateError: the joints are not the motors, sizes differ or a torque is not
+                finite.
         """
         fast = self._template.unpack(raw)
         if fast is not None:
             stamp, torque = fast
         else:
             message = deserialize_message(raw, JointState)
-            if lockstep and not any((message.name, message.position, message.velocity, message.effort)):
+            if lockstep and not any(
+                (message.name, message.position, message.velocity, message.effort)
+            ):
                 return Acknowledgement(from_time(message.header.stamp))
             stamp, torque = self._read_message(raw, message)
         if not all(math.isfinite(value) for value in torque):
-            raise StateError(f"{JOINT_COMMANDS.name}: effort {list(torque)} N m is not finite")
+            raise StateError(
+                f"{JOINT_COMMANDS.name}: effort {list(torque)} N m is not finite"
+            )
         return Command(stamp, (torque[0], torque[1]))
 
     def _read_message(self, raw: bytes, message: JointState) -> tuple[int, list[float]]:
         names = list(message.name)
         if sorted(names) != sorted(JOINT_NAMES):
-            raise StateError(f"{JOINT_COMMANDS.name}: joints {names}; expected {list(JOINT_NAMES)} in any order")
+            raise StateError(
+                f"{JOINT_COMMANDS.name}: joints {names}; expected {list(JOINT_NAMES)}"
+                " in any order"
+            )
         if len(message.effort) != len(names):
-            raise StateError(f"{JOINT_COMMANDS.name}: {len(message.effort)} efforts for {len(names)} joints")
+            raise StateError(
+                f"{JOINT_COMMANDS.name}: {len(message.effort)} efforts for {len(names)}"
+                " joints"
+            )
         if names == list(JOINT_NAMES) and not message.position and not message.velocity:
             self._template.learn(raw)
-        return from_time(message.header.stamp), [message.effort[names.index(name)] for name in JOINT_NAMES]
+        return from_time(message.header.stamp), [
+            message.effort[names.index(name)] for name in JOINT_NAMES
+        ]

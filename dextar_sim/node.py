@@ -1,13 +1,15 @@
 """The plant as a rig would stand on the network: motor commands in, joint states out.
 
-One sample is a state k at stamp k, published; the command that answers it; and the physics from
-k to k+1 under it. In lockstep the command is waited for. In real time the state goes out at its
-deadline on the steady clock, and a command that is not there in time is replaced by the held one.
+One sample is a state k at stamp k, published; the command that answers it; and the
+physics from k to k+1 under it. In lockstep the command is waited for. In real time the
+state goes out at its deadline on the steady clock, and a command that is not there in
+time is replaced by the held one.
 
-Whoever stands between rig and commander in lockstep can say that a state gets no command: a JointState
-with its stamp and without joints is a bare acknowledgement. The drives then go on under the command they
-hold, whose age counts, so that their time-out acts in simulated time. A command that answers an earlier
-state is taken as in real time (the newest stamp wins) and does not let time go on.
+Whoever stands between rig and commander in lockstep can say that a state gets no
+command: a JointState with its stamp and without joints is a bare acknowledgement. The
+drives then go on under the command they hold, whose age counts, so that their time-out
+acts in simulated time. A command that answers an earlier state is taken as in real time
+(the newest stamp wins) and does not let time go on.
 """
 
 from __future__ import annotations
@@ -26,9 +28,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
-from dextar_control.contract.cdr import NANOSECONDS
 from dextar_control.contract.errors import ParameterError, StateError
-from dextar_control.contract.node import DextarNode, qos, run_node
 from dextar_control.contract.topics import (
     CLOCK,
     EFFORT_COMMANDS,
@@ -39,10 +39,20 @@ from dextar_control.contract.topics import (
     SIM_END_EFFECTOR,
     SIM_JOINT_STATES,
 )
+from dextar_control.nodekit.cdr import NANOSECONDS
+from dextar_control.nodekit.node import DextarNode, qos, run_node
 from dextar_sim.messages import CommandReader, StateWriter, read_efforts
 from dextar_sim.pace import Schedule, keeping_pace, spin
 from dextar_sim.parameters import PARAMETERS
-from dextar_sim.sensors import Acknowledgement, Command, CommandDelay, CommandHold, Encoder, PoseSensor, StampError
+from dextar_sim.sensors import (
+    Acknowledgement,
+    Command,
+    CommandDelay,
+    CommandHold,
+    Encoder,
+    PoseSensor,
+    StampError,
+)
 from dextar_sim.speakers import SPEAKING, Speakers
 
 REPEAT_AFTER = 0.5
@@ -66,7 +76,8 @@ class PlantNode(DextarNode):
     """Simulated five-bar with the topics of a real one, plus the truth under ``sim/``.
 
     Raises:
-        ParameterError: a parameter is out of its range, or a window is wanted without a display.
+        ParameterError: a parameter is out of its range, or a window is wanted without a
+            display.
         GeometryError: the start lies outside the workspace.
     """
 
@@ -87,27 +98,61 @@ class PlantNode(DextarNode):
         self.paced = pace > 0.0
         self._arrays = values["command_interface"] == "effort_array"
         if self._arrays and self.lockstep:
-            raise ParameterError("parameter 'command_interface' = 'effort_array'; in mode lockstep it must be joint_state: "
-                                 "an array does not say which state it answers")  # fmt: skip
+            raise ParameterError(
+                "parameter 'command_interface' = 'effort_array'; in mode lockstep it"
+                " must be joint_state: an array does not say which state it answers"
+            )
         max_torque = values["max_torque"] or self.robot.max_torque
-        effects = Effects(**{field.name: values[field.name] for field in fields(Effects)})
-        self.plant = Plant(self.robot, period=period, substeps=values["substeps"], window=values["window"],
-                           max_torque=max_torque, effects=effects)  # fmt: skip
+        effects = Effects(
+            **{field.name: values[field.name] for field in fields(Effects)}
+        )
+        self.plant = Plant(
+            self.robot,
+            period=period,
+            substeps=values["substeps"],
+            window=values["window"],
+            max_torque=max_torque,
+            effects=effects,
+        )
         self.plant.reset(values["task.start"])
-        self._encoder = Encoder(period, resolution=values["encoder_resolution"], seed=values["seed"],
-                                velocity_cutoff=values["velocity_cutoff"],
-                                position_noise=values["position_noise"], offset=self.robot.encoder_offset,
-                                homing_error=values["homing_error"], eccentricity=values["eccentricity"])  # fmt: skip
+        self._encoder = Encoder(
+            period,
+            resolution=values["encoder_resolution"],
+            seed=values["seed"],
+            velocity_cutoff=values["velocity_cutoff"],
+            position_noise=values["position_noise"],
+            offset=self.robot.encoder_offset,
+            homing_error=values["homing_error"],
+            eccentricity=values["eccentricity"],
+        )
         self._stamp_error = StampError(values["stamp_error"], period, values["seed"])
-        self._happenings = Happenings(**{
-            name: values[name] for name in ("payload", "payload_time", "push", "push_time", "push_duration")
-        })
-        self._camera = PoseSensor(period, rate=values["pose_rate"], delay=values["pose_delay"],
-                                  noise=values["pose_noise"], seed=values["seed"])  # fmt: skip
-        self._delay: CommandDelay[Command] = CommandDelay(round(values["command_delay"] / period))
+        self._happenings = Happenings(
+            **{
+                name: values[name]
+                for name in (
+                    "payload",
+                    "payload_time",
+                    "push",
+                    "push_time",
+                    "push_duration",
+                )
+            }
+        )
+        self._camera = PoseSensor(
+            period,
+            rate=values["pose_rate"],
+            delay=values["pose_delay"],
+            noise=values["pose_noise"],
+            seed=values["seed"],
+        )
+        self._delay: CommandDelay[Command] = CommandDelay(
+            round(values["command_delay"] / period)
+        )
         self._command_timeout = round(values["command_timeout"] * NANOSECONDS)
         self._hold = CommandHold(self._command_timeout, max_torque)
-        self.schedule = Schedule(round(self.period_ns / pace) if self.paced else self.period_ns)
+        self.schedule = Schedule(
+            round(self.period_ns / pace) if self.paced else self.period_ns
+        )
         self._writer, self._reader = StateWriter(), CommandReader()
         self._index = -1
         self._since = 0
@@ -124,34 +169,80 @@ class PlantNode(DextarNode):
         self._commanded = False
         self._budget: int | None = 0 if values["start_paused"] else None
         self.counts = dict.fromkeys(
-            ("commands_received", "commands_refused", "late_ticks", "late_commands", "repeated_states", "acknowledgements"), 0
+            (
+                "commands_received",
+                "commands_refused",
+                "late_ticks",
+                "late_commands",
+                "repeated_states",
+                "acknowledgements",
+            ),
+            0,
         )
         self._max_loop_gap = 0.0
         self._reported = Reported(0, 0, 0, 0)
         self._warned_at = -1.0
-        self._states = self.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
-        self._true_platform = self.create_publisher(Odometry, SIM_END_EFFECTOR.name, qos(SIM_END_EFFECTOR))
-        self._true_joints = self.create_publisher(JointState, SIM_JOINT_STATES.name, qos(SIM_JOINT_STATES))
-        self._poses = self.create_publisher(PoseStamped, EXTERNAL_POSE.name, qos(EXTERNAL_POSE)) if values["pose_rate"] else None
-        self._description = self.create_publisher(String, ROBOT_DESCRIPTION.name, qos(ROBOT_DESCRIPTION))
+        self._states = self.create_publisher(
+            JointState, JOINT_STATES.name, qos(JOINT_STATES)
+        )
+        self._true_platform = self.create_publisher(
+            Odometry, SIM_END_EFFECTOR.name, qos(SIM_END_EFFECTOR)
+        )
+        self._true_joints = self.create_publisher(
+            JointState, SIM_JOINT_STATES.name, qos(SIM_JOINT_STATES)
+        )
+        self._poses = (
+            self.create_publisher(PoseStamped, EXTERNAL_POSE.name, qos(EXTERNAL_POSE))
+            if values["pose_rate"]
+            else None
+        )
+        self._description = self.create_publisher(
+            String, ROBOT_DESCRIPTION.name, qos(ROBOT_DESCRIPTION)
+        )
         self._description.publish(String(data=urdf_of(self.robot)))
         rate = values["clock_rate"] if self.lockstep else 0.0
-        self._time = self.create_publisher(Clock, CLOCK.name, qos(CLOCK)) if rate else None
+        self._time = (
+            self.create_publisher(Clock, CLOCK.name, qos(CLOCK)) if rate else None
+        )
         self._told_each = max(1, round(1.0 / (rate * period))) if rate else 0
-        topic, kind = (EFFORT_COMMANDS, Float64MultiArray) if self._arrays else (JOINT_COMMANDS, JointState)
+        topic, kind = (
+            (EFFORT_COMMANDS, Float64MultiArray)
+            if self._arrays
+            else (JOINT_COMMANDS, JointState)
+        )
         self._command_name = topic.name
         profile = qos(topic, reliable=self.lockstep)
-        self._commands = self.create_polled_subscription(kind, topic.name, profile, raw=True)
+        self._commands = self.create_polled_subscription(
+            kind, topic.name, profile, raw=True
+        )
         self._command_type = kind
-        self._speakers = Speakers(lambda: int(self.count_publishers(self._commands.topic_name)), lossless=self.lockstep)
+        self._speakers = Speakers(
+            lambda: int(self.count_publishers(self._commands.topic_name)),
+            lossless=self.lockstep,
+        )
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_timer(1.0, self.report, clock=self.steady_clock)
-        self.create_timer(COMMANDER_PERIOD, self._count_commanders, clock=self.steady_clock)
+        self.create_timer(
+            COMMANDER_PERIOD, self._count_commanders, clock=self.steady_clock
+        )
         # A process's first log line costs tens of ms: not in the middle of a run.
-        told = "as fast as possible" if not self.paced else f"at {pace:g} x real time" if self.lockstep else ""
-        self.get_logger().info(", ".join(filter(None, (self.robot.name, values["mode"], told, f"{1.0 / period:g} Hz"))))
+        told = (
+            "as fast as possible"
+            if not self.paced
+            else f"at {pace:g} x real time"
+            if self.lockstep
+            else ""
+        )
+        self.get_logger().info(
+            ", ".join(
+                filter(
+                    None,
+                    (self.robot.name, values["mode"], told, f"{1.0 / period:g} Hz"),
+                )
+            )
+        )
 
     @property
     def paused(self) -> bool:
@@ -167,31 +258,45 @@ class PlantNode(DextarNode):
     def awaited(self) -> bool:
         """Somebody commands, and has not answered the published state yet."""
         newest = self._newest
-        return not self.answered and newest is not None and self._published - newest.stamp <= self._command_timeout
+        return (
+            not self.answered
+            and newest is not None
+            and self._published - newest.stamp <= self._command_timeout
+        )
 
     def begin(self) -> None:
-        """Prepare the first state: stamp 0 in lockstep, the system clock's now in real time."""
+        """Prepare the first state: stamp 0 in lockstep, the system clock's now in real
+        time.
+        """
         if self._index < 0:
             self._first_stamp = 0 if self.lockstep else time.time_ns()
             self._index = 0
             self._prepare(np.zeros(2))
 
     def advance(self) -> None:
-        """The physics of one period under the command the drives hold, and the state after it."""
+        """The physics of one period under the command the drives hold, and the state
+        after it.
+        """
         if not self._commanded and self._newest is not None:
             self.counts["late_ticks"] += 1
         delayed = self._delay.shift(self._newest)
         if delayed is not None:
             later = self._delay.periods * self.period_ns
             arrival = None if delayed.arrival is None else delayed.arrival + later
-            self._hold.receive(delayed._replace(stamp=delayed.stamp + later, arrival=arrival))
-        self._happenings.before((self._index - self._since) * self.plant.period, self.plant)
+            self._hold.receive(
+                delayed._replace(stamp=delayed.stamp + later, arrival=arrival)
+            )
+        self._happenings.before(
+            (self._index - self._since) * self.plant.period, self.plant
+        )
         applied = self.plant.step(self._hold.torque(self._stamp(), self._ran()))
         self._index += 1
         self._prepare(applied)
 
     def _ran(self) -> int | None:
-        """The drives' steady clock, ns, which a pause stops; None in lockstep, where simulated time alone counts."""
+        """The drives' steady clock, ns, which a pause stops; None in lockstep, where
+        simulated time alone counts.
+        """
         return None if self.lockstep else self.schedule.ran(time.monotonic_ns())
 
     def _stamp(self) -> int:
@@ -199,19 +304,31 @@ class PlantNode(DextarNode):
 
     def _prepare(self, applied: np.ndarray) -> None:
         state = self.plant.state()
-        self._told = stamp = max(self._stamp() + round(NANOSECONDS * self._stamp_error.next()), 0)
+        self._told = stamp = max(
+            self._stamp() + round(NANOSECONDS * self._stamp_error.next()), 0
+        )
         self._max_loop_gap = max(self._max_loop_gap, state.loop_gap)
         q_a, q_a_dot = self._encoder.read(self.plant.encoded())
-        self._sample = [(self._states, self._writer.measured(stamp, q_a, q_a_dot, applied))]
+        self._sample = [
+            (self._states, self._writer.measured(stamp, q_a, q_a_dot, applied))
+        ]
         if self._poses is not None:
             seen = self._camera.sense(self._index, state.x.tolist())
-            self._pose = seen and self._writer.external_pose(self._first_stamp + seen.sample * self.period_ns, seen.x)
+            self._pose = seen and self._writer.external_pose(
+                self._first_stamp + seen.sample * self.period_ns, seen.x
+            )
         if self.values["publish_truth"]:
-            self._sample.append((self._true_platform, self._writer.true_end_effector(stamp, state)))
-            self._sample.append((self._true_joints, self._writer.true_joints(stamp, state, applied)))
+            self._sample.append(
+                (self._true_platform, self._writer.true_end_effector(stamp, state))
+            )
+            self._sample.append(
+                (self._true_joints, self._writer.true_joints(stamp, state, applied))
+            )
 
     def publish(self) -> None:
-        """Send the prepared state, all topics in one burst, and before it the external pose that arrives then."""
+        """Send the prepared state, all topics in one burst, and before it the external
+        pose that arrives then.
+        """
         if self._sample is None:
             return
         self._sent, self._sample = self._sample, None
@@ -228,7 +345,9 @@ class PlantNode(DextarNode):
             self._budget -= 1
 
     def repeat_unanswered(self) -> None:
-        """Publish the last state again when its answer has been missing for too long."""
+        """Publish the last state again when its answer has been missing for too
+        long.
+        """
         if time.monotonic() - self._sent_at < REPEAT_AFTER:
             return
         if self.counts["commands_received"]:
@@ -249,7 +368,11 @@ class PlantNode(DextarNode):
 
     def _on_command(self, raw: bytes, info: Mapping[str, int]) -> None:
         try:
-            if not self._speakers.hear(info.get("publication_sequence_number"), self._index, time.monotonic_ns()):
+            if not self._speakers.hear(
+                info.get("publication_sequence_number"),
+                self._index,
+                time.monotonic_ns(),
+            ):
                 self._let_go()
                 raise StateError(f"{self._complaint()}: no torque")
             command = self._read_command(raw)
@@ -267,7 +390,9 @@ class PlantNode(DextarNode):
         self.counts["commands_received"] += 1
         if not answers or self.sample_ready:
             self.counts["late_commands"] += 1
-        if command.stamp < self._oldest or (self.lockstep and answers and self.answered):
+        if command.stamp < self._oldest or (
+            self.lockstep and answers and self.answered
+        ):
             return
         if self._newest is None or command.stamp >= self._newest.stamp:
             self._newest = command._replace(arrival=self._ran())
@@ -275,10 +400,12 @@ class PlantNode(DextarNode):
         self._commanded = self._commanded or answers
 
     def _read_command(self, raw: bytes) -> Command | Acknowledgement:
-        """A command, or in lockstep an acknowledgement, whose stamp is that of a published state.
+        """A command, or in lockstep an acknowledgement, whose stamp is that of a
+        published state.
 
-        In real time a stamp of the sender's own clock counts as an answer to the state last published, as does an
-        array, which has none: neither can be told from a late one.
+        In real time a stamp of the sender's own clock counts as an answer to the state
+        last published, as does an array, which has none: neither can be told from a
+        late one.
         """
         command: Command | Acknowledgement
         if self._arrays:
@@ -287,11 +414,15 @@ class PlantNode(DextarNode):
             command = self._reader.read(raw, lockstep=self.lockstep)
         if command.stamp <= self._published:
             return command
-        now = self._published if self.lockstep or self._published < 0 else time.time_ns()
+        now = (
+            self._published if self.lockstep or self._published < 0 else time.time_ns()
+        )
         if command.stamp > now:
             clock = "" if self.lockstep else f" and the system clock at {now} ns"
-            raise StateError(f"{self._command_name}: stamp {command.stamp} ns answers no state yet published; "
-                             f"the last one is {self._published} ns{clock}")  # fmt: skip
+            raise StateError(
+                f"{self._command_name}: stamp {command.stamp} ns answers no state yet"
+                f" published; the last one is {self._published} ns{clock}"
+            )
         return command._replace(stamp=self._published)
 
     def _count_commanders(self) -> None:
@@ -311,26 +442,46 @@ class PlantNode(DextarNode):
         if count <= 1:
             return f"a message on {name} is numbered as another publisher's"
         if self._speakers.several:
-            return f"{count} publishers on {name}, more than one speaks; the limit is 1: end all but one"
-        return f"{count} publishers on {name}; one must have spoken alone for {1.0e-9 * SPEAKING:g} s"
+            return (
+                f"{count} publishers on {name}, more than one speaks; the limit is 1:"
+                " end all but one"
+            )
+        return (
+            f"{count} publishers on {name}; one must have spoken alone for"
+            f" {1.0e-9 * SPEAKING:g} s"
+        )
 
-    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+    def _on_pause(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
         self._budget = 0 if request.data else None
-        response.success, response.message = True, "paused" if request.data else "running"
+        response.success, response.message = (
+            True,
+            "paused" if request.data else "running",
+        )
         return response
 
-    def _on_step(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_step(
+        self, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         if self._budget is None:
             pause = f"{self.get_fully_qualified_name()}/pause"
-            response.success, response.message = False, f"not paused; call {pause} with data true first"
+            response.success, response.message = (
+                False,
+                f"not paused; call {pause} with data true first",
+            )
             return response
         count = self.values["step_count"]
         self._budget += count
         response.success, response.message = True, f"stepping {count} samples"
         return response
 
-    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Start pose at rest as the next sample, without torque; earlier states' commands no longer count."""
+    def _on_reset(
+        self, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        """Start pose at rest as the next sample, without torque; earlier states'
+        commands no longer count.
+        """
         self._happenings.reset(self.plant)
         self.plant.reset(self.values["task.start"])
         for part in (self._encoder, self._camera, self._delay, self._hold):
@@ -347,54 +498,100 @@ class PlantNode(DextarNode):
         return response
 
     def report(self) -> None:
-        """Counters since the start on ``/diagnostics``; the real-time factor, and what is judged, since the last report."""
+        """Counters since the start on ``/diagnostics``; the real-time factor, and what
+        is judged, since the last report.
+        """
         before, counts = self._reported, self.counts
-        steps, late, refused = max(self._index, 0), counts["late_ticks"], counts["commands_refused"]
-        self._reported = after = Reported(self.schedule.ran(time.monotonic_ns()), steps, late, refused)
-        factor = (steps - before.steps) * self.period_ns / max(after.ran - before.ran, 1) if after.ran > before.ran else 0.0
-        commanders, taken = self._speakers.count, self._speakers.clear(time.monotonic_ns())
+        steps, late, refused = (
+            max(self._index, 0),
+            counts["late_ticks"],
+            counts["commands_refused"],
+        )
+        self._reported = after = Reported(
+            self.schedule.ran(time.monotonic_ns()), steps, late, refused
+        )
+        factor = (
+            (steps - before.steps) * self.period_ns / max(after.ran - before.ran, 1)
+            if after.ran > before.ran
+            else 0.0
+        )
+        commanders, taken = (
+            self._speakers.count,
+            self._speakers.clear(time.monotonic_ns()),
+        )
         message = self._trouble(before, after)
         level = DiagnosticStatus.WARN if message else DiagnosticStatus.OK
-        self.publish_diagnostics(level, message or ("paused" if self.paused else "running"), {
-            "mode": self.values["mode"],
-            "steps": steps,
-            **self.counts,
-            "command_publishers": commanders,
-            "commands_taken": taken,
-            "overruns": self.schedule.overruns,
-            "longest_overrun": 1.0e-9 * self.schedule.longest,
-            "behind": 1.0e-9 * self.schedule.behind,
-            "slip": 1.0e-9 * self.schedule.slip,
-            "real_time_factor": round(factor, 4),
-            "max_loop_gap": self._max_loop_gap,
-            "saturated_ticks": self._hold.saturated,
-            "watchdog_trips": self._hold.trips,
-        })  # fmt: skip
+        self.publish_diagnostics(
+            level,
+            message or ("paused" if self.paused else "running"),
+            {
+                "mode": self.values["mode"],
+                "steps": steps,
+                **self.counts,
+                "command_publishers": commanders,
+                "commands_taken": taken,
+                "overruns": self.schedule.overruns,
+                "longest_overrun": 1.0e-9 * self.schedule.longest,
+                "behind": 1.0e-9 * self.schedule.behind,
+                "slip": 1.0e-9 * self.schedule.slip,
+                "real_time_factor": round(factor, 4),
+                "max_loop_gap": self._max_loop_gap,
+                "saturated_ticks": self._hold.saturated,
+                "watchdog_trips": self._hold.trips,
+            },
+        )
 
     def _trouble(self, before: Reported, after: Reported) -> str:
-        """What is wrong since the report before, the worst of it; empty when nothing is."""
+        """What is wrong since the report before, the worst of it; empty when nothing
+        is.
+        """
         commanders = self._speakers.count
         if rivals := self.too_many_publishers(self._states.topic_name):
             return f"{rivals}: another rig or plant"
         if commanders > 1:
             words = f"{commanders} publishers on {self._command_name}"
-            return f"{words}, one speaks" if self._speakers.clear(time.monotonic_ns()) else f"{words}; no torque"
+            return (
+                f"{words}, one speaks"
+                if self._speakers.clear(time.monotonic_ns())
+                else f"{words}; no torque"
+            )
         if after.refused > before.refused:
             return f"commands on {self._command_name} were refused"
         if self.lockstep:  # at the pace of the answers
             waits = time.monotonic() - self._published_at
-            told = self.counts["commands_received"] > 0 and not self.paused and not self.answered and waits > REPEAT_AFTER
-            words = f"for {waits:.1f} s no command has answered the state of {self._published} ns: simulated time waits"
+            told = (
+                self.counts["commands_received"] > 0
+                and not self.paused
+                and not self.answered
+                and waits > REPEAT_AFTER
+            )
+            words = (
+                f"for {waits:.1f} s no command has answered the state of"
+                f" {self._published} ns: simulated time waits"
+            )
             return words if told else ""
         ran = after.ran - before.ran
-        return "; ".join(keeping_pace(after.steps - before.steps, after.late - before.late, ran, self.period_ns))
+        return "; ".join(
+            keeping_pace(
+                after.steps - before.steps,
+                after.late - before.late,
+                ran,
+                self.period_ns,
+            )
+        )
 
     def close(self) -> None:
         """The last report, the pace that was kept, then PyBullet."""
         self.report()
-        ran, simulated = 1.0e-9 * self.schedule.ran(time.monotonic_ns()), 1.0e-9 * self.period_ns * max(self._index, 0)
+        ran, simulated = (
+            1.0e-9 * self.schedule.ran(time.monotonic_ns()),
+            1.0e-9 * self.period_ns * max(self._index, 0),
+        )
         if simulated and ran:
-            self.get_logger().info(f"simulated {simulated:.3f} s in {ran:.3f} s: {simulated / ran:.2f} x real time")
+            self.get_logger().info(
+                f"simulated {simulated:.3f} s in {ran:.3f} s: {simulated / ran:.2f} x"
+                " real time"
+            )
         self.plant.close()
 
 

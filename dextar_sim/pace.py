@@ -1,7 +1,9 @@
-"""Keeping step: with the commander in lockstep, with the steady clock unless that is as fast as possible.
+"""Keeping step: with the commander in lockstep, with the steady clock unless that is as
+fast as possible.
 
-Deadlines lie one period apart on the steady clock. What is late is made up for by shorter periods, so that simulated
-time keeps up with the clock; only a machine that was away for longer than ``MOST_BEHIND`` loses that time.
+Deadlines lie one period apart on the steady clock. What is late is made up for by
+shorter periods, so that simulated time keeps up with the clock; only a machine that was
+away for longer than ``MOST_BEHIND`` loses that time.
 """
 
 from __future__ import annotations
@@ -10,16 +12,22 @@ import gc
 import time
 from typing import Any, Protocol
 
-from dextar_control.contract.scheduling import ask_kernel, precise_timers
+from dextar_control.nodekit.scheduling import ask_kernel, precise_timers
 
 _IDLE_WAIT = 0.05
 
 SHORTEST = 0.75
-"""Share of the period below which two deadlines never come together, however late the samples are."""
+"""Share of the period below which two deadlines never come together, however late the
+samples are.
+"""
 PATIENT = 0.95
-"""The same while the command for the last sample is awaited: making up must not make commands late."""
+"""The same while the command for the last sample is awaited: making up must not make
+commands late.
+"""
 JITTER = 0.25
-"""Share of the period by which a sample may miss its deadline and not move the next one."""
+"""Share of the period by which a sample may miss its deadline and not move the next
+one.
+"""
 EARLY = 2.0e-5
 """s by which a sample may be out before its deadline: no sleep is as short."""
 SERVED_EACH = 0.01
@@ -31,15 +39,20 @@ MOST_BEHIND = 50_000_000
 
 
 LEAST_FACTOR = 0.95
-"""Real-time factor below which a real-time plant is too slow: the rate that its states then miss is warned of there too."""
+"""Real-time factor below which a real-time plant is too slow: the rate that its states
+then miss is warned of there too.
+"""
 MOST_LATE = 0.1
-"""Share of the steps without their command in time, above which that is told: a held command is an older one."""
+"""Share of the steps without their command in time, above which that is told: a held
+command is an older one.
+"""
 JUDGED = 500_000_000
 """ns of running from which on they are judged."""
 
 
 def keeping_pace(steps: int, late: int, ran: int, period: int) -> list[str]:
-    """What is wrong with the pace of a real-time plant over some time, in words with number, limit and meaning.
+    """What is wrong with the pace of a real-time plant over some time, in words with
+    number, limit and meaning.
 
     Args:
         steps: that were simulated.
@@ -52,11 +65,16 @@ def keeping_pace(steps: int, late: int, ran: int, period: int) -> list[str]:
     told = []
     factor, share = steps * period / ran, late / max(steps, 1)
     if factor < LEAST_FACTOR:
-        told.append(f"real-time factor {factor:.2f} over the last {1e-9 * ran:.1f} s; the limit is {LEAST_FACTOR:g}:"
-                    " this machine is too slow or too busy, states come too seldom")  # fmt: skip
+        told.append(
+            f"real-time factor {factor:.2f} over the last {1e-9 * ran:.1f} s; the limit"
+            f" is {LEAST_FACTOR:g}: this machine is too slow or too busy, states come"
+            " too seldom"
+        )
     if share > MOST_LATE:
-        told.append(f"{100 * share:.0f} % of the steps without their command in time; the limit is {100 * MOST_LATE:.0f} %:"
-                    " the drives go on under an older one")  # fmt: skip
+        told.append(
+            f"{100 * share:.0f} % of the steps without their command in time; the limit"
+            f" is {100 * MOST_LATE:.0f} %: the drives go on under an older one"
+        )
     return told
 
 
@@ -110,10 +128,12 @@ class Paced(Protocol):
 class Schedule:
     """When the samples of a periodic task are due, ns of the steady clock.
 
-    The due times lie whole periods apart. A sample that is late does not move the later ones: their deadlines follow it by
-    ``SHORTEST`` periods at least, by ``PATIENT`` ones where its command is awaited, until one is on time again; no two
-    samples come closer than half a period. Lateness beyond ``MOST_BEHIND`` (and beyond a period) is dropped: the due times move
-    by all of it.
+    The due times lie whole periods apart. A sample that is late does not move the later
+        ones: their deadlines follow it by
+    ``SHORTEST`` periods at least, by ``PATIENT`` ones where its command is awaited,
+    until one is on time again; no two samples come closer than half a period. Lateness
+    beyond ``MOST_BEHIND`` (and beyond a period) is dropped: the due times move by all
+    of it.
 
     Args:
         period: ns.
@@ -123,12 +143,16 @@ class Schedule:
         overruns: samples out by more than half a period after they might have been.
         longest: the largest of these delays, ns.
         behind: how long after it was due the last sample came, ns.
-        slip: lateness that was dropped, ns: so much simulated time has fallen behind the clock.
+        slip: lateness that was dropped, ns: so much simulated time has fallen behind
+            the clock.
     """
 
     def __init__(self, period: int) -> None:
         self._period = period
-        self._shortest, self._patient = round(SHORTEST * period), round(PATIENT * period)
+        self._shortest, self._patient = (
+            round(SHORTEST * period),
+            round(PATIENT * period),
+        )
         self._most_behind = max(MOST_BEHIND, period)
         self._due = 0
         self._last = 0
@@ -149,7 +173,9 @@ class Schedule:
         self._last = self._due - self._period
 
     def stop(self, now: int) -> None:
-        """Nothing is due, as during a pause; the time until ``start`` is no overrun and does not count as run."""
+        """Nothing is due, as during a pause; the time until ``start`` is no overrun and
+        does not count as run.
+        """
         self._ran = self.ran(now)
         self.running = False
         self.behind = 0
@@ -159,20 +185,28 @@ class Schedule:
         return self._ran + now - self._begun if self.running else self._ran
 
     def deadline(self, awaited: bool) -> int:
-        """Of the coming sample: when it is due, or some time after the last one, whose command is awaited or not."""
-        return max(self._due, self._last + (self._patient if awaited else self._shortest))
+        """Of the coming sample: when it is due, or some time after the last one, whose
+        command is awaited or not.
+        """
+        return max(
+            self._due, self._last + (self._patient if awaited else self._shortest)
+        )
 
     def left(self, now: int, awaited: bool) -> float:
         """Seconds until the deadline, 0 when it has passed."""
         return max(0.0, 1.0e-9 * (self.deadline(awaited) - now))
 
     def left_to_work(self, now: int, awaited: bool) -> float:
-        """Seconds until the work for the deadline must begin, 0 when that has passed."""
+        """Seconds until the work for the deadline must begin, 0 when that has
+        passed.
+        """
         reserve = min(self._work, 0.6e-9 * self._period)
         return max(0.0, self.left(now, awaited) - reserve)
 
     def serve(self, now: int) -> bool:
-        """Whether it is time for what else there is to do, as once each ``SERVED_EACH``."""
+        """Whether it is time for what else there is to do, as once each
+        ``SERVED_EACH``.
+        """
         if now - self._served < 1.0e9 * SERVED_EACH:
             return False
         self._served = now
@@ -183,7 +217,9 @@ class Schedule:
         self._work += 0.05 * (1.0e-9 * duration - self._work)
 
     def met(self, now: int, awaited: bool) -> None:
-        """The sample that was due is out; the command for the one before it is awaited or not."""
+        """The sample that was due is out; the command for the one before it is awaited
+        or not.
+        """
         deadline = self.deadline(awaited)
         missed, self.behind = now - deadline, max(0, now - self._due)
         if 2 * missed > self._period:
@@ -197,10 +233,12 @@ class Schedule:
 
 
 def cycle(node: Paced, executor: Any) -> None:
-    """One sample: its command, the physics, and at its deadline the state; or some of the waiting for that command.
+    """One sample: its command, the physics, and at its deadline the state; or some of
+    the waiting for that command.
 
-    The commands are looked for when they are needed, which spares a waking for each. Without lockstep the physics go on when
-    time presses; in lockstep only under the command that answers the state, however late the sample becomes.
+    The commands are looked for when they are needed, which spares a waking for each.
+    Without lockstep the physics go on when time presses; in lockstep only under the
+    command that answers the state, however late the sample becomes.
     """
     schedule = node.schedule
     if not schedule.running:
@@ -209,7 +247,10 @@ def cycle(node: Paced, executor: Any) -> None:
         if node.paused:
             return
         node.listen()
-        if node.paced and (left := schedule.left_to_work(time.monotonic_ns(), node.awaited)) > 0.0:
+        if (
+            node.paced
+            and (left := schedule.left_to_work(time.monotonic_ns(), node.awaited)) > 0.0
+        ):
             _pass(node, executor, left)
         elif node.answered or not node.lockstep:
             begun = time.monotonic_ns()
@@ -219,7 +260,9 @@ def cycle(node: Paced, executor: Any) -> None:
             _await_command(node, executor)
             return
     if node.paced:
-        while (left := schedule.left(time.monotonic_ns(), node.awaited)) > EARLY and not node.paused:
+        while (
+            left := schedule.left(time.monotonic_ns(), node.awaited)
+        ) > EARLY and not node.paused:
             executor.spin_once(timeout_sec=left)
     elif schedule.serve(time.monotonic_ns()):
         _serve(executor)
@@ -231,7 +274,9 @@ def cycle(node: Paced, executor: Any) -> None:
 
 
 def _pass(node: Paced, executor: Any, left: float) -> None:
-    """Some of the time until the work begins; a sample that makes lateness up waits for its command, to begin with it."""
+    """Some of the time until the work begins; a sample that makes lateness up waits for
+    its command, to begin with it.
+    """
     soonest = node.schedule.left_to_work(time.monotonic_ns(), False)
     if soonest > 0.0:
         executor.spin_once(timeout_sec=soonest)

@@ -1,4 +1,6 @@
-"""The five-bar as a PyBullet plant: two 2R legs and one point-to-point constraint at the end effector. No ROS here."""
+"""The five-bar as a PyBullet plant: two 2R legs and one point-to-point constraint at
+the end effector. No ROS here.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ FIVE_BAR = mechanism_named("five_bar")
 
 
 class Plant(BodyPlant):
-    """Placed by the simulator's own geometry, which knows both assembly modes and says what does not reach.
+    """Placed by the simulator's own geometry, which knows both assembly modes and says
+    what does not reach.
 
     Args:
         robot: the description.
@@ -27,7 +30,8 @@ class Plant(BodyPlant):
         effects: of drives and friction, beside what the robot's description says.
 
     Raises:
-        ParameterError: period or substeps out of range, friction or a transmission too quick for the substep, no display.
+        ParameterError: period or substeps out of range, friction or a transmission too
+            quick for the substep, no display.
     """
 
     def __init__(
@@ -44,17 +48,31 @@ class Plant(BodyPlant):
         if are_rough(robot, effects):
             self._links = without_rotors(robot, effects)
             acting = JointEffects(robot, effects, period, substeps, ahead=True)
-        super().__init__(FIVE_BAR, flatten(self._links), period=period, substeps=substeps, window=window, effects=acting,
-                         max_torque=robot.max_torque if max_torque is None else max_torque, sides=robot.sides)  # fmt: skip
+        super().__init__(
+            FIVE_BAR,
+            flatten(self._links),
+            period=period,
+            substeps=substeps,
+            window=window,
+            effects=acting,
+            max_torque=robot.max_torque if max_torque is None else max_torque,
+            sides=robot.sides,
+        )
 
     def take_up(self, mass: float) -> None:
         """Load the end effector with a mass, kg, that moves as it does."""
         loaded = {"end_effector_mass": self.robot.end_effector_mass + mass}
-        self.robot, self._links = self.robot.replace(**loaded), self._links.replace(**loaded)
+        self.robot, self._links = (
+            self.robot.replace(**loaded),
+            self._links.replace(**loaded),
+        )
         self.become(flatten(self._links))
 
-    def reset(self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)) -> PlantState:
-        """Put the end effector at x with velocity x_dot, in the robot's working mode, at time 0.
+    def reset(
+        self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
+    ) -> PlantState:
+        """Put the end effector at x with velocity x_dot, in the robot's working mode,
+        at time 0.
 
         Args:
             x: end effector position, m, shape (2,).
@@ -67,9 +85,13 @@ class Plant(BodyPlant):
         return self._place(joints, geometry.joints_dot_at(self.robot, joints, x_dot))
 
     def reset_joints(
-        self, q_a: Sequence[float], assembly_mode: int, x_dot: Sequence[float] = (0.0, 0.0)
+        self,
+        q_a: Sequence[float],
+        assembly_mode: int,
+        x_dot: Sequence[float] = (0.0, 0.0),
     ) -> PlantState:
-        """Put the active joints at q_a (rad, shape (2,)) in the given assembly mode, at time 0.
+        """Put the active joints at q_a (rad, shape (2,)) in the given assembly mode, at
+        time 0.
 
         Args:
             q_a: active angles q11, q21.

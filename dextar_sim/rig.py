@@ -1,7 +1,8 @@
-"""A rig in a plain loop: a plant and everything that stands between it and its controller. No ROS here.
+"""A rig in a plain loop: a plant and everything that stands between it and its
+controller. No ROS here.
 
-After a reset, again and again: ``sample = rig.read()``, then ``rig.write(torque)`` with the controller's answer,
-or None where the sample was lost.
+After a reset, again and again: ``sample = rig.read()``, then ``rig.write(torque)`` with
+the controller's answer, or None where the sample was lost.
 """
 
 from __future__ import annotations
@@ -20,10 +21,21 @@ from dextar_sim.cartesian import CartesianPlant
 from dextar_sim.effects import Effects
 from dextar_sim.happenings import Happenings
 from dextar_sim.plant import Plant
-from dextar_sim.sensors import Command, CommandDelay, CommandHold, Encoder, PoseSensor, StampError, check_probability
+from dextar_sim.sensors import (
+    Command,
+    CommandDelay,
+    CommandHold,
+    Encoder,
+    PoseSensor,
+    StampError,
+    check_probability,
+)
 from dextar_sim.state import AnyPlant, PlantState
 
-PLANTS: dict[str, type[Plant] | type[CartesianPlant]] = {"pybullet": Plant, "cartesian": CartesianPlant}
+PLANTS: dict[str, type[Plant] | type[CartesianPlant]] = {
+    "pybullet": Plant,
+    "cartesian": CartesianPlant,
+}
 _NANOSECONDS = 1.0e9
 
 
@@ -54,7 +66,8 @@ class Sample(NamedTuple):
 
 
 class Rig:
-    """A plant behind encoders, a lossy line, drives with a delay and a watchdog, and perhaps a camera.
+    """A plant behind encoders, a lossy line, drives with a delay and a watchdog, and
+    perhaps a camera.
 
     A run repeats bit for bit from its seed: each reset starts all chance anew.
 
@@ -67,10 +80,10 @@ class Rig:
         position_noise: standard deviation before quantisation, rad.
         command_delay: s, rounded to periods.
         sample_loss: probability that a sample does not reach the controller.
-        jitter: share of the period up to which a command is late within it, evenly distributed and rounded to
-            substeps; the command before it acts until then.
-        command_timeout: age of the state that a command answers, without the delay, beyond which the drives give no
-            torque, s.
+        jitter: share of the period up to which a command is late within it, evenly
+            distributed and rounded to substeps; the command before it acts until then.
+        command_timeout: age of the state that a command answers, without the delay,
+            beyond which the drives give no torque, s.
         max_torque: saturation of the drives, N m; the robot's when None.
         seed: of all noise and loss.
         pose_rate: external measurements per second; 0 is none.
@@ -78,7 +91,8 @@ class Rig:
         pose_noise: standard deviation of each coordinate, m.
         pose_dropout: probability that an external measurement is missing.
         pose_outages: spans (from, to) without external measurements, s.
-        homing_error: by which each encoder is off, to one side or the other at random, rad.
+        homing_error: by which each encoder is off, to one side or the other at random,
+            rad.
         eccentricity: amplitude of each encoder's error over a turn, rad.
         stamp_error: up to which a sample's time is told wrong, at random, s.
         payload: mass that the end effector takes up, kg, at ``payload_time``, s.
@@ -119,7 +133,9 @@ class Rig:
         **effects: Any,
     ) -> None:
         if plant not in PLANTS:
-            raise ParameterError(f"plant = {plant!r}; it must be one of {', '.join(PLANTS)}")
+            raise ParameterError(
+                f"plant = {plant!r}; it must be one of {', '.join(PLANTS)}"
+            )
         if seed < 0:
             raise ParameterError(f"seed = {seed}; it must be >= 0")
         check_probability("sample_loss", sample_loss)
@@ -128,18 +144,37 @@ class Rig:
         if unknown:
             raise ParameterError(f"unknown option '{unknown[0]}' of a rig")
         self.plant: AnyPlant = PLANTS[plant](
-            robot, period=period, substeps=substeps, max_torque=max_torque, effects=Effects(**effects)
+            robot,
+            period=period,
+            substeps=substeps,
+            max_torque=max_torque,
+            effects=Effects(**effects),
         )
         self.period = period
         self._period_ns = round(_NANOSECONDS * period)
         self._loss, self._jitter = sample_loss, jitter * substeps
         seeds = [int(word) for word in np.random.SeedSequence(seed).generate_state(5)]
         self._seeds = seeds
-        self._new_encoder = partial(Encoder, period, resolution=encoder_resolution, position_noise=position_noise,
-                                    offset=robot.encoder_offset, homing_error=homing_error, eccentricity=eccentricity,
-                                    seed=seeds[0])  # fmt: skip
-        self._new_camera = partial(PoseSensor, period, rate=pose_rate, delay=pose_delay, noise=pose_noise,
-                                   dropout=pose_dropout, outages=pose_outages, seed=seeds[1])  # fmt: skip
+        self._new_encoder = partial(
+            Encoder,
+            period,
+            resolution=encoder_resolution,
+            position_noise=position_noise,
+            offset=robot.encoder_offset,
+            homing_error=homing_error,
+            eccentricity=eccentricity,
+            seed=seeds[0],
+        )
+        self._new_camera = partial(
+            PoseSensor,
+            period,
+            rate=pose_rate,
+            delay=pose_delay,
+            noise=pose_noise,
+            dropout=pose_dropout,
+            outages=pose_outages,
+            seed=seeds[1],
+        )
         self._new_stamps = partial(StampError, stamp_error, period, seeds[4])
         self._happenings = Happenings(payload=payload, payload_time=payload_time)
         self._delay: CommandDelay[Command] = CommandDelay(round(command_delay / period))
@@ -150,10 +185,17 @@ class Rig:
 
     def _begin(self) -> None:
         """All between plant and controller as new, and the first sample."""
-        self._encoder, self._camera, self._stamps = self._new_encoder(), self._new_camera(), self._new_stamps()
+        self._encoder, self._camera, self._stamps = (
+            self._new_encoder(),
+            self._new_camera(),
+            self._new_stamps(),
+        )
         self._delay.reset()
         self._hold = CommandHold(self._timeout, self.plant.max_torque)
-        self._losses, self._lateness = random.Random(self._seeds[2]), random.Random(self._seeds[3])
+        self._losses, self._lateness = (
+            random.Random(self._seeds[2]),
+            random.Random(self._seeds[3]),
+        )
         self._newest: Command | None = None
         self._applied = (0.0, 0.0)
         self._index = 0
@@ -181,8 +223,11 @@ class Rig:
         """Times since the reset that the drives let go of a command grown too old."""
         return self._hold.trips
 
-    def reset(self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)) -> PlantState:
-        """Put the end effector at x (m) with velocity x_dot (m/s) in the robot's working mode, at time 0.
+    def reset(
+        self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
+    ) -> PlantState:
+        """Put the end effector at x (m) with velocity x_dot (m/s) in the robot's
+        working mode, at time 0.
 
         Raises:
             GeometryError: a leg does not reach x, or cannot move at x_dot there.
@@ -193,11 +238,15 @@ class Rig:
         return state
 
     def reset_joints(
-        self, q_a: Sequence[float], assembly_mode: int, x_dot: Sequence[float] = (0.0, 0.0)
+        self,
+        q_a: Sequence[float],
+        assembly_mode: int,
+        x_dot: Sequence[float] = (0.0, 0.0),
     ) -> PlantState:
         """Put the active joints at q_a (rad) in the given assembly mode, at time 0.
 
-        Where the true geometry is not the model's, this is how a rig starts where its encoders say.
+        Where the true geometry is not the model's, this is how a rig starts where its
+        encoders say.
 
         Raises:
             GeometryError: the distal links do not meet there, or the elbows coincide.
@@ -213,7 +262,10 @@ class Rig:
             arrived = self._camera.sense(self._index, state.x.tolist())
             if arrived is not None:
                 self._pose = Pose(arrived.sample * self.period, np.array(arrived.x))
-        q_a, told = self._encoder.position(self.plant.encoded()), self._index * self.period + self._stamps.next()
+        q_a, told = (
+            self._encoder.position(self.plant.encoded()),
+            self._index * self.period + self._stamps.next(),
+        )
         if self._loss and self._losses.random() < self._loss:
             self.samples_lost += 1
             self._sample: Sample | None = None
@@ -229,7 +281,8 @@ class Rig:
         """Give the command that answers the present sample, and let one period pass.
 
         Args:
-            torque: of the motors q11, q21, N m, shape (2,); None when there is no answer: the last command goes on.
+            torque: of the motors q11, q21, N m, shape (2,); None when there is no
+                answer: the last command goes on.
 
         Returns:
             Torque of the drives at the end of the period, N m, shape (2,).
@@ -251,7 +304,9 @@ class Rig:
         return applied
 
     def strike(self, impulse: Sequence[float]) -> None:
-        """Strike the end effector with an impulse (N s, shape (2,)) during the coming period's first substep."""
+        """Strike the end effector with an impulse (N s, shape (2,)) during the coming
+        period's first substep.
+        """
         self.plant.apply_impulse(impulse)
 
     def truth(self) -> PlantState:

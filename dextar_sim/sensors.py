@@ -1,4 +1,6 @@
-"""What stands between plant and controller on a rig: encoder, camera, transport delay, drive-side watchdog."""
+"""What stands between plant and controller on a rig: encoder, camera, transport delay,
+drive-side watchdog.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,8 @@ def check_probability(name: str, value: float) -> None:
 class Encoder:
     """Quantised joint positions and the velocity a drive derives from them.
 
-    Noise is added before quantisation; the velocity is the difference of quantised positions
-    through a first-order low-pass of the given cutoff.
+    Noise is added before quantisation; the velocity is the difference of quantised
+    positions through a first-order low-pass of the given cutoff.
 
     Args:
         period: between two samples, s.
@@ -43,7 +45,8 @@ class Encoder:
         position_noise: standard deviation, rad.
         offset: what each reads at zero, rad.
         homing_error: by which each is off, to one side or the other at random, rad.
-        eccentricity: amplitude of an error over a turn, rad; where it vanishes is random.
+        eccentricity: amplitude of an error over a turn, rad; where it vanishes is
+            random.
         seed: of noise, sides and phases.
 
     Raises:
@@ -62,20 +65,37 @@ class Encoder:
         eccentricity: float = 0.0,
         seed: int = 0,
     ) -> None:
-        for name, value in (("resolution", resolution), ("velocity_cutoff", velocity_cutoff), ("position_noise", position_noise),
-                            ("homing_error", homing_error), ("eccentricity", eccentricity)):  # fmt: skip
+        for name, value in (
+            ("resolution", resolution),
+            ("velocity_cutoff", velocity_cutoff),
+            ("position_noise", position_noise),
+            ("homing_error", homing_error),
+            ("eccentricity", eccentricity),
+        ):
             if not (value >= 0.0 and math.isfinite(value)):
                 raise ParameterError(f"encoder {name} = {value}; it must be >= 0")
         if not (period > 0.0 and math.isfinite(period)):
             raise ParameterError(f"encoder period = {period} s; it must be > 0")
         self._period = period
         self._count = 2.0 * math.pi / resolution if resolution else 0.0
-        self._gain = 1.0 - math.exp(-2.0 * math.pi * velocity_cutoff * period) if velocity_cutoff else 1.0
+        self._gain = (
+            1.0 - math.exp(-2.0 * math.pi * velocity_cutoff * period)
+            if velocity_cutoff
+            else 1.0
+        )
         self._noise = position_noise
-        self._random, mounted = np.random.default_rng(seed), np.random.default_rng([seed, 1])
+        self._random, mounted = (
+            np.random.default_rng(seed),
+            np.random.default_rng([seed, 1]),
+        )
         sides = mounted.choice((-1.0, 1.0), len(offset)).tolist()
-        self._offset = [at + homing_error * side for at, side in zip(offset, sides, strict=True)]
-        self._eccentricity, self._phase = eccentricity, mounted.uniform(0.0, 2.0 * math.pi, len(offset)).tolist()
+        self._offset = [
+            at + homing_error * side for at, side in zip(offset, sides, strict=True)
+        ]
+        self._eccentricity, self._phase = (
+            eccentricity,
+            mounted.uniform(0.0, 2.0 * math.pi, len(offset)).tolist(),
+        )
         self._is_off = bool(eccentricity or any(self._offset))
         self._last: list[float] | None = None
         self._velocity: list[float] = []
@@ -85,17 +105,27 @@ class Encoder:
         self._last = None
 
     def position(self, q_a: Sequence[float]) -> list[float]:
-        """Measured positions (rad) of true ones (rad, shape (n,)); no sample for the velocity."""
+        """Measured positions (rad) of true ones (rad, shape (n,)); no sample for the
+        velocity.
+        """
         values: Sequence[float] = q_a
         if self._is_off:
             values = [
                 value + offset + self._eccentricity * math.sin(value + phase)
-                for value, offset, phase in zip(values, self._offset, self._phase, strict=True)
+                for value, offset, phase in zip(
+                    values, self._offset, self._phase, strict=True
+                )
             ]
         if self._noise:
-            values = [value + self._noise * self._random.standard_normal() for value in values]
+            values = [
+                value + self._noise * self._random.standard_normal() for value in values
+            ]
         count = self._count
-        return [count * round(float(value) / count) for value in values] if count else [float(value) for value in values]
+        return (
+            [count * round(float(value) / count) for value in values]
+            if count
+            else [float(value) for value in values]
+        )
 
     def read(self, q_a: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
         """One sample.
@@ -113,7 +143,9 @@ class Encoder:
             gain, period = self._gain, self._period
             self._velocity = [
                 velocity + gain * ((value - last) / period - velocity)
-                for velocity, value, last in zip(self._velocity, position, self._last, strict=True)
+                for velocity, value, last in zip(
+                    self._velocity, position, self._last, strict=True
+                )
             ]
         self._last = position
         return np.array(position), np.array(self._velocity)
@@ -133,7 +165,10 @@ class StampError:
 
     def __init__(self, error: float, period: float, seed: int = 0) -> None:
         if not 0.0 <= error < 0.5 * period:
-            raise ParameterError(f"stamp_error = {error} s; it must lie in [0, {0.5 * period:g}) s, half of the period")
+            raise ParameterError(
+                f"stamp_error = {error} s; it must lie in [0, {0.5 * period:g}) s, half"
+                " of the period"
+            )
         self._error = error
         self._random = random.Random(seed)
 
@@ -157,8 +192,8 @@ class Measurement(NamedTuple):
 class PoseSensor:
     """A camera on the end effector: its own rate, latency, noise and gaps.
 
-    An exposure falls on the first sample at or after it is due; its result arrives at the first sample that is
-    at least the delay later, in the order of the exposures.
+    An exposure falls on the first sample at or after it is due; its result arrives at
+    the first sample that is at least the delay later, in the order of the exposures.
 
     Args:
         period: between two samples, s.
@@ -190,11 +225,16 @@ class PoseSensor:
             if not (value >= 0.0 and math.isfinite(value)):
                 raise ParameterError(f"pose {name} = {value}; it must be >= 0")
         if rate * period > 1.0 + _ROUNDING:
-            raise ParameterError(f"pose rate = {rate} Hz; it must be <= {1.0 / period:g} Hz, that of the samples")
+            raise ParameterError(
+                f"pose rate = {rate} Hz; it must be <= {1.0 / period:g} Hz, that of the"
+                " samples"
+            )
         check_probability("pose dropout", dropout)
         for begin, end in outages:
             if not begin <= end:
-                raise ParameterError(f"pose outage from {begin} to {end} s; it must end after it begins")
+                raise ParameterError(
+                    f"pose outage from {begin} to {end} s; it must end after it begins"
+                )
         self._interval = 1.0 / (rate * period) if rate else math.inf
         self._latency = math.ceil(delay / period - _ROUNDING)
         self._noise = noise
@@ -204,7 +244,9 @@ class PoseSensor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what is under way; the coming sample is the first. Noise and dropout go on."""
+        """Forget what is under way; the coming sample is the first. Noise and dropout
+        go on.
+        """
         self._line: deque[Measurement] = deque()
         self._first: int | None = None
         self._exposures = 0
@@ -223,15 +265,23 @@ class PoseSensor:
         if sample >= self._due:
             self._expose(sample, sample - self._first, x)
         line = self._line
-        return line.popleft() if line and sample >= line[0].sample + self._latency else None
+        return (
+            line.popleft()
+            if line and sample >= line[0].sample + self._latency
+            else None
+        )
 
     def _expose(self, sample: int, age: int, x: Sequence[float]) -> None:
         self._exposures += 1
-        self._due = sample - age + math.ceil(self._exposures * self._interval - _ROUNDING)
+        self._due = (
+            sample - age + math.ceil(self._exposures * self._interval - _ROUNDING)
+        )
         noise = self._noise * self._random.standard_normal(2)
         lost = self._random.random() < self._dropout
         if not lost and not any(begin <= age < end for begin, end in self._outages):
-            self._line.append(Measurement(sample, (float(x[0] + noise[0]), float(x[1] + noise[1]))))
+            self._line.append(
+                Measurement(sample, (float(x[0] + noise[0]), float(x[1] + noise[1])))
+            )
 
 
 class CommandDelay(Generic[Item]):
@@ -267,7 +317,8 @@ class Command(NamedTuple):
     Attributes:
         stamp: of the state it answers, ns.
         torque: of the motors q11, q21, N m.
-        arrival: when it came, ns of a steady clock; None where simulated time alone counts.
+        arrival: when it came, ns of a steady clock; None where simulated time alone
+            counts.
     """
 
     stamp: int
@@ -286,11 +337,13 @@ class Acknowledgement(NamedTuple):
 
 
 class CommandHold:
-    """The drive: holds the last command, saturates it, and lets go when it has grown old.
+    """The drive: holds the last command, saturates it, and lets go when it has grown
+    old.
 
-    A command's age is counted from the stamp of the state it answers, in simulated time, so that
-    a controller that answers old states is caught like one that fell silent. Where commands tell their arrival, the steady
-    clock since then counts too: simulated time stands still while the machine does.
+    A command's age is counted from the stamp of the state it answers, in simulated
+    time, so that a controller that answers old states is caught like one that fell
+    silent. Where commands tell their arrival, the steady clock since then counts too:
+    simulated time stands still while the machine does.
 
     Args:
         timeout: age beyond which there is no torque, by either clock, ns.
@@ -323,7 +376,9 @@ class CommandHold:
         self._tripped = False
 
     def receive(self, command: Command) -> bool:
-        """Hold this command from now on; False when it is not finite and the last one stays."""
+        """Hold this command from now on; False when it is not finite and the last one
+        stays.
+        """
         first, second = command.torque
         if not (math.isfinite(first) and math.isfinite(second)):
             self.refused += 1
@@ -341,7 +396,11 @@ class CommandHold:
         held = self._held
         if held is None:
             return 0.0, 0.0
-        silent = now is not None and held.arrival is not None and now - held.arrival > self._timeout
+        silent = (
+            now is not None
+            and held.arrival is not None
+            and now - held.arrival > self._timeout
+        )
         if silent or stamp - held.stamp > self._timeout:
             self.trips += not self._tripped
             self._tripped = True

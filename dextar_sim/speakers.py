@@ -1,13 +1,18 @@
-"""One publisher that speaks on a topic, told from others that are silent, by the middleware's message numbers. No ROS here."""
+"""One publisher that speaks on a topic, told from others that are silent, by the
+middleware's message numbers. No ROS here.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 SPEAKING = 200_000_000
-"""ns for which one publisher alone must have spoken until the others count as silent."""
+"""ns for which one publisher alone must have spoken until the others count as silent.
+"""
 SLACK = 8
-"""Numbers by which a message may be ahead of the states published since the one before it."""
+"""Numbers by which a message may be ahead of the states published since the one before
+it.
+"""
 UNNUMBERED = (0, 2**64 - 1)
 """What a middleware gives that does not count messages."""
 
@@ -15,20 +20,25 @@ UNNUMBERED = (0, 2**64 - 1)
 class Speakers:
     """Whether the commands that come are those of one publisher.
 
-    The middleware's graph keeps a publisher that was killed for its lease (Fast DDS: up to 20 s), and messages carry no
-    name of their publisher, but each publisher numbers its own from 1. While the graph shows one publisher its messages are
-    taken. With more none is, until the numbers of what is heard have risen as one publisher's do for ``SPEAKING``: each
-    after the one before it and not farther ahead than a number for each state published since, and ``SLACK``
-    (where nothing is lost: the very next one). Gaps are no second speaker.
+    The middleware's graph keeps a publisher that was killed for its lease (Fast DDS: up
+    to 20 s), and messages carry no name of their publisher, but each publisher numbers
+    its own from 1. While the graph shows one publisher its messages are taken. With
+    more none is, until the numbers of what is heard have risen as one publisher's do
+    for ``SPEAKING``: each after the one before it and not farther ahead than a number
+    for each state published since, and ``SLACK`` (where nothing is lost: the very next
+    one). Gaps are no second speaker.
 
-    A number that steps back within ``SPEAKING`` of the last message is another publisher's: it is not taken, and with
-    more than one in the graph nothing is any more until the graph shows one. A number that steps back after a longer silence
-    is that of a commander started again, and begins a new count.
+    A number that steps back within ``SPEAKING`` of the last message is another
+    publisher's: it is not taken, and with more than one in the graph nothing is any
+    more until the graph shows one. A number that steps back after a longer silence is
+    that of a commander started again, and begins a new count.
 
-    What can slip through: the message of a second speaker whose number lies among the few that the first one might give
-    next, that is, who has spoken as often as the first one although nothing was heard of it for ``SPEAKING``. It can
-    be taken until the first one is heard again, in general one period later, whose number then steps back or repeats. The
-    first message of a commander that has just been started is numbered 1 and cannot.
+    What can slip through: the message of a second speaker whose number lies among the
+        few that the first one might give
+    next, that is, who has spoken as often as the first one although nothing was heard
+    of it for ``SPEAKING``. It can be taken until the first one is heard again, in
+    general one period later, whose number then steps back or repeats. The first message
+    of a commander that has just been started is numbered 1 and cannot.
 
     Args:
         publishers: counts the topic's publishers in the graph.
@@ -39,7 +49,9 @@ class Speakers:
         several: two were heard, and the graph has not shown one alone since.
     """
 
-    def __init__(self, publishers: Callable[[], int], *, lossless: bool = False) -> None:
+    def __init__(
+        self, publishers: Callable[[], int], *, lossless: bool = False
+    ) -> None:
         self._publishers = publishers
         self._lossless = lossless
         self.count = 0
@@ -50,7 +62,9 @@ class Speakers:
         self._since = 0
 
     def look(self, now: int) -> None:
-        """Count the publishers, at a steady time (ns); one more than before has to stay silent for ``SPEAKING`` first."""
+        """Count the publishers, at a steady time (ns); one more than before has to stay
+        silent for ``SPEAKING`` first.
+        """
         before, self.count = self.count, self._publishers()
         if self.count <= 1:
             self.several = False
@@ -58,17 +72,24 @@ class Speakers:
             self._since = now
 
     def clear(self, now: int) -> bool:
-        """Whether commands are taken: there is one publisher, or the others are silent."""
+        """Whether commands are taken: there is one publisher, or the others are
+        silent.
+        """
         if self.count <= 1:
             return True
-        alone = self._number is not None and not self.several and now - self._since >= SPEAKING
+        alone = (
+            self._number is not None
+            and not self.several
+            and now - self._since >= SPEAKING
+        )
         return alone and (self._lossless or now - self._heard <= SPEAKING)
 
     def hear(self, number: int | None, states: int, now: int) -> bool:
         """Whether a message may be taken.
 
         Args:
-            number: that its publisher gave it; None or one of ``UNNUMBERED`` where there is none: the graph alone counts.
+            number: that its publisher gave it; None or one of ``UNNUMBERED`` where
+                there is none: the graph alone counts.
             states: published so far.
             now: steady time, ns.
         """

@@ -14,7 +14,9 @@ from dextar_control.contract.robot import LegParameters, RobotParameters
 from dextar_control.symbols.record import Field, Layout, Record
 
 _FRICTION_STABILITY = 1.0
-"""Share of a joint's speed that friction may take away in one substep; beyond 2 it would swing up."""
+"""Share of a joint's speed that friction may take away in one substep; beyond 2 it
+would swing up.
+"""
 
 
 PlantState = Record
@@ -23,17 +25,27 @@ PlantState = Record
 
 @lru_cache
 def state_layout(n: int, m: int) -> Layout:
-    """Of a plant with n active joints and m in all, each relative to its parent, in the order of the mechanism's bodies."""
-    return Layout("plant_state", n, (
-        Field("time", "s", "steps taken times the period"),
-        Field("q_a", "rad (m)", "active joints", "n"),
-        Field("q_a_dot", "rad/s (m/s)", "their velocities", "n"),
-        Field("joints", "rad (m)", "all joints", m),
-        Field("joints_dot", "rad/s (m/s)", "their velocities", m),
-        Field("x", "m", "platform", "n"),
-        Field("x_dot", "m/s", "its velocity", "n"),
-        Field("loop_gap", "m", "largest distance of two places that are pinned together"),
-    ))
+    """Of a plant with n active joints and m in all, each relative to its parent, in the
+    order of the mechanism's bodies.
+    """
+    return Layout(
+        "plant_state",
+        n,
+        (
+            Field("time", "s", "steps taken times the period"),
+            Field("q_a", "rad (m)", "active joints", "n"),
+            Field("q_a_dot", "rad/s (m/s)", "their velocities", "n"),
+            Field("joints", "rad (m)", "all joints", m),
+            Field("joints_dot", "rad/s (m/s)", "their velocities", m),
+            Field("x", "m", "platform", "n"),
+            Field("x_dot", "m/s", "its velocity", "n"),
+            Field(
+                "loop_gap",
+                "m",
+                "largest distance of two places that are pinned together",
+            ),
+        ),
+    )
 
 
 class AnyPlant(Protocol):
@@ -44,16 +56,30 @@ class AnyPlant(Protocol):
     substeps: int
     max_torque: float
 
-    def reset(self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)) -> PlantState:
-        """Put the end effector at x with velocity x_dot, in the robot's working mode, at time 0."""
+    def reset(
+        self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
+    ) -> PlantState:
+        """Put the end effector at x with velocity x_dot, in the robot's working mode,
+        at time 0.
+        """
 
     def reset_joints(
-        self, q_a: Sequence[float], assembly_mode: int, x_dot: Sequence[float] = (0.0, 0.0)
+        self,
+        q_a: Sequence[float],
+        assembly_mode: int,
+        x_dot: Sequence[float] = (0.0, 0.0),
     ) -> PlantState:
         """Put the active joints at q_a in the given assembly mode, at time 0."""
 
-    def step(self, torque: Sequence[float], earlier: Sequence[float] | None = None, late: int = 0) -> np.ndarray:
-        """Advance one period; the torque acts after ``late`` substeps under the earlier one."""
+    def step(
+        self,
+        torque: Sequence[float],
+        earlier: Sequence[float] | None = None,
+        late: int = 0,
+    ) -> np.ndarray:
+        """Advance one period; the torque acts after ``late`` substeps under the earlier
+        one.
+        """
 
     def take_up(self, mass: float) -> None:
         """Load the end effector with a mass that moves as it does."""
@@ -62,7 +88,9 @@ class AnyPlant(Protocol):
         """Where the encoders' discs stand."""
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:
-        """Strike the end effector with an impulse during the next step's first substep."""
+        """Strike the end effector with an impulse during the next step's first
+        substep.
+        """
 
     def state(self) -> PlantState:
         """The true state now."""
@@ -87,19 +115,28 @@ class Motor(NamedTuple):
 
 def proximal_inertia(leg: LegParameters) -> float:
     """What a motor moves alone, kg m^2."""
-    return leg.proximal_inertia + leg.rotor_inertia + leg.proximal_mass * (leg.proximal_center * leg.proximal_length) ** 2
+    return (
+        leg.proximal_inertia
+        + leg.rotor_inertia
+        + leg.proximal_mass * (leg.proximal_center * leg.proximal_length) ** 2
+    )
 
 
 def leg_motors(robot: RobotParameters) -> list[Motor]:
     """Those of a five-bar."""
     return [
-        Motor(side, leg.viscous_friction + leg.coulomb_friction / robot.coulomb_speed, proximal_inertia(leg))
+        Motor(
+            side,
+            leg.viscous_friction + leg.coulomb_friction / robot.coulomb_speed,
+            proximal_inertia(leg),
+        )
         for side, leg in zip(robot.sides, robot.legs, strict=True)
     ]
 
 
 def check_steps(period: float, substeps: int, motors: Sequence[Motor]) -> None:
-    """Refuse steps that are none, and an explicit friction that would turn a joint round within one substep.
+    """Refuse steps that are none, and an explicit friction that would turn a joint
+    round within one substep.
 
     Args:
         period: duration of one step, s.
@@ -107,7 +144,8 @@ def check_steps(period: float, substeps: int, motors: Sequence[Motor]) -> None:
         motors: of the robot.
 
     Raises:
-        ParameterError: period or substeps out of range, friction too steep for the substep.
+        ParameterError: period or substeps out of range, friction too steep for the
+            substep.
     """
     if not (period > 0.0 and math.isfinite(period)):
         raise ParameterError(f"period = {period} s; it must be > 0")
@@ -117,9 +155,10 @@ def check_steps(period: float, substeps: int, motors: Sequence[Motor]) -> None:
     for side, slope, inertia in motors:
         if slope * substep > _FRICTION_STABILITY * inertia:
             raise ParameterError(
-                f"{side} joint friction of {slope:g} N m s/rad at rest is too steep for {inertia:g} kg m^2 and "
-                f"substeps of {substep:g} s; substeps must be >= "
-                f"{math.ceil(slope * period / (_FRICTION_STABILITY * inertia))}, or coulomb_speed larger"
+                f"{side} joint friction of {slope:g} N m s/rad at rest is too steep for"
+                f" {inertia:g} kg m^2 and substeps of {substep:g} s; substeps must be"
+                f" >= {math.ceil(slope * period / (_FRICTION_STABILITY * inertia))}, or"
+                " coulomb_speed larger"
             )
 
 
@@ -133,5 +172,12 @@ def saturated(torque: Sequence[float], limit: float) -> tuple[float, ...]:
     if all([-limit <= value <= limit for value in wanted]):
         return tuple(wanted)
     if not all(map(math.isfinite, wanted)):
-        raise StateError(f"motor torque ({', '.join(map(str, wanted))}) N m is not finite")
-    return tuple([limit if value > limit else -limit if value < -limit else value for value in wanted])
+        raise StateError(
+            f"motor torque ({', '.join(map(str, wanted))}) N m is not finite"
+        )
+    return tuple(
+        [
+            limit if value > limit else -limit if value < -limit else value
+            for value in wanted
+        ]
+    )

@@ -1,4 +1,6 @@
-"""Where the bodies of a mechanism are at positions of their joints: on symbols, and as functions that a plant calls."""
+"""Where the bodies of a mechanism are at positions of their joints: on symbols, and as
+functions that a plant calls.
+"""
 
 from __future__ import annotations
 
@@ -22,54 +24,92 @@ def placed(frame: Frame, place: Symbol) -> Symbol:
     """A place (2,), m, of a frame in the frame of the ground."""
     origin, angle = frame
     cosine, sine = ca.cos(angle), ca.sin(angle)
-    return origin + ca.vertcat(cosine * place[0] - sine * place[1], sine * place[0] + cosine * place[1])
+    return origin + ca.vertcat(
+        cosine * place[0] - sine * place[1], sine * place[0] + cosine * place[1]
+    )
 
 
 def frames(bodies: Bodies, joints: Symbol) -> list[Frame]:
     """Of each link at positions (m,) of all joints, rad or m."""
     found: list[Frame] = []
     for link, joint in zip(bodies.links, ca.vertsplit(joints), strict=True):
-        parent = found[link.parent] if link.parent != GROUND else (ca.SX.zeros(2), ca.SX(0.0))
+        parent = (
+            found[link.parent]
+            if link.parent != GROUND
+            else (ca.SX.zeros(2), ca.SX(0.0))
+        )
         origin, angle = placed(parent, link.place), parent[1] + link.angle
-        found.append((placed((origin, angle), ca.vertcat(joint, 0.0)), angle) if link.prismatic else (origin, angle + joint))
+        found.append(
+            (placed((origin, angle), ca.vertcat(joint, 0.0)), angle)
+            if link.prismatic
+            else (origin, angle + joint)
+        )
     return found
 
 
 def gaps(bodies: Bodies, joints: Symbol) -> Symbol:
     """(2, pins) from one place of each pin to the other, m."""
     at = frames(bodies, joints)
-    return ca.horzcat(*(
-        placed(at[one], here) - placed(at[other], there) for (one, other), (here, there) in bodies.pins
-    ))  # fmt: skip
+    return ca.horzcat(
+        *(
+            placed(at[one], here) - placed(at[other], there)
+            for (one, other), (here, there) in bodies.pins
+        )
+    )
 
 
 @lru_cache
 def functions_of(mechanism: Mechanism) -> Mapping[str, ca.Function]:
     """What a plant asks of a mechanism that has bodies, interpreted.
 
-    closed: x, x_dot -> q_a, joints, joints_dot. truth: joints as held, joints_dot, lead (s) by which held is ahead,
-    time -> state, a record of ``state_layout``. push: joints, force on the platform -> forces at all joints.
+    closed: x, x_dot -> q_a, joints, joints_dot. truth: joints as held, joints_dot, lead
+        (s) by which held is ahead,
+    time -> state, a record of ``state_layout``. push: joints, force on the platform ->
+    forces at all joints.
     """
     vector, p = mechanism.symbols()
     bodies = mechanism.bodies(p)
     assert bodies is not None
     names, n = [link.joint for link in bodies.links], mechanism.n
     x, x_dot, force = (ca.SX.sym(name, n) for name in ("x", "x_dot", "force"))
-    held, joints_dot, lead = ca.SX.sym("held", len(names)), ca.SX.sym("joints_dot", len(names)), ca.SX.sym("lead")
+    held, joints_dot, lead = (
+        ca.SX.sym("held", len(names)),
+        ca.SX.sym("joints_dot", len(names)),
+        ca.SX.sym("lead"),
+    )
     q_a = mechanism.inverse_geometric_model(x, p)
     closed = mechanism.tree_joints(q_a, x, p)
-    joints, motors = held - lead * joints_dot, [names.index(joint.name) for joint in mechanism.joints]
+    joints, motors = (
+        held - lead * joints_dot,
+        [names.index(joint.name) for joint in mechanism.joints],
+    )
     platform = mechanism.tree_platform(joints, p)
     time, m = ca.SX.sym("time"), len(names)
-    state = state_layout(n, m).join({
-        "time": time, "q_a": joints[motors], "q_a_dot": joints_dot[motors], "joints": joints, "joints_dot": joints_dot,
-        "x": platform, "x_dot": ca.jtimes(platform, held, joints_dot),
-        "loop_gap": ca.sqrt(ca.mmax(ca.sum1(gaps(bodies, joints) ** 2))),
-    })
+    state = state_layout(n, m).join(
+        {
+            "time": time,
+            "q_a": joints[motors],
+            "q_a_dot": joints_dot[motors],
+            "joints": joints,
+            "joints_dot": joints_dot,
+            "x": platform,
+            "x_dot": ca.jtimes(platform, held, joints_dot),
+            "loop_gap": ca.sqrt(ca.mmax(ca.sum1(gaps(bodies, joints) ** 2))),
+        }
+    )
     pushed = ca.jtimes(mechanism.tree_platform(held, p), held, force, True)
     results: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-        "closed": ({"x": x, "x_dot": x_dot}, {"q_a": q_a, "joints": closed, "joints_dot": ca.jtimes(closed, x, x_dot)}),
-        "truth": ({"held": held, "joints_dot": joints_dot, "lead": lead, "time": time}, {"state": state}),
+        "closed": (
+            {"x": x, "x_dot": x_dot},
+            {"q_a": q_a, "joints": closed, "joints_dot": ca.jtimes(closed, x, x_dot)},
+        ),
+        "truth": (
+            {"held": held, "joints_dot": joints_dot, "lead": lead, "time": time},
+            {"state": state},
+        ),
         "push": ({"joints": held, "force": force}, {"forces": pushed}),
     }
-    return {name: named(name, {"p": vector, **given}, found) for name, (given, found) in results.items()}
+    return {
+        name: named(name, {"p": vector, **given}, found)
+        for name, (given, found) in results.items()
+    }

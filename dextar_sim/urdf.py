@@ -1,4 +1,6 @@
-"""A mechanism's bodies as URDF text: a tree of links on a fixed base; what closes the loops is not in it."""
+"""A mechanism's bodies as URDF text: a tree of links on a fixed base; what closes the
+loops is not in it.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.symbols.types import Symbol
 
 MASS_FLOOR = 1.0e-7
-"""kg on a link described as massless: the solver needs a body, and this one weighs nothing beside 0.1 kg."""
+"""kg on a link described as massless: the solver needs a body, and this one weighs
+nothing beside 0.1 kg.
+"""
 
 _THICKNESS = 0.008
 
@@ -22,14 +26,18 @@ Point = tuple[float, float]
 
 
 def bodies_of(mechanism: Mechanism, values: Mapping[str, Any]) -> Bodies:
-    """A mechanism's bodies with the numbers of its parameters, which stand under their dotted names.
+    """A mechanism's bodies with the numbers of its parameters, which stand under their
+    dotted names.
 
     Raises:
-        ParameterError: a parameter is missing or out of its bounds, or the mechanism has no bodies.
+        ParameterError: a parameter is missing or out of its bounds, or the mechanism
+            has no bodies.
     """
     bodies = mechanism.bodies(mechanism.named(ca.DM(mechanism.values(values))))
     if bodies is None:
-        raise ParameterError(f"mechanism {mechanism.name} does not say of which bodies it is made")
+        raise ParameterError(
+            f"mechanism {mechanism.name} does not say of which bodies it is made"
+        )
     return bodies
 
 
@@ -52,16 +60,31 @@ def urdf(name: str, bodies: Bodies, *, visual: bool = False) -> str:
     pictures = _pictures(bodies) if visual else [""] * len(names)
     for index, link in enumerate(bodies.links):
         mass, center = max(float(link.mass), MASS_FLOOR), point(link.center)
-        parts.append(_link(names[index], mass, center, float(link.inertia), pictures[index]))
+        parts.append(
+            _link(names[index], mass, center, float(link.inertia), pictures[index])
+        )
         parent = "base" if link.parent == GROUND else names[link.parent]
-        parts.append(_joint(link.joint, parent, names[index], point(link.place), float(link.angle), link.prismatic))
+        parts.append(
+            _joint(
+                link.joint,
+                parent,
+                names[index],
+                point(link.place),
+                float(link.angle),
+                link.prismatic,
+            )
+        )
     return "\n".join([*parts, "</robot>"])
 
 
 def _pictures(bodies: Bodies) -> list[str]:
-    """Of each link, a box from its joint to each place where another is joined; the links of a leg lie above each other."""
+    """Of each link, a box from its joint to each place where another is joined; the
+    links of a leg lie above each other.
+    """
     joined = [(link.parent, link.place) for link in bodies.links]
-    joined += [each for pin in bodies.pins for each in zip(pin.links, pin.places, strict=True)]
+    joined += [
+        each for pin in bodies.pins for each in zip(pin.links, pin.places, strict=True)
+    ]
     roots = [index for index, link in enumerate(bodies.links) if link.parent == GROUND]
     heights: list[float] = []
     for index, link in enumerate(bodies.links):
@@ -69,30 +92,41 @@ def _pictures(bodies: Bodies) -> list[str]:
             heights.append(_THICKNESS * (roots.index(index) - 0.5 * (len(roots) - 1)))
         else:
             heights.append(heights[link.parent] + 2.0 * _THICKNESS)
-    return ["".join(_box(point(place), height) for at, place in joined if at == index) for index, height in enumerate(heights)]
+    return [
+        "".join(_box(point(place), height) for at, place in joined if at == index)
+        for index, height in enumerate(heights)
+    ]
 
 
 def _box(end: Point, height: float) -> str:
     """From the link's origin to a place of it."""
     return (
-        f'<visual><origin xyz="{0.5 * end[0]!r} {0.5 * end[1]!r} {height!r}" rpy="0 0 {math.atan2(end[1], end[0])!r}"/>'
-        f'<geometry><box size="{math.hypot(*end)!r} {_THICKNESS} {_THICKNESS}"/></geometry></visual>'
+        f'<visual><origin xyz="{0.5 * end[0]!r} {0.5 * end[1]!r} {height!r}" rpy="0 0'
+        f' {math.atan2(end[1], end[0])!r}"/><geometry><box size="{math.hypot(*end)!r}'
+        f' {_THICKNESS} {_THICKNESS}"/></geometry></visual>'
     )
 
 
-def _link(name: str, mass: float, center: Point, inertia: float, picture: str = "") -> str:
+def _link(
+    name: str, mass: float, center: Point, inertia: float, picture: str = ""
+) -> str:
     return (
-        f'<link name="{name}"><inertial><origin xyz="{center[0]!r} {center[1]!r} 0"/><mass value="{mass!r}"/>'
-        f'<inertia ixx="{inertia!r}" ixy="0" ixz="0" iyy="{inertia!r}" iyz="0" izz="{inertia!r}"/></inertial>'
-        f"{picture}</link>"
+        f'<link name="{name}"><inertial><origin xyz="{center[0]!r} {center[1]!r}'
+        f' 0"/><mass value="{mass!r}"/><inertia ixx="{inertia!r}" ixy="0" ixz="0"'
+        f' iyy="{inertia!r}" iyz="0" izz="{inertia!r}"/></inertial>{picture}</link>'
     )
 
 
-def _joint(name: str, parent: str, child: str, origin: Point, angle: float, prismatic: bool) -> str:
+def _joint(
+    name: str, parent: str, child: str, origin: Point, angle: float, prismatic: bool
+) -> str:
     kind, axis = ("prismatic", "1 0 0") if prismatic else ("continuous", "0 0 1")
-    limit = '<limit lower="1" upper="-1" effort="0" velocity="0"/>' if prismatic else ""  # crossed: none
+    limit = (
+        '<limit lower="1" upper="-1" effort="0" velocity="0"/>' if prismatic else ""
+    )  # crossed: none
     return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{origin[0]!r} {origin[1]!r} 0" rpy="0 0 {angle!r}"/><axis xyz="{axis}"/>{limit}'
-        f'<dynamics damping="0" friction="0"/></joint>'
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child'
+        f' link="{child}"/><origin xyz="{origin[0]!r} {origin[1]!r} 0" rpy="0 0'
+        f' {angle!r}"/><axis xyz="{axis}"/>{limit}<dynamics damping="0"'
+        ' friction="0"/></joint>'
     )

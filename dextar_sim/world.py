@@ -1,4 +1,6 @@
-"""A mechanism's bodies in a PyBullet client: a tree of joints, closed by constraints."""
+"""A mechanism's bodies in a PyBullet client: a tree of joints, closed by
+constraints.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,20 @@ from dextar_sim.urdf import point, urdf
 _SPEED_CLAMP = 1.0e6
 _ITERATIONS = 200
 _RESIDUAL = 1.0e-10
-"""Squared impulse change at which the solver stops: over a crossing within 2 nm of 1e-22, in four fifths of the time."""
+"""Squared impulse change at which the solver stops: over a crossing within 2 nm of
+1e-22, in four fifths of the time.
+"""
 _ERP = 0.8
-"""Share of the loop gap corrected in one substep; leaves a quarter of the gap of PyBullet's default."""
+"""Share of the loop gap corrected in one substep; leaves a quarter of the gap of
+PyBullet's default.
+"""
 
 
 _KEPT = 4
 _idle: list[int] = []
-"""Connections without a window that no plant uses: making one takes 15 ms, emptying one 0.3 ms."""
+"""Connections without a window that no plant uses: making one takes 15 ms, emptying one
+0.3 ms.
+"""
 
 
 def connect(window: bool) -> int:
@@ -41,7 +49,9 @@ def connect(window: bool) -> int:
         return _idle.pop()
     client = int(p.connect(p.GUI if window else p.DIRECT))
     if client < 0:
-        raise ParameterError("PyBullet refused a connection" + (" with a window" if window else ""))
+        raise ParameterError(
+            "PyBullet refused a connection" + (" with a window" if window else "")
+        )
     clear(client)
     return client
 
@@ -67,7 +77,8 @@ class Loop(NamedTuple):
 
     Attributes:
         body: unique id of the tree.
-        joints: indices of the joints in the order of the bodies, which are also those of the links they move.
+        joints: indices of the joints in the order of the bodies, which are also those
+            of the links they move.
     """
 
     body: int
@@ -77,8 +88,8 @@ class Loop(NamedTuple):
 def load(client: int, bodies: Bodies, substep: float, window: bool) -> Loop:
     """The tree without motors, damping or speed limit, and a constraint for each pin.
 
-    PyBullet keeps URDF text by path, so each plant has a path of its own. The constraint's pivots
-    are measured from the centres of mass.
+    PyBullet keeps URDF text by path, so each plant has a path of its own. The
+    constraint's pivots are measured from the centres of mass.
 
     Args:
         client: PyBullet's connection.
@@ -90,7 +101,12 @@ def load(client: int, bodies: Bodies, substep: float, window: bool) -> Loop:
     try:
         with os.fdopen(descriptor, "w", encoding="utf-8") as file:
             file.write(urdf("robot", bodies, visual=window))
-        body = p.loadURDF(path, useFixedBase=True, flags=p.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client)
+        body = p.loadURDF(
+            path,
+            useFixedBase=True,
+            flags=p.URDF_USE_INERTIA_FROM_FILE,
+            physicsClientId=client,
+        )
     finally:
         Path(path).unlink()
     found = {
@@ -99,23 +115,57 @@ def load(client: int, bodies: Bodies, substep: float, window: bool) -> Loop:
     }
     joints = [found[link.joint] for link in bodies.links]
     for link in (-1, *joints):
-        p.changeDynamics(body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
-                         maxJointVelocity=_SPEED_CLAMP, physicsClientId=client)  # fmt: skip
-    p.setJointMotorControlArray(body, joints, p.VELOCITY_CONTROL, forces=[0.0] * len(joints), physicsClientId=client)
+        p.changeDynamics(
+            body,
+            link,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            jointDamping=0.0,
+            maxJointVelocity=_SPEED_CLAMP,
+            physicsClientId=client,
+        )
+    p.setJointMotorControlArray(
+        body,
+        joints,
+        p.VELOCITY_CONTROL,
+        forces=[0.0] * len(joints),
+        physicsClientId=client,
+    )
     p.setGravity(*point(bodies.gravity), 0.0, physicsClientId=client)
-    p.setPhysicsEngineParameter(numSolverIterations=_ITERATIONS, erp=_ERP, solverResidualThreshold=_RESIDUAL,
-                                physicsClientId=client)  # fmt: skip
+    p.setPhysicsEngineParameter(
+        numSolverIterations=_ITERATIONS,
+        erp=_ERP,
+        solverResidualThreshold=_RESIDUAL,
+        physicsClientId=client,
+    )
     set_step(client, substep)
     for (one, other), (here, there) in bodies.pins:
-        pivots = [[*point(place - bodies.links[link].center), 0.0] for link, place in ((one, here), (other, there))]
-        p.createConstraint(body, joints[one], body, joints[other], p.JOINT_POINT2POINT, [0.0] * 3, *pivots,
-                           physicsClientId=client)  # fmt: skip
+        pivots = [
+            [*point(place - bodies.links[link].center), 0.0]
+            for link, place in ((one, here), (other, there))
+        ]
+        p.createConstraint(
+            body,
+            joints[one],
+            body,
+            joints[other],
+            p.JOINT_POINT2POINT,
+            [0.0] * 3,
+            *pivots,
+            physicsClientId=client,
+        )
     if window:
         p.configureDebugVisualizer(p.COV_ENABLE_GUI, 0, physicsClientId=client)
-        p.resetDebugVisualizerCamera(0.35, 0.0, -89.9, [0.0, 0.05, 0.0], physicsClientId=client)
+        p.resetDebugVisualizerCamera(
+            0.35, 0.0, -89.9, [0.0, 0.05, 0.0], physicsClientId=client
+        )
     return Loop(body, joints)
 
 
 def set_step(client: int, duration: float, parts: int = 0) -> None:
-    """What one ``stepSimulation`` advances: a duration (s), in that many equal parts where there are any."""
-    p.setPhysicsEngineParameter(fixedTimeStep=duration, numSubSteps=parts, physicsClientId=client)
+    """What one ``stepSimulation`` advances: a duration (s), in that many equal parts
+    where there are any.
+    """
+    p.setPhysicsEngineParameter(
+        fixedTimeStep=duration, numSubSteps=parts, physicsClientId=client
+    )

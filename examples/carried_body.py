@@ -41,38 +41,80 @@ class CarriedBody(Mechanism):
     """q_a of both five-bars' motors, x = (X1, Y1, X2, Y2) of their end effectors, each in its own five-bar's frame."""
 
     name = "carried_body"
-    joints = tuple(Coordinate(f"{arm}.{joint.name}", joint.unit) for arm in ARMS for joint in FIVE_BAR.joints)
-    coordinates = tuple(Coordinate(f"{arm}.{place.name}", place.unit) for arm in ARMS for place in FIVE_BAR.coordinates)
+    joints = tuple(
+        Coordinate(f"{arm}.{joint.name}", joint.unit)
+        for arm in ARMS
+        for joint in FIVE_BAR.joints
+    )
+    coordinates = tuple(
+        Coordinate(f"{arm}.{place.name}", place.unit)
+        for arm in ARMS
+        for place in FIVE_BAR.coordinates
+    )
     parameters = (
-        *(Parameter(f"{arm}.{given.name}", given.unit, given.meaning, given.minimum, given.maximum, given.above, given.size)
-          for arm in ARMS for given in FIVE_BAR.parameters),
-        Parameter("second_origin", "m", "of the second five-bar's frame in the first one's", size=2),
+        *(
+            Parameter(
+                f"{arm}.{given.name}",
+                given.unit,
+                given.meaning,
+                given.minimum,
+                given.maximum,
+                given.above,
+                given.size,
+            )
+            for arm in ARMS
+            for given in FIVE_BAR.parameters
+        ),
+        Parameter(
+            "second_origin",
+            "m",
+            "of the second five-bar's frame in the first one's",
+            size=2,
+        ),
         Parameter("second_angle", "rad", "of that frame", -np.pi, np.pi),
         Parameter("body_mass", "kg", "of the body", above=0.0),
-        Parameter("body_center", "m", "its centre of mass from the pin, towards the slot"),
+        Parameter(
+            "body_center", "m", "its centre of mass from the pin, towards the slot"
+        ),
         Parameter("body_inertia", "kg m^2", "about its centre of mass", above=0.0),
     )
 
     def _each(self, method: str, p: Any, *arguments: Symbol) -> list[Any]:
         """What both five-bars' method answers, each to its half of the arguments."""
-        return [getattr(FIVE_BAR, method)(*(argument[2 * arm : 2 * arm + 2] for argument in arguments), getattr(p, name))
-                for arm, name in enumerate(ARMS)]
+        return [
+            getattr(FIVE_BAR, method)(
+                *(argument[2 * arm : 2 * arm + 2] for argument in arguments),
+                getattr(p, name),
+            )
+            for arm, name in enumerate(ARMS)
+        ]
 
     def closures(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
         """Of both five-bars."""
         return ca.vertcat(*self._each("closures", p, q_a, x))
 
-    def lagrangian(self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any) -> Symbol:
+    def lagrangian(
+        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any
+    ) -> Symbol:
         """Of both five-bars and of the body, whose direction is that from the first end effector to the second."""
-        turn = ca.horzcat(direction(p.second_angle), direction(p.second_angle + 0.5 * ca.pi))
-        along, along_dot = p.second_origin + turn @ x[2:] - x[:2], turn @ x_dot[2:] - x_dot[:2]
+        turn = ca.horzcat(
+            direction(p.second_angle), direction(p.second_angle + 0.5 * ca.pi)
+        )
+        along, along_dot = (
+            p.second_origin + turn @ x[2:] - x[:2],
+            turn @ x_dot[2:] - x_dot[:2],
+        )
         distance = ca.norm_2(along)
         unit = along / distance
         rate = (unit[0] * along_dot[1] - unit[1] * along_dot[0]) / distance
         center_dot = x_dot[:2] + p.body_center * rate * ca.vertcat(-unit[1], unit[0])
-        energy = 0.5 * p.body_mass * ca.sumsqr(center_dot) + 0.5 * p.body_inertia * rate**2
+        energy = (
+            0.5 * p.body_mass * ca.sumsqr(center_dot) + 0.5 * p.body_inertia * rate**2
+        )
         weight = p.body_mass * ca.dot(p.first.gravity, x[:2] + p.body_center * unit)
-        return energy + weight + sum(self._each("lagrangian", p, q_a, x, q_a_dot, x_dot))
+        return (
+            energy + weight + sum(self._each("lagrangian", p, q_a, x, q_a_dot, x_dot))
+        )
 
     def inverse_geometric_model(self, x: Symbol, p: Any) -> Symbol:
         """Of both five-bars."""
@@ -83,11 +125,19 @@ class CarriedBody(Mechanism):
         first, second = self._each("nearest_joints", p, x)
         return ca.vertcat(first[0], second[0]), ca.vertcat(first[1], second[1])
 
-    def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> Symbol:
+    def direct_geometric_model(
+        self, q_a: Symbol, assembly_mode: Symbol, p: Any
+    ) -> Symbol:
         """Of both five-bars, each in its assembly mode."""
         modes = ca.SX.ones(2) * assembly_mode
-        return ca.vertcat(*(FIVE_BAR.direct_geometric_model(q_a[2 * arm : 2 * arm + 2], modes[arm], getattr(p, name))
-                            for arm, name in enumerate(ARMS)))  # fmt: skip
+        return ca.vertcat(
+            *(
+                FIVE_BAR.direct_geometric_model(
+                    q_a[2 * arm : 2 * arm + 2], modes[arm], getattr(p, name)
+                )
+                for arm, name in enumerate(ARMS)
+            )
+        )
 
     def mirror_image(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
         """Of both five-bars."""
@@ -116,10 +166,20 @@ class CarriedBody(Mechanism):
 
 
 DEXTAR = load_robot(config_file(ROBOT_FILE))
-NUMBERS = {f"{arm}.{given.name}": flatten(DEXTAR)[given.name] for arm in ARMS for given in FIVE_BAR.parameters} | {
-    "second_origin": [0.25, 0.3], "second_angle": np.pi,  # the second five-bar stands on its head beside the first
-    "body_mass": 0.2, "body_center": 0.12, "body_inertia": 1.5e-3,
-    "max_torque": 0.5, "max_joint_speed": 40.0, "max_platform_speed": 3.0, "min_type1_distance": 0.15,
+NUMBERS = {
+    f"{arm}.{given.name}": flatten(DEXTAR)[given.name]
+    for arm in ARMS
+    for given in FIVE_BAR.parameters
+} | {
+    "second_origin": [0.25, 0.3],
+    "second_angle": np.pi,  # the second five-bar stands on its head beside the first
+    "body_mass": 0.2,
+    "body_center": 0.12,
+    "body_inertia": 1.5e-3,
+    "max_torque": 0.5,
+    "max_joint_speed": 40.0,
+    "max_platform_speed": 3.0,
+    "min_type1_distance": 0.15,
 }
 ROBOT = Robot.of(CarriedBody(), NUMBERS)
 RESOLUTION = 2.0 * np.pi / 2**17  # rad, of the encoders
@@ -127,15 +187,28 @@ RESOLUTION = 2.0 * np.pi / 2**17  # rad, of the encoders
 
 def place_of_both(near_first: list[float], near_second: list[float]) -> LocusPoint:
     """The place with each end effector on its five-bar's locus, near these places, m."""
-    x = np.concatenate([nearest_point(DEXTAR, np.array(near)).x for near in (near_first, near_second)])
+    x = np.concatenate(
+        [nearest_point(DEXTAR, np.array(near)).x for near in (near_first, near_second)]
+    )
     found = planning_model(ROBOT).place(x)
-    return LocusPoint(x, ROBOT.working_mode, None, found.t_s, found.gradient, float(found.type1[0]), 1, 0.0)
+    return LocusPoint(
+        x,
+        ROBOT.working_mode,
+        None,
+        found.t_s,
+        found.gradient,
+        float(found.type1[0]),
+        1,
+        0.0,
+    )
 
 
 def main() -> None:
     """There and back through both loci at once, the robot integrated in small steps by its forward dynamics."""
     model, steps, period = Model.of(ROBOT), 20, 1e-3
-    plan = plan_return_trip_through(ROBOT, place_of_both([0.02, 0.083], [-0.03, 0.08]), 1, None, 0.1)
+    plan = plan_return_trip_through(
+        ROBOT, place_of_both([0.02, 0.083], [-0.03, 0.08]), 1, None, 0.1
+    )
     print("\n".join(plan.certificate.lines()))
     x, x_dot = plan.trajectory.at(0.0).x, np.zeros(4)
     loop = ControlLoop(ROBOT, default_settings(), int(np.sign(model.place(x).s[0])))
@@ -144,12 +217,25 @@ def main() -> None:
     for k in range(round((plan.trajectory.duration + 0.1) / period)):
         q_a = np.round(model.inverse_geometric_model(x) / RESOLUTION) * RESOLUTION
         tau = loop.step(k * period, q_a)
-        worst = max(worst, float(np.linalg.norm(loop.tick.x_ref - x)) if loop.tick else 0.0)
-        for _ in range(steps):  # half a step of the place, one of the velocity, the other half
+        worst = max(
+            worst, float(np.linalg.norm(loop.tick.x_ref - x)) if loop.tick else 0.0
+        )
+        for _ in range(
+            steps
+        ):  # half a step of the place, one of the velocity, the other half
             middle = x + 0.5 * period / steps * x_dot
-            x_dot = x_dot + period / steps * model.platform_dynamics(model.place(middle).q_a, middle, x_dot, tau).x_ddot
+            x_dot = (
+                x_dot
+                + period
+                / steps
+                * model.platform_dynamics(
+                    model.place(middle).q_a, middle, x_dot, tau
+                ).x_ddot
+            )
             x = middle + 0.5 * period / steps * x_dot
-    print(f"{loop.phase.name}, largest true error {1e3 * worst:.3f} mm, {[passed.verdict.name for passed in loop.passed]}")
+    print(
+        f"{loop.phase.name}, largest true error {1e3 * worst:.3f} mm, {[passed.verdict.name for passed in loop.passed]}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""Sends goals to the action ``go`` in namespace /left, one line of JSON on standard input each, and prints what became of each.
+"""Sends goals to the action ``go`` in namespace /left, one line of JSON on standard
+input each, and prints what became of each.
 
-A goal's own fields, and ``cancel_in``: a phase in which it is cancelled. The first is sent once the controller holds. Afterwards
-it reads one message of each readable topic.
+A goal's own fields, and ``cancel_in``: a phase in which it is cancelled. The first is
+sent once the controller holds. Afterwards it reads one message of each readable topic.
 """
 
 from __future__ import annotations
@@ -17,8 +18,12 @@ from rclpy.action import ActionClient
 from rclpy.node import Node
 from rig import PATIENCE
 
-from dextar_control.contract.node import qos
-from dextar_control.contract.topics import DIAGNOSTICS, READABLE_CRITERION, READABLE_STATE
+from dextar_control.contract.topics import (
+    DIAGNOSTICS,
+    READABLE_CRITERION,
+    READABLE_STATE,
+)
+from dextar_control.nodekit.node import qos
 
 
 def main() -> None:
@@ -34,14 +39,20 @@ def main() -> None:
 
     words: set[str] = set()
     node.create_subscription(
-        DiagnosticArray, DIAGNOSTICS.name, lambda m: words.update(item.value for one in m.status for item in one.values), 10
+        DiagnosticArray,
+        DIAGNOSTICS.name,
+        lambda m: words.update(item.value for one in m.status for item in one.values),
+        10,
     )
     until(lambda: client.server_is_ready() and "HOLD" in words)
     for line in sys.stdin:
         fields = json.loads(line)
         cancel_in = fields.pop("cancel_in", "")
         told: list[Go.Feedback] = []
-        sent = client.send_goal_async(Go.Goal(**fields), feedback_callback=lambda m, told=told: told.append(m.feedback))
+        sent = client.send_goal_async(
+            Go.Goal(**fields),
+            feedback_callback=lambda m, told=told: told.append(m.feedback),
+        )
         until(sent.done)
         goal = sent.result()
         ended = goal.get_result_async()
@@ -50,21 +61,52 @@ def main() -> None:
             goal.cancel_goal_async()
         until(ended.done)
         result, last = ended.result().result, told[-1] if told else Go.Feedback()
-        print(json.dumps({
-            "status": ended.result().status, "done": result.done, "verdicts": list(result.verdicts),
-            "confidences": list(result.confidences), "largest_error": result.largest_error, "bag": result.bag,
-            "message": result.message, "phases": list(dict.fromkeys(feedback.phase for feedback in told)),
-            "last": [last.phase, last.crossing, last.crossings, last.s, last.confidence, last.progress],
-        }), flush=True)  # fmt: skip
+        print(
+            json.dumps(
+                {
+                    "status": ended.result().status,
+                    "done": result.done,
+                    "verdicts": list(result.verdicts),
+                    "confidences": list(result.confidences),
+                    "largest_error": result.largest_error,
+                    "bag": result.bag,
+                    "message": result.message,
+                    "phases": list(dict.fromkeys(feedback.phase for feedback in told)),
+                    "last": [
+                        last.phase,
+                        last.crossing,
+                        last.crossings,
+                        last.s,
+                        last.confidence,
+                        last.progress,
+                    ],
+                }
+            ),
+            flush=True,
+        )
     from dextar_interfaces.msg import ControllerState, Criterion
 
-    for topic, kind in ((READABLE_STATE, ControllerState), (READABLE_CRITERION, Criterion)):
+    for topic, kind in (
+        (READABLE_STATE, ControllerState),
+        (READABLE_CRITERION, Criterion),
+    ):
         got: list = []
-        node.create_subscription(kind, topic.name, got.append, qos(topic, reliable=False))
+        node.create_subscription(
+            kind, topic.name, got.append, qos(topic, reliable=False)
+        )
         until(lambda got=got: got)
-        values = {name: getattr(got[0], name) for name in kind.get_fields_and_field_types()}
-        print(json.dumps({name: value.tolist() if hasattr(value, "tolist") else value for name, value in values.items()
-                          if not hasattr(value, "get_fields_and_field_types")}))  # fmt: skip
+        values = {
+            name: getattr(got[0], name) for name in kind.get_fields_and_field_types()
+        }
+        print(
+            json.dumps(
+                {
+                    name: value.tolist() if hasattr(value, "tolist") else value
+                    for name, value in values.items()
+                    if not hasattr(value, "get_fields_and_field_types")
+                }
+            )
+        )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""The controller with two faults of its own: it answers a state that it cannot use with a torque, and says nothing of it."""
+"""The controller with two faults of its own: it answers a state that it cannot use with
+a torque, and says nothing of it.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +10,9 @@ from typing import Any
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from dextar_control.contract.cdr import from_time
-from dextar_control.contract.node import run_node
-from dextar_control.ros.controller_node import ControllerNode, spin
+from dextar_control.nodekit.cdr import from_time
+from dextar_control.nodekit.node import run_node
+from dextar_control.nodes.controller import ControllerNode, spin
 
 
 class BadController(ControllerNode):

@@ -1,4 +1,6 @@
-"""Messages of any type with every field filled, and their comparison with what another reader decoded."""
+"""Messages of any type with every field filled, and their comparison with what another
+reader decoded.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,30 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
-SPECIAL = (0.0, -0.0, math.inf, -math.inf, math.nan, 5e-324, 1.7976931348623157e308, 0.1, 2.0**53 + 2.0)
+SPECIAL = (
+    0.0,
+    -0.0,
+    math.inf,
+    -math.inf,
+    math.nan,
+    5e-324,
+    1.7976931348623157e308,
+    0.1,
+    2.0**53 + 2.0,
+)
 TEXTS = ("", "q11", "Gelenk über 0.1 µm", "日本語", "a\nb")
-RANGES = {"int8": (-128, 127), "uint8": (0, 255), "byte": (0, 127), "char": (0, 255), "int16": (-(2**15), 2**15 - 1),
-          "uint16": (0, 2**16 - 1), "int32": (-(2**31), 2**31 - 1), "uint32": (0, 2**32 - 1), "int64": (-(2**63), 2**63 - 1),
-          "uint64": (0, 2**64 - 1)}  # fmt: skip
+RANGES = {
+    "int8": (-128, 127),
+    "uint8": (0, 255),
+    "byte": (0, 127),
+    "char": (0, 255),
+    "int16": (-(2**15), 2**15 - 1),
+    "uint16": (0, 2**16 - 1),
+    "int32": (-(2**31), 2**31 - 1),
+    "uint32": (0, 2**32 - 1),
+    "int64": (-(2**63), 2**63 - 1),
+    "uint64": (0, 2**64 - 1),
+}
 
 
 def random_message(type_name: str, rng: np.random.Generator) -> Any:
@@ -52,17 +73,31 @@ def _base(name: str, rng: np.random.Generator) -> Any:
     if name == "float32":
         return float(np.frombuffer(struct.pack("<f", rng.normal()), "<f4")[0])
     low, high = RANGES[name]
-    return int(rng.choice([low, high, 1])) if rng.random() < 0.5 else int(rng.integers(low, high, dtype=np.dtype(
-        {"byte": "uint8", "char": "uint8"}.get(name, name))))  # fmt: skip
+    return (
+        int(rng.choice([low, high, 1]))
+        if rng.random() < 0.5
+        else int(
+            rng.integers(
+                low,
+                high,
+                dtype=np.dtype({"byte": "uint8", "char": "uint8"}.get(name, name)),
+            )
+        )
+    )
 
 
 def difference(mine: Any, theirs: Any, place: str = "") -> str:
-    """Where plain data of another reader differs from a message of rosbags; "" nowhere. Numbers have to be the same bits."""
+    """Where plain data of another reader differs from a message of rosbags; "" nowhere.
+    Numbers have to be the same bits.
+    """
     if dataclasses.is_dataclass(mine):
         names = [name for name, _ in TYPES.fielddefs[mine.__msgtype__][1]]  # type: ignore[attr-defined]
         if sorted(names) != sorted(theirs):
             return f"{place} has the fields {sorted(theirs)}"
-        found = (difference(getattr(mine, name), theirs[name], f"{place}.{name}") for name in names)
+        found = (
+            difference(getattr(mine, name), theirs[name], f"{place}.{name}")
+            for name in names
+        )
         return next(filter(None, found), "")
     if isinstance(mine, np.ndarray):
         mine = mine.tolist()
@@ -70,10 +105,19 @@ def difference(mine: Any, theirs: Any, place: str = "") -> str:
         if len(mine) != len(theirs):
             return f"{place} has {len(theirs)} entries, not {len(mine)}"
         pairs = enumerate(zip(mine, theirs, strict=True))
-        return next((found for index, (a, b) in pairs if (found := difference(a, b, f"{place}[{index}]"))), "")
+        return next(
+            (
+                found
+                for index, (a, b) in pairs
+                if (found := difference(a, b, f"{place}[{index}]"))
+            ),
+            "",
+        )
     if isinstance(mine, float):
         other = float(theirs)
-        same = (math.isnan(mine) and math.isnan(other)) or struct.pack("<d", mine) == struct.pack("<d", other)
+        same = (math.isnan(mine) and math.isnan(other)) or struct.pack(
+            "<d", mine
+        ) == struct.pack("<d", other)
     elif isinstance(mine, int) and not isinstance(mine, bool):
         same = mine == int(theirs)
     else:

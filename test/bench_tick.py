@@ -1,7 +1,9 @@
-"""One tick of the loop beside one call of pinocchio's ``constraintDynamics`` from Python: ``python test/bench_tick.py``.
+"""One tick of the loop beside one call of pinocchio's ``constraintDynamics`` from
+Python: ``python test/bench_tick.py``.
 
-The tick is a whole ``ControlLoop.step`` (observer, law, watches) along the nodes' default trip. The two take turns in the same
-milliseconds. Prints one JSON object, microseconds; ``DEXTAR_CC=`` (empty) measures the interpreted equations.
+The tick is a whole ``ControlLoop.step`` (observer, law, watches) along the nodes'
+default trip. The two take turns in the same milliseconds. Prints one JSON object,
+microseconds; ``DEXTAR_CC=`` (empty) measures the interpreted equations.
 """
 
 from __future__ import annotations
@@ -23,14 +25,24 @@ PERIOD = 1e-3  # s
 
 
 def measure() -> dict[str, float]:
-    """Microseconds of the best round (the one with the least median of the oracle), and ratios."""
+    """Microseconds of the best round (the one with the least median of the oracle), and
+    ratios.
+    """
     robot = load_robot(config_file(ROBOT_FILE))
     task = node_defaults("trajectory_server")
-    trip = plan_return_trip(robot, np.array(task["task.start"]), np.array(task["task.goal"]), task["duration"], task["dwell"])
+    trip = plan_return_trip(
+        robot,
+        np.array(task["task.start"]),
+        np.array(task["task.goal"]),
+        task["duration"],
+        task["dwell"],
+    )
     settings = Settings.from_values(node_defaults("controller"))
     loop = ControlLoop(robot, settings, 1)
     times = np.arange(0.0, trip.trajectory.duration, PERIOD)
-    joints = [loop.model.inverse_geometric_model(trip.trajectory.at(t).x) for t in times]
+    joints = [
+        loop.model.inverse_geometric_model(trip.trajectory.at(t).x) for t in times
+    ]
     dynamics = Oracle(robot).constraint_dynamics(joints[0], trip.trajectory.at(0.0).x)
     rounds = []
     for _ in range(ROUNDS):
@@ -48,9 +60,17 @@ def measure() -> dict[str, float]:
     tick, oracle = min(rounds, key=lambda spent: float(np.median(spent[:, 1]))).T
     p50, p99 = np.percentile(tick, [50, 99])
     alone = float(np.median(oracle))
-    return {"tick_p50": p50, "tick_p99": p99, "constraint_dynamics_p50": alone, "ratio": p50 / alone, "p99_over_p50": p99 / p50}
+    return {
+        "tick_p50": p50,
+        "tick_p99": p99,
+        "constraint_dynamics_p50": alone,
+        "ratio": p50 / alone,
+        "p99_over_p50": p99 / p50,
+    }
 
 
 if __name__ == "__main__":
     assert pin is not None
-    print(json.dumps({name: round(float(value), 2) for name, value in measure().items()}))
+    print(
+        json.dumps({name: round(float(value), 2) for name, value in measure().items()})
+    )

@@ -1,4 +1,6 @@
-"""A headless Chromium spoken to over its DevTools pipe: what a page says on its console, asks for, and draws."""
+"""A headless Chromium spoken to over its DevTools pipe: what a page says on its
+console, asks for, and draws.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,18 @@ from typing import Any
 
 PATIENCE = 60.0  # s for a browser on a busy machine
 FLAGS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage", "--window-size=1400,1200",
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+    "--window-size=1400,1200",
     "--remote-debugging-pipe",
-)  # fmt: skip
+)
 
 
 class Page:
@@ -39,15 +49,30 @@ class Page:
         self._out, from_browser = os.pipe()
         command = f'exec "$0" "$@" 3<&{to_browser} 4>&{from_browser}'
         self._process = subprocess.Popen(
-            ["bash", "-c", command, program, *FLAGS, f"--user-data-dir={self._profile}", "about:blank"],
-            pass_fds=(to_browser, from_browser), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            [
+                "bash",
+                "-c",
+                command,
+                program,
+                *FLAGS,
+                f"--user-data-dir={self._profile}",
+                "about:blank",
+            ],
+            pass_fds=(to_browser, from_browser),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
             start_new_session=True,
-        )  # fmt: skip
+        )
         os.close(to_browser)
         os.close(from_browser)
         targets = self._call("Target.getTargets")["targetInfos"]
-        page = next(target["targetId"] for target in targets if target["type"] == "page")
-        self._session = self._call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
+        page = next(
+            target["targetId"] for target in targets if target["type"] == "page"
+        )
+        self._session = self._call(
+            "Target.attachToTarget", targetId=page, flatten=True
+        )["sessionId"]
         for domain in ("Runtime", "Log", "Network", "Page"):
             self._call(f"{domain}.enable")
         self.open(url)
@@ -71,60 +96,114 @@ class Page:
 
     def evaluate(self, script: str) -> Any:
         """The value of an expression, promises awaited."""
-        answer = self._call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        answer = self._call(
+            "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
+        )
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
     def resize(self, width: int) -> None:
         """A window of this width, px, in which the page has been laid out."""
-        self._call("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
-        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 0))))")
+        self._call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=1000,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
+        self.evaluate(
+            "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(()"
+            " => setTimeout(done, 0))))"
+        )
 
     def click(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
         """With the mouse, on an element, at these shares of its width and height."""
         box = self.evaluate(
-            f"(() => {{ const one = document.querySelector({json.dumps(selector)}); one.scrollIntoView({{block: 'center'}});"
-            " const box = one.getBoundingClientRect(); return [box.left, box.top, box.width, box.height]; })()"
+            f"(() => {{ const one = document.querySelector({json.dumps(selector)});"
+            " one.scrollIntoView({block: 'center'}); const box ="
+            " one.getBoundingClientRect(); return [box.left, box.top, box.width,"
+            " box.height]; })()"
         )
         x, y = (box[axis] + at[axis] * box[2 + axis] for axis in range(2))
         for kind in ("mousePressed", "mouseReleased"):
-            self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+            self._call(
+                "Input.dispatchMouseEvent",
+                type=kind,
+                x=x,
+                y=y,
+                button="left",
+                clickCount=1,
+            )
 
     def press(self, code: str, key: str) -> None:
         """A key, on what has the focus."""
         for kind in ("keyDown", "keyUp"):
-            self._call("Input.dispatchKeyEvent", type=kind, code=code, key=key, windowsVirtualKeyCode=ord(key))
+            self._call(
+                "Input.dispatchKeyEvent",
+                type=kind,
+                code=code,
+                key=key,
+                windowsVirtualKeyCode=ord(key),
+            )
 
     def prefers(self, scheme: str) -> None:
         """A reader whose system is light or dark."""
-        self._call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        self._call(
+            "Emulation.setEmulatedMedia",
+            features=[{"name": "prefers-color-scheme", "value": scheme}],
+        )
 
     def drag(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
         """With the pointer, px."""
         middle = 0.5 * (begin[0] + end[0]), 0.5 * (begin[1] + end[1])
-        for kind, (x, y), held in (("mousePressed", begin, 1), ("mouseMoved", middle, 1), ("mouseMoved", end, 1),
-                                   ("mouseReleased", end, 0)):  # fmt: skip
-            self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=held, clickCount=1)
+        for kind, (x, y), held in (
+            ("mousePressed", begin, 1),
+            ("mouseMoved", middle, 1),
+            ("mouseMoved", end, 1),
+            ("mouseReleased", end, 0),
+        ):
+            self._call(
+                "Input.dispatchMouseEvent",
+                type=kind,
+                x=x,
+                y=y,
+                button="left",
+                buttons=held,
+                clickCount=1,
+            )
 
     def screenshot(self, file: Path) -> None:
-        file.write_bytes(base64.b64decode(self._call("Page.captureScreenshot", captureBeyondViewport=True)["data"]))
+        file.write_bytes(
+            base64.b64decode(
+                self._call("Page.captureScreenshot", captureBeyondViewport=True)["data"]
+            )
+        )
 
     def wait(self, condition: str) -> None:
         """Until an expression is true."""
         deadline = time.monotonic() + PATIENCE
         while not self.evaluate(condition):
-            assert time.monotonic() < deadline, f"never came true: {condition}; errors: {self.errors}"
+            assert time.monotonic() < deadline, (
+                f"never came true: {condition}; errors: {self.errors}"
+            )
             time.sleep(0.05)
 
     def _call(self, method: str, **parameters: Any) -> dict[str, Any]:
         self._number += 1
-        message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
+        message: dict[str, Any] = {
+            "id": self._number,
+            "method": method,
+            "params": parameters,
+        }
         if hasattr(self, "_session"):
             message["sessionId"] = self._session
         os.write(self._in, json.dumps(message).encode() + b"\0")
         found: list[dict[str, Any]] = []
         number = self._number
-        self._until(lambda: bool(found), lambda answer: found.append(answer) if answer.get("id") == number else None)
+        self._until(
+            lambda: bool(found),
+            lambda answer: found.append(answer) if answer.get("id") == number else None,
+        )
         assert "error" not in found[0], found[0]
         return found[0]["result"]
 
@@ -132,7 +211,9 @@ class Page:
         deadline = time.monotonic() + PATIENCE
         while not done():
             left = deadline - time.monotonic()
-            assert left > 0 and select.select([self._out], [], [], left)[0], "the browser does not answer"
+            assert left > 0 and select.select([self._out], [], [], left)[0], (
+                "the browser does not answer"
+            )
             data = os.read(self._out, 1 << 20)
             assert data, "the browser has gone"
             *messages, self._rest = (self._rest + data).split(b"\0")
@@ -143,12 +224,28 @@ class Page:
 
     def _note(self, answer: dict[str, Any]) -> None:
         method, parameters = answer.get("method"), answer.get("params", {})
-        if method == "Runtime.consoleAPICalled" and parameters["type"] in ("error", "warning", "assert"):
-            self.errors.append(str([entry.get("value", entry.get("description")) for entry in parameters["args"]]))
+        if method == "Runtime.consoleAPICalled" and parameters["type"] in (
+            "error",
+            "warning",
+            "assert",
+        ):
+            self.errors.append(
+                str(
+                    [
+                        entry.get("value", entry.get("description"))
+                        for entry in parameters["args"]
+                    ]
+                )
+            )
         elif method == "Runtime.exceptionThrown":
             details = parameters["exceptionDetails"]
-            self.errors.append(details.get("exception", {}).get("description", details["text"]))
-        elif method == "Log.entryAdded" and parameters["entry"]["level"] in ("error", "warning"):
+            self.errors.append(
+                details.get("exception", {}).get("description", details["text"])
+            )
+        elif method == "Log.entryAdded" and parameters["entry"]["level"] in (
+            "error",
+            "warning",
+        ):
             self.errors.append(parameters["entry"]["text"])
         elif method == "Network.requestWillBeSent":
             self.requests.append(parameters["request"]["url"])

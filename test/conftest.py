@@ -16,8 +16,8 @@ from dextar_control.contract import terminal
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_control.model.model import Model
+from dextar_control.nodekit.domain import own_domain
 from dextar_control.planning.planner import Plan, plan_return_trip
-from dextar_control.ros.domain import own_domain
 
 os.environ["ROS_DOMAIN_ID"] = str(own_domain())
 
@@ -33,11 +33,17 @@ def uneven(robot: RobotParameters) -> RobotParameters:
     """Unequal links, off-centre masses and gravity in the plane."""
     return robot.replace(
         **{
-            "left.proximal_length": 0.085, "left.distal_length": 0.095, "left.distal_center": 0.4,
-            "right.proximal_length": 0.093, "right.distal_length": 0.088, "right.distal_mass": 0.11,
-            "right.proximal_center": 0.45, "right.distal_inertia": 7.1e-5, "gravity": (0.7, -9.81),
+            "left.proximal_length": 0.085,
+            "left.distal_length": 0.095,
+            "left.distal_center": 0.4,
+            "right.proximal_length": 0.093,
+            "right.distal_length": 0.088,
+            "right.distal_mass": 0.11,
+            "right.proximal_center": 0.45,
+            "right.distal_inertia": 7.1e-5,
+            "gravity": (0.7, -9.81),
         }
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="session")
@@ -52,7 +58,13 @@ def trip(robot: RobotParameters) -> Plan:
 def slow_trip(robot: RobotParameters) -> Plan:
     """The same trip at 2 s each way."""
     task = node_defaults("trajectory_server")
-    return plan_return_trip(robot, np.array(task["task.start"]), np.array(task["task.goal"]), 2.0, task["dwell"])
+    return plan_return_trip(
+        robot,
+        np.array(task["task.start"]),
+        np.array(task["task.goal"]),
+        2.0,
+        task["dwell"],
+    )
 
 
 @pytest.fixture(scope="session")

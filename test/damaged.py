@@ -20,7 +20,11 @@ def frames(content: bytes) -> list[tuple[int, int, int]]:
 
 def chunks(file: Path) -> list[tuple[int, int]]:
     """(begin, end) of each chunk's content."""
-    return [(begin, end) for opcode, begin, end in frames(file.read_bytes()) if opcode == Opcode.CHUNK]
+    return [
+        (begin, end)
+        for opcode, begin, end in frames(file.read_bytes())
+        if opcode == Opcode.CHUNK
+    ]
 
 
 def with_damaged_chunks(source: Path, target: Path, *numbers: int) -> Path:

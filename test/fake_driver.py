@@ -1,4 +1,6 @@
-"""A two-motor driver with a switch for each fault: in simulated time, or as a process of its own (``python fake_driver.py``)."""
+"""A two-motor driver with a switch for each fault: in simulated time, or as a process
+of its own (``python fake_driver.py``).
+"""
 
 from __future__ import annotations
 
@@ -18,14 +20,35 @@ OLD = 10.0  # s
 PAUSE_EVERY, PAUSE = 40, 0.2  # states, s: of the driver that jitters
 
 FAULTS = (
-    "none", "state_type", "command_type", "best_effort", "latched_reader", "names", "order", "slow", "jitter", "stamps_back",
-    "stamps_old", "nan_position", "ignores_torque", "inverted", "no_watchdog", "accepts_nan",
-    "clamps_nan", "dies_of_nan", "open", "no_velocity", "swapped_motors", "stamps_jump",
-)  # fmt: skip
+    "none",
+    "state_type",
+    "command_type",
+    "best_effort",
+    "latched_reader",
+    "names",
+    "order",
+    "slow",
+    "jitter",
+    "stamps_back",
+    "stamps_old",
+    "nan_position",
+    "ignores_torque",
+    "inverted",
+    "no_watchdog",
+    "accepts_nan",
+    "clamps_nan",
+    "dies_of_nan",
+    "open",
+    "no_velocity",
+    "swapped_motors",
+    "stamps_jump",
+)
 
 
 class FakeDriver:
-    """Two free rotors behind a drive; ``step`` gives the state's fields, ``command`` takes what a message says."""
+    """Two free rotors behind a drive; ``step`` gives the state's fields, ``command``
+    takes what a message says.
+    """
 
     def __init__(self, fault: str = "none", rate: float = RATE) -> None:
         assert fault in FAULTS, fault
@@ -51,7 +74,12 @@ class FakeDriver:
             elif self.fault != "accepts_nan":
                 return
         if self.fault != "ignores_torque":
-            self.torque = np.array([max(-LIMIT, min(value, LIMIT)) if value == value else value for value in torque])
+            self.torque = np.array(
+                [
+                    max(-LIMIT, min(value, LIMIT)) if value == value else value
+                    for value in torque
+                ]
+            )
         self.commanded_at = now
 
     def step(self, now: float) -> dict[str, Any]:
@@ -71,18 +99,29 @@ class FakeDriver:
     def fields(self) -> dict[str, Any]:
         names = ["q11", "q21"]
         q = self.count * np.round(self.q / self.count) if self.count else self.q
-        position, velocity, effort = q.tolist(), self.q_dot.tolist(), self.torque.tolist()
+        position, velocity, effort = (
+            q.tolist(),
+            self.q_dot.tolist(),
+            self.torque.tolist(),
+        )
         if self.fault == "names":
             names = ["left", "right"]
         if self.fault == "order":
-            names, position, velocity, effort = (values[::-1] for values in (names, position, velocity, effort))
+            names, position, velocity, effort = (
+                values[::-1] for values in (names, position, velocity, effort)
+            )
         if self.fault == "nan_position" and self.index % 50 == 7:
             position[0] = math.nan
         if self.fault == "open":
             position[0] += 1.0
         if self.fault == "no_velocity":
             velocity = []
-        return {"name": names, "position": position, "velocity": velocity, "effort": effort}
+        return {
+            "name": names,
+            "position": position,
+            "velocity": velocity,
+            "effort": effort,
+        }
 
     def stamp(self, now: float) -> float:
         """Of the state of now, s."""
@@ -90,7 +129,9 @@ class FakeDriver:
             return now - OLD
         if self.fault == "stamps_back" and self.index % 20 == 11:
             return now - 4.5 * self.period
-        if self.fault == "stamps_jump":  # a clock that is set: 25 ms more from the 20th state on
+        if (
+            self.fault == "stamps_jump"
+        ):  # a clock that is set: 25 ms more from the 20th state on
             return now - 0.04 + 0.025 * (self.index >= 20)
         return now
 
@@ -112,15 +153,25 @@ def main() -> None:
     if driver.fault == "best_effort":
         offered.reliability = ReliabilityPolicy.BEST_EFFORT
     if driver.fault == "latched_reader":
-        asked.reliability, asked.durability = ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL
+        asked.reliability, asked.durability = (
+            ReliabilityPolicy.RELIABLE,
+            DurabilityPolicy.TRANSIENT_LOCAL,
+        )
     wrong = driver.fault == "state_type"
-    publisher = node.create_publisher(Float64MultiArray if wrong else JointState, "joint_states", offered)
+    publisher = node.create_publisher(
+        Float64MultiArray if wrong else JointState, "joint_states", offered
+    )
 
     def take(message: Any) -> None:
         if driver.fault != "command_type":
             driver.command(list(message.name), list(message.effort), time.monotonic())
 
-    node.create_subscription(Float64MultiArray if driver.fault == "command_type" else JointState, "joint_commands", take, asked)
+    node.create_subscription(
+        Float64MultiArray if driver.fault == "command_type" else JointState,
+        "joint_commands",
+        take,
+        asked,
+    )
     executor = rclpy.executors.SingleThreadedExecutor()
     executor.add_node(node)
     print("ready", flush=True)

@@ -1,9 +1,11 @@
-"""A run's numbers computed a second time, from the bag alone, with rosbags and numpy and nothing of the package.
+"""A run's numbers computed a second time, from the bag alone, with rosbags and numpy
+and nothing of the package.
 
     python test/independent_numbers.py runs/latest/run.mcap
 
-prints them as JSON: the instants of the crossings, planned and true, the peak torque, the RMS of the true tracking error.
-The geometry is read from the controller's parameters in the bag's metadata record.
+prints them as JSON: the instants of the crossings, planned and true, the peak torque,
+the RMS of the true tracking error. The geometry is read from the controller's
+parameters in the bag's metadata record.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ NEAR = 0.1  # |s|
 
 
 def metadata(path: Path) -> dict[str, str]:
-    """The last metadata record ``dextar`` of an MCAP file: records are opcode, length, content; text has its length before it."""
+    """The last metadata record ``dextar`` of an MCAP file: records are opcode, length,
+    content; text has its length before it.
+    """
     data, place, found = path.read_bytes(), 8, {}
 
     def text(at: int) -> tuple[str, int]:
@@ -46,15 +50,21 @@ def metadata(path: Path) -> dict[str, str]:
 
 
 def geometry(parameters: str) -> dict[str, float]:
-    """Lengths in m and working mode from the flat YAML of the controller's parameters."""
+    """Lengths in m and working mode from the flat YAML of the controller's
+    parameters.
+    """
 
     def number(key: str) -> float:
         return float(re.search(rf"^robot\.{key}: (.*)$", parameters, re.MULTILINE)[1])
 
-    modes = re.search(r"^robot\.working_mode:((?:.|\n)*?)(?=^\w|\Z)", parameters, re.MULTILINE)[1]
+    modes = re.search(
+        r"^robot\.working_mode:((?:.|\n)*?)(?=^\w|\Z)", parameters, re.MULTILINE
+    )[1]
     return {
         "base": number("base_distance"),
-        "l1": np.array([number("left.proximal_length"), number("right.proximal_length")]),
+        "l1": np.array(
+            [number("left.proximal_length"), number("right.proximal_length")]
+        ),
         "l2": np.array([number("left.distal_length"), number("right.distal_length")]),
         "mode": np.array([float(sign) for sign in re.findall("-?1", modes)]),
     }
@@ -72,24 +82,43 @@ def joints_of(robot: dict, x: np.ndarray) -> np.ndarray:
     """Active joints (n, 2) in the working mode, by the law of cosines."""
     d_x, d_y = x[:, :1] - np.array([-0.5, 0.5]) * robot["base"], x[:, 1:]
     distance = np.hypot(d_x, d_y)
-    cosine = (distance**2 + robot["l1"] ** 2 - robot["l2"] ** 2) / (2.0 * robot["l1"] * distance)
+    cosine = (distance**2 + robot["l1"] ** 2 - robot["l2"] ** 2) / (
+        2.0 * robot["l1"] * distance
+    )
     return np.arctan2(d_y, d_x) + robot["mode"] * np.arccos(cosine)
 
 
-def quintic(time: float, knots: np.ndarray, x: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """The polynomial of degree five between two knots that meets position, velocity and acceleration at both."""
-    row = min(max(int(np.searchsorted(knots, time, side="right")) - 1, 0), len(knots) - 2)
+def quintic(
+    time: float, knots: np.ndarray, x: np.ndarray, v: np.ndarray, a: np.ndarray
+) -> np.ndarray:
+    """The polynomial of degree five between two knots that meets position, velocity and
+    acceleration at both.
+    """
+    row = min(
+        max(int(np.searchsorted(knots, time, side="right")) - 1, 0), len(knots) - 2
+    )
     h = knots[row + 1] - knots[row]
     u = (time - knots[row]) / h
-    start, end = (x[row], h * v[row], h * h * a[row]), (x[row + 1], h * v[row + 1], h * h * a[row + 1])
+    start, end = (
+        (x[row], h * v[row], h * h * a[row]),
+        (x[row + 1], h * v[row + 1], h * h * a[row + 1]),
+    )
     weights = [
-        1 - 10 * u**3 + 15 * u**4 - 6 * u**5, u - 6 * u**3 + 8 * u**4 - 3 * u**5, 0.5 * (u**2 - 3 * u**3 + 3 * u**4 - u**5),
-        10 * u**3 - 15 * u**4 + 6 * u**5, -4 * u**3 + 7 * u**4 - 3 * u**5, 0.5 * (u**3 - 2 * u**4 + u**5),
-    ]  # fmt: skip
-    return sum(weight * part for weight, part in zip(weights, (*start, *end), strict=True))
+        1 - 10 * u**3 + 15 * u**4 - 6 * u**5,
+        u - 6 * u**3 + 8 * u**4 - 3 * u**5,
+        0.5 * (u**2 - 3 * u**3 + 3 * u**4 - u**5),
+        10 * u**3 - 15 * u**4 + 6 * u**5,
+        -4 * u**3 + 7 * u**4 - 3 * u**5,
+        0.5 * (u**3 - 2 * u**4 + u**5),
+    ]
+    return sum(
+        weight * part for weight, part in zip(weights, (*start, *end), strict=True)
+    )
 
 
-def planned_instants(robot: dict, knots: np.ndarray, x: np.ndarray, v: np.ndarray, a: np.ndarray) -> list[float]:
+def planned_instants(
+    robot: dict, knots: np.ndarray, x: np.ndarray, v: np.ndarray, a: np.ndarray
+) -> list[float]:
     """Where s of the served trajectory changes sign, by bisection."""
 
     def s_at(time: float) -> float:
@@ -128,27 +157,58 @@ def numbers(path: Path) -> dict[str, object]:
     """Everything, under the names of ``metrics.json``."""
     robot = geometry(metadata(path)["parameters.controller"])
     topics = read(path)
-    busy = {stamp for stamp, message in topics["/criterion"] if pick(message, "position", "phase") in TRACKING}
+    busy = {
+        stamp
+        for stamp, message in topics["/criterion"]
+        if pick(message, "position", "phase") in TRACKING
+    }
     states = {}
     for stamp, message in topics["/controller_state"]:
         begun = message.points[0].time_from_start
         if stamp in busy:
-            states.setdefault(stamp, (stamp - begun.sec * 10**9 - begun.nanosec, message.points[0].positions))
+            states.setdefault(
+                stamp,
+                (
+                    stamp - begun.sec * 10**9 - begun.nanosec,
+                    message.points[0].positions,
+                ),
+            )
     last = states[max(states)][0]
-    ticks = sorted(stamp for stamp, (start, _) in states.items() if abs(start - last) < 10**6)
+    ticks = sorted(
+        stamp for stamp, (start, _) in states.items() if abs(start - last) < 10**6
+    )
     start = int(np.median([states[stamp][0] for stamp in ticks]))
 
-    served = [message for _, message in topics["/trajectory"] if len(message.points) > 1][-1].points
-    knots = np.array([(p.time_from_start.sec * 10**9 + p.time_from_start.nanosec) / 1e9 for p in served])
-    x = np.array([(p.transforms[0].translation.x, p.transforms[0].translation.y) for p in served])
+    served = [
+        message for _, message in topics["/trajectory"] if len(message.points) > 1
+    ][-1].points
+    knots = np.array(
+        [
+            (p.time_from_start.sec * 10**9 + p.time_from_start.nanosec) / 1e9
+            for p in served
+        ]
+    )
+    x = np.array(
+        [(p.transforms[0].translation.x, p.transforms[0].translation.y) for p in served]
+    )
     v = np.array([(p.velocities[0].linear.x, p.velocities[0].linear.y) for p in served])
-    a = np.array([(p.accelerations[0].linear.x, p.accelerations[0].linear.y) for p in served])
+    a = np.array(
+        [(p.accelerations[0].linear.x, p.accelerations[0].linear.y) for p in served]
+    )
     planned = planned_instants(robot, knots, x, v, a)
 
     commands = {}
     for stamp, message in topics["/joint_commands"]:
-        commands.setdefault(stamp, [pick(message, "effort", name) for name in ("q11", "q21")])
-    torque = np.array([commands[stamp] for stamp in sorted(commands) if ticks[0] <= stamp <= ticks[-1]])
+        commands.setdefault(
+            stamp, [pick(message, "effort", name) for name in ("q11", "q21")]
+        )
+    torque = np.array(
+        [
+            commands[stamp]
+            for stamp in sorted(commands)
+            if ticks[0] <= stamp <= ticks[-1]
+        ]
+    )
     result: dict[str, object] = {
         "start_stamp": start,
         "planned_time": planned,
@@ -158,9 +218,13 @@ def numbers(path: Path) -> dict[str, object]:
         return result
     place, joints = {}, {}
     for stamp, message in topics["/sim/end_effector"]:
-        place.setdefault(stamp, (message.pose.pose.position.x, message.pose.pose.position.y))
+        place.setdefault(
+            stamp, (message.pose.pose.position.x, message.pose.pose.position.y)
+        )
     for stamp, message in topics["/sim/joint_states"]:
-        joints.setdefault(stamp, [pick(message, "position", name) for name in ("q11", "q21")])
+        joints.setdefault(
+            stamp, [pick(message, "position", name) for name in ("q11", "q21")]
+        )
     known = [stamp for stamp in ticks if stamp in place and stamp in joints]
     errors = [np.hypot(*(states[stamp][1] - np.array(place[stamp]))) for stamp in known]
     result |= {
@@ -171,12 +235,31 @@ def numbers(path: Path) -> dict[str, object]:
 
     stamps = sorted(stamp for stamp in place if stamp in joints and stamp >= ticks[0])
     time = np.array([stamp - start for stamp in stamps]) * 1e-9
-    s = measure(robot, np.array([place[stamp] for stamp in stamps]), np.array([joints[stamp] for stamp in stamps]))
+    s = measure(
+        robot,
+        np.array([place[stamp] for stamp in stamps]),
+        np.array([joints[stamp] for stamp in stamps]),
+    )
     rows = np.flatnonzero((s[:-1] * s[1:] <= 0.0) & (s[:-1] != s[1:]))
-    zeros = time[rows] - s[rows] * (time[rows + 1] - time[rows]) / (s[rows + 1] - s[rows])
-    result["true_time"] = [float(zeros[np.abs(zeros - moment).argmin()]) for moment in planned] if len(zeros) else []
+    zeros = time[rows] - s[rows] * (time[rows + 1] - time[rows]) / (
+        s[rows + 1] - s[rows]
+    )
+    result["true_time"] = (
+        [float(zeros[np.abs(zeros - moment).argmin()]) for moment in planned]
+        if len(zeros)
+        else []
+    )
 
-    instants = np.array([stamp - start for stamp in sorted(commands) if ticks[0] <= stamp <= ticks[-1]]) * 1e-9
+    instants = (
+        np.array(
+            [
+                stamp - start
+                for stamp in sorted(commands)
+                if ticks[0] <= stamp <= ticks[-1]
+            ]
+        )
+        * 1e-9
+    )
     near = np.abs(np.interp(instants, time, s)) < NEAR
     result["peak_torque_near"] = float(np.abs(torque[near]).max())
     return result

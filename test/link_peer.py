@@ -1,4 +1,6 @@
-"""The processes at the two ends of a faulty link, as the tests start them: ``python link_peer.py ROLE ...``."""
+"""The processes at the two ends of a faulty link, as the tests start them: ``python
+link_peer.py ROLE ...``.
+"""
 
 from __future__ import annotations
 
@@ -15,32 +17,50 @@ DRAIN = 0.5  # s for what the relay has sent already
 
 
 def send(address: str, count: int) -> None:
-    """Numbered datagrams with the monotonic clock in them, which is the machine's and so the same at both ends."""
+    """Numbered datagrams with the monotonic clock in them, which is the machine's and
+    so the same at both ends.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         for number in range(count):
-            out.sendto(number.to_bytes(8, "big") + time.monotonic_ns().to_bytes(8, "big"), (address, PORT))
+            out.sendto(
+                number.to_bytes(8, "big") + time.monotonic_ns().to_bytes(8, "big"),
+                (address, PORT),
+            )
             time.sleep(GAP)
 
 
 def receive() -> None:
-    """Print (number, delay in ns) of each datagram in the order of arrival, once the standard input has ended."""
+    """Print (number, delay in ns) of each datagram in the order of arrival, once the
+    standard input has ended.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as inlet:
-        inlet.setsockopt(socket.SOL_SOCKET, 33, 8 << 20)  # SO_RCVBUFFORCE: nothing may be lost but on the link
+        inlet.setsockopt(
+            socket.SOL_SOCKET, 33, 8 << 20
+        )  # SO_RCVBUFFORCE: nothing may be lost but on the link
         inlet.bind(("", PORT))
         print("ready", flush=True)
         arrived = []
         waiting: list[object] = [inlet, sys.stdin]
-        while ready := select.select(waiting, [], [], None if sys.stdin in waiting else DRAIN)[0]:  # type: ignore[arg-type]
+        while ready := select.select(
+            waiting, [], [], None if sys.stdin in waiting else DRAIN
+        )[0]:  # type: ignore[arg-type]
             if inlet in ready:
                 data, now = inlet.recv(HEADER), time.monotonic_ns()
-                arrived.append((int.from_bytes(data[:8], "big"), now - int.from_bytes(data[8:], "big")))
+                arrived.append(
+                    (
+                        int.from_bytes(data[:8], "big"),
+                        now - int.from_bytes(data[8:], "big"),
+                    )
+                )
             elif sys.stdin in ready:
                 waiting.remove(sys.stdin)
         print(json.dumps(arrived))
 
 
 def publish(count: int) -> None:
-    """Numbered messages, reliable, once somebody reads them; until they are all acknowledged."""
+    """Numbered messages, reliable, once somebody reads them; until they are all
+    acknowledged.
+    """
     import rclpy
     from rclpy.duration import Duration
     from rclpy.qos import QoSProfile
@@ -67,7 +87,12 @@ def subscribe(count: int) -> None:
     rclpy.init()
     node = rclpy.create_node("listener")
     numbers: list[int] = []
-    node.create_subscription(UInt64, "numbers", lambda message: numbers.append(message.data), QoSProfile(depth=count))
+    node.create_subscription(
+        UInt64,
+        "numbers",
+        lambda message: numbers.append(message.data),
+        QoSProfile(depth=count),
+    )
     while not numbers or numbers[-1] != count - 1:
         rclpy.spin_once(node, timeout_sec=0.1)
     print(json.dumps(numbers), flush=True)
@@ -76,7 +101,7 @@ def subscribe(count: int) -> None:
 
 def hold() -> None:
     """Own a link with a process on one side until killed."""
-    from dextar_control.faults.netns import FaultyLink
+    from dextar_control.experiments.faults.netns import FaultyLink
 
     with FaultyLink() as link:
         inner = link.popen("a", ["sleep", "1000"])
@@ -85,5 +110,13 @@ def hold() -> None:
 
 
 if __name__ == "__main__":
-    ROLES = {"send": send, "receive": receive, "publish": publish, "subscribe": subscribe, "hold": hold}
-    ROLES[sys.argv[1]](*(int(text) if text.isdigit() else text for text in sys.argv[2:]))  # type: ignore[operator]
+    ROLES = {
+        "send": send,
+        "receive": receive,
+        "publish": publish,
+        "subscribe": subscribe,
+        "hold": hold,
+    }
+    ROLES[sys.argv[1]](
+        *(int(text) if text.isdigit() else text for text in sys.argv[2:])
+    )  # type: ignore[operator]

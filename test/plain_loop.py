@@ -1,4 +1,6 @@
-"""plan -> estimate -> control -> plant in a plain ``for``, for a robot of any mechanism; exact, or PyBullet's bodies."""
+"""plan -> estimate -> control -> plant in a plain ``for``, for a robot of any
+mechanism; exact, or PyBullet's bodies.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ TURN = 2.0 * np.pi / 2**17  # rad, of an encoder's count
 
 
 class ExactPlant:
-    """The mechanism's own forward dynamics, regular on the Type 2 locus, at rest in x (n,); joints through an encoder."""
+    """The mechanism's own forward dynamics, regular on the Type 2 locus, at rest in x
+    (n,); joints through an encoder.
+    """
 
     def __init__(self, robot: Robot, x: np.ndarray, resolution: float = TURN) -> None:
         self.model, self.resolution = Model.of(robot), resolution
@@ -32,7 +36,9 @@ class ExactPlant:
 
     def joints(self) -> np.ndarray:
         """(n,) as the encoders count them."""
-        return np.round(self.model.place(self.x).q_a / self.resolution) * self.resolution
+        return (
+            np.round(self.model.place(self.x).q_a / self.resolution) * self.resolution
+        )
 
     def turn(self, blocks: tuple[int, ...]) -> None:
         """The velocity along t_s of these blocks of A_r turns round."""
@@ -40,9 +46,17 @@ class ExactPlant:
 
     def step(self, tau: np.ndarray) -> None:
         """One period under torques (n,)."""
+
         def rate(state: np.ndarray) -> np.ndarray:
             x, x_dot = np.split(state, 2)
-            return np.concatenate([x_dot, self.model.platform_dynamics(self.model.place(x).q_a, x, x_dot, tau).x_ddot])
+            return np.concatenate(
+                [
+                    x_dot,
+                    self.model.platform_dynamics(
+                        self.model.place(x).q_a, x, x_dot, tau
+                    ).x_ddot,
+                ]
+            )
 
         state, h = np.concatenate([self.x, self.x_dot]), PERIOD / SUBSTEPS
         for _ in range(SUBSTEPS):
@@ -62,7 +76,13 @@ class PyBulletPlant:
 
     def __init__(self, robot: Robot, x: np.ndarray, resolution: float = TURN) -> None:
         self.model, self.resolution = Model.of(robot), resolution
-        self._plant = BodyPlant(robot.mechanism, robot.numbers, period=PERIOD, substeps=SUBSTEPS, max_torque=robot.max_torque)
+        self._plant = BodyPlant(
+            robot.mechanism,
+            robot.numbers,
+            period=PERIOD,
+            substeps=SUBSTEPS,
+            max_torque=robot.max_torque,
+        )
         self.close = self._plant.close
         self._plant.reset(x)
 
@@ -85,7 +105,9 @@ class PyBulletPlant:
         self._plant.step(tau)
 
 
-def _turned(model: Model, x: np.ndarray, x_dot: np.ndarray, blocks: tuple[int, ...]) -> np.ndarray:
+def _turned(
+    model: Model, x: np.ndarray, x_dot: np.ndarray, blocks: tuple[int, ...]
+) -> np.ndarray:
     t_s = model.place(x).t_s.reshape(model.n, -1)[:, list(blocks)]
     return x_dot - 2.0 * t_s @ (t_s.T @ x_dot)
 
@@ -103,7 +125,9 @@ class Run(NamedTuple):
     @property
     def s(self) -> np.ndarray:
         """True, of the nearest block."""
-        return self.s_blocks[np.arange(len(self.s_blocks)), np.abs(self.s_blocks).argmin(axis=1)]
+        return self.s_blocks[
+            np.arange(len(self.s_blocks)), np.abs(self.s_blocks).argmin(axis=1)
+        ]
 
     @property
     def error(self) -> np.ndarray:
@@ -127,30 +151,54 @@ class Run(NamedTuple):
 
 
 def drive(
-    robot: Robot, plan: Plan, built: Robot | None = None, resolution: float = TURN, *, turned: float | None = None,
-    turned_blocks: tuple[int, ...] = (0,), plant_of: type[ExactPlant] | type[PyBulletPlant] = ExactPlant, **changes: object,
-) -> Run:  # fmt: skip
-    """One trip of a robot as built, in the hands of a controller that knows it as ``robot``; over where a leg passes Type 1.
+    robot: Robot,
+    plan: Plan,
+    built: Robot | None = None,
+    resolution: float = TURN,
+    *,
+    turned: float | None = None,
+    turned_blocks: tuple[int, ...] = (0,),
+    plant_of: type[ExactPlant] | type[PyBulletPlant] = ExactPlant,
+    **changes: object,
+) -> Run:
+    """One trip of a robot as built, in the hands of a controller that knows it as
+    ``robot``; over where a leg passes Type 1.
 
     Args:
-        turned: moment, s, at which a blow turns the motion along t_s round, which the joints do not show on the locus.
+        turned: moment, s, at which a blow turns the motion along t_s round, which the
+            joints do not show on the locus.
         turned_blocks: of A_r, whose motion that is.
         plant_of: what makes the plant.
     """
     start = plan.trajectory.at(0.0).x
     plant = plant_of(built or robot, start, resolution)
     s = float(plant.model.place(start).s[0])
-    loop = ControlLoop(robot, default_settings(estimator="observer", **changes), 1 if s > 0.0 else -1, near=start)
+    loop = ControlLoop(
+        robot,
+        default_settings(estimator="observer", **changes),
+        1 if s > 0.0 else -1,
+        near=start,
+    )
     loop.accept(plan.trajectory)
     rows = []
     for k in range(round((plan.trajectory.duration + AFTER) / PERIOD)):
         q_a = plant.joints()
-        if not np.isfinite(q_a).all():  # through Type 1, where the model of this working mode ends
+        if not np.isfinite(
+            q_a
+        ).all():  # through Type 1, where the model of this working mode ends
             break
         tau = loop.step(k * PERIOD, q_a)
         tick = loop.tick
         assert tick is not None
-        rows.append([plant.x, tick.reference.x, tick.estimate.x, plant.model.place(plant.x).s_blocks, tau])
+        rows.append(
+            [
+                plant.x,
+                tick.reference.x,
+                tick.estimate.x,
+                plant.model.place(plant.x).s_blocks,
+                tau,
+            ]
+        )
         rows[-1] = [np.array(part) for part in rows[-1]]
         if turned is not None and abs(k * PERIOD - turned) < 0.5 * PERIOD:
             plant.turn(turned_blocks)
@@ -172,6 +220,10 @@ def example(name: str) -> Any:
 
 def heavier(robot: Robot, share: float) -> Robot:
     """The robot with all its masses and inertias times a share."""
-    return robot.replace(**{
-        key: share * value for key, value in robot.numbers.items() if key.endswith(("mass", "inertia"))
-    })  # fmt: skip
+    return robot.replace(
+        **{
+            key: share * value
+            for key, value in robot.numbers.items()
+            if key.endswith(("mass", "inertia"))
+        }
+    )

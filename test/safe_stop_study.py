@@ -1,4 +1,5 @@
-"""Stops a robot at several hundred instants of its crossings and tells what became of it, as a table and a figure.
+"""Stops a robot at several hundred instants of its crossings and tells what became of
+it, as a table and a figure.
 
     python test/safe_stop_study.py --output runs/safe_stop
 
@@ -34,11 +35,16 @@ from dextar_sim.rig import Rig
 
 Answer = TypeVar("Answer")
 TRIPS = {"fast": 0.33, "slow": 2.0}  # s of one way
-TRIGGERS = ("stop", "watch")  # somebody's request; a watch that trips (the tracking error's)
+TRIGGERS = (
+    "stop",
+    "watch",
+)  # somebody's request; a watch that trips (the tracking error's)
 DWELL = 0.2  # s at rest before, between and after the ways
 PER_WAY = 26  # instants over each way, and as many again over its phase CROSSING
 AFTER = 0.1  # s for which a stopped robot is looked at
-REST = 0.02  # m/s of the end effector below which it rests: half of what the joints' 0.1 rad/s may leave it at |s| = 0.2
+# m/s of the end effector below which it rests: half of what the joints' 0.1 rad/s may
+# leave it at |s| = 0.2
+REST = 0.02
 
 
 class Row(NamedTuple):
@@ -53,7 +59,8 @@ class Row(NamedTuple):
     finished: bool  # the crossing went on first
     peak_torque: float  # N m, after the instant
     limit: float  # of it, N m
-    pushed: float  # energy that the safe stop's torque gave the robot instead of taking it, J
+    # energy that the safe stop's torque gave the robot instead of taking it, J
+    pushed: float
     taken: float  # and that it took, J
     distance: float  # run by the end effector, m
     rest_time: float  # to a true speed below REST for good; nan for never
@@ -67,7 +74,9 @@ class Row(NamedTuple):
 
 
 def branch(function: Callable[[], Answer]) -> Answer:
-    """What a function returns, computed in a copy of this process: nothing here changes."""
+    """What a function returns, computed in a copy of this process: nothing here
+    changes.
+    """
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -84,17 +93,31 @@ def branch(function: Callable[[], Answer]) -> Answer:
 
 
 def instants(plan: Plan, count: int) -> list[tuple[float, str]]:
-    """Evenly spaced over each way, and again over the part of it in which |s| < 0.4, s."""
+    """Evenly spaced over each way, and again over the part of it in which |s| < 0.4,
+    s.
+    """
     profile, found = plan.certificate.profile, []
     half = 0.5 * plan.trajectory.duration
-    for way, span in (("out", (DWELL, half - 0.5 * DWELL)), ("back", (half + 0.5 * DWELL, 2.0 * half - DWELL))):
-        near = profile.time[(np.abs(profile.s) < 0.4) & (profile.time > span[0]) & (profile.time < span[1])]
+    for way, span in (
+        ("out", (DWELL, half - 0.5 * DWELL)),
+        ("back", (half + 0.5 * DWELL, 2.0 * half - DWELL)),
+    ):
+        near = profile.time[
+            (np.abs(profile.s) < 0.4)
+            & (profile.time > span[0])
+            & (profile.time < span[1])
+        ]
         for low, high in (span, (near[0], near[-1])):
-            found += [(float(time), way) for time in low + (high - low) * (np.arange(count) + 0.5) / count]
+            found += [
+                (float(time), way)
+                for time in low + (high - low) * (np.arange(count) + 0.5) / count
+            ]
     return sorted(found)
 
 
-def stopped(rig: Rig, loop: ControlLoop, trigger: str, crossing: float, names: tuple[str, str]) -> Row:
+def stopped(
+    rig: Rig, loop: ControlLoop, trigger: str, crossing: float, names: tuple[str, str]
+) -> Row:
     """One stop, from now on."""
     model, truth = loop.model, rig.truth()
     begin, s = rig.time, s_of(model, truth.x)
@@ -110,7 +133,14 @@ def stopped(rig: Rig, loop: ControlLoop, trigger: str, crossing: float, names: t
         sample, truth = rig.read(), rig.truth()
         assert sample is not None
         tau = loop.step(sample.time, sample.q_a)
-        rows.append([rig.time - begin, *truth.x, float(np.hypot(*truth.x_dot)), float(np.abs(tau).max())])
+        rows.append(
+            [
+                rig.time - begin,
+                *truth.x,
+                float(np.hypot(*truth.x_dot)),
+                float(np.abs(tau).max()),
+            ]
+        )
         if loop.phase is Phase.SAFE_STOP:
             power.append(float(tau @ truth.q_a_dot))
         if np.isnan(over) and loop.stopped is not None:
@@ -118,22 +148,49 @@ def stopped(rig: Rig, loop: ControlLoop, trigger: str, crossing: float, names: t
         rig.write(tau)
     table, tick = np.array(rows), loop.tick
     assert tick is not None
-    moving, pushing = np.flatnonzero(table[:, 3] >= REST), np.flatnonzero(table[:, 4] > 0.0)
+    moving, pushing = (
+        np.flatnonzero(table[:, 3] >= REST),
+        np.flatnonzero(table[:, 4] > 0.0),
+    )
     end_s = s_of(model, table[-1, 1:3])
     last = int(moving[-1]) + 1 if len(moving) else 0
-    pushed, taken = (rig.period * float(np.maximum(sign * np.array(power), 0.0).sum()) for sign in (1.0, -1.0))
+    pushed, taken = (
+        rig.period * float(np.maximum(sign * np.array(power), 0.0).sum())
+        for sign in (1.0, -1.0)
+    )
     return Row(
-        *names, trigger, begin - crossing, s, float(table[0, 3]), finished, float(table[:, 4].max()), limit, pushed, taken,
-        float(np.hypot(*np.diff(table[:, 1:3], axis=0).T).sum()), float(table[last, 0]) if last < len(table) else np.nan,
-        float(table[pushing[-1], 0]) if len(pushing) else 0.0, float(over - begin), end_s, float(table[-1, 3]),
-        loop.reason.rpartition("; ")[2], loop.mode_known, tick.assembly_mode * end_s > 0.0,
-    )  # fmt: skip
+        *names,
+        trigger,
+        begin - crossing,
+        s,
+        float(table[0, 3]),
+        finished,
+        float(table[:, 4].max()),
+        limit,
+        pushed,
+        taken,
+        float(np.hypot(*np.diff(table[:, 1:3], axis=0).T).sum()),
+        float(table[last, 0]) if last < len(table) else np.nan,
+        float(table[pushing[-1], 0]) if len(pushing) else 0.0,
+        float(over - begin),
+        end_s,
+        float(table[-1, 3]),
+        loop.reason.rpartition("; ")[2],
+        loop.mode_known,
+        tick.assembly_mode * end_s > 0.0,
+    )
 
 
 def study(
-    robot: RobotParameters, count: int = PER_WAY, plant: str = "pybullet", *, alternate: bool = False,
-    built: dict[str, float] | None = None, delay: float = 0.0, **changes: Any,
-) -> list[Row]:  # fmt: skip
+    robot: RobotParameters,
+    count: int = PER_WAY,
+    plant: str = "pybullet",
+    *,
+    alternate: bool = False,
+    built: dict[str, float] | None = None,
+    delay: float = 0.0,
+    **changes: Any,
+) -> list[Row]:
     """All stops: both trips, both ways, at each instant both triggers, or one in turn.
 
     Args:
@@ -143,10 +200,18 @@ def study(
     """
     task, rows = node_defaults("trajectory_server"), []
     for trip, duration in TRIPS.items():
-        plan = plan_return_trip(robot, np.array(task["task.start"]), np.array(task["task.goal"]), duration, DWELL)
+        plan = plan_return_trip(
+            robot,
+            np.array(task["task.start"]),
+            np.array(task["task.goal"]),
+            duration,
+            DWELL,
+        )
         rig = Rig(robot.replace(**(built or {})), plant=plant, command_delay=delay)
         loop = ControlLoop(robot, default_settings(**changes), 1)
-        rig.reset_joints(loop.model.inverse_geometric_model(plan.trajectory.at(0.0).x), 1)
+        rig.reset_joints(
+            loop.model.inverse_geometric_model(plan.trajectory.at(0.0).x), 1
+        )
         loop.accept(plan.trajectory)
         waiting = instants(plan, count)
         while waiting:
@@ -154,7 +219,10 @@ def study(
             if rig.time >= time - 1e-9:
                 crossing = float(plan.certificate.crossing_times[int(way == "back")])
                 chosen = TRIGGERS if not alternate else TRIGGERS[len(rows) % 2 :][:1]
-                rows += [branch(partial(stopped, rig, loop, trigger, crossing, (trip, way))) for trigger in chosen]
+                rows += [
+                    branch(partial(stopped, rig, loop, trigger, crossing, (trip, way)))
+                    for trigger in chosen
+                ]
                 waiting.pop(0)
                 continue
             sample = rig.read()
@@ -165,43 +233,89 @@ def study(
 
 
 def summarise(rows: list[Row]) -> list[list[str]]:
-    """Of each trip, trigger and place of the trigger: how many, and the worst of them."""
+    """Of each trip, trigger and place of the trigger: how many, and the worst of
+    them.
+    """
     table = []
-    places = (("|s| >= 0.4", 0.4, 9.0), ("0.2 to 0.4", 0.2, 0.4), ("|s| < 0.2", 0.0, 0.2))
+    places = (
+        ("|s| >= 0.4", 0.4, 9.0),
+        ("0.2 to 0.4", 0.2, 0.4),
+        ("|s| < 0.2", 0.0, 0.2),
+    )
     for trip in TRIPS:
         for trigger in TRIGGERS:
             for name, low, high in places:
-                group = [row for row in rows if (row.trip, row.trigger) == (trip, trigger) and low <= abs(row.s) < high]
+                group = [
+                    row
+                    for row in rows
+                    if (row.trip, row.trigger) == (trip, trigger)
+                    and low <= abs(row.s) < high
+                ]
                 if not group:
                     continue
-                table.append([
-                    trip, trigger, name, str(len(group)), f"{max(row.peak_torque for row in group):.3f}",
-                    f"{1e3 * np.median([row.distance for row in group]):.0f} / {1e3 * max(row.distance for row in group):.0f}",
-                    f"{np.median([row.rest_time for row in group]):.2f} / {max(row.rest_time for row in group):.2f}",
-                    f"{max(row.over_time for row in group):.2f}",
-                    f"{min(abs(row.end_s) for row in group):.2f}",
-                    f"{sum(abs(row.end_s) < 0.2 for row in group)}", f"{max(row.end_speed for row in group):.4f}",
-                    f"{sum(row.side_known for row in group)}", f"{sum(row.side_known and not row.side_right for row in group)}",
-                ])  # fmt: skip
+                table.append(
+                    [
+                        trip,
+                        trigger,
+                        name,
+                        str(len(group)),
+                        f"{max(row.peak_torque for row in group):.3f}",
+                        (
+                            f"{1e3 * np.median([row.distance for row in group]):.0f} /"
+                            f" {1e3 * max(row.distance for row in group):.0f}"
+                        ),
+                        (
+                            f"{np.median([row.rest_time for row in group]):.2f} /"
+                            f" {max(row.rest_time for row in group):.2f}"
+                        ),
+                        f"{max(row.over_time for row in group):.2f}",
+                        f"{min(abs(row.end_s) for row in group):.2f}",
+                        f"{sum(abs(row.end_s) < 0.2 for row in group)}",
+                        f"{max(row.end_speed for row in group):.4f}",
+                        f"{sum(row.side_known for row in group)}",
+                        (
+                            f"{sum(row.side_known and not row.side_right for row in group)}"
+                        ),
+                    ]
+                )
     return table
 
 
-HEAD = ["trip", "trigger", "where", "stops", "peak N m", "distance mm", "rest s", "over s", "least |s|", "left < 0.2", "speed",
-        "side known", "wrong"]  # fmt: skip
+HEAD = [
+    "trip",
+    "trigger",
+    "where",
+    "stops",
+    "peak N m",
+    "distance mm",
+    "rest s",
+    "over s",
+    "least |s|",
+    "left < 0.2",
+    "speed",
+    "side known",
+    "wrong",
+]
 
 
 def draw(rows: list[Row], path: Path) -> None:
-    """Over the instant of the stop: largest torque, distance run, time to rest, |s| at the end."""
+    """Over the instant of the stop: largest torque, distance run, time to rest, |s| at
+    the end.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(4, 4, figsize=(13, 9), sharey="row", sharex="col", constrained_layout=True)
+    figure, axes = plt.subplots(
+        4, 4, figsize=(13, 9), sharey="row", sharex="col", constrained_layout=True
+    )
     quantities = (
-        ("largest torque (N m)", lambda row: row.peak_torque), ("distance run (mm)", lambda row: 1e3 * row.distance),
-        ("time to rest (s)", lambda row: row.rest_time), ("|s| at the end", lambda row: abs(row.end_s)),
-    )  # fmt: skip
+        ("largest torque (N m)", lambda row: row.peak_torque),
+        ("distance run (mm)", lambda row: 1e3 * row.distance),
+        ("time to rest (s)", lambda row: row.rest_time),
+        ("|s| at the end", lambda row: abs(row.end_s)),
+    )
     columns = [(trip, way) for trip in TRIPS for way in ("out", "back")]
     for column, (trip, way) in enumerate(columns):
         axes[0, column].set_title(f"{trip}, {way}")
@@ -209,13 +323,32 @@ def draw(rows: list[Row], path: Path) -> None:
         axes[-1, column].xaxis.set_major_locator(plt.MaxNLocator(4))
         for line, (label, value) in enumerate(quantities):
             axis = axes[line, column]
-            for trigger, marker, colour in (("stop", "o", "black"), ("watch", "x", "0.5")):
-                group = [row for row in rows if (row.trip, row.way, row.trigger) == (trip, way, trigger)]
-                axis.plot([row.time for row in group], [value(row) for row in group], marker, color=colour, ms=4, label=trigger)
+            for trigger, marker, colour in (
+                ("stop", "o", "black"),
+                ("watch", "x", "0.5"),
+            ):
+                group = [
+                    row
+                    for row in rows
+                    if (row.trip, row.way, row.trigger) == (trip, way, trigger)
+                ]
+                axis.plot(
+                    [row.time for row in group],
+                    [value(row) for row in group],
+                    marker,
+                    color=colour,
+                    ms=4,
+                    label=trigger,
+                )
             if column == 0:
                 axis.set_ylabel(label)
             if line == 0:
-                axis.axhline(rows[0].limit if trip == "fast" else rows[-1].limit, color="0.6", lw=0.8, ls="--")
+                axis.axhline(
+                    rows[0].limit if trip == "fast" else rows[-1].limit,
+                    color="0.6",
+                    lw=0.8,
+                    ls="--",
+                )
             if line == 3:
                 axis.axhspan(0.0, 0.2, color="0.9", zorder=0)
     axes[0, 0].legend(loc="best", fontsize=8)
@@ -232,27 +365,52 @@ def _value(text: str) -> float | str:
 
 def main() -> int:
     """Console entry."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--output", type=Path, help="folder for stops.csv and figure.png")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--output", type=Path, help="folder for stops.csv and figure.png"
+    )
     parser.add_argument("--json", action="store_true", help="the rows as JSON alone")
-    parser.add_argument("--count", type=int, default=PER_WAY, help="instants over a way, and again over its crossing")
-    parser.add_argument("--alternate", action="store_true", help="one trigger at each instant, in turn")
+    parser.add_argument(
+        "--count",
+        type=int,
+        default=PER_WAY,
+        help="instants over a way, and again over its crossing",
+    )
+    parser.add_argument(
+        "--alternate", action="store_true", help="one trigger at each instant, in turn"
+    )
     parser.add_argument("--plant", default="pybullet", help="pybullet or cartesian")
     parser.add_argument("--delay", type=float, default=0.0, help="of the commands, s")
-    names = (("set", "a setting of the controller"), ("built", "a number of the true robot: left.coulomb_friction=0.05"))
+    names = (
+        ("set", "a setting of the controller"),
+        ("built", "a number of the true robot: left.coulomb_friction=0.05"),
+    )
     for name, what in names:
-        parser.add_argument(f"--{name}", action="append", default=[], metavar="NAME=VALUE", help=what)
+        parser.add_argument(
+            f"--{name}", action="append", default=[], metavar="NAME=VALUE", help=what
+        )
     chosen = parser.parse_args()
     changes, built = (
-        {name: _value(text) for name, _, text in (item.partition("=") for item in items)} for items in (chosen.set, chosen.built)
+        {
+            name: _value(text)
+            for name, _, text in (item.partition("=") for item in items)
+        }
+        for items in (chosen.set, chosen.built)
     )
     unknown = sorted(set(changes) - set(Settings.__dataclass_fields__))
     if unknown:
         parser.error(f"unknown setting '{unknown[0]}'")
     rows = study(
-        load_robot(config_file(ROBOT_FILE)), chosen.count, chosen.plant, alternate=chosen.alternate, built=built,
-        delay=chosen.delay, **changes,
-    )  # fmt: skip
+        load_robot(config_file(ROBOT_FILE)),
+        chosen.count,
+        chosen.plant,
+        alternate=chosen.alternate,
+        built=built,
+        delay=chosen.delay,
+        **changes,
+    )
     if chosen.json:
         json.dump([row._asdict() for row in rows], sys.stdout, default=float)
         return 0

@@ -1,7 +1,8 @@
 """A run made by hand, whose numbers are known without the code under test.
 
-On the axis x = 0 the symmetric robot is stretched where both elbows are level with the end effector:
-y = sqrt(l1^2 - (l2 - d/2)^2). The end effector goes A -> B -> A as y = 0.0825 + 0.0225 cos(2 pi t).
+On the axis x = 0 the symmetric robot is stretched where both elbows are level with the
+end effector: y = sqrt(l1^2 - (l2 - d/2)^2). The end effector goes A -> B -> A as y =
+0.0825 + 0.0225 cos(2 pi t).
 """
 
 from __future__ import annotations
@@ -44,23 +45,33 @@ def message(name: str, /, **fields: object) -> object:
 
 
 def _time(stamp: int) -> object:
-    return message("builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
+    return message(
+        "builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9
+    )
 
 
 def _duration(seconds: float) -> object:
     total = round(seconds * 1e9)
-    return message("builtin_interfaces/msg/Duration", sec=total // 10**9, nanosec=total % 10**9)
+    return message(
+        "builtin_interfaces/msg/Duration", sec=total // 10**9, nanosec=total % 10**9
+    )
 
 
 def _header(stamp: int) -> object:
     return message("std_msgs/msg/Header", stamp=_time(stamp), frame_id="base")
 
 
-def joint_state(stamp: int, names: list[str], position=(), velocity=(), effort=()) -> object:
+def joint_state(
+    stamp: int, names: list[str], position=(), velocity=(), effort=()
+) -> object:
     return message(
-        "sensor_msgs/msg/JointState", header=_header(stamp), name=names,
-        position=np.array(position, float), velocity=np.array(velocity, float), effort=np.array(effort, float),
-    )  # fmt: skip
+        "sensor_msgs/msg/JointState",
+        header=_header(stamp),
+        name=names,
+        position=np.array(position, float),
+        velocity=np.array(velocity, float),
+        effort=np.array(effort, float),
+    )
 
 
 def _vector(x: float, y: float) -> object:
@@ -72,7 +83,9 @@ def _quaternion() -> object:
 
 
 def _twist(x: float, y: float) -> object:
-    return message("geometry_msgs/msg/Twist", linear=_vector(x, y), angular=_vector(0, 0))
+    return message(
+        "geometry_msgs/msg/Twist", linear=_vector(x, y), angular=_vector(0, 0)
+    )
 
 
 def _served(times: np.ndarray) -> object:
@@ -83,7 +96,11 @@ def _served(times: np.ndarray) -> object:
             message(
                 "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint",
                 transforms=[
-                    message("geometry_msgs/msg/Transform", translation=_vector(0, y), rotation=_quaternion())
+                    message(
+                        "geometry_msgs/msg/Transform",
+                        translation=_vector(0, y),
+                        rotation=_quaternion(),
+                    )
                 ],
                 velocities=[_twist(0, y_dot)],
                 accelerations=[_twist(0, y_ddot)],
@@ -91,7 +108,10 @@ def _served(times: np.ndarray) -> object:
             )
         )
     return message(
-        "trajectory_msgs/msg/MultiDOFJointTrajectory", header=_header(0), joint_names=["end_effector"], points=points
+        "trajectory_msgs/msg/MultiDOFJointTrajectory",
+        header=_header(0),
+        joint_names=["end_effector"],
+        points=points,
     )
 
 
@@ -115,23 +135,41 @@ def joints_of(y: float) -> tuple[float, float]:
 
 def _odometry(stamp: int, y: float, y_dot: float) -> object:
     pose = message(
-        "geometry_msgs/msg/Pose", position=message("geometry_msgs/msg/Point", x=0.0, y=y, z=0.0), orientation=_quaternion()
+        "geometry_msgs/msg/Pose",
+        position=message("geometry_msgs/msg/Point", x=0.0, y=y, z=0.0),
+        orientation=_quaternion(),
     )
     covariance = np.zeros(36)
     return message(
-        "nav_msgs/msg/Odometry", header=_header(stamp), child_frame_id="base",
-        pose=message("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance),
-        twist=message("geometry_msgs/msg/TwistWithCovariance", twist=_twist(0, y_dot), covariance=covariance),
-    )  # fmt: skip
+        "nav_msgs/msg/Odometry",
+        header=_header(stamp),
+        child_frame_id="base",
+        pose=message(
+            "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance
+        ),
+        twist=message(
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=_twist(0, y_dot),
+            covariance=covariance,
+        ),
+    )
 
 
-def _controller_state(stamp: int, time: float, y: float, y_dot: float, y_ddot: float) -> object:
+def _controller_state(
+    stamp: int, time: float, y: float, y_dot: float, y_ddot: float
+) -> object:
     def point(positions=(), velocities=(), accelerations=(), effort=()) -> object:
-        arrays = {"positions": positions, "velocities": velocities, "accelerations": accelerations, "effort": effort}
+        arrays = {
+            "positions": positions,
+            "velocities": velocities,
+            "accelerations": accelerations,
+            "effort": effort,
+        }
         return message(
-            "trajectory_msgs/msg/JointTrajectoryPoint", time_from_start=_duration(time),
+            "trajectory_msgs/msg/JointTrajectoryPoint",
+            time_from_start=_duration(time),
             **{key: np.array(value, float) for key, value in arrays.items()},
-        )  # fmt: skip
+        )
 
     points = [
         point((0, y), (0, y_dot), (0, y_ddot)),
@@ -139,27 +177,48 @@ def _controller_state(stamp: int, time: float, y: float, y_dot: float, y_ddot: f
         point((0, 2e-5), (0, 0)),
         point(accelerations=(0, y_ddot), effort=(0, 1)),
     ]
-    return message("trajectory_msgs/msg/JointTrajectory", header=_header(stamp), joint_names=["x", "y"], points=points)
+    return message(
+        "trajectory_msgs/msg/JointTrajectory",
+        header=_header(stamp),
+        joint_names=["x", "y"],
+        points=points,
+    )
 
 
 def _diagnostics(node: str, words: str, values: dict[str, str]) -> object:
-    pairs = [message("diagnostic_msgs/msg/KeyValue", key=key, value=value) for key, value in values.items()]
+    pairs = [
+        message("diagnostic_msgs/msg/KeyValue", key=key, value=value)
+        for key, value in values.items()
+    ]
     status = message(
-        "diagnostic_msgs/msg/DiagnosticStatus", level=0, name=f"/{node}", message=words, hardware_id="", values=pairs
+        "diagnostic_msgs/msg/DiagnosticStatus",
+        level=0,
+        name=f"/{node}",
+        message=words,
+        hardware_id="",
+        values=pairs,
     )
-    return message("diagnostic_msgs/msg/DiagnosticArray", header=_header(START), status=[status])
+    return message(
+        "diagnostic_msgs/msg/DiagnosticArray", header=_header(START), status=[status]
+    )
 
 
 def effort_at(tick: int) -> tuple[float, float]:
     """One peak far from the locus, one at the tick of the first crossing."""
     if tick == 0:
         return FAR_TORQUE, 0.0
-    return (-NEAR_TORQUE, 0.0) if tick == round(1e3 * CROSSINGS[0]) else (-BASE_TORQUE, 0.0)
+    return (
+        (-NEAR_TORQUE, 0.0)
+        if tick == round(1e3 * CROSSINGS[0])
+        else (-BASE_TORQUE, 0.0)
+    )
 
 
 def said_at(time: float, says: tuple[int, int]) -> tuple[float, float]:
     """(confidence, verdict on the crossing that began last)."""
-    begun = [index for index, crossing in enumerate(CROSSINGS) if time >= crossing - 0.02]
+    begun = [
+        index for index, crossing in enumerate(CROSSINGS) if time >= crossing - 0.02
+    ]
     if not begun:
         return 1.0, 0.0
     decided = time >= CROSSINGS[begun[-1]] + DECIDED
@@ -167,14 +226,21 @@ def said_at(time: float, says: tuple[int, int]) -> tuple[float, float]:
 
 
 def write_run(
-    file: Path, *, bounce: bool = False, truth: bool = True, phase: int = 3, last_phase: int = 1, close: bool = True,
+    file: Path,
+    *,
+    bounce: bool = False,
+    truth: bool = True,
+    phase: int = 3,
+    last_phase: int = 1,
+    close: bool = True,
     says: tuple[int, int] | None = (1, 1),
-) -> BagWriter:  # fmt: skip
+) -> BagWriter:
     """Record the run.
 
     Args:
         bounce: the end effector is reflected at the locus instead of passing it.
-        says: the estimator's verdicts; None records none, as bags did before there were any.
+        says: the estimator's verdicts; None records none, as bags did before there were
+            any.
     """
     writer = BagWriter(file)
     clock = [START]
@@ -184,14 +250,23 @@ def write_run(
         if not writer.has_topic(topic):
             writer.add_topic(topic, kind, [])
         clock[0] += 1000
-        writer.add(Sample(clock[0], topic, clock[0], 1, bytes(TYPES.serialize_cdr(content, kind))))
+        writer.add(
+            Sample(
+                clock[0], topic, clock[0], 1, bytes(TYPES.serialize_cdr(content, kind))
+            )
+        )
 
-    flat = {f"robot.{key}": list(value) if isinstance(value, tuple) else value for key, value in flatten(robot()).items()}
+    flat = {
+        f"robot.{key}": list(value) if isinstance(value, tuple) else value
+        for key, value in flatten(robot()).items()
+    }
     counts = {"/joint_states": {"received": TICKS, "lost": 2, "dropped": 1}}
     record = {
         "version": "9.9",
         "topics": json.dumps(counts),
-        "parameters.controller": yaml.safe_dump({"law": "consistent", "estimator": "observer", **flat}),
+        "parameters.controller": yaml.safe_dump(
+            {"law": "consistent", "estimator": "observer", **flat}
+        ),
     }
     writer.add_metadata("dextar", record)
     put("/trajectory", _served(np.arange(TICKS) * 1e-3))
@@ -202,13 +277,26 @@ def write_run(
         if bounce and y_true < LOCUS:
             y_true = 2.0 * LOCUS - y_true
         q_a = joints_of(y_true)
-        put("/joint_states", joint_state(stamp, ["q21", "q11"], q_a[::-1], (0, 0), (0, 0)))
+        put(
+            "/joint_states",
+            joint_state(stamp, ["q21", "q11"], q_a[::-1], (0, 0), (0, 0)),
+        )
         if tick not in MISSED:
-            put("/joint_commands", joint_state(stamp, ["q11", "q21"], effort=effort_at(tick)))
+            put(
+                "/joint_commands",
+                joint_state(stamp, ["q11", "q21"], effort=effort_at(tick)),
+            )
         put("/controller_state", _controller_state(stamp, time, y, y_dot, y_ddot))
         mode = 1.0 if y > LOCUS else -1.0
         now = last_phase if tick == TICKS - 1 and last_phase > 4 else phase
-        names = ["residual", "s", "sigma_min", "projection_weight", "assembly_mode", "phase"]
+        names = [
+            "residual",
+            "s",
+            "sigma_min",
+            "projection_weight",
+            "assembly_mode",
+            "phase",
+        ]
         row = [0.25, 0.3 * mode, 0.5, 0.0, mode, now]
         if says is not None:
             names += ["mode_confidence", "verdict"]
@@ -217,9 +305,17 @@ def write_run(
         if truth:
             put("/sim/end_effector", _odometry(stamp, y_true, y_dot))
             sim = (q_a[0], 0.0, q_a[1], 0.0)
-            put("/sim/joint_states", joint_state(stamp, ["q11", "q12", "q21", "q22"], sim, (0,) * 4, (0,) * 4))
+            put(
+                "/sim/joint_states",
+                joint_state(
+                    stamp, ["q11", "q12", "q21", "q22"], sim, (0,) * 4, (0,) * 4
+                ),
+            )
     put("/diagnostics", _diagnostics("plant", "running", {"late_commands": "7"}))
-    put("/diagnostics", _diagnostics("controller", "stopped", {"reason": "no state for 20 ms"}))
+    put(
+        "/diagnostics",
+        _diagnostics("controller", "stopped", {"reason": "no state for 20 ms"}),
+    )
     if close:
         writer.close({"dextar": record})
     return writer

@@ -1,4 +1,6 @@
-"""Truncated, empty, foreign and mixed-up bags: one clear message, a non-zero exit, never a traceback."""
+"""Truncated, empty, foreign and mixed-up bags: one clear message, a non-zero exit,
+never a traceback.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,8 @@ from mcap.writer import Writer
 from recorded_run import lockstep_bag, rewrite
 from synthetic_run import START, TICKS, message
 
-from dextar_control import cli
 from dextar_control.analysis import load_run
+from dextar_control.cli import main as cli
 
 pytestmark = pytest.mark.usefixtures("patient")
 
@@ -30,8 +32,12 @@ def later(content: Any, seconds: int) -> Any:
     return moved
 
 
-def moving(*topics: str, seconds: int = HOUR) -> Callable[[str, Any], list[tuple[str, Any]]]:
-    return lambda topic, content: [(topic, later(content, seconds) if topic in topics else content)]
+def moving(
+    *topics: str, seconds: int = HOUR
+) -> Callable[[str, Any], list[tuple[str, Any]]]:
+    return lambda topic, content: [
+        (topic, later(content, seconds) if topic in topics else content)
+    ]
 
 
 def renamed(topic: str, content: Any) -> list[tuple[str, Any]]:
@@ -42,7 +48,11 @@ def renamed(topic: str, content: Any) -> list[tuple[str, Any]]:
 
 
 def words_alone(topic: str, content: Any) -> list[tuple[str, Any]]:
-    return [("/chatter", message("std_msgs/msg/String", data="hello"))] if topic == "/joint_states" else []
+    return (
+        [("/chatter", message("std_msgs/msg/String", data="hello"))]
+        if topic == "/joint_states"
+        else []
+    )
 
 
 def swapped(topic: str, content: Any) -> list[tuple[str, Any]]:
@@ -82,7 +92,9 @@ def others_types(good: Path, folder: Path) -> Path:
 
 
 def two_runs(good: Path, folder: Path) -> Path:
-    return rewrite([good, good], folder / "x.mcap", lambda topic, content: [(topic, content)])
+    return rewrite(
+        [good, good], folder / "x.mcap", lambda topic, content: [(topic, content)]
+    )
 
 
 def others_commands(good: Path, folder: Path) -> Path:
@@ -129,12 +141,20 @@ BAD = {
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("make", BAD, ids=lambda make: make.__name__)
 def test_every_command_refuses_it_in_one_line(
-    make: Callable[[Path, Path], Path], good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    make: Callable[[Path, Path], Path],
+    good: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "bag").mkdir()
     bad = str(make(good, tmp_path / "bag"))
     output = ["--output", str(tmp_path / "out")]
-    for command in (["analyze", bad, *output], ["compare", bad, bad, *output], ["replay", bad], ["export", bad, *output]):
+    for command in (
+        ["analyze", bad, *output],
+        ["compare", bad, bad, *output],
+        ["replay", bad],
+        ["export", bad, *output],
+    ):
         assert cli.main(command) == 2
         (error,) = capsys.readouterr().err.splitlines()
         assert error.startswith(f"dextar {command[0]}: ")
@@ -143,16 +163,26 @@ def test_every_command_refuses_it_in_one_line(
     assert not (tmp_path / "out").exists()
 
 
-def test_the_process_itself_ends_with_two_and_no_traceback(good: Path, tmp_path: Path) -> None:
+def test_the_process_itself_ends_with_two_and_no_traceback(
+    good: Path, tmp_path: Path
+) -> None:
     bad = two_runs(good, tmp_path)
-    command = [sys.executable, "-m", "dextar_control.cli", "analyze", str(bad)]
-    answer = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[1])
+    command = [sys.executable, "-m", "dextar_control.cli.main", "analyze", str(bad)]
+    answer = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(__file__).parents[1],
+    )
     assert answer.returncode == 2
     assert "two runs in one bag" in answer.stderr and "Traceback" not in answer.stderr
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_a_truncated_bag_is_analysed_and_says_so(good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_truncated_bag_is_analysed_and_says_so(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "cut.mcap"
     content = good.read_bytes()
     file.write_bytes(content[: int(0.6 * len(content))])
@@ -161,9 +191,18 @@ def test_a_truncated_bag_is_analysed_and_says_so(good: Path, tmp_path: Path, cap
     assert "breaks off or is damaged" in capsys.readouterr().err
     assert metrics["truncated"] is True
     assert metrics["success"] is None  # the run may have gone on as well as it began
-    assert len(metrics["reasons"]) == 1 and "the bag breaks off at" in metrics["reasons"][0]
-    assert {crossing["outcome"] for crossing in metrics["crossings"]} <= {"crossed", "not recorded"}
-    assert "The bag breaks off or is damaged: read up to its last complete chunk." in (tmp_path / "report.html").read_text()
+    assert (
+        len(metrics["reasons"]) == 1
+        and "the bag breaks off at" in metrics["reasons"][0]
+    )
+    assert {crossing["outcome"] for crossing in metrics["crossings"]} <= {
+        "crossed",
+        "not recorded",
+    }
+    assert (
+        "The bag breaks off or is damaged: read up to its last complete chunk."
+        in (tmp_path / "report.html").read_text()
+    )
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
@@ -176,14 +215,21 @@ def test_a_truncated_bag_is_analysed_and_says_so(good: Path, tmp_path: Path, cap
     ],
 )
 def test_the_other_commands_write_what_is_left_of_a_truncated_bag_and_end_alike(
-    words: tuple[str, ...], left: str, good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...],
+    left: str,
+    good: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     content = good.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(content[: int(0.6 * len(content))])
     places = {"CUT": str(tmp_path / "cut.mcap"), "GOOD": str(good)}
     output = tmp_path / "out" / ("replay.gif" if words[0] == "replay" else "")
     output.parent.mkdir(exist_ok=True)
-    assert cli.main([*(places.get(word, word) for word in words), "--output", str(output)]) == 1
+    assert (
+        cli.main([*(places.get(word, word) for word in words), "--output", str(output)])
+        == 1
+    )
     assert "breaks off or is damaged" in capsys.readouterr().err
     assert (tmp_path / "out" / left).stat().st_size > 0
 
@@ -202,28 +248,63 @@ def test_a_bag_of_two_robots_is_analysed_by_namespace(
     good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def twice(topic: str, content: Any) -> list[tuple[str, Any]]:
-        return [(f"/{robot}{topic}", content) for robot in ("left", "right")] if topic != "/diagnostics" else []
+        return (
+            [(f"/{robot}{topic}", content) for robot in ("left", "right")]
+            if topic != "/diagnostics"
+            else []
+        )
 
     bag = str(rewrite(good, tmp_path / "two.mcap", twice, keep_metadata=False))
     assert cli.main(["analyze", bag, "--output", str(tmp_path / "out")]) == 2
-    assert "of 2 robots (/left/joint_states, /right/joint_states)" in capsys.readouterr().err
-    code = cli.main(["analyze", bag, "--output", str(tmp_path / "out"), "--namespace", "left"])
+    assert (
+        "of 2 robots (/left/joint_states, /right/joint_states)"
+        in capsys.readouterr().err
+    )
+    code = cli.main(
+        ["analyze", bag, "--output", str(tmp_path / "out"), "--namespace", "left"]
+    )
     assert code in (0, 1)
-    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["states"] == TICKS
+    assert (
+        json.loads((tmp_path / "out" / "metrics.json").read_text())["states"] == TICKS
+    )
 
 
-def test_a_time_that_is_none_is_damage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_time_that_is_none_is_damage(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "run.mcap"
     with file.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="ros2")
         schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
-        writer.add_message(writer.register_channel("/joint_states", "cdr", schema), 2**63, b"\0\1\0\0", 0)
+        writer.add_message(
+            writer.register_channel("/joint_states", "cdr", schema),
+            2**63,
+            b"\0\1\0\0",
+            0,
+        )
         writer.finish()
     assert cli.main(["analyze", str(file)]) == 2
-    assert "has the time 9223372036854775808 ns: the file is damaged" in capsys.readouterr().err
+    assert (
+        "has the time 9223372036854775808 ns: the file is damaged"
+        in capsys.readouterr().err
+    )
 
 
-def test_a_recorded_robot_is_not_taken_for_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["analyze", str(lockstep_bag()), "--output", str(tmp_path), "--namespace", "/left"]) == 2
+def test_a_recorded_robot_is_not_taken_for_another(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        cli.main(
+            [
+                "analyze",
+                str(lockstep_bag()),
+                "--output",
+                str(tmp_path),
+                "--namespace",
+                "/left",
+            ]
+        )
+        == 2
+    )
     assert "is of the robot in namespace '/', not '/left'" in capsys.readouterr().err

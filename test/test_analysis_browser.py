@@ -1,4 +1,6 @@
-"""The pages in a real browser: they draw, they zoom, no word is cut or lies on another; they complain of and ask for nothing."""
+"""The pages in a real browser: they draw, they zoom, no word is cut or lies on another;
+they complain of and ask for nothing.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +19,21 @@ from dextar_control.analysis import compute_metrics, load_run
 from dextar_control.analysis.compare import compare_bags, write_comparison
 from dextar_control.analysis.page import render_report
 from dextar_control.analysis.report import analyze
-from dextar_control.commands.pdf import find_browser, write_pdf
+from dextar_control.cli.pdf import find_browser, write_pdf
 
 CHROMIUM = find_browser()
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here: apt install chromium to look at the pages")
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None,
+    reason="no Chromium here: apt install chromium to look at the pages",
+)
 
 WIDTHS = (420, 768, 1280, 1920)
-CURVES = "[...document.querySelectorAll('figure svg[role=img]')].map((svg) => svg.querySelectorAll('path, line').length)"
+CURVES = (
+    "[...document.querySelectorAll('figure svg[role=img]')].map((svg) =>"
+    " svg.querySelectorAll('path, line').length)"
+)
+# Each line of text: its box, px, its words, whether its container scrolls, the page's
+# width.
 WORDS = """(() => {
   const found = [], wide = document.documentElement.clientWidth;
   const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
@@ -38,7 +48,7 @@ WORDS = """(() => {
         found.push([box.left, box.top, box.right, box.bottom, node.data.trim().slice(0, 30), scrolled !== null, wide]);
   }
   return found;
-})()"""  # each line of text: its box, px, its words, whether its container scrolls, the page's width
+})()"""
 SLACK = 2.0  # px: a font's box is taller than its letters
 SIDEWAYS = "document.documentElement.scrollWidth > document.documentElement.clientWidth"
 
@@ -57,7 +67,10 @@ def is_drawn(page: Page) -> None:
 def is_legible(page: Page, width: int) -> None:
     """No word is cut by the page's edge, and no two lie on each other."""
     page.resize(width)
-    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    page.evaluate(
+        "new Promise((done) => requestAnimationFrame(() =>"
+        " requestAnimationFrame(done)))"
+    )
     assert not page.evaluate(SIDEWAYS), width
     boxes = sorted(page.evaluate(WORDS), key=lambda box: box[1])
     assert len(boxes) > 20
@@ -66,8 +79,18 @@ def is_legible(page: Page, width: int) -> None:
         for other in boxes[index + 1 :]:
             if other[1] >= bottom - SLACK:
                 break
-            apart = other[0] >= right - SLACK or other[2] <= left + SLACK or other[3] <= top + SLACK
-            assert apart or scrolls != other[5], (width, words, other[4], (left, top, right, bottom), other[:4])
+            apart = (
+                other[0] >= right - SLACK
+                or other[2] <= left + SLACK
+                or other[3] <= top + SLACK
+            )
+            assert apart or scrolls != other[5], (
+                width,
+                words,
+                other[4],
+                (left, top, right, bottom),
+                other[:4],
+            )
 
 
 @pytest.fixture(scope="module")
@@ -84,31 +107,55 @@ def page(report: Path) -> Iterator[Page]:
         yield found
 
 
-def test_the_report_draws_every_figure_without_a_word_on_the_console(page: Page) -> None:
-    assert len(page.evaluate(CURVES)) in (11, 12)  # plane, four panels, observer, its innovation, two histograms, phases
+def test_the_report_draws_every_figure_without_a_word_on_the_console(
+    page: Page,
+) -> None:
+    assert len(page.evaluate(CURVES)) in (
+        11,
+        12,
+    )  # plane, four panels, observer, its innovation, two histograms, phases
     is_drawn(page)
     assert page.errors == []
-    assert page.requests and all(address.startswith(("file:", "data:", "blob:")) for address in page.requests)
+    assert page.requests and all(
+        address.startswith(("file:", "data:", "blob:")) for address in page.requests
+    )
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_no_word_of_the_report_is_cut_or_lies_on_another(page: Page, width: int) -> None:
-    page.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+def test_no_word_of_the_report_is_cut_or_lies_on_another(
+    page: Page, width: int
+) -> None:
+    page.evaluate(
+        "document.querySelectorAll('details').forEach((one) => { one.open = true; })"
+    )
     is_legible(page, width)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_page_has_the_readers_background(page: Page, scheme: str) -> None:
     page.prefers(scheme)
-    light = page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    light = (
+        page.evaluate("getComputedStyle(document.body).backgroundColor")
+        == "rgb(255, 255, 255)"
+    )
     assert light == (scheme == "light")
-    assert page.evaluate("new Set([...document.querySelectorAll('.curve')].map((one) => getComputedStyle(one).stroke)).size") > 2
+    assert (
+        page.evaluate(
+            "new Set([...document.querySelectorAll('.curve')].map((one) =>"
+            " getComputedStyle(one).stroke)).size"
+        )
+        > 2
+    )
 
 
 def test_its_panels_zoom_together_and_back(page: Page) -> None:
     page.resize(1280)
-    ranges = "drawings.filter((one) => one.figure.group === 'time').map((one) => one.x.low)"
-    box = json.loads(page.evaluate("JSON.stringify(drawings[1].svg.getBoundingClientRect())"))
+    ranges = (
+        "drawings.filter((one) => one.figure.group === 'time').map((one) => one.x.low)"
+    )
+    box = json.loads(
+        page.evaluate("JSON.stringify(drawings[1].svg.getBoundingClientRect())")
+    )
     middle = box["top"] + 0.5 * box["height"]
     page.drag((box["left"] + 200.0, middle), (box["left"] + 300.0, middle))
     page.wait(f"({ranges})[0] > 0.1")
@@ -121,15 +168,22 @@ def test_its_panels_zoom_together_and_back(page: Page) -> None:
 
 def test_pointing_at_a_curve_tells_its_value_and_a_key_hides_it(page: Page) -> None:
     page.evaluate("drawings[2].tell(200, 60)")
-    assert page.evaluate("drawings[2].said.innerText").count("\n") == 2  # the time, estimated, true
+    assert (
+        page.evaluate("drawings[2].said.innerText").count("\n") == 2
+    )  # the time, estimated, true
     page.evaluate("drawings[2].root.querySelector('button.key').click()")
     page.evaluate("drawings[2].tell(200, 60)")
     assert page.evaluate("drawings[2].said.innerText").count("\n") == 1
     page.evaluate("drawings[2].root.querySelector('button.key').click()")
 
 
-@pytest.mark.parametrize("options", [{"truth": False}, {"phase": 2}, {"bounce": True, "says": (2, 1)}, {"says": None}])
-def test_reports_of_runs_that_lack_something_draw_too(tmp_path: Path, options: dict[str, object]) -> None:
+@pytest.mark.parametrize(
+    "options",
+    [{"truth": False}, {"phase": 2}, {"bounce": True, "says": (2, 1)}, {"says": None}],
+)
+def test_reports_of_runs_that_lack_something_draw_too(
+    tmp_path: Path, options: dict[str, object]
+) -> None:
     write_run(tmp_path / "run.mcap", **options)  # type: ignore[arg-type]
     analyze(tmp_path / "run.mcap")
     with opened(tmp_path / "report.html") as page:
@@ -173,8 +227,9 @@ def test_this_test_sees_errors_requests_and_words_that_collide(tmp_path: Path) -
     file = tmp_path / "bad.html"
     lines = "".join(f"<p>{number}</p>" for number in range(30))
     file.write_text(
-        "<script>console.error('words'); nothing.at.all</script><img src='http://127.0.0.1:9/none.png'>"
-        f"<p style='margin-bottom: -1.6em'>over the next</p>{lines}<svg><text x='-30' y='10'>cut at the left</text></svg>"
+        "<script>console.error('words'); nothing.at.all</script><img"
+        " src='http://127.0.0.1:9/none.png'><p style='margin-bottom: -1.6em'>over the"
+        f" next</p>{lines}<svg><text x='-30' y='10'>cut at the left</text></svg>"
     )
     with opened(file) as page:
         page.evaluate("new Promise((done) => setTimeout(done, 200))")

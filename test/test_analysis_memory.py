@@ -1,4 +1,6 @@
-"""What a long bag takes of memory: its columns lie in files, so that a run's own memory hardly grows with its length."""
+"""What a long bag takes of memory: its columns lie in files, so that a run's own memory
+hardly grows with its length.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ IDLE = 300_000_000  # ns
 
 
 def peak(file: Path) -> int:
-    """Largest traced size while the run is loaded and measured, bytes; files that are mapped are not in it."""
+    """Largest traced size while the run is loaded and measured, bytes; files that are
+    mapped are not in it.
+    """
     tracemalloc.start()
     try:
         run = load_run(file)
@@ -46,23 +50,31 @@ def test_a_longer_bag_takes_less_than_the_bound_more(tmp_path: Path) -> None:
     assert growth < MEMORY
 
 
-def test_the_columns_lie_in_no_file_that_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_columns_lie_in_no_file_that_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write_run(tmp_path / "run.mcap")
     (tmp_path / "spool").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "spool"))
     run = load_run(tmp_path / "run.mcap")
     assert not list((tmp_path / "spool").iterdir())
-    assert run.states.position[5, 0] == pytest.approx(run.states.position[6, 0], abs=1e-3)
+    assert run.states.position[5, 0] == pytest.approx(
+        run.states.position[6, 0], abs=1e-3
+    )
 
 
 def with_rest_before(topic: str, message: Any) -> Iterable[tuple[str, Any]]:
     """Also as it would have been told before the trajectory began, at rest."""
     if topic in long_run.STAMPED:
-        begun = (message.header.stamp.sec - START // 10**9) * 10**9 + message.header.stamp.nanosec
+        begun = (
+            message.header.stamp.sec - START // 10**9
+        ) * 10**9 + message.header.stamp.nanosec
         if begun < IDLE:
             early = copy.deepcopy(message)
             stamp = START + begun - IDLE
-            early.header.stamp.__dict__.update(sec=stamp // 10**9, nanosec=stamp % 10**9)
+            early.header.stamp.__dict__.update(
+                sec=stamp // 10**9, nanosec=stamp % 10**9
+            )
             if topic == "/criterion":
                 early.position[list(early.name).index("phase")] = 1.0
             if topic == "/controller_state":
@@ -80,12 +92,23 @@ def test_a_long_bag_crosses_as_often_as_its_copies_do_together(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("script", [long_run, independent_numbers])
-def test_a_script_for_measurements_says_what_it_wants(script: Any, tmp_path: Path) -> None:
+def test_a_script_for_measurements_says_what_it_wants(
+    script: Any, tmp_path: Path
+) -> None:
     def asked(*words: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, script.__file__, *words]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        return subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, check=False
+        )
 
     others = ["long.mcap", "20"] if script is long_run else []
     assert asked("--help").returncode == 0
-    for answer, said in ((asked(), "required"), (asked("none.mcap", *others), "none.mcap is no file")):
-        assert (answer.returncode, said in answer.stderr, "Traceback" in answer.stderr) == (2, True, False)
+    for answer, said in (
+        (asked(), "required"),
+        (asked("none.mcap", *others), "none.mcap is no file"),
+    ):
+        assert (
+            answer.returncode,
+            said in answer.stderr,
+            "Traceback" in answer.stderr,
+        ) == (2, True, False)

@@ -25,7 +25,7 @@ from synthetic_run import (
     path,
     robot,
     write_run,
-)  # fmt: skip
+)
 
 from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.geometry import active_joints, singularity_measure
@@ -61,13 +61,21 @@ def test_s_is_zero_in_the_stretched_posture_and_positive_above_it() -> None:
 
 def test_crossings_are_found_where_geometry_puts_them(good: Run) -> None:
     metrics = compute_metrics(good)
-    assert [c.planned_time for c in metrics.crossings] == pytest.approx(CROSSINGS, abs=INSTANT)
-    assert metrics.crossings[0].planned_stamp == pytest.approx(START + CROSSINGS[0] * 1e9, abs=1e9 * INSTANT)
+    assert [c.planned_time for c in metrics.crossings] == pytest.approx(
+        CROSSINGS, abs=INSTANT
+    )
+    assert metrics.crossings[0].planned_stamp == pytest.approx(
+        START + CROSSINGS[0] * 1e9, abs=1e9 * INSTANT
+    )
     late = TRUE_OFFSET / abs(path(CROSSINGS[0])[1])
-    assert metrics.crossings[0].true_time == pytest.approx(CROSSINGS[0] + late, abs=2e-5)
+    assert metrics.crossings[0].true_time == pytest.approx(
+        CROSSINGS[0] + late, abs=2e-5
+    )
     assert [c.crossed for c in metrics.crossings] == [True, True]
     assert [c.estimated_mode for c in metrics.crossings] == [-1, 1]
-    assert metrics.crossings[0].speed == pytest.approx(abs(path(CROSSINGS[0])[1]), rel=1e-2)
+    assert metrics.crossings[0].speed == pytest.approx(
+        abs(path(CROSSINGS[0])[1]), rel=1e-2
+    )
     assert metrics.crossings[0].residual == 0.25
 
 
@@ -81,10 +89,16 @@ def test_errors_torques_and_counts_are_the_recorded_ones(good: Run) -> None:
     assert metrics.peak_torque_near == NEAR_TORQUE
     assert metrics.crossings[0].peak_torque == NEAR_TORQUE
     assert metrics.crossings[1].peak_torque == BASE_TORQUE
-    assert metrics.crossings[0].torque_step == pytest.approx(NEAR_TORQUE - BASE_TORQUE, abs=ROUNDING)
-    assert metrics.torque_ratio == pytest.approx(FAR_TORQUE / metrics.planned_peak_torque)
+    assert metrics.crossings[0].torque_step == pytest.approx(
+        NEAR_TORQUE - BASE_TORQUE, abs=ROUNDING
+    )
+    assert metrics.torque_ratio == pytest.approx(
+        FAR_TORQUE / metrics.planned_peak_torque
+    )
     assert (metrics.states, metrics.missed) == (TICKS, len(MISSED))
-    assert metrics.loop_rate == pytest.approx(1e9 / 6000)  # six messages a tick, written 1 us apart
+    assert metrics.loop_rate == pytest.approx(
+        1e9 / 6000
+    )  # six messages a tick, written 1 us apart
     assert metrics.late_commands == 7
     assert metrics.lost == {"/joint_states": 3}
     assert metrics.success is True
@@ -105,10 +119,14 @@ def _table(run: Run) -> str:
     return console.export_text()
 
 
-def test_the_estimators_verdicts_are_read_and_compared_with_the_truth(good: Run) -> None:
+def test_the_estimators_verdicts_are_read_and_compared_with_the_truth(
+    good: Run,
+) -> None:
     metrics = compute_metrics(good)
     assert [c.verdict for c in metrics.crossings] == ["crossed", "crossed"]
-    assert [c.verdict_time for c in metrics.crossings] == pytest.approx([c + DECIDED for c in CROSSINGS], abs=TICK)
+    assert [c.verdict_time for c in metrics.crossings] == pytest.approx(
+        [c + DECIDED for c in CROSSINGS], abs=TICK
+    )
     assert [c.verdict_confidence for c in metrics.crossings] == [CONFIDENCE] * 2
     assert [c.verdict_correct for c in metrics.crossings] == [True, True]
     assert "2 crossed, 0 bounced, 0 undecided; agrees with the truth" in _table(good)
@@ -121,8 +139,9 @@ def test_a_wrong_verdict_is_a_reason(tmp_path: Path) -> None:
     assert metrics.crossings[1].verdict_correct is False
     assert metrics.success is False
     assert metrics.reasons == [
-        f"the estimator says of crossing 2: bounced (confidence {CONFIDENCE:.4f}, at {metrics.crossings[1].verdict_time:.4f} s),"
-        " and the true robot was on the other side"
+        f"the estimator says of crossing 2: bounced (confidence {CONFIDENCE:.4f}, at"
+        f" {metrics.crossings[1].verdict_time:.4f} s), and the true robot was on the"
+        " other side"
     ]
     assert "1 crossed, 1 bounced, 0 undecided; WRONG at crossing 2" in _table(run)
 
@@ -136,13 +155,20 @@ def test_a_bounce_called_one_is_a_right_verdict_of_a_failed_run(tmp_path: Path) 
 
 
 def test_the_last_verdict_on_a_crossing_counts(good: Run) -> None:
-    verdict, confidence = good.criterion.verdict.copy(), good.criterion.mode_confidence.copy()
+    verdict, confidence = (
+        good.criterion.verdict.copy(),
+        good.criterion.mode_confidence.copy(),
+    )
     second = round(1e3 * (CROSSINGS[1] + DECIDED)) + 30
     verdict[second:], confidence[second:] = 2.0, 0.9995
-    criterion = dataclasses.replace(good.criterion, verdict=verdict, mode_confidence=confidence)
+    criterion = dataclasses.replace(
+        good.criterion, verdict=verdict, mode_confidence=confidence
+    )
     metrics = compute_metrics(dataclasses.replace(good, criterion=criterion))
     assert [c.verdict for c in metrics.crossings] == ["crossed", "bounced"]
-    assert metrics.crossings[1].verdict_time == pytest.approx(1e-3 * second, abs=ROUNDING)
+    assert metrics.crossings[1].verdict_time == pytest.approx(
+        1e-3 * second, abs=ROUNDING
+    )
     assert metrics.crossings[1].verdict_confidence == 0.9995
 
 
@@ -179,16 +205,22 @@ def test_the_sides_are_read_where_the_plan_is_clear_of_the_locus(good: Run) -> N
 
 
 def test_a_crossing_that_comes_late_counts_and_is_timed(good: Run) -> None:
-    """A slow robot may be tens of milliseconds behind at the locus, and cross all the same."""
+    """A slow robot may be tens of milliseconds behind at the locus, and cross all the
+    same.
+    """
     assert good.truth is not None
     late = 15
     x, q_a = np.roll(good.truth.x, late, axis=0), np.roll(good.truth.q_a, late, axis=0)
     x[:late], q_a[:late] = good.truth.x[0], good.truth.q_a[0]
-    metrics = compute_metrics(dataclasses.replace(good, truth=dataclasses.replace(good.truth, x=x, q_a=q_a)))
+    metrics = compute_metrics(
+        dataclasses.replace(good, truth=dataclasses.replace(good.truth, x=x, q_a=q_a))
+    )
     assert [c.crossed for c in metrics.crossings] == [True, True]
     shift = late * TICK
     first = metrics.crossings[0]
-    assert first.true_time == pytest.approx(CROSSINGS[0] + shift + TRUE_OFFSET / abs(path(CROSSINGS[0])[1]), abs=2e-5)
+    assert first.true_time == pytest.approx(
+        CROSSINGS[0] + shift + TRUE_OFFSET / abs(path(CROSSINGS[0])[1]), abs=2e-5
+    )
 
 
 def test_without_truth_there_is_no_verdict(tmp_path: Path) -> None:
@@ -203,20 +235,32 @@ def test_without_truth_there_is_no_verdict(tmp_path: Path) -> None:
 def test_a_saturated_command_is_a_failure_with_its_count(good: Run) -> None:
     effort = good.commands.effort.copy()
     effort[20, 1] = -robot().max_torque
-    metrics = compute_metrics(dataclasses.replace(good, commands=dataclasses.replace(good.commands, effort=effort)))
+    metrics = compute_metrics(
+        dataclasses.replace(
+            good, commands=dataclasses.replace(good.commands, effort=effort)
+        )
+    )
     assert metrics.saturated == 1
     assert metrics.success is False
     assert metrics.reasons == ["saturated commands: 1; the limit is 0"]
 
 
-@pytest.mark.parametrize(("offset", "words"), [(6.0e-3, "largest true error"), (2.0e-3, "at the end")])
-def test_an_error_over_its_limit_names_both_numbers(good: Run, offset: float, words: str) -> None:
+@pytest.mark.parametrize(
+    ("offset", "words"), [(6.0e-3, "largest true error"), (2.0e-3, "at the end")]
+)
+def test_an_error_over_its_limit_names_both_numbers(
+    good: Run, offset: float, words: str
+) -> None:
     assert good.truth is not None
     x = good.truth.x.copy()
     x[-1, 0] += offset
-    metrics = compute_metrics(dataclasses.replace(good, truth=dataclasses.replace(good.truth, x=x)))
+    metrics = compute_metrics(
+        dataclasses.replace(good, truth=dataclasses.replace(good.truth, x=x))
+    )
     assert metrics.success is False
-    assert any(words in reason and "the limit is" in reason for reason in metrics.reasons)
+    assert any(
+        words in reason and "the limit is" in reason for reason in metrics.reasons
+    )
 
 
 def test_a_safe_stop_reports_the_controllers_reason(tmp_path: Path) -> None:
@@ -253,7 +297,9 @@ def test_analysis_leaves_strict_json_a_picture_and_a_table(tmp_path: Path) -> No
     def refuse(constant: str) -> None:
         raise AssertionError(constant)
 
-    content = json.loads((tmp_path / "out" / "metrics.json").read_text(), parse_constant=refuse)
+    content = json.loads(
+        (tmp_path / "out" / "metrics.json").read_text(), parse_constant=refuse
+    )
     assert content["success"] is True
     assert (tmp_path / "out" / "figure.png").read_bytes().startswith(b"\x89PNG")
     console = Console(width=100, record=True, file=open("/dev/null", "w"))  # noqa: SIM115

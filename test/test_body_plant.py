@@ -1,4 +1,6 @@
-"""Bodies that a mechanism describes, in PyBullet, beside its own Lagrangian and forward dynamics."""
+"""Bodies that a mechanism describes, in PyBullet, beside its own Lagrangian and forward
+dynamics.
+"""
 
 from __future__ import annotations
 
@@ -27,24 +29,42 @@ STATES = 30
 EXACT = 1e-12  # relative: the same mechanics, added up in another order
 FINE, COARSE = 64, 16  # substeps of a period
 DYNAMICS = 1e-3
-"""Of the change of velocity over 1 ms at FINE substeps: PyBullet is of the first order (3e-4 the worst of 100 states)."""
-ENERGY_DRIFT = 2e-3  # of the kinetic energy over 1 s of free motion at 4 substeps; of the first order too
+"""Of the change of velocity over 1 ms at FINE substeps: PyBullet is of the first order
+(3e-4 the worst of 100 states).
+"""
+# of the kinetic energy over 1 s of free motion at 4 substeps; of the first order too
+ENERGY_DRIFT = 2e-3
 LOOP_GAP = 2e-6  # m, of each pin at 4 substeps, as for the five-bar
 IMPULSE_ERROR = 1e-3  # relative; motion during the 0.1 ms of the blow
 
 DEXTAR = load_robot(config_file("dextar.yaml"))
 THREE_RRR = load_any_robot(config_file("three_rrr.yaml"))
-UNEVEN = THREE_RRR.replace(**{
-    "leg1.distal_mass": 0.12, "leg2.proximal_center": 0.4, "leg3.distal_center": 0.6, "leg3.proximal_length": 0.13,
-    "leg1.coulomb_friction": 5e-3, "leg3.viscous_friction": 1e-3, "gravity": [0.7, -2.0],
-})  # fmt: skip
+UNEVEN = THREE_RRR.replace(
+    **{
+        "leg1.distal_mass": 0.12,
+        "leg2.proximal_center": 0.4,
+        "leg3.distal_center": 0.6,
+        "leg3.proximal_length": 0.13,
+        "leg1.coulomb_friction": 5e-3,
+        "leg3.viscous_friction": 1e-3,
+        "gravity": [0.7, -2.0],
+    }
+)
 NUMBERS = {
-    FiveBar(): flatten(DEXTAR.replace(**{
-        "left.distal_mass": 0.12, "right.proximal_length": 0.1, "right.distal_center": 0.6, "left.coulomb_friction": 5e-3,
-        "right.viscous_friction": 1e-3, "gravity": (0.7, -2.0),
-    })),
+    FiveBar(): flatten(
+        DEXTAR.replace(
+            **{
+                "left.distal_mass": 0.12,
+                "right.proximal_length": 0.1,
+                "right.distal_center": 0.6,
+                "left.coulomb_friction": 5e-3,
+                "right.viscous_friction": 1e-3,
+                "gravity": (0.7, -2.0),
+            }
+        )
+    ),
     ThreeRRR(): UNEVEN.numbers,
-}  # fmt: skip
+}
 
 
 def states(robot: Robot, count: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -66,7 +86,9 @@ def lagrangian(mechanism: Mechanism, p: Any) -> ca.Function:
 
 @pytest.mark.parametrize("mechanism", NUMBERS, ids=lambda mechanism: mechanism.name)
 def test_the_bodies_are_those_of_the_lagrangian(mechanism: Mechanism) -> None:
-    """Closed, with the same x, kinetic less potential energy and friction, at random places."""
+    """Closed, with the same x, kinetic less potential energy and friction, at random
+    places.
+    """
     values = mechanism.values(NUMBERS[mechanism])
     p, n = mechanism.named(ca.DM(values)), mechanism.n
     bodies = mechanism.bodies(p)
@@ -78,21 +100,43 @@ def test_the_bodies_are_those_of_the_lagrangian(mechanism: Mechanism) -> None:
     energy = ca.SX(0.0)
     for link, frame in zip(bodies.links, frames(bodies, joints), strict=True):
         center = placed(frame, link.center)
-        energy += 0.5 * link.mass * ca.sumsqr(ca.jtimes(center, x, x_dot)) + link.mass * ca.dot(bodies.gravity, center)
+        energy += 0.5 * link.mass * ca.sumsqr(
+            ca.jtimes(center, x, x_dot)
+        ) + link.mass * ca.dot(bodies.gravity, center)
         energy += 0.5 * link.inertia * ca.jtimes(frame[1], x, x_dot) ** 2
-    motors = [link for link in bodies.links if link.joint in [joint.name for joint in mechanism.joints]]
+    motors = [
+        link
+        for link in bodies.links
+        if link.joint in [joint.name for joint in mechanism.joints]
+    ]
     losses = [
         link.viscous * rate + link.coulomb * ca.tanh(rate / bodies.coulomb_speed)
         for link, rate in zip(motors, ca.vertsplit(q_a_dot), strict=True)
     ]
-    compared = ca.Function("compared", [x, x_dot], [
-        ca.vertcat(energy, mechanism.tree_platform(joints, p), *losses),
-        ca.vertcat(lagrangian(mechanism, p)(q_a, x, q_a_dot, x_dot), x, mechanism.friction(q_a_dot, p)), gaps(bodies, joints),
-    ])  # fmt: skip
+    compared = ca.Function(
+        "compared",
+        [x, x_dot],
+        [
+            ca.vertcat(energy, mechanism.tree_platform(joints, p), *losses),
+            ca.vertcat(
+                lagrangian(mechanism, p)(q_a, x, q_a_dot, x_dot),
+                x,
+                mechanism.friction(q_a_dot, p),
+            ),
+            gaps(bodies, joints),
+        ],
+    )
     random, tried = np.random.default_rng(2), 0
     while tried < STATES:
-        place = random.uniform(*BOX)[:n] if n == 3 else random.uniform([-0.05, 0.06], [0.05, 0.14])
-        found, expected, gap = (np.array(part).ravel() for part in compared(place, random.normal(0.0, 0.3, n)))
+        place = (
+            random.uniform(*BOX)[:n]
+            if n == 3
+            else random.uniform([-0.05, 0.06], [0.05, 0.14])
+        )
+        found, expected, gap = (
+            np.array(part).ravel()
+            for part in compared(place, random.normal(0.0, 0.3, n))
+        )
         if not np.isfinite(expected).all():
             continue
         tried += 1
@@ -101,18 +145,32 @@ def test_the_bodies_are_those_of_the_lagrangian(mechanism: Mechanism) -> None:
 
 
 def test_the_forward_dynamics_of_the_bodies_are_the_models() -> None:
-    """Velocity after 1 ms from random states under random torques, with friction and weight, against Runge and Kutta's steps."""
+    """Velocity after 1 ms from random states under random torques, with friction and
+    weight, against Runge and Kutta's steps.
+    """
     errors: dict[int, list[float]] = {FINE: [], COARSE: []}
     for substeps, found in errors.items():
-        plant = BodyPlant(UNEVEN.mechanism, UNEVEN.numbers, period=PERIOD, substeps=substeps)
+        plant = BodyPlant(
+            UNEVEN.mechanism, UNEVEN.numbers, period=PERIOD, substeps=substeps
+        )
         for x, x_dot, tau in states(UNEVEN, STATES):
             start = plant.reset(x, x_dot)
-            np.testing.assert_allclose(np.concatenate([start.x, start.x_dot]), np.concatenate([x, x_dot]), rtol=0.0, atol=1e-11)
+            np.testing.assert_allclose(
+                np.concatenate([start.x, start.x_dot]),
+                np.concatenate([x, x_dot]),
+                rtol=0.0,
+                atol=1e-11,
+            )
             plant.step(tau)
             exact = ExactPlant(UNEVEN, x)
             exact.x_dot = x_dot.copy()
             exact.step(tau)
-            found.append(float(np.linalg.norm(plant.state().x_dot - exact.x_dot) / np.linalg.norm(exact.x_dot - x_dot)))
+            found.append(
+                float(
+                    np.linalg.norm(plant.state().x_dot - exact.x_dot)
+                    / np.linalg.norm(exact.x_dot - x_dot)
+                )
+            )
         plant.close()
     assert max(errors[FINE]) < DYNAMICS
     assert np.median(errors[FINE]) < 0.4 * np.median(errors[COARSE])
@@ -120,7 +178,9 @@ def test_the_forward_dynamics_of_the_bodies_are_the_models() -> None:
 
 def test_free_motion_keeps_its_energy_and_the_loops_closed() -> None:
     mechanism = THREE_RRR.mechanism
-    energy = lagrangian(mechanism, mechanism.named(ca.DM(mechanism.values(THREE_RRR.numbers))))  # kinetic: there is no weight
+    energy = lagrangian(
+        mechanism, mechanism.named(ca.DM(mechanism.values(THREE_RRR.numbers)))
+    )  # kinetic: there is no weight
     plant = BodyPlant(mechanism, THREE_RRR.numbers, period=PERIOD)
     state, energies, gap = plant.reset((0.0, 0.0, 0.0), (0.2, -0.15, 0.2)), [], 0.0
     for _ in range(1000):
@@ -136,7 +196,10 @@ def test_free_motion_keeps_its_energy_and_the_loops_closed() -> None:
 def test_a_blow_on_the_moving_platform_gives_the_velocity_of_the_model() -> None:
     x, x_dot = np.array([0.02, 0.01, -0.01]), np.array([0.3, -0.2, 0.2])
     tau, blow = np.array([0.1, -0.1, 0.05]), np.array([0.01, -0.02, 0.015])
-    plant, after = BodyPlant(UNEVEN.mechanism, UNEVEN.numbers, period=1e-4, substeps=1), []
+    plant, after = (
+        BodyPlant(UNEVEN.mechanism, UNEVEN.numbers, period=1e-4, substeps=1),
+        [],
+    )
     for struck in (True, False):
         plant.reset(x, x_dot)
         if struck:
@@ -145,8 +208,12 @@ def test_a_blow_on_the_moving_platform_gives_the_velocity_of_the_model() -> None
         after.append(plant.state().x_dot)
     plant.close()
     model = Model.of(UNEVEN)
-    exact = np.linalg.solve(model.platform_dynamics(model.place(x).q_a, x, x_dot, tau).M, blow)
-    np.testing.assert_allclose(after[0] - after[1], exact, rtol=0.0, atol=IMPULSE_ERROR * np.linalg.norm(exact))
+    exact = np.linalg.solve(
+        model.platform_dynamics(model.place(x).q_a, x, x_dot, tau).M, blow
+    )
+    np.testing.assert_allclose(
+        after[0] - after[1], exact, rtol=0.0, atol=IMPULSE_ERROR * np.linalg.norm(exact)
+    )
 
 
 def test_the_five_bars_geometry_and_its_mechanisms_agree() -> None:
@@ -165,10 +232,17 @@ def test_what_cannot_be_built_or_reached_is_named() -> None:
         def bodies(self, p: Any) -> None:  # type: ignore[override]
             """None."""
 
-    with pytest.raises(ParameterError, match="mechanism bodiless does not say of which bodies it is made"):
+    with pytest.raises(
+        ParameterError,
+        match="mechanism bodiless does not say of which bodies it is made",
+    ):
         BodyPlant(Bodiless(), THREE_RRR.numbers)
-    with pytest.raises(ParameterError, match="q21 joint friction of .* substeps must be >= "):
-        BodyPlant(THREE_RRR.mechanism, THREE_RRR.numbers | {"leg2.coulomb_friction": 1.0})
+    with pytest.raises(
+        ParameterError, match="q21 joint friction of .* substeps must be >= "
+    ):
+        BodyPlant(
+            THREE_RRR.mechanism, THREE_RRR.numbers | {"leg2.coulomb_friction": 1.0}
+        )
     plant = BodyPlant(THREE_RRR.mechanism, THREE_RRR.numbers)
     with pytest.raises(GeometryError, match="is out of reach: q"):
         plant.reset((0.5, 0.0, 0.0))

@@ -1,4 +1,6 @@
-"""Caches and logs are a convenience: where they cannot be written, another place does, or none."""
+"""Caches and logs are a convenience: where they cannot be written, another place does,
+or none.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +35,15 @@ print(library.fast("twice")(3.0).y[0], library.compiled)
 
 @pytest.fixture
 def installation(tmp_path: Path) -> Path:
-    """The package in a folder where nothing can be written beside the sources, whoever runs the tests."""
+    """The package in a folder where nothing can be written beside the sources, whoever
+    runs the tests.
+    """
     for room in ("dextar_control/contract", "dextar_control/symbols"):
-        shutil.copytree(ROOT / room, tmp_path / "site" / room, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            ROOT / room,
+            tmp_path / "site" / room,
+            ignore=shutil.ignore_patterns("__pycache__"),
+        )
     (tmp_path / "site" / "dextar_control" / "__init__.py").touch()
     (tmp_path / "blocked").touch()
     (tmp_path / "temp").mkdir()
@@ -43,27 +51,51 @@ def installation(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def double(installation: Path, temporary: str, *arguments: str, cache: str = "blocked", compiled: bool = True) -> str:
+def double(
+    installation: Path,
+    temporary: str,
+    *arguments: str,
+    cache: str = "blocked",
+    compiled: bool = True,
+) -> str:
     """The error output of a process that compiles a function, or interprets it."""
     environment = {
-        **os.environ, "PYTHONPATH": str(installation / "site"), "PYTHONDONTWRITEBYTECODE": "1",
-        "HOME": str(installation / "blocked"), "XDG_CACHE_HOME": str(installation / cache),
-    }  # fmt: skip
+        **os.environ,
+        "PYTHONPATH": str(installation / "site"),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "HOME": str(installation / "blocked"),
+        "XDG_CACHE_HOME": str(installation / cache),
+    }
     answer = subprocess.run(
-        [sys.executable, str(installation / "double.py"), str(installation / temporary), *arguments], env=environment,
-        cwd=installation, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [
+            sys.executable,
+            str(installation / "double.py"),
+            str(installation / temporary),
+            *arguments,
+        ],
+        env=environment,
+        cwd=installation,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert (answer.returncode, answer.stdout) == (0, f"6.0 {compiled}\n"), answer.stderr
     return answer.stderr
 
 
-def test_without_any_place_the_equations_are_interpreted_and_one_line_says_so(installation: Path) -> None:
+def test_without_any_place_the_equations_are_interpreted_and_one_line_says_so(
+    installation: Path,
+) -> None:
     said = double(installation, "blocked", compiled=False)
-    assert said.count("\n") == 1 and "interpreted" in said and "set XDG_CACHE_HOME" in said
+    assert (
+        said.count("\n") == 1 and "interpreted" in said and "set XDG_CACHE_HOME" in said
+    )
 
 
 @needs_compiler
-def test_a_private_folder_for_temporary_files_takes_the_cache(installation: Path) -> None:
+def test_a_private_folder_for_temporary_files_takes_the_cache(
+    installation: Path,
+) -> None:
     assert not double(installation, "temp")
     private = installation / "temp" / f"dextar-{os.getuid()}"
     assert private.stat().st_mode & 0o777 == 0o700
@@ -86,7 +118,9 @@ def test_a_full_disk_or_a_broken_cache_ends_nothing(installation: Path) -> None:
     assert again.read_bytes() == before
 
 
-def test_a_folder_that_others_may_write_is_not_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_folder_that_others_may_write_is_not_used(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "blocked").touch()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "blocked"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
@@ -102,7 +136,9 @@ def test_a_folder_that_others_may_write_is_not_used(monkeypatch: pytest.MonkeyPa
     assert cache_folder("plans", tmp_path / "wanted") == tmp_path / "wanted"
 
 
-def test_a_user_without_a_home_has_a_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_user_without_a_home_has_a_cache(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     def nobody(_: type[Path]) -> Path:
         raise RuntimeError("Could not determine home directory.")
 
@@ -112,7 +148,13 @@ def test_a_user_without_a_home_has_a_cache(monkeypatch: pytest.MonkeyPatch, tmp_
     assert cache_folder("plans") == tmp_path / f"dextar-{os.getuid()}" / "plans"
 
 
-VARIABLES = ("MPLCONFIGDIR", "ROS_LOG_DIR", "ROS_HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME")
+VARIABLES = (
+    "MPLCONFIGDIR",
+    "ROS_LOG_DIR",
+    "ROS_HOME",
+    "XDG_CONFIG_HOME",
+    "XDG_CACHE_HOME",
+)
 
 
 @pytest.mark.parametrize("usable", [True, False])
@@ -131,19 +173,26 @@ def test_settings_and_logs_find_a_folder_where_the_home_cannot_be_written(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temp"))
     prepare_environment()
     private = tmp_path / "temp" / f"dextar-{os.getuid()}"
-    wanted = ("", "") if usable else (str(private / "matplotlib"), str(private / "ros-logs"))
+    wanted = (
+        ("", "") if usable else (str(private / "matplotlib"), str(private / "ros-logs"))
+    )
     assert (os.environ["MPLCONFIGDIR"], os.environ["ROS_LOG_DIR"]) == wanted
     assert not usable or not list(home.iterdir())
 
 
 def test_help_loads_neither_mathematics_nor_ros() -> None:
     code = (
-        "import sys\nfrom dextar_control import cli\n"
-        "for words in ([], *([name] for name in cli.COMMANDS)):\n"
-        "    try: cli.main([*words, '--help'])\n"
-        "    except SystemExit as end: assert end.code == 0\n"
-        "print({name.split('.')[0] for name in sys.modules} & {'casadi', 'numpy', 'rclpy', 'matplotlib'},"
-        " [name for name in sys.modules if name.startswith('dextar_control.model')])"
+        "import sys\nfrom dextar_control import cli\nfor words in ([], *([name] for"
+        " name in cli.COMMANDS)):\n    try: cli.main([*words, '--help'])\n    except"
+        " SystemExit as end: assert end.code == 0\nprint({name.split('.')[0] for name"
+        " in sys.modules} & {'casadi', 'numpy', 'rclpy', 'matplotlib'}, [name for name"
+        " in sys.modules if name.startswith('dextar_control.model')])"
     )
-    answer = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=ROOT)
+    answer = subprocess.run(
+        [sys.executable, "-c", code],
+        check=True,
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+    )
     assert answer.stdout.splitlines()[-1] == "set() []"

@@ -1,4 +1,6 @@
-"""The plant in platform coordinates against three others: pinocchio, the tests' own mechanics, PyBullet."""
+"""The plant in platform coordinates against three others: pinocchio, the tests' own
+mechanics, PyBullet.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +24,13 @@ FORMULATIONS = 1.0e-10
 EXACT_MOTION = 1.0e-9
 """m after 0.4 s; the oracle's own tolerance is 1e-10."""
 ENERGY_DRIFT = 5.0e-8
-"""Share of the kinetic energy over 1 s, 4e-9 measured under weight; PyBullet's bar is 2e-3 over 3 s."""
+"""Share of the kinetic energy over 1 s, 4e-9 measured under weight; PyBullet's bar is
+2e-3 over 3 s.
+"""
 PYBULLET_ERROR = 0.05e-3
-"""m after 0.4 s at up to 10 rad/s: PyBullet's first-order substeps of 0.25 ms, 0.036 mm measured."""
+"""m after 0.4 s at up to 10 rad/s: PyBullet's first-order substeps of 0.25 ms, 0.036 mm
+measured.
+"""
 FOURTH_ORDER = 12.0
 """Halving the substep divides the error by 16; higher orders take some of it."""
 IMPULSE_ERROR = 1.0e-4
@@ -59,14 +65,24 @@ def run(plant: Plant | CartesianPlant, steps: int, driven: bool) -> list[PlantSt
 
 
 @pytest.mark.parametrize("working_mode", WORKING_MODES)
-def test_acceleration_is_that_of_an_independent_engine(uneven: RobotParameters, working_mode: tuple[int, int]) -> None:
+def test_acceleration_is_that_of_an_independent_engine(
+    uneven: RobotParameters, working_mode: tuple[int, int]
+) -> None:
     """At random states in both assembly modes, the Type 2 locus among them."""
     Oracle = pytest.importorskip("oracle").Oracle
     robot = uneven.replace(working_mode=working_mode, max_torque=1.0)
-    oracle, plant, random = Oracle(robot), CartesianPlant(robot), np.random.default_rng(4)
+    oracle, plant, random = (
+        Oracle(robot),
+        CartesianPlant(robot),
+        np.random.default_rng(4),
+    )
     compared, near = 0, 0
     while compared < 300:
-        x, x_dot, tau = random.uniform((-0.08, -0.13), (0.08, 0.13)), random.uniform(-1.0, 1.0, 2), random.uniform(-0.5, 0.5, 2)
+        x, x_dot, tau = (
+            random.uniform((-0.08, -0.13), (0.08, 0.13)),
+            random.uniform(-1.0, 1.0, 2),
+            random.uniform(-0.5, 0.5, 2),
+        )
         try:
             state = plant.reset(x, x_dot)
         except GeometryError:
@@ -74,8 +90,12 @@ def test_acceleration_is_that_of_an_independent_engine(uneven: RobotParameters, 
         if min(abs(math.sin(state.joints[1])), abs(math.sin(state.joints[3]))) < 0.1:
             continue
         expected = oracle.forward(state.q_a, x, x_dot, tau)
-        np.testing.assert_allclose(plant.acceleration(tau), expected, rtol=FORMULATIONS,
-                                   atol=FORMULATIONS * np.abs(expected).max())  # fmt: skip
+        np.testing.assert_allclose(
+            plant.acceleration(tau),
+            expected,
+            rtol=FORMULATIONS,
+            atol=FORMULATIONS * np.abs(expected).max(),
+        )
         compared += 1
         near += abs(assembly(state)) < 0.15
     assert near > 5
@@ -106,15 +126,23 @@ def test_both_plants_move_alike_through_the_locus(
         runs.append(run(plant, 400, driven))
         plant.close()
     assert min(map(assembly, runs[0])) < -0.1 < 0.1 < max(map(assembly, runs[0]))
-    assert max(math.dist(first.x, second.x) for first, second in zip(*runs, strict=True)) < PYBULLET_ERROR
+    assert (
+        max(math.dist(first.x, second.x) for first, second in zip(*runs, strict=True))
+        < PYBULLET_ERROR
+    )
 
 
 @pytest.mark.parametrize("friction", FRICTIONS)
 def test_both_plants_lose_alike_to_friction_and_late_torque(friction: str) -> None:
     """A torque that comes two substeps of four late, on joints that rub."""
-    robot = DEXTAR.replace(**{"left.viscous_friction": 1.0e-3, "right.coulomb_friction": 5.0e-3})
+    robot = DEXTAR.replace(
+        **{"left.viscous_friction": 1.0e-3, "right.coulomb_friction": 5.0e-3}
+    )
     ends = []
-    for plant in (Plant(robot, effects=Effects(friction)), CartesianPlant(robot, effects=Effects(friction))):
+    for plant in (
+        Plant(robot, effects=Effects(friction)),
+        CartesianPlant(robot, effects=Effects(friction)),
+    ):
         plant.reset((0.02, 0.105), (0.2, -0.15))
         for step in range(200):
             plant.step(wavy(step), wavy(step - 1), 2)
@@ -125,9 +153,14 @@ def test_both_plants_lose_alike_to_friction_and_late_torque(friction: str) -> No
 
 @pytest.mark.parametrize("kind", [Plant, CartesianPlant])
 @pytest.mark.parametrize("friction", [0.0, 2.0e-3])
-def test_late_torque_is_two_torques_in_turn(kind: type[Plant] | type[CartesianPlant], friction: float) -> None:
+def test_late_torque_is_two_torques_in_turn(
+    kind: type[Plant] | type[CartesianPlant], friction: float
+) -> None:
     robot = DEXTAR.replace(**{"left.coulomb_friction": friction})
-    whole, halves = kind(robot, period=1.0e-3, substeps=4), kind(robot, period=0.5e-3, substeps=2)
+    whole, halves = (
+        kind(robot, period=1.0e-3, substeps=4),
+        kind(robot, period=0.5e-3, substeps=2),
+    )
     for plant in (whole, halves):
         plant.reset((0.0, 0.1), (0.05, -0.4))
     for step in range(50):
@@ -168,35 +201,58 @@ def test_impulse_gives_the_velocity_of_the_exact_model() -> None:
     start = plant.reset((0.02, 0.105))
     plant.apply_impulse(impulse)
     plant.step((0.0, 0.0))
-    system, blow = equations(DEXTAR, absolute(start.joints), np.zeros(6))[0], np.zeros(10)
+    system, blow = (
+        equations(DEXTAR, absolute(start.joints), np.zeros(6))[0],
+        np.zeros(10),
+    )
     blow[4:6] = impulse
     exact = np.linalg.solve(system, blow)[:6]
     state = plant.state()
     assert math.dist(state.x_dot, exact[4:]) < IMPULSE_ERROR * np.hypot(*exact[4:])
-    assert math.dist(absolute(state.joints_dot), exact[:4]) < IMPULSE_ERROR * np.linalg.norm(exact[:4])
+    assert math.dist(
+        absolute(state.joints_dot), exact[:4]
+    ) < IMPULSE_ERROR * np.linalg.norm(exact[:4])
     plant.step((0.0, 0.0))
-    assert math.dist(plant.state().x_dot, state.x_dot) < IMPULSE_ERROR * np.hypot(*exact[4:])
+    assert math.dist(plant.state().x_dot, state.x_dot) < IMPULSE_ERROR * np.hypot(
+        *exact[4:]
+    )
 
 
 @pytest.mark.parametrize("working_mode", WORKING_MODES)
-def test_joints_close_the_loop_in_the_working_mode_and_never_jump(working_mode: tuple[int, int]) -> None:
-    """Both tips from the reported angles are the reported x, and angles and rates belong together."""
+def test_joints_close_the_loop_in_the_working_mode_and_never_jump(
+    working_mode: tuple[int, int],
+) -> None:
+    """Both tips from the reported angles are the reported x, and angles and rates
+    belong together.
+    """
     robot = DEXTAR.replace(working_mode=working_mode)
     plant = CartesianPlant(robot)
     start = plant.reset((0.01, 0.1), (0.05, -0.2))
-    for before, after in zip((states := run(plant, 300, driven=False)), states[1:], strict=False):
+    for before, after in zip(
+        (states := run(plant, 300, driven=False)), states[1:], strict=False
+    ):
         theta = absolute(after.joints)
         for leg, base in enumerate((-0.059, 0.059)):
-            tip = (base + 0.09 * sum(math.cos(theta[2 * leg + link]) for link in (0, 1)),
-                   0.09 * sum(math.sin(theta[2 * leg + link]) for link in (0, 1)))  # fmt: skip
+            tip = (
+                base + 0.09 * sum(math.cos(theta[2 * leg + link]) for link in (0, 1)),
+                0.09 * sum(math.sin(theta[2 * leg + link]) for link in (0, 1)),
+            )
             assert math.dist(tip, after.x) < EXACT
-            assert math.sin(after.joints[2 * leg + 1]) * math.sin(start.joints[2 * leg + 1]) > 0.0
+            assert (
+                math.sin(after.joints[2 * leg + 1])
+                * math.sin(start.joints[2 * leg + 1])
+                > 0.0
+            )
         mean_rate = 0.5 * (before.joints_dot + after.joints_dot)
-        np.testing.assert_allclose(after.joints - before.joints, 1.0e-3 * mean_rate, atol=1.0e-5)
+        np.testing.assert_allclose(
+            after.joints - before.joints, 1.0e-3 * mean_rate, atol=1.0e-5
+        )
 
 
 def test_joints_go_on_counting_past_half_a_turn() -> None:
-    """Both plants' motors turn on past pi, where the inverse geometry alone would start anew."""
+    """Both plants' motors turn on past pi, where the inverse geometry alone would start
+    anew.
+    """
     robot = DEXTAR.replace(working_mode=(1, 1))
     ends = []
     for plant in (Plant(robot), CartesianPlant(robot)):
@@ -212,19 +268,26 @@ def test_joints_go_on_counting_past_half_a_turn() -> None:
 def test_reset_joints_is_the_state_of_the_other_plant(assembly_mode: int) -> None:
     states = []
     for plant in (Plant(DEXTAR), CartesianPlant(DEXTAR)):
-        states.append(plant.reset_joints((1.9, 1.2), assembly_mode, (0.2, -0.1)).numbers)
+        states.append(
+            plant.reset_joints((1.9, 1.2), assembly_mode, (0.2, -0.1)).numbers
+        )
         plant.close()
     np.testing.assert_allclose(*states, atol=EXACT)
 
 
 def test_a_leg_passes_where_it_is_stretched() -> None:
-    """Type 1: the elbow comes out on the other side, as the exact model's and PyBullet's do."""
+    """Type 1: the elbow comes out on the other side, as the exact model's and
+    PyBullet's do.
+    """
     plant, other = CartesianPlant(DEXTAR), Plant(DEXTAR)
     start = plant.reset((0.02, 0.105), (0.2, -0.15))
     other.reset((0.02, 0.105), (0.2, -0.15))
     end, built = run(plant, 800, driven=False)[-1], run(other, 800, driven=False)[-1]
     other.close()
-    assert any(math.sin(start.joints[passive]) * math.sin(end.joints[passive]) < 0.0 for passive in (1, 3))
+    assert any(
+        math.sin(start.joints[passive]) * math.sin(end.joints[passive]) < 0.0
+        for passive in (1, 3)
+    )
     assert math.dist(end.x, integrate(DEXTAR, start, 0.8)[0]) < EXACT_MOTION
     assert math.dist(end.x, built.x) < PYBULLET_ERROR
 
@@ -232,7 +295,10 @@ def test_a_leg_passes_where_it_is_stretched() -> None:
 def test_both_legs_stretched_end_the_run_with_words() -> None:
     plant = CartesianPlant(DEXTAR)
     plant.reset((0.0, 0.1695), (0.0, 0.3))
-    with pytest.raises(StateError, match=r"both legs are stretched or folded: the larger .* needs >= 0.01"):
+    with pytest.raises(
+        StateError,
+        match=r"both legs are stretched or folded: the larger .* needs >= 0.01",
+    ):
         run(plant, 500, driven=False)
 
 
@@ -254,25 +320,44 @@ def test_torque_saturates_and_what_is_not_finite_is_refused() -> None:
     with pytest.raises(ParameterError, match="substeps"):
         CartesianPlant(DEXTAR, substeps=0)
     with pytest.raises(ParameterError, match="left joint friction"):
-        CartesianPlant(DEXTAR.replace(**{"left.coulomb_friction": 1.0}), effects=Effects("smooth"))
+        CartesianPlant(
+            DEXTAR.replace(**{"left.coulomb_friction": 1.0}), effects=Effects("smooth")
+        )
 
 
-@pytest.mark.parametrize("name", ["reset", "reset_joints", "step", "apply_impulse", "state", "close"])
+@pytest.mark.parametrize(
+    "name", ["reset", "reset_joints", "step", "apply_impulse", "state", "close"]
+)
 def test_both_plants_have_the_same_surface(name: str) -> None:
-    assert inspect.signature(getattr(Plant, name)) == inspect.signature(getattr(CartesianPlant, name))
+    assert inspect.signature(getattr(Plant, name)) == inspect.signature(
+        getattr(CartesianPlant, name)
+    )
 
 
 @pytest.mark.parametrize("plant", [CartesianPlant, Plant])
-def test_a_robot_on_another_place_of_the_plane_moves_alike(plant: type[Plant] | type[CartesianPlant]) -> None:
-    """Axes, start and weight turned and shifted; near the ends of both legs, where their own angles are the coordinates, too."""
+def test_a_robot_on_another_place_of_the_plane_moves_alike(
+    plant: type[Plant] | type[CartesianPlant],
+) -> None:
+    """Axes, start and weight turned and shifted; near the ends of both legs, where
+    their own angles are the coordinates, too.
+    """
     angle, shift = 0.4, np.array([0.03, -0.02])
-    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    turn = np.array(
+        [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    )
     robot = DEXTAR.replace(gravity=(0.0, -9.81))
-    axes = {f"{side}.axis": tuple(turn @ leg.axis + shift) for side, leg in zip(robot.sides, robot.legs, strict=True)}
+    axes = {
+        f"{side}.axis": tuple(turn @ leg.axis + shift)
+        for side, leg in zip(robot.sides, robot.legs, strict=True)
+    }
     moved = robot.replace(gravity=tuple(turn @ robot.gravity), **axes)
     here, there = plant(robot), plant(moved)
     here.reset((0.03, 0.155), (0.0, 0.1))
     there.reset(turn @ (0.03, 0.155) + shift, turn @ (0.0, 0.1))
-    for first, second in zip(run(here, 150, False), run(there, 150, False), strict=True):
+    for first, second in zip(
+        run(here, 150, False), run(there, 150, False), strict=True
+    ):
         np.testing.assert_allclose(second.x, turn @ first.x + shift, atol=1e-7)
-        np.testing.assert_allclose(np.cos(second.q_a - first.q_a - angle), 1.0, atol=1e-9)
+        np.testing.assert_allclose(
+            np.cos(second.q_a - first.q_a - angle), 1.0, atol=1e-9
+        )

@@ -11,14 +11,26 @@ from pathlib import Path
 import pytest
 
 from dextar_control.contract.errors import DextarError
-from dextar_control.ros import domain
+from dextar_control.nodekit import domain
 
-HOLD = "from dextar_control.ros.domain import own_domain; print(own_domain(), flush=True); input()"
+HOLD = (
+    "from dextar_control.nodekit.domain import own_domain; print(own_domain(),"
+    " flush=True); input()"
+)
 
 
-def test_no_two_processes_have_the_same_domain_until_one_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of two domains both are given once, the third to ask gets none; a process that ends gives its own back."""
-    other = subprocess.Popen([sys.executable, "-c", HOLD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+def test_no_two_processes_have_the_same_domain_until_one_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of two domains both are given once, the third to ask gets none; a process that
+    ends gives its own back.
+    """
+    other = subprocess.Popen(
+        [sys.executable, "-c", HOLD],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     try:
         assert other.stdout is not None
         taken = int(other.stdout.readline())
@@ -31,8 +43,12 @@ def test_no_two_processes_have_the_same_domain_until_one_ends(monkeypatch: pytes
     assert domain.own_domain() == taken
 
 
-def test_another_users_lock_file_takes_no_domain_for_good(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A file that may only be read, as one that another user left in the shared folder."""
+def test_another_users_lock_file_takes_no_domain_for_good(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A file that may only be read, as one that another user left in the shared
+    folder.
+    """
     (tmp_path / "dextar-domain-7.lock").touch()
     own_open = os.open
 
@@ -49,12 +65,17 @@ def test_another_users_lock_file_takes_no_domain_for_good(monkeypatch: pytest.Mo
         domain.own_domain()
 
 
-def test_without_a_temporary_folder_the_domain_must_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_temporary_folder_the_domain_must_be_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def nowhere() -> str:
         raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
 
     monkeypatch.setattr(domain.tempfile, "gettempdir", nowhere)
-    with pytest.raises(DextarError, match="no temporary folder can be written.*set ROS_DOMAIN_ID or TMPDIR"):
+    with pytest.raises(
+        DextarError,
+        match="no temporary folder can be written.*set ROS_DOMAIN_ID or TMPDIR",
+    ):
         domain.own_domain()
 
 

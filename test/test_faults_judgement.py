@@ -10,8 +10,8 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.faults import bag_check, judgement
-from dextar_control.faults.judgement import Evidence, Seen
+from dextar_control.experiments.faults import bag_check, judgement
+from dextar_control.experiments.faults.judgement import Evidence, Seen
 from dextar_control.model.model import Model
 from dextar_sim import geometry
 
@@ -20,10 +20,21 @@ STATES = 400
 LIMIT = 0.3
 
 
-def evidence(torque: np.ndarray, commanded: np.ndarray, command_torque: np.ndarray | None = None) -> Evidence:
+def evidence(
+    torque: np.ndarray, commanded: np.ndarray, command_torque: np.ndarray | None = None
+) -> Evidence:
     """States of 1 to STATES ms, and commands for those in ``commanded`` (ms)."""
-    commands = np.full((len(commanded), 2), 0.1) if command_torque is None else command_torque
-    return Evidence(np.arange(1, STATES + 1) * MS, np.zeros((STATES, 4)), torque, commanded * MS, commands, MS)
+    commands = (
+        np.full((len(commanded), 2), 0.1) if command_torque is None else command_torque
+    )
+    return Evidence(
+        np.arange(1, STATES + 1) * MS,
+        np.zeros((STATES, 4)),
+        torque,
+        commanded * MS,
+        commands,
+        MS,
+    )
 
 
 def torque_until(last: int) -> np.ndarray:
@@ -33,8 +44,12 @@ def torque_until(last: int) -> np.ndarray:
     return values
 
 
-def test_torque_within_100_ms_of_the_last_command_is_allowed_and_one_period_more_is_not() -> None:
-    """The last command is of 100 ms: the period that begins 100 ms later, and ends in the state of 201 ms, must be free."""
+def test_torque_within_100_ms_of_the_last_command_is_allowed_and_one_period_more_is_not() -> (
+    None
+):
+    """The last command is of 100 ms: the period that begins 100 ms later, and ends in
+    the state of 201 ms, must be free.
+    """
     commanded = np.arange(1, 101)
     looked, lines = judgement.torque_after_death(evidence(torque_until(200), commanded))
     assert (looked, lines) == (STATES - 200, [])
@@ -46,20 +61,30 @@ def test_commands_that_are_not_finite_keep_nobody_alive() -> None:
     commanded = np.arange(1, STATES + 1)
     torque = np.full((STATES, 2), 0.1)
     torque[100:, 0] = np.nan
-    _, lines = judgement.torque_after_death(evidence(torque_until(STATES), commanded, torque))
+    _, lines = judgement.torque_after_death(
+        evidence(torque_until(STATES), commanded, torque)
+    )
     assert len(lines) == 1
-    assert judgement.torque_after_death(evidence(torque_until(STATES), commanded)) == (0, [])
+    assert judgement.torque_after_death(evidence(torque_until(STATES), commanded)) == (
+        0,
+        [],
+    )
 
 
 def test_torque_without_any_command_is_one_after_death() -> None:
-    _, lines = judgement.torque_after_death(evidence(torque_until(3), np.array([], dtype=np.int64)))
+    _, lines = judgement.torque_after_death(
+        evidence(torque_until(3), np.array([], dtype=np.int64))
+    )
     assert lines == ["0.1 N m at 1000000 ns, without any command"]
 
 
 @pytest.mark.parametrize("wrong", [0.301, -0.301, np.nan, np.inf])
 def test_torque_beyond_the_limit_or_no_number_is_told(wrong: float) -> None:
     torque = np.full((STATES, 2), LIMIT)
-    assert judgement.torque_beyond(evidence(torque, np.arange(1, 9)), LIMIT) == (STATES, [])
+    assert judgement.torque_beyond(evidence(torque, np.arange(1, 9)), LIMIT) == (
+        STATES,
+        [],
+    )
     torque[7, 1] = wrong
     _, lines = judgement.torque_beyond(evidence(torque, np.arange(1, 9)), LIMIT)
     assert len(lines) == 1 and "at 8000000 ns; the limit is 0.3 N m" in lines[0]
@@ -72,19 +97,35 @@ def test_a_command_that_is_no_number_too_large_or_answers_a_bad_state_is_told() 
     torque[1, 0], torque[2, 1], torque[3, 0] = np.nan, 0.1, 0.4
     _, lines = judgement.not_finite(stamps, torque, [2 * MS], LIMIT)
     assert lines == [
-        "[nan, 0.0] N m at 1000000 ns", "[0.4, 0.0] N m at 3000000 ns", "[0.0, 0.1] N m answer the bad state of 2000000 ns",
-    ]  # fmt: skip
+        "[nan, 0.0] N m at 1000000 ns",
+        "[0.4, 0.0] N m at 3000000 ns",
+        "[0.0, 0.1] N m answer the bad state of 2000000 ns",
+    ]
 
 
-def test_side_and_place_of_the_true_joints_are_those_of_the_geometry(robot: RobotParameters) -> None:
-    """Joints from the simulator's inverse geometry of points on both sides; the side from the controller's model."""
+def test_side_and_place_of_the_true_joints_are_those_of_the_geometry(
+    robot: RobotParameters,
+) -> None:
+    """Joints from the simulator's inverse geometry of points on both sides; the side
+    from the controller's model.
+    """
     model = Model.of(robot)
     for x in ([-0.025, 0.115], [0.01, 0.06], [0.0, 0.1]):
         joints = np.array([geometry.joints_at(robot, x)])
-        np.testing.assert_allclose(judgement.true_position(robot, joints)[0], x, atol=1e-12)
-        np.testing.assert_allclose(joints[0, [0, 2]], model.inverse_geometric_model(np.array(x)), atol=1e-9)
-    sides = [judgement.true_side(np.array([geometry.joints_at(robot, x)]))[0] for x in ([-0.025, 0.115], [0.01, 0.06])]
-    assert sides == [1.0, -1.0]  # the trip between these two is planned from s > 0 to s < 0
+        np.testing.assert_allclose(
+            judgement.true_position(robot, joints)[0], x, atol=1e-12
+        )
+        np.testing.assert_allclose(
+            joints[0, [0, 2]], model.inverse_geometric_model(np.array(x)), atol=1e-9
+        )
+    sides = [
+        judgement.true_side(np.array([geometry.joints_at(robot, x)]))[0]
+        for x in ([-0.025, 0.115], [0.01, 0.06])
+    ]
+    assert sides == [
+        1.0,
+        -1.0,
+    ]  # the trip between these two is planned from s > 0 to s < 0
 
 
 def test_a_silent_publisher_is_seen_by_its_largest_gap() -> None:
@@ -94,19 +135,42 @@ def test_a_silent_publisher_is_seen_by_its_largest_gap() -> None:
 
 
 def seen(**changes: object) -> Seen:
-    status = {"controller": {"missed_states": "3", "reason": ""}, "plant": {"late_ticks": "7"}}
-    fields: dict[str, object] = {"before": status, "after": status, "texts": {}, "exits": {}, "logs": {}, "answers": []}
+    status = {
+        "controller": {"missed_states": "3", "reason": ""},
+        "plant": {"late_ticks": "7"},
+    }
+    fields: dict[str, object] = {
+        "before": status,
+        "after": status,
+        "texts": {},
+        "exits": {},
+        "logs": {},
+        "answers": [],
+    }
     return Seen(**(fields | changes))  # type: ignore[arg-type]
 
 
 WAYS = [
-    "controller.missed_states", "controller.reason~no state", "exit.plant", "silent.plant", "log.recorder~full", "answer~refused",
-]  # fmt: skip
+    "controller.missed_states",
+    "controller.reason~no state",
+    "exit.plant",
+    "silent.plant",
+    "log.recorder~full",
+    "answer~refused",
+]
 
 
 def test_a_fault_of_which_nobody_speaks_is_not_reported() -> None:
     assert seen().reports(WAYS) == []
-    assert seen(exits={"plant": 0}, logs={"recorder": "fine"}, answers=["taken"], silent={"controller"}).reports(WAYS) == []
+    assert (
+        seen(
+            exits={"plant": 0},
+            logs={"recorder": "fine"},
+            answers=["taken"],
+            silent={"controller"},
+        ).reports(WAYS)
+        == []
+    )
 
 
 @pytest.mark.parametrize(
@@ -120,7 +184,9 @@ def test_a_fault_of_which_nobody_speaks_is_not_reported() -> None:
         ({"answers": ["refused: too large"]}, WAYS[5]),
     ],
 )
-def test_each_way_of_reporting_is_recognised(changes: dict[str, object], way: str) -> None:
+def test_each_way_of_reporting_is_recognised(
+    changes: dict[str, object], way: str
+) -> None:
     assert seen(**changes).reports(WAYS) == [way]
 
 
@@ -133,13 +199,17 @@ def whole_bag(chunks: int) -> bytes:
     channel = writer.register_channel("/number", "cdr", schema)
     for chunk in range(chunks):
         for number in range(30 * chunk + 1, 30 * chunk + 31):
-            writer.add_message(channel, number, number.to_bytes(64, "little"), number, number)
+            writer.add_message(
+                channel, number, number.to_bytes(64, "little"), number, number
+            )
         writer.flush()
     writer.finish()
     return file.getvalue()
 
 
-def test_a_bag_cut_off_anywhere_is_readable_up_to_its_last_complete_chunk(tmp_path: Path) -> None:
+def test_a_bag_cut_off_anywhere_is_readable_up_to_its_last_complete_chunk(
+    tmp_path: Path,
+) -> None:
     raw = whole_bag(4)
     path = tmp_path / "cut.mcap"
     for length in [*range(100, len(raw), 97), len(raw)]:
@@ -149,7 +219,9 @@ def test_a_bag_cut_off_anywhere_is_readable_up_to_its_last_complete_chunk(tmp_pa
 
 
 def test_a_bag_with_a_broken_chunk_in_front_is_not_readable(tmp_path: Path) -> None:
-    """The lengths of the records still fit, so that the chunks behind count as complete."""
+    """The lengths of the records still fit, so that the chunks behind count as
+    complete.
+    """
     raw = bytearray(whole_bag(3))
     path = tmp_path / "broken.mcap"
     place = raw.index(b"zstd") + 30

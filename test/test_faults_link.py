@@ -9,14 +9,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.faults.link import Delivery, Link, Shape, Transport, Window
+from dextar_control.experiments.faults.link import (
+    Delivery,
+    Link,
+    Shape,
+    Transport,
+    Window,
+)
 
 MS = 1_000_000
 COUNT = 2000
 
 
-def run(transport: Transport, windows: tuple[Window, ...] = (), seed: int = 3) -> list[tuple[int, Delivery[int]]]:
-    """(time of arrival, delivery) of COUNT messages, one each millisecond, looked for at each millisecond."""
+def run(
+    transport: Transport, windows: tuple[Window, ...] = (), seed: int = 3
+) -> list[tuple[int, Delivery[int]]]:
+    """(time of arrival, delivery) of COUNT messages, one each millisecond, looked for
+    at each millisecond.
+    """
     link: Link[int] = Link(transport, seed)
     for window in windows:
         link.add(window)
@@ -29,12 +39,16 @@ def run(transport: Transport, windows: tuple[Window, ...] = (), seed: int = 3) -
 
 
 def test_a_whole_link_hands_on_everything_at_once_and_in_order() -> None:
-    assert run(Transport()) == [(tick, Delivery(tick, None, 0)) for tick in range(COUNT)]
+    assert run(Transport()) == [
+        (tick, Delivery(tick, None, 0)) for tick in range(COUNT)
+    ]
 
 
 @pytest.mark.parametrize("drop", [0.01, 0.05, 0.2])
 def test_the_share_that_is_lost_is_the_one_asked_for(drop: float) -> None:
-    """Within five standard deviations of the binomial distribution; the same ones each time."""
+    """Within five standard deviations of the binomial distribution; the same ones each
+    time.
+    """
     arrived = run(Transport(drop=drop))
     lost = COUNT - len(arrived)
     assert abs(lost - drop * COUNT) < 5.0 * math.sqrt(drop * (1.0 - drop) * COUNT)
@@ -63,7 +77,11 @@ def test_a_message_held_back_is_overtaken_within_its_time() -> None:
     arrived = run(Transport(reorder=0.1, reorder_time=0.003))
     items = [delivery.item for _, delivery in arrived]
     assert sorted(items) == list(range(COUNT))
-    overtaken = [item for place, item in enumerate(items) if any(later < item for later in items[place + 1 : place + 5])]
+    overtaken = [
+        item
+        for place, item in enumerate(items)
+        if any(later < item for later in items[place + 1 : place + 5])
+    ]
     assert overtaken
     assert max(tick - delivery.item for tick, delivery in arrived) <= 4
 
@@ -75,21 +93,42 @@ def test_a_duplicate_arrives_right_behind_its_original() -> None:
     assert all(items[items.index(item) + 1] == item for item in twice)
 
 
-def test_a_window_gives_its_shape_to_what_is_sent_in_it_and_an_outage_lets_nothing_through() -> None:
-    windows = (Window(10 * MS, 15 * MS, Shape.OUTAGE), Window(20 * MS - 7, 22 * MS, Shape.NAN))
+def test_a_window_gives_its_shape_to_what_is_sent_in_it_and_an_outage_lets_nothing_through() -> (
+    None
+):
+    windows = (
+        Window(10 * MS, 15 * MS, Shape.OUTAGE),
+        Window(20 * MS - 7, 22 * MS, Shape.NAN),
+    )
     arrived = [delivery for _, delivery in run(Transport(), windows)]
     assert [delivery.item for delivery in arrived][:12] == [*range(10), 15, 16]
-    shaped = [(delivery.item, delivery.shape, delivery.began) for delivery in arrived if delivery.shape is not None]
+    shaped = [
+        (delivery.item, delivery.shape, delivery.began)
+        for delivery in arrived
+        if delivery.shape is not None
+    ]
     assert shaped == [(20, Shape.NAN, 20 * MS), (21, Shape.NAN, 20 * MS)]
 
 
 @given(
-    st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 0.01), st.floats(0.0, 0.01), st.integers(0, 99)
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 0.01),
+    st.floats(0.0, 0.01),
+    st.integers(0, 99),
 )
 def test_nothing_gets_lost_that_is_not_counted(
-    drop: float, duplicate: float, reorder: float, delay: float, jitter: float, seed: int
+    drop: float,
+    duplicate: float,
+    reorder: float,
+    delay: float,
+    jitter: float,
+    seed: int,
 ) -> None:
-    link: Link[int] = Link(Transport(drop, duplicate, reorder, 0.003, delay, jitter), seed)
+    link: Link[int] = Link(
+        Transport(drop, duplicate, reorder, 0.003, delay, jitter), seed
+    )
     link.add(Window(20 * MS, 30 * MS, Shape.OUTAGE))
     for tick in range(100):
         link.send(tick * MS, tick)
@@ -97,7 +136,11 @@ def test_nothing_gets_lost_that_is_not_counted(
     counts = link.counts
     assert counts["sent"] == 100
     assert counts["lost_in_outage"] == 10
-    assert len(arrived) == counts["delivered"] == 90 - counts["dropped"] + counts["duplicated"]
+    assert (
+        len(arrived)
+        == counts["delivered"]
+        == 90 - counts["dropped"] + counts["duplicated"]
+    )
 
 
 def test_a_probability_or_a_time_out_of_range_is_refused_with_the_number() -> None:

@@ -1,4 +1,6 @@
-"""The whole closed loop in a plain ``for``: planner, estimator, law against the PyBullet plant."""
+"""The whole closed loop in a plain ``for``: planner, estimator, law against the
+PyBullet plant.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,12 @@ from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
 from dextar_control.control.verdicts import Verdict
 from dextar_control.model.model import Model
-from dextar_control.planning.planner import MIN_END_S, Plan, plan_approach, plan_return_trip
+from dextar_control.planning.planner import (
+    MIN_END_S,
+    Plan,
+    plan_approach,
+    plan_return_trip,
+)
 from dextar_control.planning.trajectory import Trajectory
 from dextar_sim.plant import Plant
 from dextar_sim.sensors import Encoder
@@ -42,13 +49,23 @@ class Run(NamedTuple):
 
 
 def drive(
-    robot: RobotParameters, plan: Plan, law: Law = Law.CONSISTENT, resolution: int = RESOLUTION, **changes: object
+    robot: RobotParameters,
+    plan: Plan,
+    law: Law = Law.CONSISTENT,
+    resolution: int = RESOLUTION,
+    **changes: object,
 ) -> Run:
     """plan -> estimate -> control -> plant, without ROS."""
     plant = Plant(robot)
     try:
         plant.reset(plan.trajectory.at(0.0).x)
-        encoder = Encoder(1e-3, resolution=resolution, velocity_cutoff=100.0, position_noise=0.0, seed=0)
+        encoder = Encoder(
+            1e-3,
+            resolution=resolution,
+            velocity_cutoff=100.0,
+            position_noise=0.0,
+            seed=0,
+        )
         loop = ControlLoop(robot, default_settings(law=law, **changes), 1)
         loop.accept(plan.trajectory)
         rows, phases = [], []
@@ -71,24 +88,33 @@ def fast_run(robot: RobotParameters, trip: Plan) -> Run:
     return drive(robot, trip)
 
 
-def test_the_fast_trip_meets_its_bars(robot: RobotParameters, trip: Plan, fast_run: Run) -> None:
+def test_the_fast_trip_meets_its_bars(
+    robot: RobotParameters, trip: Plan, fast_run: Run
+) -> None:
     peak = np.abs(fast_run.tau).max(axis=1)
     assert fast_run.loop.phase == Phase.HOLD
     assert fast_run.loop.completed == 1
     assert fast_run.error.max() <= MAX_ERROR
     assert fast_run.error[-1] <= MAX_END_ERROR
     assert peak.max() <= TORQUE_RATIO * trip.certificate.peak_torque
-    assert peak[np.abs(fast_run.s) < NEAR].max() <= TORQUE_RATIO_NEAR * trip.certificate.peak_torque
+    assert (
+        peak[np.abs(fast_run.s) < NEAR].max()
+        <= TORQUE_RATIO_NEAR * trip.certificate.peak_torque
+    )
     assert fast_run.loop.saturated_ticks == 0
 
 
-def test_the_true_robot_changes_sides_twice(robot: RobotParameters, fast_run: Run) -> None:
+def test_the_true_robot_changes_sides_twice(
+    robot: RobotParameters, fast_run: Run
+) -> None:
     signs = np.sign([s_of(Model.of(robot), x) for x in fast_run.x])
     assert signs[0] == signs[-1] == 1.0
     assert np.count_nonzero(np.diff(signs)) == 2
 
 
-def test_the_slow_trip_meets_the_same_error_bars(robot: RobotParameters, slow_trip: Plan) -> None:
+def test_the_slow_trip_meets_the_same_error_bars(
+    robot: RobotParameters, slow_trip: Plan
+) -> None:
     run = drive(robot, slow_trip)
     assert run.loop.phase == Phase.HOLD
     assert run.error.max() <= MAX_ERROR
@@ -102,7 +128,9 @@ def test_the_enforcement_makes_no_torque_step(trip: Plan, fast_run: Run) -> None
     assert steps[engaged].max() < planned + 0.05 * trip.certificate.peak_torque
 
 
-def test_the_papers_projection_steps_where_ours_does_not(robot: RobotParameters, trip: Plan, fast_run: Run) -> None:
+def test_the_papers_projection_steps_where_ours_does_not(
+    robot: RobotParameters, trip: Plan, fast_run: Run
+) -> None:
     paper = drive(robot, trip, Law.PROJECTED, band=0.2)
 
     def step(run: Run) -> float:
@@ -112,28 +140,41 @@ def test_the_papers_projection_steps_where_ours_does_not(robot: RobotParameters,
     assert step(paper) > 3.0 * step(fast_run)
 
 
-def test_the_classic_law_asks_for_too_much_near_the_locus(robot: RobotParameters, trip: Plan, fast_run: Run) -> None:
-    run = drive(robot, trip, Law.CLASSIC, resolution=2**15, scatter_gain=0.0)  # an estimate with the noise of its encoders
+def test_the_classic_law_asks_for_too_much_near_the_locus(
+    robot: RobotParameters, trip: Plan, fast_run: Run
+) -> None:
+    run = drive(
+        robot, trip, Law.CLASSIC, resolution=2**15, scatter_gain=0.0
+    )  # an estimate with the noise of its encoders
     peak = np.abs(run.tau).max(axis=1)
     limit = default_settings().watch_ratio * trip.certificate.peak_torque
     assert run.loop.saturated_ticks > fast_run.loop.saturated_ticks == 0
     assert abs(run.s[int(np.argmax(peak >= limit))]) < 0.1
 
 
-def test_the_classic_law_with_the_plain_direct_model_saturates_at_each_crossing(robot: RobotParameters, trip: Plan) -> None:
+def test_the_classic_law_with_the_plain_direct_model_saturates_at_each_crossing(
+    robot: RobotParameters, trip: Plan
+) -> None:
     run = drive(robot, trip, Law.CLASSIC, estimator=Estimation.PLAIN)
     limit = default_settings().watch_ratio * trip.certificate.peak_torque
-    at_limit = np.flatnonzero((np.abs(run.tau).max(axis=1) >= limit) & (np.abs(run.s) < 0.1)) * 1e-3
+    at_limit = (
+        np.flatnonzero((np.abs(run.tau).max(axis=1) >= limit) & (np.abs(run.s) < 0.1))
+        * 1e-3
+    )
     for crossing in trip.certificate.crossing_times:
         assert np.abs(at_limit - crossing).min() < 0.02
 
 
-def test_the_direct_model_alone_amplifies_what_the_hold_does_not(robot: RobotParameters, trip: Plan) -> None:
+def test_the_direct_model_alone_amplifies_what_the_hold_does_not(
+    robot: RobotParameters, trip: Plan
+) -> None:
     held = drive(robot, trip, resolution=2**13, estimator=Estimation.DGM)
     bare = drive(robot, trip, resolution=2**13, estimator=Estimation.PLAIN)
 
     def step(run: Run) -> float:
-        return float(np.abs(np.diff(run.tau, axis=0)).max(axis=1)[np.abs(run.s[1:]) < NEAR].max())
+        return float(
+            np.abs(np.diff(run.tau, axis=0)).max(axis=1)[np.abs(run.s[1:]) < NEAR].max()
+        )
 
     assert held.loop.phase == Phase.HOLD
     assert held.error.max() < 1e-3
@@ -145,12 +186,23 @@ def test_the_direct_model_alone_amplifies_what_the_hold_does_not(robot: RobotPar
 def test_a_robot_built_a_tenth_of_a_millimetre_off_still_crosses_with(
     robot: RobotParameters, trip: Plan, seed: int, estimator: Estimation
 ) -> None:
-    """The plant's lengths and base differ from the model's by up to 0.1 mm; it starts where the encoders say."""
+    """The plant's lengths and base differ from the model's by up to 0.1 mm; it starts
+    where the encoders say.
+    """
     generator = np.random.default_rng(seed)
-    lengths = {f"{side}.{link}_length": 0.09 + generator.uniform(-1e-4, 1e-4) for side in ("left", "right")
-               for link in ("proximal", "distal")}  # fmt: skip
-    built = robot.replace(base_distance=robot.base_distance + generator.uniform(-1e-4, 1e-4), **lengths)
-    plant, loop, worst = Plant(built), ControlLoop(robot, default_settings(estimator=estimator), 1), 0.0
+    lengths = {
+        f"{side}.{link}_length": 0.09 + generator.uniform(-1e-4, 1e-4)
+        for side in ("left", "right")
+        for link in ("proximal", "distal")
+    }
+    built = robot.replace(
+        base_distance=robot.base_distance + generator.uniform(-1e-4, 1e-4), **lengths
+    )
+    plant, loop, worst = (
+        Plant(built),
+        ControlLoop(robot, default_settings(estimator=estimator), 1),
+        0.0,
+    )
     plant.reset_joints(loop.model.inverse_geometric_model(trip.trajectory.at(0.0).x), 1)
     loop.accept(trip.trajectory)
     for _ in range(1460):
@@ -164,22 +216,41 @@ def test_a_robot_built_a_tenth_of_a_millimetre_off_still_crosses_with(
 
 
 def test_phases_follow_the_crossings(fast_run: Run) -> None:
-    seen = [phase for index, phase in enumerate(fast_run.phases) if index == 0 or phase != fast_run.phases[index - 1]]
-    assert seen == [Phase.TRACK, Phase.CROSSING, Phase.TRACK, Phase.CROSSING, Phase.TRACK, Phase.HOLD]
+    seen = [
+        phase
+        for index, phase in enumerate(fast_run.phases)
+        if index == 0 or phase != fast_run.phases[index - 1]
+    ]
+    assert seen == [
+        Phase.TRACK,
+        Phase.CROSSING,
+        Phase.TRACK,
+        Phase.CROSSING,
+        Phase.TRACK,
+        Phase.HOLD,
+    ]
     assert [passed.verdict for passed in fast_run.loop.passed] == [Verdict.CROSSED] * 2
 
 
 @pytest.mark.parametrize("law", [Law.PROJECTED, Law.MULTI_MODEL, Law.JOINT_SPACE])
-def test_each_law_crosses_with_the_exact_model(robot: RobotParameters, trip: Plan, law: Law) -> None:
+def test_each_law_crosses_with_the_exact_model(
+    robot: RobotParameters, trip: Plan, law: Law
+) -> None:
     run = drive(robot, trip, law)
     assert run.loop.completed == 1
     assert run.error.max() < MAX_ERROR
 
 
 def test_an_unknown_law_or_estimator_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(ParameterError, match="law = 'magic'; it must be one of classic, projected, consistent"):
+    with pytest.raises(
+        ParameterError,
+        match="law = 'magic'; it must be one of classic, projected, consistent",
+    ):
         default_settings(law="magic")
-    with pytest.raises(ParameterError, match="estimator = 'eyes'; it must be one of plain, dgm, observer, external"):
+    with pytest.raises(
+        ParameterError,
+        match="estimator = 'eyes'; it must be one of plain, dgm, observer, external",
+    ):
         default_settings(estimator="eyes")
 
 
@@ -199,7 +270,9 @@ def _holding(robot: RobotParameters, trip: Plan) -> tuple[ControlLoop, np.ndarra
     return loop, q_a
 
 
-def test_bad_states_are_refused_and_change_nothing(robot: RobotParameters, trip: Plan) -> None:
+def test_bad_states_are_refused_and_change_nothing(
+    robot: RobotParameters, trip: Plan
+) -> None:
     loop, q_a = _holding(robot, trip)
     with pytest.raises(StateError, match="not two finite numbers"):
         loop.step(0.001, np.array([np.nan, 1.0]))
@@ -208,18 +281,26 @@ def test_bad_states_are_refused_and_change_nothing(robot: RobotParameters, trip:
     assert np.abs(loop.step(0.001, q_a)).max() < 1e-6
 
 
-def test_a_trajectory_elsewhere_or_while_moving_is_refused(robot: RobotParameters, trip: Plan) -> None:
+def test_a_trajectory_elsewhere_or_while_moving_is_refused(
+    robot: RobotParameters, trip: Plan
+) -> None:
     loop, q_a = _holding(robot, trip)
     elsewhere = plan_approach(robot, [0.0, 0.12], [-0.025, 0.115], 0.1)
-    with pytest.raises(TrajectoryError, match=r"m from the robot; the limit is 0.001 m"):
+    with pytest.raises(
+        TrajectoryError, match=r"m from the robot; the limit is 0.001 m"
+    ):
         loop.accept(elsewhere)
     loop.accept(trip.trajectory)
     loop.step(0.001, q_a)
-    with pytest.raises(TrajectoryError, match="in phase HOLD only; the controller is in TRACK"):
+    with pytest.raises(
+        TrajectoryError, match="in phase HOLD only; the controller is in TRACK"
+    ):
         loop.accept(trip.trajectory)
 
 
-def test_a_fault_and_a_disabled_loop_give_no_torque_until_reset(robot: RobotParameters, trip: Plan) -> None:
+def test_a_fault_and_a_disabled_loop_give_no_torque_until_reset(
+    robot: RobotParameters, trip: Plan
+) -> None:
     loop, q_a = _holding(robot, trip)
     loop.fault("tried")
     assert (loop.step(0.001, q_a + 1e-3) == 0.0).all()
@@ -232,8 +313,13 @@ def test_a_fault_and_a_disabled_loop_give_no_torque_until_reset(robot: RobotPara
     assert loop.phase == Phase.HOLD
 
 
-def test_a_stop_brakes_away_from_the_locus_and_finishes_a_crossing(robot: RobotParameters, trip: Plan) -> None:
-    for when, expected in ((0.25, Phase.SAFE_STOP), (float(trip.certificate.crossing_times[0]), Phase.CROSSING)):
+def test_a_stop_brakes_away_from_the_locus_and_finishes_a_crossing(
+    robot: RobotParameters, trip: Plan
+) -> None:
+    for when, expected in (
+        (0.25, Phase.SAFE_STOP),
+        (float(trip.certificate.crossing_times[0]), Phase.CROSSING),
+    ):
         plant = Plant(robot)
         plant.reset(trip.trajectory.at(0.0).x)
         loop = ControlLoop(robot, default_settings(), 1)
@@ -253,9 +339,15 @@ def test_a_stop_brakes_away_from_the_locus_and_finishes_a_crossing(robot: RobotP
 
 
 def _drive_until(
-    robot: RobotParameters, trip: Plan, time: float, estimator: Estimation = Estimation.OBSERVER
+    robot: RobotParameters,
+    trip: Plan,
+    time: float,
+    estimator: Estimation = Estimation.OBSERVER,
 ) -> tuple[Plant, ControlLoop]:
-    plant, loop = Plant(robot), ControlLoop(robot, default_settings(estimator=estimator), 1)
+    plant, loop = (
+        Plant(robot),
+        ControlLoop(robot, default_settings(estimator=estimator), 1),
+    )
     plant.reset(trip.trajectory.at(0.0).x)
     loop.accept(trip.trajectory)
     while plant.state().time < time:
@@ -272,13 +364,17 @@ def _put(plant: Plant, loop: ControlLoop, x: np.ndarray) -> None:
 
 
 def _beyond(trip: Plan, s: float) -> np.ndarray:
-    """A point of the trip behind its first crossing, at that |s| or a little more, m."""
+    """A point of the trip behind its first crossing, at that |s| or a little more,
+    m.
+    """
     profile, crossing = trip.certificate.profile, trip.certificate.crossing_times[0]
     return profile.x[np.argmax((profile.time > crossing) & (np.abs(profile.s) >= s))]
 
 
 @pytest.mark.parametrize("how", ["fault", "disable"])
-def test_after_a_fault_on_the_far_side_the_estimate_is_still_the_robot(robot: RobotParameters, trip: Plan, how: str) -> None:
+def test_after_a_fault_on_the_far_side_the_estimate_is_still_the_robot(
+    robot: RobotParameters, trip: Plan, how: str
+) -> None:
     plant, loop = _drive_until(robot, trip, 0.65)
     loop.fault("tried") if how == "fault" else loop.disable()
     for _ in range(50):
@@ -298,16 +394,30 @@ def test_after_a_fault_on_the_far_side_the_estimate_is_still_the_robot(robot: Ro
     plant.close()
 
 
-def test_a_fault_on_the_locus_asks_for_the_assembly_mode(robot: RobotParameters, trip: Plan) -> None:
-    """What it advises can be followed, step by step, by a robot that rests where it is put."""
+def test_a_fault_on_the_locus_asks_for_the_assembly_mode(
+    robot: RobotParameters, trip: Plan
+) -> None:
+    """What it advises can be followed, step by step, by a robot that rests where it is
+    put.
+    """
     plant, loop = _drive_until(robot, trip, float(trip.certificate.crossing_times[0]))
     loop.fault("tried")
-    with pytest.raises(StateError, match=r"move it by hand to \|s\| >= 0.20, set assembly_mode .*, then reset"):
+    with pytest.raises(
+        StateError,
+        match=r"move it by hand to \|s\| >= 0.20, set assembly_mode .*, then reset",
+    ):
         loop.reset()
-    with pytest.raises(StateError, match=r"move it by hand to \|s\| >= 0.20, then set assembly_mode"):
+    with pytest.raises(
+        StateError, match=r"move it by hand to \|s\| >= 0.20, then set assembly_mode"
+    ):
         loop.set_assembly_mode(-1)
     _put(plant, loop, _beyond(trip, 0.21))
-    with pytest.raises(StateError, match="cannot tell on which side .* set assembly_mode to the side .*, then reset"):
+    with pytest.raises(
+        StateError,
+        match=(
+            "cannot tell on which side .* set assembly_mode to the side .*, then reset"
+        ),
+    ):
         loop.reset()
     loop.set_assembly_mode(-1)
     loop.reset()
@@ -319,9 +429,15 @@ def test_a_fault_on_the_locus_asks_for_the_assembly_mode(robot: RobotParameters,
 
 
 @pytest.mark.parametrize("impulse", [0.04, 0.06, 0.08, 0.12])
-def test_an_impulse_against_the_motion_is_judged_as_it_was(robot: RobotParameters, trip: Plan, impulse: float) -> None:
-    """Struck 12 ms before the crossing the robot crosses late, or turns back; the joints alone look alike."""
-    plant, loop = _drive_until(robot, trip, float(trip.certificate.crossing_times[0]) - 0.012)
+def test_an_impulse_against_the_motion_is_judged_as_it_was(
+    robot: RobotParameters, trip: Plan, impulse: float
+) -> None:
+    """Struck 12 ms before the crossing the robot crosses late, or turns back; the
+    joints alone look alike.
+    """
+    plant, loop = _drive_until(
+        robot, trip, float(trip.certificate.crossing_times[0]) - 0.012
+    )
     velocity = plant.state().x_dot
     plant.apply_impulse(-impulse * velocity / np.hypot(*velocity))
     taus, judged, lacking = [], 0.0, 0.0
@@ -334,8 +450,15 @@ def test_an_impulse_against_the_motion_is_judged_as_it_was(robot: RobotParameter
         plant.step(taus[-1])
     wrong = Verdict.BOUNCED if judged < 0.0 else Verdict.CROSSED
     assert loop.passed[0].verdict is not wrong
-    assert loop.passed[0].verdict is not Verdict.UNDECIDED or loop.phase == Phase.SAFE_STOP
-    assert np.abs(taus).max() <= default_settings().watch_ratio * trip.certificate.peak_torque + lacking + 1e-12
+    assert (
+        loop.passed[0].verdict is not Verdict.UNDECIDED or loop.phase == Phase.SAFE_STOP
+    )
+    assert (
+        np.abs(taus).max()
+        <= default_settings().watch_ratio * trip.certificate.peak_torque
+        + lacking
+        + 1e-12
+    )
     assert lacking < 0.01
     if loop.passed[0].verdict is Verdict.BOUNCED:
         assert loop.phase == Phase.SAFE_STOP
@@ -345,7 +468,9 @@ def test_an_impulse_against_the_motion_is_judged_as_it_was(robot: RobotParameter
     plant.close()
 
 
-def test_a_held_robot_that_is_pushed_away_is_stopped(robot: RobotParameters, trip: Plan) -> None:
+def test_a_held_robot_that_is_pushed_away_is_stopped(
+    robot: RobotParameters, trip: Plan
+) -> None:
     loop, q_a = _holding(robot, trip)
     for tick in range(1, 400):
         tau = loop.step(1e-3 * tick, q_a + np.array([0.0, 1e-3 * tick]))
@@ -355,7 +480,9 @@ def test_a_held_robot_that_is_pushed_away_is_stopped(robot: RobotParameters, tri
     assert np.abs(tau).max() <= robot.max_torque
 
 
-def test_a_start_that_has_passed_moves_nothing(robot: RobotParameters, trip: Plan) -> None:
+def test_a_start_that_has_passed_moves_nothing(
+    robot: RobotParameters, trip: Plan
+) -> None:
     loop = ControlLoop(robot, default_settings(), 1)
     loop.accept(trip.trajectory, start=-0.2)
     tau = loop.step(0.0, loop.model.inverse_geometric_model(trip.trajectory.at(0.0).x))
@@ -364,7 +491,9 @@ def test_a_start_that_has_passed_moves_nothing(robot: RobotParameters, trip: Pla
     assert np.abs(tau).max() < 1e-6
 
 
-def test_a_stop_asked_for_while_crossing_does_not_outlive_its_trip(robot: RobotParameters, trip: Plan) -> None:
+def test_a_stop_asked_for_while_crossing_does_not_outlive_its_trip(
+    robot: RobotParameters, trip: Plan
+) -> None:
     plant, loop = _drive_until(robot, trip, float(trip.certificate.crossing_times[0]))
     loop.stop("first trip")
     loop.fault("tried")
@@ -387,7 +516,13 @@ def test_an_end_near_the_locus_is_refused(robot: RobotParameters, trip: Plan) ->
     law = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
     coefficients = np.outer(law / 0.5 ** np.arange(8), near - start)
     coefficients[0] += start
-    with pytest.raises(TrajectoryError, match=r"the trajectory ends at \|s\| = 0\.\d+ of the Type 2 .*; the limit is 0.4: serve"):
+    with pytest.raises(
+        TrajectoryError,
+        match=(
+            r"the trajectory ends at \|s\| = 0\.\d+ of the Type 2 .*; the limit is 0.4:"
+            r" serve"
+        ),
+    ):
         loop.accept(Trajectory(np.array([0.0, 0.5]), np.zeros(1), coefficients[None]))
 
 
@@ -403,7 +538,9 @@ def test_a_transition_that_reaches_the_locus_is_refused(robot: RobotParameters) 
 
 def test_the_mock_up_crosses_too() -> None:
     mockup = load_robot(config_file("mockup.yaml"))
-    plan = plan_return_trip(mockup, np.array([-0.025, 0.115]), np.array([0.01, 0.06]), 0.33, 0.1)
+    plan = plan_return_trip(
+        mockup, np.array([-0.025, 0.115]), np.array([0.01, 0.06]), 0.33, 0.1
+    )
     run = drive(mockup, plan)
     assert run.loop.completed == 1
     assert run.error.max() <= MAX_ERROR
@@ -427,7 +564,9 @@ def test_lost_samples_do_not_end_the_trip(robot: RobotParameters, trip: Plan) ->
 
 def test_another_working_mode_is_refused(robot: RobotParameters, trip: Plan) -> None:
     other = Model.of(robot.replace(working_mode=(1, 1)))
-    grid = [np.array([x, y]) for x in (-0.05, 0.0, 0.05) for y in (-0.1, -0.05, 0.05, 0.1)]
+    grid = [
+        np.array([x, y]) for x in (-0.05, 0.0, 0.05) for y in (-0.1, -0.05, 0.05, 0.1)
+    ]
     q_a = other.inverse_geometric_model(next(x for x in grid if s_of(other, x) > 0.1))
     loop = ControlLoop(robot, default_settings(), 1)
     with pytest.raises(StateError, match="not in working mode"):
@@ -440,14 +579,20 @@ def test_another_working_mode_is_refused(robot: RobotParameters, trip: Plan) -> 
 def test_a_robot_let_go_on_the_locus_is_held_only_on_a_side_that_was_told(
     robot: RobotParameters, trip: Plan, estimator: Estimation
 ) -> None:
-    plant, loop = _drive_until(robot, trip, float(trip.certificate.crossing_times[0]), estimator)
+    plant, loop = _drive_until(
+        robot, trip, float(trip.certificate.crossing_times[0]), estimator
+    )
     loop.disable()
     _put(plant, loop, _beyond(trip, 0.26))
     assert not loop.mode_known
-    with pytest.raises(StateError, match="cannot tell on which side .* set assembly_mode"):
+    with pytest.raises(
+        StateError, match="cannot tell on which side .* set assembly_mode"
+    ):
         loop.enable()
     loop.set_assembly_mode(-1)
-    assert loop.passed[0].verdict is Verdict.UNDECIDED, "what somebody tells is no verdict of the estimator"
+    assert loop.passed[0].verdict is Verdict.UNDECIDED, (
+        "what somebody tells is no verdict of the estimator"
+    )
     loop.step(loop.tick.time + 1e-3, plant.state().q_a)
     assert loop.passed[0].verdict is Verdict.UNDECIDED
     loop.enable()
@@ -455,7 +600,9 @@ def test_a_robot_let_go_on_the_locus_is_held_only_on_a_side_that_was_told(
     plant.close()
 
 
-def test_a_robot_whose_estimate_leaves_the_workspace_is_braked_and_of_no_known_side(robot: RobotParameters, trip: Plan) -> None:
+def test_a_robot_whose_estimate_leaves_the_workspace_is_braked_and_of_no_known_side(
+    robot: RobotParameters, trip: Plan
+) -> None:
     plant = Plant(robot)
     plant.reset(trip.trajectory.at(0.0).x)
     loop = ControlLoop(robot, default_settings(), 1)
@@ -474,14 +621,19 @@ def test_a_robot_whose_estimate_leaves_the_workspace_is_braked_and_of_no_known_s
     plant.close()
 
 
-def test_no_motion_begins_while_the_side_is_not_known(robot: RobotParameters, trip: Plan) -> None:
+def test_no_motion_begins_while_the_side_is_not_known(
+    robot: RobotParameters, trip: Plan
+) -> None:
     """Asked for then, and lost between asking and the start."""
     loop, q_a = _holding(robot, trip)
     certificate = loop.check(trip.trajectory)
     loop.schedule(trip.trajectory, certificate, start=0.05)
     loop.step(0.001, q_a)
     loop.estimator.estimate.confidence = 0.5
-    with pytest.raises(TrajectoryError, match="cannot tell on which side .* disable, set assembly_mode .*, enable"):
+    with pytest.raises(
+        TrajectoryError,
+        match="cannot tell on which side .* disable, set assembly_mode .*, enable",
+    ):
         loop.accept(trip.trajectory)
     loop.step(0.051, q_a)
     assert loop.phase is Phase.HOLD and "cannot tell on which side" in loop.refusal
@@ -503,17 +655,35 @@ def test_a_moving_robot_is_not_enabled(robot: RobotParameters, trip: Plan) -> No
     for _ in range(30):
         state = plant.state()
         plant.step(loop.step(state.time, state.q_a))
-    with pytest.raises(StateError, match=r"a joint moves at .* rad/s; the limit is 0.5 rad/s: bring it to rest, then enable"):
+    with pytest.raises(
+        StateError,
+        match=(
+            r"a joint moves at .* rad/s; the limit is 0.5 rad/s: bring it to rest, then"
+            r" enable"
+        ),
+    ):
         loop.enable()
     plant.close()
 
 
-def test_a_robot_with_encoder_offsets_and_turned_axes_moves_as_one_without(robot: RobotParameters) -> None:
-    """The base turned by an angle: the joints are the same but for it, in a platform frame turned alike."""
+def test_a_robot_with_encoder_offsets_and_turned_axes_moves_as_one_without(
+    robot: RobotParameters,
+) -> None:
+    """The base turned by an angle: the joints are the same but for it, in a platform
+    frame turned alike.
+    """
     angle, offset = 0.3, np.array([0.02, -0.03])
-    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    axes = {f"{side}.axis": tuple(turn @ leg.axis) for side, leg in zip(robot.sides, robot.legs, strict=True)}
-    offsets = {f"{side}.encoder_offset": value for side, value in zip(robot.sides, offset, strict=True)}
+    turn = np.array(
+        [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    )
+    axes = {
+        f"{side}.axis": tuple(turn @ leg.axis)
+        for side, leg in zip(robot.sides, robot.legs, strict=True)
+    }
+    offsets = {
+        f"{side}.encoder_offset": value
+        for side, value in zip(robot.sides, offset, strict=True)
+    }
     turned = robot.replace(**axes, **offsets)
     loops = [ControlLoop(each, default_settings(), 1) for each in (robot, turned)]
     x = np.array([-0.025, 0.115])
@@ -523,4 +693,6 @@ def test_a_robot_with_encoder_offsets_and_turned_axes_moves_as_one_without(robot
         first = loops[0].step(1e-3 * step, moved)
         second = loops[1].step(1e-3 * step, moved + angle + offset)
         np.testing.assert_allclose(second, first, atol=1e-9)
-        np.testing.assert_allclose(loops[1].tick.x_hat, turn @ loops[0].tick.x_hat, atol=1e-10)
+        np.testing.assert_allclose(
+            loops[1].tick.x_hat, turn @ loops[0].tick.x_hat, atol=1e-10
+        )

@@ -1,4 +1,6 @@
-"""The rig driver written out in the README keeps the contract: the same check as the plant's, its two functions filled in."""
+"""The rig driver written out in the README keeps the contract: the same check as the
+plant's, its two functions filled in.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,11 @@ json.dump({{"last": motors.torque, "most": motors.most}}, open(sys.argv[1], "w")
 @pytest.fixture
 def minimal_rig(tmp_path: Path) -> Path:
     """A folder with the README's driver and what fills it in."""
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    blocks = re.findall(
+        r"```python\n(.*?)```",
+        (ROOT / "README.md").read_text(encoding="utf-8"),
+        re.DOTALL,
+    )
     code = next(block for block in blocks if "def read_encoders" in block)
     assert len(code.splitlines()) <= 65
     (tmp_path / "driver.py").write_text(code, encoding="utf-8")
@@ -55,9 +61,13 @@ def minimal_rig(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_readmes_driver_passes_every_line_and_ends_without_torque(minimal_rig: Path) -> None:
+def test_the_readmes_driver_passes_every_line_and_ends_without_torque(
+    minimal_rig: Path,
+) -> None:
     told = minimal_rig / "motors.json"
-    process = subprocess.Popen([sys.executable, "runner.py", str(told)], cwd=minimal_rig)
+    process = subprocess.Popen(
+        [sys.executable, "runner.py", str(told)], cwd=minimal_rig
+    )
     try:
         code, lines, text = outcome(minimal_rig, "--yes")
         process.terminate()

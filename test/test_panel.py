@@ -1,4 +1,6 @@
-"""The panel in a real browser, on a real robot in lockstep: a crossing, a refusal, a stop, a lost connection, a second driver."""
+"""The panel in a real browser, on a real robot in lockstep: a crossing, a refusal, a
+stop, a lost connection, a second driver.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +20,23 @@ from browser import PATIENCE, Page
 from rig import start, stop
 from tornado.websocket import websocket_connect
 
-from dextar_control.commands.pdf import find_browser
+from dextar_control.cli.pdf import find_browser
 from dextar_control.contract import style
+from dextar_control.nodes.panel import ros_arguments
 from dextar_control.panel.server import Backend, PanelServer
-from dextar_control.ros.panel_node import ros_arguments
 
 CHROMIUM = find_browser()
-PICTURE = os.environ.get("DEXTAR_PICTURE", "")  # the file of the documentation's picture, where it is to be made anew
+PICTURE = os.environ.get(
+    "DEXTAR_PICTURE", ""
+)  # the file of the documentation's picture, where it is to be made anew
 NODES = {
-    "plant": ("dextar_sim.node", ("mode:=lockstep", f"real_time_factor:={0.1 if PICTURE else 1.0}")),  # a picture takes a while
-    "controller": ("dextar_control.ros.controller_node", ("lockstep:=true",)),
-    "trajectory_server": ("dextar_control.ros.trajectory_server", ("dwell:=0.05",)),
-    "recorder": ("dextar_control.ros.recorder_node", ("record_from_start:=false",)),
+    "plant": (
+        "dextar_sim.node",
+        ("mode:=lockstep", f"real_time_factor:={0.1 if PICTURE else 1.0}"),
+    ),  # a picture takes a while
+    "controller": ("dextar_control.nodes.controller", ("lockstep:=true",)),
+    "trajectory_server": ("dextar_control.nodes.trajectory_server", ("dwell:=0.05",)),
+    "recorder": ("dextar_control.nodes.recorder", ("record_from_start:=false",)),
 }
 WIDTHS = (420, 768, 1280, 1920)
 CUT = """(() => {
@@ -68,12 +75,20 @@ class Robot:
 
     def start(self, name: str) -> None:
         module, values = NODES[name]
-        values = (*values, f"output:={self.folder}/{{stamp}}/run.mcap") if name == "recorder" else values
-        self.processes[name] = start(module, *(part for value in values for part in ("-p", value)))
+        values = (
+            (*values, f"output:={self.folder}/{{stamp}}/run.mcap")
+            if name == "recorder"
+            else values
+        )
+        self.processes[name] = start(
+            module, *(part for value in values for part in ("-p", value))
+        )
 
     def panel(self) -> None:
         """Start the panel, at its port of before where it had one."""
-        self.processes["panel"] = start("dextar_control.ros.panel_node", "-p", f"port:={self.port}")
+        self.processes["panel"] = start(
+            "dextar_control.nodes.panel", "-p", f"port:={self.port}"
+        )
         output = self.processes["panel"].stdout
         assert output is not None
         while (line := output.readline()) and "the panel is at" not in line:
@@ -94,10 +109,14 @@ class Robot:
 
         async def run() -> list[dict[str, object]]:
             answers = []
-            stream = await websocket_connect(f"ws://127.0.0.1:{self.port}/stream?drive=0")
+            stream = await websocket_connect(
+                f"ws://127.0.0.1:{self.port}/stream?drive=0"
+            )
             for number, name in enumerate(names):
                 await stream.write_message(json.dumps({"ask": name, "number": number}))
-                while (message := json.loads(await stream.read_message()))["kind"] != "answer":
+                while (message := json.loads(await stream.read_message()))[
+                    "kind"
+                ] != "answer":
                     pass
                 answers.append(message)
             stream.close()
@@ -138,20 +157,31 @@ def says(page: Page, name: str, words: str) -> None:
     try:
         page.wait(f"{text(name)}.includes({json.dumps(words)})")
     except AssertionError as error:
-        raise AssertionError(f"{error}; the page says: {page.evaluate('document.body.innerText')}") from error
+        raise AssertionError(
+            f"{error}; the page says: {page.evaluate('document.body.innerText')}"
+        ) from error
 
 
 def put(page: Page, **fields: object) -> None:
     """Type into fields of the task, an underscore for a hyphen."""
     for name, value in fields.items():
-        page.evaluate(f"document.getElementById('{name.replace('_', '-')}').value = '{value}'")
+        page.evaluate(
+            f"document.getElementById('{name.replace('_', '-')}').value = '{value}'"
+        )
     page.evaluate("document.getElementById('task').dispatchEvent(new Event('input'))")
 
 
 def in_plane(page: Page, x: float, y: float) -> tuple[float, float]:
-    """Where a place, m, lies on the canvas, in shares of it: that of the robot's first motor and scale tell."""
-    width, height = page.evaluate("[document.getElementById('plane').clientWidth, document.getElementById('plane').clientHeight]")
-    scale = min(width / (0.242 + 0.024), height / (0.36 + 0.024))  # px/m, of the DexTAR's workspace and a border of 12 mm
+    """Where a place, m, lies on the canvas, in shares of it: that of the robot's first
+    motor and scale tell.
+    """
+    width, height = page.evaluate(
+        "[document.getElementById('plane').clientWidth,"
+        " document.getElementById('plane').clientHeight]"
+    )
+    scale = min(
+        width / (0.242 + 0.024), height / (0.36 + 0.024)
+    )  # px/m, of the DexTAR's workspace and a border of 12 mm
     return 0.5 + x * scale / width, 0.5 - y * scale / height
 
 
@@ -161,7 +191,9 @@ def ready(page: Page) -> None:
 
 
 def goes(page: Page) -> None:
-    """Click Go until the robot moves: a plan that is made anew takes no click meanwhile."""
+    """Click Go until the robot moves: a plan that is made anew takes no click
+    meanwhile.
+    """
     deadline = time.monotonic() + PATIENCE
     while not page.evaluate(f"['TRACK', 'CROSSING'].includes({text('phase-name')})"):
         assert time.monotonic() < deadline, page.evaluate("document.body.innerText")
@@ -170,22 +202,39 @@ def goes(page: Page) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.skipif(not PICTURE, reason="makes the documentation's picture: DEXTAR_PICTURE=doc/panel.png, -k picture")
-def test_the_documentations_picture_is_taken_in_a_crossing(page: Page, robot: Robot) -> None:
+@pytest.mark.skipif(
+    not PICTURE,
+    reason=(
+        "makes the documentation's picture: DEXTAR_PICTURE=doc/panel.png, -k picture"
+    ),
+)
+def test_the_documentations_picture_is_taken_in_a_crossing(
+    page: Page, robot: Robot
+) -> None:
     page.resize(1280)
     ready(page)
-    page.evaluate("document.getElementById('go').scrollIntoView = () => {}")  # the picture begins at the top
+    page.evaluate(
+        "document.getElementById('go').scrollIntoView = () => {}"
+    )  # the picture begins at the top
     page.click("#go")
-    page.wait("Math.abs(document.querySelector('#now dd').textContent.replace('\\u2212', '-')) < 0.12")
+    page.wait(
+        "Math.abs(document.querySelector('#now dd').textContent.replace('\\u2212',"
+        " '-')) < 0.12"
+    )
     page.screenshot(Path(PICTURE))
     ready(page)
 
 
-def test_a_whole_crossing_is_clicked_through_and_recorded(page: Page, robot: Robot) -> None:
+def test_a_whole_crossing_is_clicked_through_and_recorded(
+    page: Page, robot: Robot
+) -> None:
     says(page, "phase-name", "HOLD")
     says(page, "driver", "This page drives.")
     page.click("#plane", in_plane(page, 0.01, 0.06))  # B
-    x, y = (float(page.evaluate(f"document.getElementById('goal-{axis}').value")) for axis in "xy")
+    x, y = (
+        float(page.evaluate(f"document.getElementById('goal-{axis}').value"))
+        for axis in "xy"
+    )
     assert math.hypot(x - 0.01, y - 0.06) < 2e-3
     says(page, "plan-words", "Peak torque")
     says(page, "plan-words", "2 crossings")
@@ -197,7 +246,10 @@ def test_a_whole_crossing_is_clicked_through_and_recorded(page: Page, robot: Rob
     goes(page)
     says(page, "lines", "crossing 2 of 2: CROSSED")
     says(page, "lines", "done: crossed 2 of 2 planned")
-    page.wait("[...document.querySelectorAll('#now dd')].some((one) => one.textContent.includes('2 of 2: crossed, crossed'))")
+    page.wait(
+        "[...document.querySelectorAll('#now dd')].some((one) =>"
+        " one.textContent.includes('2 of 2: crossed, crossed'))"
+    )
     says(page, "health", "trajectory_server: planned")
 
 
@@ -206,23 +258,34 @@ def test_the_report_of_that_run_is_one_click_away(page: Page, robot: Robot) -> N
     says(page, "recorded", "Not recording. The last bag is")
     page.click("#report")
     page.wait("!document.getElementById('report-link').hidden")
-    report = page.evaluate("fetch(document.querySelector('#report-link a').href).then((answer) => answer.text())")
+    report = page.evaluate(
+        "fetch(document.querySelector('#report-link a').href).then((answer) =>"
+        " answer.text())"
+    )
     assert "clicked" in report and "crossed" in report
 
 
-def test_a_point_of_the_locus_is_clicked_and_gone_through(page: Page, robot: Robot) -> None:
+def test_a_point_of_the_locus_is_clicked_and_gone_through(
+    page: Page, robot: Robot
+) -> None:
     page.click("input[value=point]")
     page.click("#plane", in_plane(page, 0.01, 0.09))
     page.wait("document.getElementById('kind').value === 'point'")
     says(page, "plan-words", "Peak torque")
     ready(page)
-    before = page.evaluate(f"({text('lines')}.match(/done: crossed 2 of 2/g) || []).length")
+    before = page.evaluate(
+        f"({text('lines')}.match(/done: crossed 2 of 2/g) || []).length"
+    )
     goes(page)
-    page.wait(f"({text('lines')}.match(/done: crossed 2 of 2/g) || []).length > {before}")
+    page.wait(
+        f"({text('lines')}.match(/done: crossed 2 of 2/g) || []).length > {before}"
+    )
     page.click("input[value=goal]")
 
 
-def test_what_cannot_be_driven_is_refused_with_what_would_do(page: Page, robot: Robot) -> None:
+def test_what_cannot_be_driven_is_refused_with_what_would_do(
+    page: Page, robot: Robot
+) -> None:
     put(page, kind="trip", goal_x=0.01, goal_y=0.06, duration=0.15)
     says(page, "plan-words", "the nearest duration that works is")
     assert page.evaluate("document.getElementById('go').disabled")
@@ -237,20 +300,28 @@ def test_what_cannot_be_driven_is_refused_with_what_would_do(page: Page, robot: 
     says(page, "plan-words", "Peak torque")
 
 
-def test_a_parameter_out_of_its_range_is_refused_and_one_within_is_set(page: Page, robot: Robot) -> None:
+def test_a_parameter_out_of_its_range_is_refused_and_one_within_is_set(
+    page: Page, robot: Robot
+) -> None:
     row = "document.querySelector('[data-name=damping_ratio] input')"
     page.wait(f"{row}.value === '1'")
     for value, told in ((40, "'damping_ratio' = 40; it must be <= 5"), (1.2, "")):
-        page.evaluate(f"{row}.value = '{value}'; {row}.dispatchEvent(new Event('change'))")
+        page.evaluate(
+            f"{row}.value = '{value}'; {row}.dispatchEvent(new Event('change'))"
+        )
         says(page, "notice" if told else "lines", told or "Damping_ratio is 1.2.")
-    page.wait("document.querySelector('[data-name=damping_ratio]').classList.contains('changed')")
+    page.wait(
+        "document.querySelector('[data-name=damping_ratio]').classList.contains('changed')"
+    )
     page.evaluate("document.getElementById('law-law').value = 'projected'")
     page.click("#law button")
     page.wait("document.getElementById('law-law').dataset.now === 'projected'")
     says(page, "phase-name", "HOLD")
 
 
-def test_the_space_bar_stops_and_what_mends_it_is_one_click_away(page: Page, robot: Robot) -> None:
+def test_the_space_bar_stops_and_what_mends_it_is_one_click_away(
+    page: Page, robot: Robot
+) -> None:
     put(page, kind="trip", goal_x=0.01, goal_y=0.06, duration=5)
     says(page, "plan-words", "Peak torque")
     ready(page)
@@ -268,8 +339,13 @@ def test_the_space_bar_stops_and_what_mends_it_is_one_click_away(page: Page, rob
     put(page, duration=0.33)
 
 
-def test_a_second_driver_takes_over_and_the_first_watches(page: Page, robot: Robot) -> None:
-    assert robot.ask("go")[0]["text"] == "this page watches, and another page drives: take over first"
+def test_a_second_driver_takes_over_and_the_first_watches(
+    page: Page, robot: Robot
+) -> None:
+    assert (
+        robot.ask("go")[0]["text"]
+        == "this page watches, and another page drives: take over first"
+    )
     assert [answer["ok"] for answer in robot.ask("stop", "drive")] == [True, True]
     says(page, "driver", "Nobody drives.")  # the other has left
     page.wait("document.getElementById('go').disabled")
@@ -278,7 +354,9 @@ def test_a_second_driver_takes_over_and_the_first_watches(page: Page, robot: Rob
     ready(page)
 
 
-def test_it_comes_back_by_itself_when_controller_or_panel_end_and_begin_again(page: Page, robot: Robot) -> None:
+def test_it_comes_back_by_itself_when_controller_or_panel_end_and_begin_again(
+    page: Page, robot: Robot
+) -> None:
     robot.end("controller")
     says(page, "why", "No controller is heard of")
     robot.start("controller")
@@ -299,10 +377,25 @@ class Nothing(Backend):
     """Knows of no number that is one."""
 
     def setup(self) -> dict[str, object]:
-        lines = {f"{kind}{part}": line._asdict() for (kind, part), line in style.LINES.items()}
-        specs = {"controller": [{"name": name, "choices": ["a"], "live": False} for name in ("law", "estimator")]}
-        return {"robot": "none", "namespace": "/", "low": [-0.1, -0.1], "high": [0.1, 0.1], "arcs": [], "lines": lines,
-                "specs": specs}  # fmt: skip
+        lines = {
+            f"{kind}{part}": line._asdict()
+            for (kind, part), line in style.LINES.items()
+        }
+        specs = {
+            "controller": [
+                {"name": name, "choices": ["a"], "live": False}
+                for name in ("law", "estimator")
+            ]
+        }
+        return {
+            "robot": "none",
+            "namespace": "/",
+            "low": [-0.1, -0.1],
+            "high": [0.1, 0.1],
+            "arcs": [],
+            "lines": lines,
+            "specs": specs,
+        }
 
     def ask(self, name: str, arguments: object, answer: object) -> None: ...
 
@@ -316,16 +409,46 @@ def test_numbers_that_are_none_and_a_browser_without_streams_are_told() -> None:
     thread.start()
     server = PanelServer(Nothing(), "127.0.0.1", 0)
     pair = [nan, nan]
-    state = {"time": 1.0, "stale": False, "phase": "hold", "links": [pair] * 5, "x": pair, "reference": pair, "t_s": pair,
-             "s": nan, "torque": pair, "limit": nan, "error": nan, "residual": nan, "confidence": nan, "mode": nan}  # fmt: skip
+    state = {
+        "time": 1.0,
+        "stale": False,
+        "phase": "hold",
+        "links": [pair] * 5,
+        "x": pair,
+        "reference": pair,
+        "t_s": pair,
+        "s": nan,
+        "torque": pair,
+        "limit": nan,
+        "error": nan,
+        "residual": nan,
+        "confidence": nan,
+        "mode": nan,
+    }
     told = {"lifecycle": "active", "phase": "HOLD", "rate": "nan"}
-    status = {"controller": told, "why": "", "action": "", "nodes": {}, "plant": {},
-              "margins": [{"name": "locus", "value": "nan", "limit": "nan", "used": nan}], "recorder": {}, "values": {},
-              "lines": [], "progress": None, "complaint": "", "bag": "", "reported": False}  # fmt: skip
+    status = {
+        "controller": told,
+        "why": "",
+        "action": "",
+        "nodes": {},
+        "plant": {},
+        "margins": [{"name": "locus", "value": "nan", "limit": "nan", "used": nan}],
+        "recorder": {},
+        "values": {},
+        "lines": [],
+        "progress": None,
+        "complaint": "",
+        "bag": "",
+        "reported": False,
+    }
 
     def begin() -> None:
         server.begin()
-        for kind, value in (("state", state), ("status", status), ("path", {"path": [pair], "crossings": [pair]})):
+        for kind, value in (
+            ("state", state),
+            ("status", status),
+            ("path", {"path": [pair], "crossings": [pair]}),
+        ):
             server.send(kind, value, keep=True)
 
     loop.call_soon_threadsafe(begin)
@@ -346,19 +469,45 @@ def test_numbers_that_are_none_and_a_browser_without_streams_are_told() -> None:
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_nothing_is_cut_or_lies_over_something_else(page: Page, robot: Robot, width: int, tmp_path: Path) -> None:
+def test_nothing_is_cut_or_lies_over_something_else(
+    page: Page, robot: Robot, width: int, tmp_path: Path
+) -> None:
     ready(page)
     page.resize(width)
     page.wait(f"innerWidth === {width}")
     assert page.evaluate(CUT) == []
     for scheme in ("light", "dark"):
         page.prefers(scheme)
-        page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 100))))")
+        page.evaluate(
+            "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(()"
+            " => setTimeout(done, 100))))"
+        )
         page.screenshot(tmp_path / f"panel_{width}_{scheme}.png")
 
 
 def test_host_port_and_namespace_are_short_for_ros_arguments() -> None:
-    told = ["--host", "0.0.0.0", "--port", "0", "--namespace", "/left", "--ros-args", "-p", "rate:=10.0"]
-    assert ros_arguments(told) == ["--ros-args", "-p", "panel:host:=0.0.0.0", "-p", "panel:port:=0", "-r", "__ns:=/left", "--",
-                                   "--ros-args", "-p", "rate:=10.0"]  # fmt: skip
+    told = [
+        "--host",
+        "0.0.0.0",
+        "--port",
+        "0",
+        "--namespace",
+        "/left",
+        "--ros-args",
+        "-p",
+        "rate:=10.0",
+    ]
+    assert ros_arguments(told) == [
+        "--ros-args",
+        "-p",
+        "panel:host:=0.0.0.0",
+        "-p",
+        "panel:port:=0",
+        "-r",
+        "__ns:=/left",
+        "--",
+        "--ros-args",
+        "-p",
+        "rate:=10.0",
+    ]
     assert ros_arguments(["--help"]) == ["--help"]

@@ -35,8 +35,13 @@ def s_of(model: Model, q_a: np.ndarray, x: np.ndarray) -> float:
 @pytest.mark.parametrize("working_mode", MODES)
 @given(x=coordinate, y=coordinate)
 @settings(max_examples=60, deadline=None)
-def test_direct_undoes_inverse_in_every_mode(working_mode: tuple[int, int], x: float, y: float) -> None:
-    robot = ROBOT.replace(working_mode=working_mode, **{"left.distal_length": 0.095, "right.proximal_length": 0.087})
+def test_direct_undoes_inverse_in_every_mode(
+    working_mode: tuple[int, int], x: float, y: float
+) -> None:
+    robot = ROBOT.replace(
+        working_mode=working_mode,
+        **{"left.distal_length": 0.095, "right.proximal_length": 0.087},
+    )
     model, point = Model.of(robot), np.array([x, y])
     place = model.place(point)
     assume(np.isfinite(place.q_a).all() and place.type1[0] > 0.01)
@@ -47,20 +52,28 @@ def test_direct_undoes_inverse_in_every_mode(working_mode: tuple[int, int], x: f
         assert abs(np.hypot(*(point - elbow)) - leg.distal_length) < CLOSURE
         line, arm = point - base, elbow - base
         assert np.sign(line[0] * arm[1] - line[1] * arm[0]) == working_mode[i]
-    sines = np.array(model.mechanism.type1_sines(q_a, point, model.mechanism.named(model.p))).ravel()
+    sines = np.array(
+        model.mechanism.type1_sines(q_a, point, model.mechanism.named(model.p))
+    ).ravel()
     assert tuple(model.mechanism.modes(sines)) == working_mode
     assume(abs(s) > 0.1)
     np.testing.assert_allclose(model.close(q_a, int(np.sign(s))), point, atol=POSITION)
-    assert s_of(model, q_a, model.close(q_a, -int(np.sign(s)))) == pytest.approx(-s, abs=1e-9)
+    assert s_of(model, q_a, model.close(q_a, -int(np.sign(s)))) == pytest.approx(
+        -s, abs=1e-9
+    )
 
 
 @given(x=st.floats(-0.5, 0.5), y=st.floats(-0.5, 0.5))
 @settings(max_examples=200, deadline=None)
-def test_the_nearest_joints_are_the_inverse_models_where_a_leg_reaches_and_finite_elsewhere(x: float, y: float) -> None:
+def test_the_nearest_joints_are_the_inverse_models_where_a_leg_reaches_and_finite_elsewhere(
+    x: float, y: float
+) -> None:
     mechanism, point = mechanism_named("five_bar"), ca.SX.sym("x", 2)
     model = Model.of(ROBOT)
     q_a, extension = mechanism.nearest_joints(point, mechanism.named(ca.SX(model.p)))
-    found = ca.Function("nearest", [point], [q_a, extension, ca.jacobian(q_a, point)])(np.array([x, y]))
+    found = ca.Function("nearest", [point], [q_a, extension, ca.jacobian(q_a, point)])(
+        np.array([x, y])
+    )
     nearest, reach, slopes = (np.array(part) for part in found)
     assert np.isfinite(nearest).all()
     assert np.isfinite(slopes).all()
@@ -73,13 +86,17 @@ def test_the_nearest_joints_are_the_inverse_models_where_a_leg_reaches_and_finit
 
 @given(q1=angle, q2=angle, mode=st.sampled_from([-1.0, 1.0]))
 @settings(max_examples=200, deadline=None)
-def test_the_clamped_direct_model_is_always_real(q1: float, q2: float, mode: float) -> None:
+def test_the_clamped_direct_model_is_always_real(
+    q1: float, q2: float, mode: float
+) -> None:
     x = Model.of(ROBOT).direct_geometric_model(np.array([q1, q2]), mode, NOWHERE)
     assert np.isfinite(x).all()
 
 
 def test_noise_on_the_locus_neither_leaves_the_reals_nor_flips_the_branch() -> None:
-    """A stretched posture exactly on the locus, joints disturbed by an encoder count of 2^13."""
+    """A stretched posture exactly on the locus, joints disturbed by an encoder count of
+    2^13.
+    """
     model = Model.of(ROBOT)
     right = math.pi - math.acos((ROBOT.base_distance - 0.18) / 0.18)
     q_a = np.array([math.pi - right, right])
@@ -101,9 +118,15 @@ def test_singular_vectors_rebuild_any_matrix(entries: list[float]) -> None:
     symbol = ca.SX.sym("A", 2, 2)
     found = ca.Function("vectors", [symbol], [*singular_vectors(symbol)])(A)
     u1, sigma1, v1, u2, sigma2, v2 = (np.array(part).ravel() for part in found)
-    np.testing.assert_allclose(sigma1 * np.outer(u1, v1) + sigma2 * np.outer(u2, v2), A, atol=1e-12)
-    np.testing.assert_allclose([sigma1[0], abs(sigma2[0])], np.linalg.svd(A, compute_uv=False), atol=1e-12)
-    assert v2 @ np.array([-A[0, 1], A[0, 0]]) >= -1e-15  # t_s turned by +90 degrees from r_1
+    np.testing.assert_allclose(
+        sigma1 * np.outer(u1, v1) + sigma2 * np.outer(u2, v2), A, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        [sigma1[0], abs(sigma2[0])], np.linalg.svd(A, compute_uv=False), atol=1e-12
+    )
+    assert (
+        v2 @ np.array([-A[0, 1], A[0, 0]]) >= -1e-15
+    )  # t_s turned by +90 degrees from r_1
 
 
 def test_singular_vectors_of_blocks_of_any_size_rebuild_the_matrix() -> None:
@@ -111,16 +134,32 @@ def test_singular_vectors_of_blocks_of_any_size_rebuild_the_matrix() -> None:
     A = pattern * np.random.default_rng(0).normal(size=(4, 4))
     symbol = ca.SX.sym("A", ca.sparsify(ca.DM(pattern)).sparsity())
     assert blocks(symbol) == [([0, 2, 3], [0, 1, 2]), ([1], [3])]
-    found = ca.Function("vectors", [symbol], [ca.densify(part) for part in singular_vectors(symbol)])(A)
+    found = ca.Function(
+        "vectors", [symbol], [ca.densify(part) for part in singular_vectors(symbol)]
+    )(A)
     u, sigma, v, u_weak, sigma_weak, v_weak = (np.array(part) for part in found)
-    np.testing.assert_allclose(u * sigma.T @ v.T + u_weak * sigma_weak.T @ v_weak.T, A, atol=1e-12)
-    np.testing.assert_allclose(sorted(np.abs([*sigma.ravel(), *sigma_weak.ravel()])),
-                               sorted(np.linalg.svd(A, compute_uv=False)), atol=1e-12)
+    np.testing.assert_allclose(
+        u * sigma.T @ v.T + u_weak * sigma_weak.T @ v_weak.T, A, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        sorted(np.abs([*sigma.ravel(), *sigma_weak.ravel()])),
+        sorted(np.linalg.svd(A, compute_uv=False)),
+        atol=1e-12,
+    )
 
 
 def test_what_cannot_be_is_refused_with_the_distance(robot: RobotParameters) -> None:
     model = Model.of(robot)
-    with pytest.raises(GeometryError, match="0.2026 m from the left motor axis; the leg reaches 0.0000 to 0.1800 m"):
+    with pytest.raises(
+        GeometryError,
+        match="0.2026 m from the left motor axis; the leg reaches 0.0000 to 0.1800 m",
+    ):
         model.inverse_geometric_model(np.array([0.13, 0.073]))
-    with pytest.raises(GeometryError, match="the elbows are 0.298000 m apart; the distal links close 0.000000 to 0.180000"):
+    with pytest.raises(
+        GeometryError,
+        match=(
+            "the elbows are 0.298000 m apart; the distal links close 0.000000 to"
+            " 0.180000"
+        ),
+    ):
         model.close(np.array([math.pi, 0.0]), 1)

@@ -22,7 +22,9 @@ MOCKUP = load_robot(config_file("mockup.yaml"))
 EXACT = 1.0e-12
 """Rounding of a few trigonometric functions of lengths near 0.1 m."""
 FLOOR_EFFECT = 1.0e-7
-"""m; the numerical mass of massless links against one a hundred times smaller, after 0.5 s."""
+"""m; the numerical mass of massless links against one a hundred times smaller, after
+0.5 s.
+"""
 
 
 def cross(first: np.ndarray, second: np.ndarray) -> float:
@@ -30,13 +32,17 @@ def cross(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def elbows(robot: RobotParameters, q_a: np.ndarray) -> np.ndarray:
-    base = np.array([[-0.5 * robot.base_distance, 0.0], [0.5 * robot.base_distance, 0.0]])
+    base = np.array(
+        [[-0.5 * robot.base_distance, 0.0], [0.5 * robot.base_distance, 0.0]]
+    )
     lengths = np.array([leg.proximal_length for leg in robot.legs])
     return base + lengths[:, None] * np.stack([np.cos(q_a), np.sin(q_a)], axis=1)
 
 
 @pytest.mark.parametrize("working_mode", [(1, 1), (1, -1), (-1, 1), (-1, -1)])
-def test_reset_puts_the_elbows_on_the_sides_of_the_working_mode(working_mode: tuple[int, int]) -> None:
+def test_reset_puts_the_elbows_on_the_sides_of_the_working_mode(
+    working_mode: tuple[int, int],
+) -> None:
     plant = Plant(DEXTAR.replace(working_mode=working_mode))
     state = plant.reset((0.013, 0.11))
     points = elbows(DEXTAR, state.q_a)
@@ -50,7 +56,9 @@ def test_reset_puts_the_elbows_on_the_sides_of_the_working_mode(working_mode: tu
 
 
 @pytest.mark.parametrize("assembly_mode", [1, -1])
-def test_reset_joints_takes_the_assembly_mode_as_the_sign_of_s(assembly_mode: int) -> None:
+def test_reset_joints_takes_the_assembly_mode_as_the_sign_of_s(
+    assembly_mode: int,
+) -> None:
     plant = Plant(DEXTAR)
     q_a = np.array([1.9, 1.2])
     state = plant.reset_joints(q_a, assembly_mode)
@@ -68,7 +76,9 @@ def test_initial_velocity_is_that_of_both_tips() -> None:
     step = 1.0e-6
     ahead = plant.reset((0.02 + 0.3 * step, 0.105 - 0.2 * step)).joints
     behind = plant.reset((0.02 - 0.3 * step, 0.105 + 0.2 * step)).joints
-    assert state.joints_dot == pytest.approx((ahead - behind) / (2.0 * step), abs=1.0e-7)
+    assert state.joints_dot == pytest.approx(
+        (ahead - behind) / (2.0 * step), abs=1.0e-7
+    )
     plant.close()
 
 
@@ -85,7 +95,9 @@ def test_rest_without_torque_stays_at_rest() -> None:
 
 def test_unreachable_point_names_point_distance_and_reach() -> None:
     plant = Plant(DEXTAR)
-    with pytest.raises(GeometryError, match=r"\(0, 0\.3\) m is 0\.305747 m from the left .* 0\.18 m"):
+    with pytest.raises(
+        GeometryError, match=r"\(0, 0\.3\) m is 0\.305747 m from the left .* 0\.18 m"
+    ):
         plant.reset((0.0, 0.3))
     with pytest.raises(GeometryError, match="left motor axis"):
         plant.reset((-0.059, 0.0))
@@ -97,7 +109,11 @@ def test_unreachable_point_names_point_distance_and_reach() -> None:
 
 
 def test_velocity_at_a_stretched_leg_is_refused() -> None:
-    lengths = {"base_distance": 0.125, "left.proximal_length": 0.125, "left.distal_length": 0.125}
+    lengths = {
+        "base_distance": 0.125,
+        "left.proximal_length": 0.125,
+        "left.distal_length": 0.125,
+    }
     plant = Plant(DEXTAR.replace(**lengths))
     assert plant.reset((0.1875, 0.0)).joints[1] == pytest.approx(0.0, abs=EXACT)
     with pytest.raises(GeometryError, match="left leg"):
@@ -156,8 +172,13 @@ def test_reset_repeats_a_run_bit_for_bit() -> None:
 
 @pytest.mark.parametrize("substeps", [1, 2, 3, 4])
 def test_a_period_is_its_substeps_bit_for_bit(substeps: int) -> None:
-    """PyBullet divides the period itself where it can; a period of one substep cannot be divided."""
-    whole, parts = Plant(DEXTAR, period=substeps * 2.5e-4, substeps=substeps), Plant(DEXTAR, period=2.5e-4, substeps=1)
+    """PyBullet divides the period itself where it can; a period of one substep cannot
+    be divided.
+    """
+    whole, parts = (
+        Plant(DEXTAR, period=substeps * 2.5e-4, substeps=substeps),
+        Plant(DEXTAR, period=2.5e-4, substeps=1),
+    )
     for plant in (whole, parts):
         plant.reset((0.01, 0.1), (0.1, -0.2))
     for step in range(200):
@@ -188,7 +209,9 @@ def test_a_plant_after_another_one_is_as_new() -> None:
         plant.close()
 
 
-def test_mass_floor_of_massless_links_does_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mass_floor_of_massless_links_does_not_show(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     ends = []
     for floor in (urdf.MASS_FLOOR, 0.01 * urdf.MASS_FLOOR):
         monkeypatch.setattr(urdf, "MASS_FLOOR", floor)
@@ -202,17 +225,25 @@ def test_mass_floor_of_massless_links_does_not_show(monkeypatch: pytest.MonkeyPa
 
 
 def test_friction_too_steep_for_the_substep_is_refused_with_the_remedy() -> None:
-    with pytest.raises(ParameterError, match="left joint friction .* substeps must be >= "):
-        Plant(DEXTAR.replace(**{"left.coulomb_friction": 1.0}), effects=Effects("smooth"))
+    with pytest.raises(
+        ParameterError, match="left joint friction .* substeps must be >= "
+    ):
+        Plant(
+            DEXTAR.replace(**{"left.coulomb_friction": 1.0}), effects=Effects("smooth")
+        )
 
 
-@pytest.mark.parametrize(("options", "word"), [({"substeps": 0}, "substeps"), ({"period": 0.0}, "period")])
+@pytest.mark.parametrize(
+    ("options", "word"), [({"substeps": 0}, "substeps"), ({"period": 0.0}, "period")]
+)
 def test_steps_that_are_none_are_refused(options: dict[str, float], word: str) -> None:
     with pytest.raises(ParameterError, match=word):
         Plant(DEXTAR, **options)
 
 
-def test_window_without_a_display_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_window_without_a_display_is_one_clear_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(ParameterError, match="DISPLAY"):
         Plant(DEXTAR, window=True)
@@ -220,4 +251,9 @@ def test_window_without_a_display_is_one_clear_error(monkeypatch: pytest.MonkeyP
 
 def test_plants_sensors_and_rig_know_no_ros() -> None:
     code = "import sys, dextar_sim.rig; sys.exit('rclpy' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], env=os.environ, check=False).returncode == 0
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], env=os.environ, check=False
+        ).returncode
+        == 0
+    )

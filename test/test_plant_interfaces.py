@@ -1,4 +1,6 @@
-"""The plant under commanders that are not our controller: ros2_control's topics, in their QoS and message layouts."""
+"""The plant under commanders that are not our controller: ros2_control's topics, in
+their QoS and message layouts.
+"""
 
 from __future__ import annotations
 
@@ -18,30 +20,47 @@ from rig import PATIENCE, start, stop
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from dextar_control.contract.cdr import to_time
 from dextar_control.contract.errors import StateError
-from dextar_control.contract.node import qos
-from dextar_control.contract.topics import DIAGNOSTICS, EFFORT_COMMANDS, JOINT_COMMANDS, JOINT_STATES
+from dextar_control.contract.topics import (
+    DIAGNOSTICS,
+    EFFORT_COMMANDS,
+    JOINT_COMMANDS,
+    JOINT_STATES,
+)
+from dextar_control.nodekit.cdr import to_time
+from dextar_control.nodekit.node import qos
 from dextar_sim.messages import read_efforts
 
 HARDWARE_COMMANDS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-"""What joint_state_topic_hardware_interface publishes commands with; it reads states with SensorDataQoS."""
+"""What joint_state_topic_hardware_interface publishes commands with; it reads states
+with SensorDataQoS.
+"""
 TORQUE = [1.0e-4, -2.0e-4]
 NONE = [0.0, 0.0]
 
 
 class Commander:
-    """Commands at each state, whatever ``make`` gives; keeps the efforts that come back."""
+    """Commands at each state, whatever ``make`` gives; keeps the efforts that come
+    back.
+    """
 
-    def __init__(self, kind: Any, name: str, profile: QoSProfile, *parameters: str) -> None:
+    def __init__(
+        self, kind: Any, name: str, profile: QoSProfile, *parameters: str
+    ) -> None:
         self.node = Node("bridge")
         self.efforts: list[list[float]] = []
         self.health: dict[str, str] = {}
         self.make: Callable[[], Any] = lambda: None
         self.commands = self.node.create_publisher(kind, name, profile)
-        self.node.create_subscription(JointState, JOINT_STATES.name, self._on_state, qos_profile_sensor_data)
-        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_health, qos(DIAGNOSTICS))
-        self.process = start("dextar_sim.node", *(part for value in parameters for part in ("-p", value)))
+        self.node.create_subscription(
+            JointState, JOINT_STATES.name, self._on_state, qos_profile_sensor_data
+        )
+        self.node.create_subscription(
+            DiagnosticArray, DIAGNOSTICS.name, self._on_health, qos(DIAGNOSTICS)
+        )
+        self.process = start(
+            "dextar_sim.node", *(part for value in parameters for part in ("-p", value))
+        )
 
     def _on_state(self, state: JointState) -> None:
         self.efforts.append(list(state.effort))
@@ -50,7 +69,9 @@ class Commander:
             self.commands.publish(message)
 
     def _on_health(self, array: DiagnosticArray) -> None:
-        self.health = {item.key: item.value for item in array.status[0].values} | {"message": array.status[0].message}
+        self.health = {item.key: item.value for item in array.status[0].values} | {
+            "message": array.status[0].message
+        }
 
     def until(self, condition: Callable[[], Any]) -> None:
         deadline = time.monotonic() + PATIENCE
@@ -91,7 +112,9 @@ def by_own_clock(ahead: int = 0) -> JointState:
     return message
 
 
-def test_commands_stamped_with_the_senders_clock_move_a_real_time_plant(run: Callable[..., Commander]) -> None:
+def test_commands_stamped_with_the_senders_clock_move_a_real_time_plant(
+    run: Callable[..., Commander],
+) -> None:
     commander = run(JointState, JOINT_COMMANDS.name, HARDWARE_COMMANDS)
     commander.make = by_own_clock
     commander.until_effort(TORQUE)
@@ -109,8 +132,15 @@ def test_stamps_ahead_of_the_clock_are_refused(run: Callable[..., Commander]) ->
     assert "system clock" in stop(commander.process)[1]
 
 
-def test_arrays_move_the_plant_and_fall_silent_with_their_sender(run: Callable[..., Commander]) -> None:
-    commander = run(Float64MultiArray, EFFORT_COMMANDS.name, HARDWARE_COMMANDS, "command_interface:=effort_array")
+def test_arrays_move_the_plant_and_fall_silent_with_their_sender(
+    run: Callable[..., Commander],
+) -> None:
+    commander = run(
+        Float64MultiArray,
+        EFFORT_COMMANDS.name,
+        HARDWARE_COMMANDS,
+        "command_interface:=effort_array",
+    )
     commander.make = lambda: Float64MultiArray(data=TORQUE)
     commander.until_effort(TORQUE)
     commander.make = lambda: None
@@ -119,12 +149,24 @@ def test_arrays_move_the_plant_and_fall_silent_with_their_sender(run: Callable[.
         commander.make = lambda bad=bad: Float64MultiArray(data=bad)
         assert all(effort == NONE for effort in commander.more(20))
     commander.until(lambda: int(commander.health.get("commands_refused", 0)) >= 5)
-    commander.until(lambda: "effort_commands were refused" in commander.health["message"])
+    commander.until(
+        lambda: "effort_commands were refused" in commander.health["message"]
+    )
 
 
-def test_only_publishers_of_the_topic_in_use_count(run: Callable[..., Commander]) -> None:
-    commander = run(Float64MultiArray, EFFORT_COMMANDS.name, HARDWARE_COMMANDS, "command_interface:=effort_array")
-    other = [commander.node.create_publisher(JointState, JOINT_COMMANDS.name, 1) for _ in range(2)]
+def test_only_publishers_of_the_topic_in_use_count(
+    run: Callable[..., Commander],
+) -> None:
+    commander = run(
+        Float64MultiArray,
+        EFFORT_COMMANDS.name,
+        HARDWARE_COMMANDS,
+        "command_interface:=effort_array",
+    )
+    other = [
+        commander.node.create_publisher(JointState, JOINT_COMMANDS.name, 1)
+        for _ in range(2)
+    ]
     commander.make = lambda: Float64MultiArray(data=TORQUE)
     commander.until_effort(TORQUE)
     commander.until(lambda: commander.health.get("command_publishers") == "1")
@@ -142,14 +184,25 @@ def test_only_publishers_of_the_topic_in_use_count(run: Callable[..., Commander]
 
 
 def test_arrays_in_lockstep_are_refused() -> None:
-    process = start("dextar_sim.node", "-p", "command_interface:=effort_array", "-p", "mode:=lockstep")
+    process = start(
+        "dextar_sim.node",
+        "-p",
+        "command_interface:=effort_array",
+        "-p",
+        "mode:=lockstep",
+    )
     output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2
     assert "in mode lockstep it must be joint_state" in output
 
 
 @pytest.mark.parametrize(
-    ("data", "words"), [([1.0], "1 efforts; expected 2"), ([1.0, 2.0, 3.0], "3 efforts"), ([1.0, math.nan], "not finite")]
+    ("data", "words"),
+    [
+        ([1.0], "1 efforts; expected 2"),
+        ([1.0, 2.0, 3.0], "3 efforts"),
+        ([1.0, math.nan], "not finite"),
+    ],
 )
 def test_an_array_that_cannot_be_used_is_named(data: list[float], words: str) -> None:
     with pytest.raises(StateError, match=words):
@@ -157,5 +210,7 @@ def test_an_array_that_cannot_be_used_is_named(data: list[float], words: str) ->
 
 
 def test_an_array_is_in_the_contracts_order() -> None:
-    assert read_efforts(bytes(serialize_message(Float64MultiArray(data=TORQUE)))) == tuple(TORQUE)
+    assert read_efforts(
+        bytes(serialize_message(Float64MultiArray(data=TORQUE)))
+    ) == tuple(TORQUE)
     assert EFFORT_COMMANDS.joints == JOINT_COMMANDS.joints

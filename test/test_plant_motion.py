@@ -21,8 +21,10 @@ FREE_MOTION_ERROR = 0.02e-3
 ENERGY_DRIFT = 2.0e-3
 """Share of the kinetic energy over 3 s."""
 FAST_SUBSTEPS = 20
-"""Where weight drives the joints to 26 rad/s, others reaching 11: the drift of the first-order integrator grows
-with speed and halves with the substep, from 6e-3 at 4 substeps over 3e-3 at 8 to 1.6e-3 at 16."""
+"""Where weight drives the joints to 26 rad/s, others reaching 11: the drift of the
+first-order integrator grows with speed and halves with the substep, from 6e-3 at 4
+substeps over 3e-3 at 8 to 1.6e-3 at 16.
+"""
 FREE_TIME = 0.4
 IMPULSE_ERROR = 1.0e-4
 """Relative; motion during the 0.1 ms of the blow."""
@@ -60,7 +62,10 @@ def robot(request: pytest.FixtureRequest) -> RobotParameters:
 
 
 def run_free(
-    robot: RobotParameters, velocity: tuple[float, float], duration: float, substeps: int = 4
+    robot: RobotParameters,
+    velocity: tuple[float, float],
+    duration: float,
+    substeps: int = 4,
 ) -> list[PlantState]:
     plant = Plant(robot, substeps=substeps)
     states = [plant.reset(START, velocity)]
@@ -78,19 +83,27 @@ def test_free_motion_follows_the_exact_model(robot: RobotParameters) -> None:
 
 
 def test_loop_stays_closed_in_free_motion(robot: RobotParameters) -> None:
-    assert max(state.loop_gap for state in run_free(robot, FAST_VELOCITY, 1.0)) < LOOP_GAP
+    assert (
+        max(state.loop_gap for state in run_free(robot, FAST_VELOCITY, 1.0)) < LOOP_GAP
+    )
 
 
 def test_energy_is_kept_over_three_seconds(robot: RobotParameters) -> None:
-    states = run_free(robot, ENERGY_VELOCITY, 3.0, FAST_SUBSTEPS if robot is TILTED else 4)
+    states = run_free(
+        robot, ENERGY_VELOCITY, 3.0, FAST_SUBSTEPS if robot is TILTED else 4
+    )
     energies = [energy(robot, state) for state in states]
     weightless = robot.replace(gravity=(0.0, 0.0))
     kinetic = max(energy(weightless, state) for state in states)
     assert max(abs(value - energies[0]) for value in energies) < ENERGY_DRIFT * kinetic
 
 
-def test_driven_motion_follows_the_exact_model_and_stays_closed(robot: RobotParameters) -> None:
-    """Torques held over each period; to the exact model that is the same torque half a period later."""
+def test_driven_motion_follows_the_exact_model_and_stays_closed(
+    robot: RobotParameters,
+) -> None:
+    """Torques held over each period; to the exact model that is the same torque half a
+    period later.
+    """
     plant = Plant(robot)
     start = plant.reset((0.0, 0.105))
 
@@ -101,7 +114,12 @@ def test_driven_motion_follows_the_exact_model_and_stays_closed(robot: RobotPara
     for step in range(DRIVEN_STEPS):
         plant.step(torque(step * plant.period))
         gap = max(gap, plant.state().loop_gap)
-    x, _ = integrate(robot, start, DRIVEN_STEPS * plant.period, lambda time: torque(time - 0.5 * plant.period))
+    x, _ = integrate(
+        robot,
+        start,
+        DRIVEN_STEPS * plant.period,
+        lambda time: torque(time - 0.5 * plant.period),
+    )
     assert gap < LOOP_GAP
     assert math.dist(plant.state().x, x) < FREE_MOTION_ERROR
     plant.close()
@@ -131,15 +149,22 @@ def test_impulse_at_rest_gives_the_velocity_of_the_exact_model() -> None:
     plant.step((0.0, 0.0))
     state = plant.state()
     plant.close()
-    system, blow = equations(DEXTAR, absolute(start.joints), np.zeros(6))[0], np.zeros(10)
+    system, blow = (
+        equations(DEXTAR, absolute(start.joints), np.zeros(6))[0],
+        np.zeros(10),
+    )
     blow[4:6] = impulse
     exact = np.linalg.solve(system, blow)[:6]
     assert math.dist(state.x_dot, exact[4:]) < IMPULSE_ERROR * np.hypot(*exact[4:])
-    assert math.dist(absolute(state.joints_dot), exact[:4]) < IMPULSE_ERROR * np.linalg.norm(exact[:4])
+    assert math.dist(
+        absolute(state.joints_dot), exact[:4]
+    ) < IMPULSE_ERROR * np.linalg.norm(exact[:4])
 
 
 def test_holding_torque_against_gravity_keeps_the_pose() -> None:
-    """Torque by virtual work: the potential's slope along each motor angle, by finite differences."""
+    """Torque by virtual work: the potential's slope along each motor angle, by finite
+    differences.
+    """
     robot = DEXTAR.replace(gravity=(0.0, -9.81))
     plant = Plant(robot)
     start = plant.reset(START)
@@ -160,11 +185,17 @@ def test_holding_torque_against_gravity_keeps_the_pose() -> None:
 
 
 def test_friction_takes_the_energy_its_law_says() -> None:
-    """Loss = integral of q_dot (viscous q_dot + coulomb tanh(q_dot / coulomb_speed)) over both motors."""
-    robot = DEXTAR.replace(**{"left.viscous_friction": 1.0e-3, "right.coulomb_friction": 5.0e-3})
+    """Loss = integral of q_dot (viscous q_dot + coulomb tanh(q_dot / coulomb_speed))
+    over both motors.
+    """
+    robot = DEXTAR.replace(
+        **{"left.viscous_friction": 1.0e-3, "right.coulomb_friction": 5.0e-3}
+    )
     states = run_free(robot, FAST_VELOCITY, 0.2)
     rates = np.array([state.q_a_dot for state in states])
-    power = 1.0e-3 * rates[:, 0] ** 2 + 5.0e-3 * rates[:, 1] * np.tanh(rates[:, 1] / robot.coulomb_speed)
+    power = 1.0e-3 * rates[:, 0] ** 2 + 5.0e-3 * rates[:, 1] * np.tanh(
+        rates[:, 1] / robot.coulomb_speed
+    )
     lost = energy(robot, states[0]) - energy(robot, states[-1])
     assert lost > 0.1 * energy(robot, states[0])
     assert lost == pytest.approx(float(trapezoid(power, dx=1.0e-3)), rel=FRICTION_ERROR)

@@ -32,11 +32,16 @@ from synthetic_run import TYPES
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from dextar_control.contract import topics
-from dextar_control.contract.node import qos
+from dextar_control.nodekit.node import qos
 
 PATIENCE = 30.0  # s, for discovery on a busy machine; not a measurement
-COUNT = 150  # fewer than the publisher holds: a reliable reader that matches late still gets them all
-PROGRAM = "import sys; from dextar_control.ros.recorder_node import main; sys.exit(main(sys.argv[1:]))"
+# fewer than the publisher holds: a reliable reader that matches late still gets them
+# all
+COUNT = 150
+PROGRAM = (
+    "import sys; from dextar_control.nodes.recorder import main;"
+    " sys.exit(main(sys.argv[1:]))"
+)
 
 
 @pytest.fixture
@@ -56,11 +61,18 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     running: list[subprocess.Popen[str]] = []
 
     def run(output: Path, *parameters: str, prefix: str = "") -> subprocess.Popen[str]:
-        arguments = [part for text in (f"output:={output}", "reliable:=true", *parameters) for part in ("-p", text)]
+        arguments = [
+            part
+            for text in (f"output:={output}", "reliable:=true", *parameters)
+            for part in ("-p", text)
+        ]
         process = subprocess.Popen(
             [sys.executable, "-c", prefix + PROGRAM, "--ros-args", *arguments],
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=os.environ.copy(),
-        )  # fmt: skip
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ.copy(),
+        )
         running.append(process)
         return process
 
@@ -73,7 +85,9 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
             process.stderr.close()
 
 
-def until(condition: Callable[[], Any], act: Callable[[], Any] = lambda: time.sleep(0.02)) -> None:
+def until(
+    condition: Callable[[], Any], act: Callable[[], Any] = lambda: time.sleep(0.02)
+) -> None:
     deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
@@ -82,11 +96,15 @@ def until(condition: Callable[[], Any], act: Callable[[], Any] = lambda: time.sl
 
 def states(node: Node, process: subprocess.Popen[str]) -> list[JointState]:
     """Publish COUNT joint states once the recorder listens; what was sent."""
-    publisher = node.create_publisher(JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES))
+    publisher = node.create_publisher(
+        JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
+    )
     until(lambda: publisher.get_subscription_count() > 0 or process.poll() is not None)
     sent = []
     for k in range(COUNT):
-        message = JointState(name=["q11", "q21"], position=[k * 0.1, -1.0], effort=[0.0, float(k)])
+        message = JointState(
+            name=["q11", "q21"], position=[k * 0.1, -1.0], effort=[0.0, float(k)]
+        )
         message.header.stamp.sec = k
         publisher.publish(message)
         sent.append(message)
@@ -95,7 +113,9 @@ def states(node: Node, process: subprocess.Popen[str]) -> list[JointState]:
     return sent
 
 
-def call(node: Node, executor: SingleThreadedExecutor, kind: Any, name: str, request: Any) -> Any:
+def call(
+    node: Node, executor: SingleThreadedExecutor, kind: Any, name: str, request: Any
+) -> Any:
     """A service's answer."""
     client = node.create_client(kind, name)
     until(client.service_is_ready)
@@ -108,16 +128,26 @@ def call(node: Node, executor: SingleThreadedExecutor, kind: Any, name: str, req
 def metadata(file: Path) -> dict[str, str]:
     """The last record of the run."""
     with file.open("rb") as stream:
-        return [entry.metadata for entry in make_reader(stream).iter_metadata() if entry.name == "dextar"][-1]
+        return [
+            entry.metadata
+            for entry in make_reader(stream).iter_metadata()
+            if entry.name == "dextar"
+        ][-1]
 
 
 def texts(file: Path, topic: str) -> list[str]:
     """Data of the strings on a topic, in order."""
     with AnyReader([file]) as reader:
-        return [reader.deserialize(raw, c.msgtype).data for c, _, raw in reader.messages() if c.topic == topic]
+        return [
+            reader.deserialize(raw, c.msgtype).data
+            for c, _, raw in reader.messages()
+            if c.topic == topic
+        ]
 
 
-def stop(process: subprocess.Popen[str], number: int = signal.SIGTERM) -> tuple[int, str]:
+def stop(
+    process: subprocess.Popen[str], number: int = signal.SIGTERM
+) -> tuple[int, str]:
     process.send_signal(number)
     _, errors = process.communicate(timeout=PATIENCE)
     return process.returncode, errors
@@ -128,14 +158,19 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     plant: Node, start: Callable[..., Any], tmp_path: Path, number: int
 ) -> None:
     file = tmp_path / "deep" / "run.mcap"
-    latched = plant.create_publisher(MultiDOFJointTrajectory, topics.TRAJECTORY.name, qos(topics.TRAJECTORY))
+    latched = plant.create_publisher(
+        MultiDOFJointTrajectory, topics.TRAJECTORY.name, qos(topics.TRAJECTORY)
+    )
     latched.publish(MultiDOFJointTrajectory(joint_names=["end_effector"]))
     extra = plant.create_publisher(String, "remarks", 10)
     process = start(file, "extra_topics:=remarks ghosts", "parameters_of:=plant nobody")
     executor = SingleThreadedExecutor(context=plant.context)
     executor.add_node(plant)
     sent = states(plant, process)
-    until(lambda: extra.get_subscription_count() > 0, lambda: executor.spin_once(timeout_sec=0.02))
+    until(
+        lambda: extra.get_subscription_count() > 0,
+        lambda: executor.spin_once(timeout_sec=0.02),
+    )
     extra.publish(String(data="here"))
 
     def parameters_are_there() -> bool:
@@ -158,18 +193,28 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     assert [(m.header.stamp.sec, m.name, *m.position, *m.effort) for m in recorded] == [
         (m.header.stamp.sec, list(m.name), *m.position, *m.effort) for m in sent
     ]
-    assert [message.joint_names for topic, message in taken if topic == "/trajectory"] == [["end_effector"]]
+    assert [
+        message.joint_names for topic, message in taken if topic == "/trajectory"
+    ] == [["end_effector"]]
     assert [message.data for topic, message in taken if topic == "/remarks"] == ["here"]
     assert any(topic == "/diagnostics" for topic, _ in taken)
 
     with file.open("rb") as stream:
         reader = make_reader(stream)
-        record = [entry.metadata for entry in reader.iter_metadata() if entry.name == "dextar"][-1]
-        by_topic = {channel.topic: channel for channel in reader.get_summary().channels.values()}
+        record = [
+            entry.metadata for entry in reader.iter_metadata() if entry.name == "dextar"
+        ][-1]
+        by_topic = {
+            channel.topic: channel for channel in reader.get_summary().channels.values()
+        }
     offered = yaml.safe_load(by_topic["/trajectory"].metadata["offered_qos_profiles"])
     assert offered[0]["durability"] == "transient_local"
     assert offered[0]["deadline"] == {"sec": 9223372036, "nsec": 854775807}
-    assert json.loads(record["topics"])["/joint_states"] == {"received": COUNT, "lost": 0, "dropped": 0}
+    assert json.loads(record["topics"])["/joint_states"] == {
+        "received": COUNT,
+        "lost": 0,
+        "dropped": 0,
+    }
     assert json.loads(record["parameters_missing"]) == ["nobody"]
     parameters = yaml.safe_load(record["parameters.plant"])
     assert parameters["geometry.left"] == [0.09, 0.08]
@@ -178,7 +223,9 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     assert record["started"] < record["ended"]
 
 
-def test_a_killed_recorder_leaves_a_readable_bag(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_killed_recorder_leaves_a_readable_bag(
+    plant: Node, start: Callable[..., Any], tmp_path: Path
+) -> None:
     from dextar_control.bags.reader import read_bag
 
     file = tmp_path / "run.mcap"
@@ -193,34 +240,61 @@ def test_a_killed_recorder_leaves_a_readable_bag(plant: Node, start: Callable[..
     assert bag.metadata["dextar"]["ended"] == ""
 
 
-def test_an_unusable_output_is_one_line_and_an_exit_code(start: Callable[..., Any], tmp_path: Path) -> None:
+def test_an_unusable_output_is_one_line_and_an_exit_code(
+    start: Callable[..., Any], tmp_path: Path
+) -> None:
     (tmp_path / "taken.mcap").write_text("")
-    for output, words in ((tmp_path / "taken.mcap", "exists already"), (Path("/proc/none/run.mcap"), "No such file")):
+    for output, words in (
+        (tmp_path / "taken.mcap", "exists already"),
+        (Path("/proc/none/run.mcap"), "No such file"),
+    ):
         process = start(output)
         _, errors = process.communicate(timeout=PATIENCE)
         assert process.returncode == 2
         assert "Traceback" not in errors
-        assert [line for line in errors.splitlines() if str(output) in line and words in line]
+        assert [
+            line
+            for line in errors.splitlines()
+            if str(output) in line and words in line
+        ]
 
 
 def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
     plant: Node, start: Callable[..., Any], tmp_path: Path
 ) -> None:
     file = tmp_path / "run" / "run.mcap"
-    latched = plant.create_publisher(MultiDOFJointTrajectory, topics.TRAJECTORY.name, qos(topics.TRAJECTORY))
-    description = plant.create_publisher(String, "robot_description", qos(topics.TRAJECTORY))
+    latched = plant.create_publisher(
+        MultiDOFJointTrajectory, topics.TRAJECTORY.name, qos(topics.TRAJECTORY)
+    )
+    description = plant.create_publisher(
+        String, "robot_description", qos(topics.TRAJECTORY)
+    )
     description.publish(String(data="<robot/>"))
     remarks = plant.create_publisher(String, "remarks", 10)
-    process = start(file, "record_from_start:=false", "extra_topics:=remarks", "name:=tuning", "parameters_of:=plant")
+    process = start(
+        file,
+        "record_from_start:=false",
+        "extra_topics:=remarks",
+        "name:=tuning",
+        "parameters_of:=plant",
+    )
     executor = SingleThreadedExecutor(context=plant.context)
     executor.add_node(plant)
     seen: dict[str, str] = {}
 
     def on_diagnostics(message: DiagnosticArray) -> None:
         for status in message.status:
-            seen.update({entry.key: entry.value for entry in status.values}, message=status.message)
+            seen.update(
+                {entry.key: entry.value for entry in status.values},
+                message=status.message,
+            )
 
-    plant.create_subscription(DiagnosticArray, topics.DIAGNOSTICS.name, on_diagnostics, qos(topics.DIAGNOSTICS))
+    plant.create_subscription(
+        DiagnosticArray,
+        topics.DIAGNOSTICS.name,
+        on_diagnostics,
+        qos(topics.DIAGNOSTICS),
+    )
 
     def service(verb: str) -> Any:
         return call(plant, executor, Trigger, f"recorder/{verb}", Trigger.Request())
@@ -229,35 +303,68 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
         remarks.publish(String(data=text))
         time.sleep(0.1)
 
-    until(lambda: remarks.get_subscription_count() > 0 and latched.get_subscription_count() > 0,
-          lambda: executor.spin_once(timeout_sec=0.02))  # fmt: skip
+    until(
+        lambda: (
+            remarks.get_subscription_count() > 0
+            and latched.get_subscription_count() > 0
+        ),
+        lambda: executor.spin_once(timeout_sec=0.02),
+    )
     latched.publish(MultiDOFJointTrajectory(joint_names=["end_effector"]))
     say("before")
-    until(lambda: seen.get("recording") == "False", lambda: executor.spin_once(timeout_sec=0.02))
+    until(
+        lambda: seen.get("recording") == "False",
+        lambda: executor.spin_once(timeout_sec=0.02),
+    )
     assert not file.exists()
     refused = service("stop")
-    assert (refused.success, refused.message) == (False, "not recording; call /recorder/start first")
+    assert (refused.success, refused.message) == (
+        False,
+        "not recording; call /recorder/start first",
+    )
     begun = service("start")
     assert (begun.success, begun.message) == (True, f"recording to {file}")
     again = service("start")
-    assert (again.success, again.message) == (False, f"already recording to {file}; call /recorder/stop first")
+    assert (again.success, again.message) == (
+        False,
+        f"already recording to {file}; call /recorder/stop first",
+    )
     say("first")
-    until(lambda: seen.get("recording") == "True" and seen["parameters_missing"] == "none",
-          lambda: executor.spin_once(timeout_sec=0.02))  # fmt: skip
-    changes = [Parameter("notes", value="brake later").to_parameter_msg(), Parameter("tags", value="a b").to_parameter_msg()]
+    until(
+        lambda: (
+            seen.get("recording") == "True" and seen["parameters_missing"] == "none"
+        ),
+        lambda: executor.spin_once(timeout_sec=0.02),
+    )
+    changes = [
+        Parameter("notes", value="brake later").to_parameter_msg(),
+        Parameter("tags", value="a b").to_parameter_msg(),
+    ]
     set_parameters = SetParameters.Request(parameters=changes)
-    answer = call(plant, executor, SetParameters, "recorder/set_parameters", set_parameters)
+    answer = call(
+        plant, executor, SetParameters, "recorder/set_parameters", set_parameters
+    )
     assert [result.successful for result in answer.results] == [True, True]
-    fixed = SetParameters.Request(parameters=[Parameter("output", value="elsewhere.mcap").to_parameter_msg()])
-    [answer] = call(plant, executor, SetParameters, "recorder/set_parameters", fixed).results
-    assert (answer.successful, answer.reason) == (False, "'output' is fixed while the node runs")
+    fixed = SetParameters.Request(
+        parameters=[Parameter("output", value="elsewhere.mcap").to_parameter_msg()]
+    )
+    [answer] = call(
+        plant, executor, SetParameters, "recorder/set_parameters", fixed
+    ).results
+    assert (answer.successful, answer.reason) == (
+        False,
+        "'output' is fixed while the node runs",
+    )
     plant.set_parameters([Parameter("mode", value="realtime")])
     say("last of the first")
     ended = service("stop")
     assert ended.success, ended.message
     assert ended.message.endswith(f"messages in {file}, 0 lost")
     say("between")
-    assert service("start").message == f"recording to {tmp_path / 'run' / 'run-2' / 'run.mcap'}"
+    assert (
+        service("start").message
+        == f"recording to {tmp_path / 'run' / 'run-2' / 'run.mcap'}"
+    )
     say("second")
     code, errors = stop(process)
     executor.remove_node(plant)
@@ -267,23 +374,49 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
     assert texts(second, "/remarks") == ["second"]
     for bag in (file, second):  # the trajectory was published once, before either
         with Reader(bag.parent) as reader:
-            assert [c.msgcount for c in reader.connections if c.topic == "/trajectory"] == [1]
+            assert [
+                c.msgcount for c in reader.connections if c.topic == "/trajectory"
+            ] == [1]
         assert texts(bag, "/robot_description") == ["<robot/>"]
     record = metadata(file)
-    assert (record["name"], record["notes"], record["tags"]) == ("tuning", "brake later", "a b")
+    assert (record["name"], record["notes"], record["tags"]) == (
+        "tuning",
+        "brake later",
+        "a b",
+    )
     assert metadata(second)["notes"] == "brake later"
-    changed = {(entry["node"], entry["name"]): entry["value"] for entry in json.loads(record["parameter_changes"])}
-    assert changed == {("/recorder", "notes"): "brake later", ("/recorder", "tags"): "a b", ("/plant", "mode"): "realtime"}
+    changed = {
+        (entry["node"], entry["name"]): entry["value"]
+        for entry in json.loads(record["parameter_changes"])
+    }
+    assert changed == {
+        ("/recorder", "notes"): "brake later",
+        ("/recorder", "tags"): "a b",
+        ("/plant", "mode"): "realtime",
+    }
     assert yaml.safe_load(record["parameters.plant"])["mode"] == "lockstep"
     assert json.loads(metadata(second)["parameter_changes"]) == []
-    assert json.loads(record["topics"])["/remarks"] == {"received": 2, "lost": 0, "dropped": 0}
+    assert json.loads(record["topics"])["/remarks"] == {
+        "received": 2,
+        "lost": 0,
+        "dropped": 0,
+    }
     with AnyReader([file]) as reader:
-        events = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages() if c.topic == "/parameter_events"]
-    assert ("/plant", ["mode"]) in [(event.node, [entry.name for entry in event.changed_parameters]) for event in events]
+        events = [
+            reader.deserialize(raw, c.msgtype)
+            for c, _, raw in reader.messages()
+            if c.topic == "/parameter_events"
+        ]
+    assert ("/plant", ["mode"]) in [
+        (event.node, [entry.name for entry in event.changed_parameters])
+        for event in events
+    ]
 
 
 def away(publisher: Any, process: subprocess.Popen[str], file: Path, count: int) -> int:
-    """Publish some, then ``count`` more while the recorder gets no processor time, then some until one is there; how many."""
+    """Publish some, then ``count`` more while the recorder gets no processor time, then
+    some until one is there; how many.
+    """
     sent = 0
 
     def publish(numbers: int, frame: str = "") -> None:
@@ -297,7 +430,10 @@ def away(publisher: Any, process: subprocess.Popen[str], file: Path, count: int)
     until(lambda: publisher.get_subscription_count() > 0 or process.poll() is not None)
 
     def repeat(frame: str) -> None:
-        """Until a sample is there: a best-effort reader may have matched on one side only, or have no room yet."""
+        """Until a sample is there: a best-effort reader may have matched on one side
+        only, or have no room yet.
+        """
+
         def more() -> None:
             publish(1, frame)
             time.sleep(0.1)
@@ -312,42 +448,83 @@ def away(publisher: Any, process: subprocess.Popen[str], file: Path, count: int)
     return sent
 
 
-def test_a_recorder_that_was_away_is_given_all_it_missed(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_recorder_that_was_away_is_given_all_it_missed(
+    plant: Node, start: Callable[..., Any], tmp_path: Path
+) -> None:
     file = tmp_path / "run.mcap"
     process = start(file, "compression:=none", "sync_period:=0.1")
-    sent = away(plant.create_publisher(JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)), process, file, 900)
+    sent = away(
+        plant.create_publisher(
+            JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
+        ),
+        process,
+        file,
+        900,
+    )
     code, errors = stop(process)
     assert code == 0, errors
     with AnyReader([file]) as reader:
-        stamps = [reader.deserialize(raw, c.msgtype).header.stamp.sec for c, _, raw in reader.messages()
-                  if c.topic == "/joint_states"]  # fmt: skip
+        stamps = [
+            reader.deserialize(raw, c.msgtype).header.stamp.sec
+            for c, _, raw in reader.messages()
+            if c.topic == "/joint_states"
+        ]
     assert stamps == list(range(sent))
-    assert json.loads(metadata(file)["topics"])["/joint_states"] == {"received": sent, "lost": 0, "dropped": 0}
+    assert json.loads(metadata(file)["topics"])["/joint_states"] == {
+        "received": sent,
+        "lost": 0,
+        "dropped": 0,
+    }
 
 
-def test_what_is_lost_on_the_way_is_counted_and_told(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:
+def test_what_is_lost_on_the_way_is_counted_and_told(
+    plant: Node, start: Callable[..., Any], tmp_path: Path
+) -> None:
     file = tmp_path / "run.mcap"
     process = start(file, "reliable:=false", "compression:=none", "sync_period:=0.1")
-    away(plant.create_publisher(JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)), process, file, 5000)
+    away(
+        plant.create_publisher(
+            JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
+        ),
+        process,
+        file,
+        5000,
+    )
     code, errors = stop(process)
     assert code == 0, errors
     with file.open("rb") as stream:
-        numbers = [m.sequence for _, _, m in make_reader(stream).iter_messages(topics=["/joint_states"])]
+        numbers = [
+            m.sequence
+            for _, _, m in make_reader(stream).iter_messages(topics=["/joint_states"])
+        ]
     missing = max(numbers) - min(numbers) + 1 - len(numbers)
     assert missing > 0  # the middleware holds some hundreds
     counts = json.loads(metadata(file)["topics"])["/joint_states"]
     assert counts == {"received": len(numbers), "lost": missing, "dropped": 0}
     assert f"/joint_states: {missing} samples lost, {len(numbers)} recorded" in errors
     with AnyReader([file]) as reader:
-        told = [status.message for c, _, raw in reader.messages() if c.topic == "/diagnostics"
-                for status in reader.deserialize(raw, c.msgtype).status]  # fmt: skip
+        told = [
+            status.message
+            for c, _, raw in reader.messages()
+            if c.topic == "/diagnostics"
+            for status in reader.deserialize(raw, c.msgtype).status
+        ]
     assert f"{missing} samples lost" in told
 
 
-def test_a_recording_is_split_while_it_runs(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_recording_is_split_while_it_runs(
+    plant: Node, start: Callable[..., Any], tmp_path: Path
+) -> None:
     folder = tmp_path / "run"
-    process = start(folder / "run.mcap", "max_bag_size:=70000", "compression:=none", "sync_period:=0.1")
-    publisher = plant.create_publisher(JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES))
+    process = start(
+        folder / "run.mcap",
+        "max_bag_size:=70000",
+        "compression:=none",
+        "sync_period:=0.1",
+    )
+    publisher = plant.create_publisher(
+        JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
+    )
     until(lambda: publisher.get_subscription_count() > 0 or process.poll() is not None)
     sent = 0
 
@@ -364,8 +541,11 @@ def test_a_recording_is_split_while_it_runs(plant: Node, start: Callable[..., An
     code, errors = stop(process)
     assert code == 0, errors
     with Reader(folder) as reader:
-        stamps = [TYPES.deserialize_cdr(raw, c.msgtype).header.stamp.sec for c, _, raw in reader.messages()
-                  if c.topic == "/joint_states"]  # fmt: skip
+        stamps = [
+            TYPES.deserialize_cdr(raw, c.msgtype).header.stamp.sec
+            for c, _, raw in reader.messages()
+            if c.topic == "/joint_states"
+        ]
     assert stamps == list(range(sent))
     assert all(metadata(file)["version"] for file in folder.glob("run_*.mcap"))
 
@@ -374,10 +554,22 @@ def test_a_recording_is_split_while_it_runs(plant: Node, start: Callable[..., An
     ("output", "parameter", "words"),
     [
         ("run.bag", "name:=x", "run.bag: the name must end in .mcap"),
-        ("run.mcap", "max_bag_size:=10", "'max_bag_size' = 10; it must be 0 or >= 65536 bytes"),
-        ("run.mcap", "max_bag_duration:=-1.0", "'max_bag_duration' = -1.0; it must be >= 0"),
+        (
+            "run.mcap",
+            "max_bag_size:=10",
+            "'max_bag_size' = 10; it must be 0 or >= 65536 bytes",
+        ),
+        (
+            "run.mcap",
+            "max_bag_duration:=-1.0",
+            "'max_bag_duration' = -1.0; it must be >= 0",
+        ),
         ("run.mcap", "sync_period:=0.0", "'sync_period' = 0.0; it must be >= 0.1"),
-        ("run.mcap", "compression:=lz5", "'compression' = 'lz5'; it must be one of zstd, none"),
+        (
+            "run.mcap",
+            "compression:=lz5",
+            "'compression' = 'lz5'; it must be one of zstd, none",
+        ),
     ],
 )
 def test_a_bad_parameter_is_one_line_and_an_exit_code(
@@ -391,13 +583,26 @@ def test_a_bad_parameter_is_one_line_and_an_exit_code(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_bags_folder_follows_the_stamp(start: Callable[..., Any], tmp_path: Path) -> None:
+def test_the_bags_folder_follows_the_stamp(
+    start: Callable[..., Any], tmp_path: Path
+) -> None:
     process = start(tmp_path / "{stamp}" / "run.mcap")
-    until(lambda: list(tmp_path.glob("*/run.mcap")))  # a signal before that ends a node that is still being made
+    until(
+        lambda: list(tmp_path.glob("*/run.mcap"))
+    )  # a signal before that ends a node that is still being made
     assert stop(process)[0] == 0
     [folder] = tmp_path.iterdir()
-    begun = datetime.strptime(folder.name, "%Y%m%dT%H%M%SZ").replace(tzinfo=timezone.utc)
-    assert abs((datetime.fromisoformat(metadata(folder / "run.mcap")["started"]) - begun).total_seconds()) < PATIENCE
+    begun = datetime.strptime(folder.name, "%Y%m%dT%H%M%SZ").replace(
+        tzinfo=timezone.utc
+    )
+    assert (
+        abs(
+            (
+                datetime.fromisoformat(metadata(folder / "run.mcap")["started"]) - begun
+            ).total_seconds()
+        )
+        < PATIENCE
+    )
     with Reader(folder):
         pass
 
@@ -416,8 +621,12 @@ def test_a_bag_that_is_deleted_under_the_recorder_ends_the_recording_aloud(
     assert "Traceback" not in errors
 
 
-def test_a_disk_that_fills_ends_the_recording_aloud(plant: Node, start: Callable[..., Any], tmp_path: Path) -> None:
-    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000)); "
+def test_a_disk_that_fills_ends_the_recording_aloud(
+    plant: Node, start: Callable[..., Any], tmp_path: Path
+) -> None:
+    limit = (
+        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000)); "
+    )
     process = start(tmp_path / "run.mcap", "compression:=none", prefix=limit)
     states(plant, process)
     _, errors = process.communicate(timeout=PATIENCE)

@@ -1,4 +1,6 @@
-"""The recorder on disks that fill, refuse or lose their power: real file systems in a mount namespace of their own."""
+"""The recorder on disks that fill, refuse or lose their power: real file systems in a
+mount namespace of their own.
+"""
 
 from __future__ import annotations
 
@@ -25,12 +27,16 @@ from synthetic_run import TYPES
 from dextar_control.bags.reader import read_bag
 from dextar_control.bags.recover import recover
 from dextar_control.contract import topics
-from dextar_control.contract.node import qos
+from dextar_control.nodekit.node import qos
 
 PATIENCE = 60.0  # s, on a busy machine; not a measurement
-RECORDER = "import sys; from dextar_control.ros.recorder_node import main; sys.exit(main(sys.argv[1:]))"
+RECORDER = (
+    "import sys; from dextar_control.nodes.recorder import main;"
+    " sys.exit(main(sys.argv[1:]))"
+)
 UNSHARE = ["unshare", "--mount", "--propagation", "private"]
-# Runs the recorder on the mounted folder $1, copies what it left to $2; the rest are its arguments.
+# Runs the recorder on the mounted folder $1, copies what it left to $2; the rest are
+# its arguments.
 ON_MOUNT = """
 disk=$1; out=$2; shift 2
 "$@"
@@ -38,8 +44,10 @@ code=$?
 cp -r "$disk" "$out"
 exit $code
 """
-# Mounts the image $1 on $2, runs the recorder there until a line comes, shuts the file system down without flushing its
-# journal (EXT4_IOC_SHUTDOWN, NOLOGFLUSH: as if the power were gone), mounts it again and copies the bag to $3.
+# Mounts the image $1 on $2, runs the recorder there until a line comes, shuts the file
+# system down without flushing its
+# journal (EXT4_IOC_SHUTDOWN, NOLOGFLUSH: as if the power were gone), mounts it again
+# and copies the bag to $3.
 POWER_CUT = """
 import fcntl, os, shutil, struct, subprocess, sys
 image, disk, out, *command = sys.argv[1:]
@@ -94,7 +102,12 @@ class Talker:
         self.levels: list[tuple[int, str]] = []
         self._filling = os.urandom(size // 2).hex()
         self.publisher = node.create_publisher(String, "numbers", 200)
-        node.create_subscription(DiagnosticArray, topics.DIAGNOSTICS.name, self._on_diagnostics, qos(topics.DIAGNOSTICS))
+        node.create_subscription(
+            DiagnosticArray,
+            topics.DIAGNOSTICS.name,
+            self._on_diagnostics,
+            qos(topics.DIAGNOSTICS),
+        )
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
 
@@ -105,10 +118,14 @@ class Talker:
     def hear(self) -> None:
         self._executor.spin_once(timeout_sec=0.01)
 
-    def until(self, condition: Callable[[], Any], act: Callable[[], Any] = lambda: None) -> None:
+    def until(
+        self, condition: Callable[[], Any], act: Callable[[], Any] = lambda: None
+    ) -> None:
         deadline = time.monotonic() + PATIENCE
         while not condition():
-            assert time.monotonic() < deadline, f"waited in vain; the recorder said {self.levels[-3:]}"
+            assert time.monotonic() < deadline, (
+                f"waited in vain; the recorder said {self.levels[-3:]}"
+            )
             act()
             self.hear()
 
@@ -119,29 +136,55 @@ class Talker:
 
 
 def arguments(output: Path, *parameters: str) -> list[str]:
-    always = ("extra_topics:=numbers", "parameters_of:=''", "compression:=none", "reliable:=true")
+    always = (
+        "extra_topics:=numbers",
+        "parameters_of:=''",
+        "compression:=none",
+        "reliable:=true",
+    )
     settings = (f"output:={output}", *always, *parameters)
-    return [sys.executable, "-c", RECORDER, "--ros-args", *(part for text in settings for part in ("-p", text))]
+    return [
+        sys.executable,
+        "-c",
+        RECORDER,
+        "--ros-args",
+        *(part for text in settings for part in ("-p", text)),
+    ]
 
 
 def numbers(bag: Path) -> list[int]:
     with Reader(bag) as reader:
-        return [int(TYPES.deserialize_cdr(raw, c.msgtype).data.split()[0]) for c, _, raw in reader.messages()
-                if c.topic == "/numbers"]  # fmt: skip
+        return [
+            int(TYPES.deserialize_cdr(raw, c.msgtype).data.split()[0])
+            for c, _, raw in reader.messages()
+            if c.topic == "/numbers"
+        ]
 
 
-def on_tmpfs(options: str, disk: Path, out: Path, command: list[str]) -> subprocess.Popen[str]:
+def on_tmpfs(
+    options: str, disk: Path, out: Path, command: list[str]
+) -> subprocess.Popen[str]:
     script = f"mount -t tmpfs -o {options} tmpfs $1 && {{ {ON_MOUNT} }}"
-    return subprocess.Popen([*namespace(), "sh", "-c", script, "sh", str(disk), str(out), *command],
-                            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)  # fmt: skip
+    return subprocess.Popen(
+        [*namespace(), "sh", "-c", script, "sh", str(disk), str(out), *command],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
-def test_on_a_full_disk_the_bag_ends_whole_and_it_is_said(plant: Node, tmp_path: Path) -> None:
+def test_on_a_full_disk_the_bag_ends_whole_and_it_is_said(
+    plant: Node, tmp_path: Path
+) -> None:
     disk, out = tmp_path / "disk", tmp_path / "out"
     disk.mkdir()
     talker = Talker(plant, 50_000)
     process = on_tmpfs("size=12m", disk, out, arguments(disk / "run.mcap"))
-    talker.until(lambda: talker.publisher.get_subscription_count() > 0 or process.poll() is not None)
+    talker.until(
+        lambda: (
+            talker.publisher.get_subscription_count() > 0 or process.poll() is not None
+        )
+    )
 
     def speak() -> None:
         talker.say()
@@ -152,41 +195,67 @@ def test_on_a_full_disk_the_bag_ends_whole_and_it_is_said(plant: Node, tmp_path:
         talker.hear()
     _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
-    told = [line for line in errors.splitlines() if "run.mcap stopped: No space left on device; the bag is whole" in line]
+    told = [
+        line
+        for line in errors.splitlines()
+        if "run.mcap stopped: No space left on device; the bag is whole" in line
+    ]
     assert len(told) == 1
     assert "Traceback" not in errors
-    assert any(level == 2 and "No space left on device" in words for level, words in talker.levels)
+    assert any(
+        level == 2 and "No space left on device" in words
+        for level, words in talker.levels
+    )
     kept = numbers(out)
     assert kept == list(range(kept[0], kept[0] + len(kept)))
     assert len(kept) > 100
     with (out / "run.mcap").open("rb") as stream:
-        record = [entry.metadata for entry in make_reader(stream).iter_metadata() if entry.name == "dextar"][-1]
+        record = [
+            entry.metadata
+            for entry in make_reader(stream).iter_metadata()
+            if entry.name == "dextar"
+        ][-1]
     counts = json.loads(record["topics"])["/numbers"]
     assert counts["received"] == len(kept) + counts["dropped"]
     assert record["ended"]
 
 
-def test_a_disk_without_room_to_end_a_bag_is_refused_at_the_start(tmp_path: Path) -> None:
+def test_a_disk_without_room_to_end_a_bag_is_refused_at_the_start(
+    tmp_path: Path,
+) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()
     process = on_tmpfs("size=2m", disk, tmp_path / "out", arguments(disk / "run.mcap"))
     _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2
-    assert "run.mcap: No space left on device (4 MiB are kept free to end the bag)" in errors
+    assert (
+        "run.mcap: No space left on device (4 MiB are kept free to end the bag)"
+        in errors
+    )
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_a_folder_that_cannot_be_written_is_refused_at_the_start(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_refused_at_the_start(
+    tmp_path: Path,
+) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()
-    process = on_tmpfs("size=64m,ro", disk, tmp_path / "out", arguments(disk / "deep" / "run.mcap"))
+    process = on_tmpfs(
+        "size=64m,ro", disk, tmp_path / "out", arguments(disk / "deep" / "run.mcap")
+    )
     _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2
-    assert [line for line in errors.splitlines() if "run.mcap: Read-only file system" in line]
+    assert [
+        line
+        for line in errors.splitlines()
+        if "run.mcap: Read-only file system" in line
+    ]
     assert "Traceback" not in errors
 
 
-def test_a_power_cut_costs_no_more_than_what_the_disk_had_not_confirmed(plant: Node, tmp_path: Path) -> None:
+def test_a_power_cut_costs_no_more_than_what_the_disk_had_not_confirmed(
+    plant: Node, tmp_path: Path
+) -> None:
     image, disk, out = tmp_path / "image", tmp_path / "disk", tmp_path / "out"
     disk.mkdir()
     with image.open("wb") as file:
@@ -196,14 +265,38 @@ def test_a_power_cut_costs_no_more_than_what_the_disk_had_not_confirmed(plant: N
     if not can(*UNSHARE, "sh", "-c", f"mount -o loop {image} {disk}"):
         pytest.skip("this user cannot mount a file")
     talker = Talker(plant, 1000)
-    command = [*UNSHARE, sys.executable, "-c", POWER_CUT, str(image), str(disk), str(out)]
-    process = subprocess.Popen([*command, *arguments(disk / "bag" / "run.mcap", "sync_period:=0.1")], stdin=subprocess.PIPE,
-                               stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)  # fmt: skip
-    talker.until(lambda: talker.publisher.get_subscription_count() > 0 or process.poll() is not None)
+    command = [
+        *UNSHARE,
+        sys.executable,
+        "-c",
+        POWER_CUT,
+        str(image),
+        str(disk),
+        str(out),
+    ]
+    process = subprocess.Popen(
+        [*command, *arguments(disk / "bag" / "run.mcap", "sync_period:=0.1")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    talker.until(
+        lambda: (
+            talker.publisher.get_subscription_count() > 0 or process.poll() is not None
+        )
+    )
     for _ in range(150):
         talker.say()
-    talker.until(lambda: talker.status.get("/numbers received") == "150" and talker.status["pending"] == "0")
-    for _ in range(2):  # the second confirmation that is told of was asked for after the first
+    talker.until(
+        lambda: (
+            talker.status.get("/numbers received") == "150"
+            and talker.status["pending"] == "0"
+        )
+    )
+    for _ in range(
+        2
+    ):  # the second confirmation that is told of was asked for after the first
         before = talker.status["bytes_on_disk"]
         talker.until(lambda before=before: talker.status["bytes_on_disk"] != before)
     for _ in range(50):

@@ -1,4 +1,6 @@
-"""The rig in a plain loop: what reaches the controller, what reaches the motors, and when."""
+"""The rig in a plain loop: what reaches the controller, what reaches the motors, and
+when.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def wavy(step: int) -> tuple[float, float]:
     return 0.03 * math.sin(0.02 * step), -0.02 * math.cos(0.015 * step)
 
 
-def drive(rig: Rig, steps: int) -> tuple[list[Sample | None], list[list[float]], list[np.ndarray]]:
+def drive(
+    rig: Rig, steps: int
+) -> tuple[list[Sample | None], list[list[float]], list[np.ndarray]]:
     """Samples, applied torques and true positions; a lost sample gets no answer."""
     samples, applied, truth = [], [], []
     for step in range(steps):
@@ -36,14 +40,23 @@ def drive(rig: Rig, steps: int) -> tuple[list[Sample | None], list[list[float]],
 
 def flat(samples: list[Sample | None]) -> list[Any]:
     return [
-        sample and (sample.time, *sample.q_a.tolist(), sample.pose and (sample.pose.time, *sample.pose.x.tolist()))
+        sample
+        and (
+            sample.time,
+            *sample.q_a.tolist(),
+            sample.pose and (sample.pose.time, *sample.pose.x.tolist()),
+        )
         for sample in samples
     ]
 
 
 def poses(samples: list[Sample | None]) -> list[tuple[float, float, np.ndarray]]:
     """(time of arrival, time of truth, x) of each delivered external measurement."""
-    return [(sample.time, sample.pose.time, sample.pose.x) for sample in samples if sample and sample.pose]
+    return [
+        (sample.time, sample.pose.time, sample.pose.x)
+        for sample in samples
+        if sample and sample.pose
+    ]
 
 
 @pytest.mark.parametrize("plant", PLANT_NAMES)
@@ -55,7 +68,11 @@ def test_a_perfect_rig_is_the_plant_itself(plant: str) -> None:
     for step, sample in enumerate(samples):
         state = bare.state()
         assert sample is not None
-        assert (sample.time, sample.q_a.tolist(), sample.pose) == (state.time, state.q_a.tolist(), None)
+        assert (sample.time, sample.q_a.tolist(), sample.pose) == (
+            state.time,
+            state.q_a.tolist(),
+            None,
+        )
         assert truth[step].tolist() == state.x.tolist()
         assert bare.step(wavy(step)).tolist() == applied[step]
     rig.close()
@@ -64,10 +81,20 @@ def test_a_perfect_rig_is_the_plant_itself(plant: str) -> None:
 
 @pytest.mark.parametrize("plant", PLANT_NAMES)
 def test_everything_at_once_repeats_from_its_seed(plant: str) -> None:
-    options = dict(position_noise=1.0e-5, command_delay=2.0e-3, sample_loss=0.2, jitter=0.9, pose_rate=90.0,
-                   pose_delay=0.02, pose_noise=1.0e-4, pose_dropout=0.1)  # fmt: skip
+    options = dict(
+        position_noise=1.0e-5,
+        command_delay=2.0e-3,
+        sample_loss=0.2,
+        jitter=0.9,
+        pose_rate=90.0,
+        pose_delay=0.02,
+        pose_noise=1.0e-4,
+        pose_dropout=0.1,
+    )
     runs = []
-    rig, again, other = (Rig(DEXTAR, plant=plant, seed=seed, **options) for seed in (5, 5, 6))
+    rig, again, other = (
+        Rig(DEXTAR, plant=plant, seed=seed, **options) for seed in (5, 5, 6)
+    )
     for each in (rig, rig, again, other):
         each.reset(START)
         samples, applied, truth = drive(each, 200)
@@ -80,10 +107,14 @@ def test_everything_at_once_repeats_from_its_seed(plant: str) -> None:
 
 
 def test_one_flaw_does_not_change_the_chances_of_another() -> None:
-    """The same samples are lost with and without noise: cases of a campaign differ by one thing."""
+    """The same samples are lost with and without noise: cases of a campaign differ by
+    one thing.
+    """
     lost = []
     for noise in (0.0, 1.0e-4):
-        rig = Rig(DEXTAR, plant="cartesian", sample_loss=0.3, position_noise=noise, seed=2)
+        rig = Rig(
+            DEXTAR, plant="cartesian", sample_loss=0.3, position_noise=noise, seed=2
+        )
         rig.reset(START)
         lost.append([sample is None for sample in drive(rig, 200)[0]])
     assert lost[0] == lost[1]
@@ -96,13 +127,17 @@ def test_encoders_read_the_nearest_count() -> None:
     for _ in range(50):
         sample = rig.read()
         assert sample is not None
-        np.testing.assert_allclose(sample.q_a, count * np.round(rig.truth().q_a / count), atol=EXACT)
+        np.testing.assert_allclose(
+            sample.q_a, count * np.round(rig.truth().q_a / count), atol=EXACT
+        )
         rig.write((0.0, 0.0))
 
 
 @pytest.mark.parametrize("plant", PLANT_NAMES)
 def test_a_robot_built_otherwise_starts_where_its_encoders_say(plant: str) -> None:
-    built = DEXTAR.replace(**{"left.distal_length": 0.0903, "right.proximal_length": 0.0898})
+    built = DEXTAR.replace(
+        **{"left.distal_length": 0.0903, "right.proximal_length": 0.0898}
+    )
     rig, q_a = Rig(built, plant=plant), (1.9, 1.2)
     rig.reset_joints(q_a, 1)
     sample = rig.read()
@@ -135,7 +170,11 @@ def test_lost_samples_are_none_and_as_many_as_said() -> None:
     rig.reset(START)
     samples, applied, _ = drive(rig, 2000)
     lost = [step for step, sample in enumerate(samples) if sample is None]
-    assert len(lost) == rig.samples_lost == pytest.approx(400, abs=5.0 * math.sqrt(2000 * 0.2 * 0.8))
+    assert (
+        len(lost)
+        == rig.samples_lost
+        == pytest.approx(400, abs=5.0 * math.sqrt(2000 * 0.2 * 0.8))
+    )
     for step in lost:
         assert applied[step] == (applied[step - 1] if step else [0.0, 0.0])
 
@@ -145,8 +184,10 @@ def test_saturated_periods_are_counted_since_the_reset() -> None:
     for _ in range(2):
         rig.reset(START)
         for step in range(10):
-            assert rig.write((0.05, -0.01) if step < 4 else (0.01, 0.0)).tolist() == [0.02 if step < 4 else 0.01,
-                                                                                     -0.01 if step < 4 else 0.0]  # fmt: skip
+            assert rig.write((0.05, -0.01) if step < 4 else (0.01, 0.0)).tolist() == [
+                0.02 if step < 4 else 0.01,
+                -0.01 if step < 4 else 0.0,
+            ]
         assert rig.saturated == 4
 
 
@@ -160,7 +201,9 @@ def test_a_command_that_is_not_finite_is_refused_and_counted() -> None:
 
 @pytest.mark.parametrize("plant", PLANT_NAMES)
 def test_a_late_command_gives_the_share_of_its_impulse_that_is_left(plant: str) -> None:
-    """From rest and without a command before, speed after one period grows with the substeps that remain."""
+    """From rest and without a command before, speed after one period grows with the
+    substeps that remain.
+    """
     full = Rig(DEXTAR, plant=plant)
     full.reset(START)
     full.write((0.02, 0.01))
@@ -173,7 +216,9 @@ def test_a_late_command_gives_the_share_of_its_impulse_that_is_left(plant: str) 
         assert rig.write((0.02, 0.01)).tolist() == [0.02, 0.01]
         shares.append(np.hypot(*rig.truth().x_dot) / whole)
         rig.close()
-    np.testing.assert_allclose(4.0 * np.array(shares), np.round(4.0 * np.array(shares)), atol=0.01)
+    np.testing.assert_allclose(
+        4.0 * np.array(shares), np.round(4.0 * np.array(shares)), atol=0.01
+    )
     assert {round(4.0 * share) for share in shares} == {0, 1, 2, 3, 4}
     assert np.mean(shares) == pytest.approx(0.5, abs=0.15)
 
@@ -192,8 +237,17 @@ def test_a_strike_throws_the_end_effector_the_way_it_points(plant: str) -> None:
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.5])
-def test_an_external_pose_was_true_at_its_time_and_comes_once_after_its_delay(loss: float) -> None:
-    rig = Rig(DEXTAR, plant="cartesian", pose_rate=80.0, pose_delay=0.0153, sample_loss=loss, seed=3)
+def test_an_external_pose_was_true_at_its_time_and_comes_once_after_its_delay(
+    loss: float,
+) -> None:
+    rig = Rig(
+        DEXTAR,
+        plant="cartesian",
+        pose_rate=80.0,
+        pose_delay=0.0153,
+        sample_loss=loss,
+        seed=3,
+    )
     rig.reset(START, (0.1, -0.1))
     samples, _, truth = drive(rig, 500)
     delivered = poses(samples)
@@ -204,18 +258,29 @@ def test_an_external_pose_was_true_at_its_time_and_comes_once_after_its_delay(lo
         late = arrival - stamp - 0.016
         assert abs(late) < EXACT if not loss else late > -EXACT
     if not loss:
-        np.testing.assert_allclose(stamps, np.ceil(np.arange(len(stamps)) * 12.5 - 1.0e-9) * PERIOD, atol=EXACT)
+        np.testing.assert_allclose(
+            stamps, np.ceil(np.arange(len(stamps)) * 12.5 - 1.0e-9) * PERIOD, atol=EXACT
+        )
         assert len(stamps) == 39
 
 
 def test_external_noise_dropout_and_outage_are_as_said() -> None:
-    rig = Rig(DEXTAR, plant="cartesian", pose_rate=1000.0, pose_noise=1.0e-4, pose_dropout=0.25,
-              pose_outages=[(1.0, 1.5)], seed=4)  # fmt: skip
+    rig = Rig(
+        DEXTAR,
+        plant="cartesian",
+        pose_rate=1000.0,
+        pose_noise=1.0e-4,
+        pose_dropout=0.25,
+        pose_outages=[(1.0, 1.5)],
+        seed=4,
+    )
     rig.reset(START)
     samples, _, truth = drive(rig, 4000)
     delivered = poses(samples)
     assert not [stamp for _, stamp, _ in delivered if 1.0 <= stamp < 1.5]
-    assert len(delivered) == pytest.approx(0.75 * 3500, abs=5.0 * math.sqrt(3500 * 0.25 * 0.75))
+    assert len(delivered) == pytest.approx(
+        0.75 * 3500, abs=5.0 * math.sqrt(3500 * 0.25 * 0.75)
+    )
     errors = np.array([x - truth[round(stamp / PERIOD)] for _, stamp, x in delivered])
     assert errors.std() == pytest.approx(1.0e-4, rel=0.05)
     assert abs(errors.mean()) < 1.0e-5
@@ -230,7 +295,10 @@ def test_without_a_rate_there_is_no_external_pose() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"plant": "gazebo"}, "plant = 'gazebo'; it must be one of pybullet, cartesian"),
+        (
+            {"plant": "gazebo"},
+            "plant = 'gazebo'; it must be one of pybullet, cartesian",
+        ),
         ({"sample_loss": 1.5}, r"sample_loss = 1.5; it must lie in \[0, 1\]"),
         ({"jitter": -0.1}, r"jitter = -0.1; it must lie in \[0, 1\]"),
         ({"encoder_resolution": -1}, "encoder resolution = -1; it must be >= 0"),
@@ -247,6 +315,8 @@ def test_without_a_rate_there_is_no_external_pose() -> None:
         ({"seed": -1}, "seed = -1; it must be >= 0"),
     ],
 )
-def test_values_out_of_range_are_refused_by_name(options: dict[str, Any], words: str) -> None:
+def test_values_out_of_range_are_refused_by_name(
+    options: dict[str, Any], words: str
+) -> None:
     with pytest.raises(ParameterError, match=words):
         Rig(DEXTAR, **({"plant": "cartesian"} | options))

@@ -27,9 +27,16 @@ def test_exact_encoder_returns_the_position() -> None:
 def test_quantised_position_is_the_nearest_count(resolution: int) -> None:
     true = np.linspace(-4.0, 4.0, 997)
     encoder = Encoder(PERIOD, resolution=resolution)
-    counts = np.array([encoder.read((value, 0.0))[0][0] for value in true]) * resolution / (2.0 * math.pi)
+    counts = (
+        np.array([encoder.read((value, 0.0))[0][0] for value in true])
+        * resolution
+        / (2.0 * math.pi)
+    )
     assert np.abs(counts - np.round(counts)).max() < 1.0e-8
-    assert np.abs(counts * 2.0 * math.pi / resolution - true).max() <= math.pi / resolution + ROUNDING
+    assert (
+        np.abs(counts * 2.0 * math.pi / resolution - true).max()
+        <= math.pi / resolution + ROUNDING
+    )
 
 
 def test_velocity_of_constant_motion_settles_at_it() -> None:
@@ -50,7 +57,9 @@ def test_velocity_lags_by_the_cutoff_time_constant() -> None:
 
 
 def test_noise_is_repeated_by_the_seed_and_has_its_deviation() -> None:
-    first, second, other = (Encoder(PERIOD, position_noise=1.0e-3, seed=seed) for seed in (1, 1, 2))
+    first, second, other = (
+        Encoder(PERIOD, position_noise=1.0e-3, seed=seed) for seed in (1, 1, 2)
+    )
     samples = np.array([encoder_sample(first) for _ in range(2000)])
     assert samples.tolist() == [encoder_sample(second) for _ in range(2000)]
     assert encoder_sample(other) != samples[0].tolist()
@@ -72,7 +81,9 @@ def test_reset_forgets_the_last_sample() -> None:
 @pytest.mark.parametrize("periods", [0, 1, 3])
 def test_delay_hands_out_after_its_periods(periods: int) -> None:
     delay: CommandDelay[int] = CommandDelay(periods)
-    assert [delay.shift(item) for item in range(6)] == [None] * periods + list(range(6 - periods))
+    assert [delay.shift(item) for item in range(6)] == [None] * periods + list(
+        range(6 - periods)
+    )
     delay.reset()
     assert delay.shift(9) == (None if periods else 9)
 
@@ -107,7 +118,9 @@ def test_one_silence_is_one_trip_and_a_fresh_command_ends_it() -> None:
 
 
 def test_silence_counts_by_the_steady_clock_too_whichever_is_first() -> None:
-    """The machine stalls with a command held: simulated time stands still, the drives' own clock does not."""
+    """The machine stalls with a command held: simulated time stands still, the drives'
+    own clock does not.
+    """
     hold = CommandHold(20 * MILLISECOND, 0.3)
     hold.receive(Command(0, (0.1, -0.2), arrival=1000 * MILLISECOND))
     assert hold.torque(MILLISECOND, 1020 * MILLISECOND) == (0.1, -0.2)
@@ -133,31 +146,64 @@ def test_answers_to_old_states_trip_the_watchdog_too() -> None:
 
 
 def test_position_alone_is_that_of_a_sample() -> None:
-    sampled, plain = (Encoder(PERIOD, resolution=1000, position_noise=1.0e-3, seed=3) for _ in range(2))
+    sampled, plain = (
+        Encoder(PERIOD, resolution=1000, position_noise=1.0e-3, seed=3)
+        for _ in range(2)
+    )
     for step in range(20):
-        assert plain.position((0.1 * step, -0.3)) == sampled.read((0.1 * step, -0.3))[0].tolist()
+        assert (
+            plain.position((0.1 * step, -0.3))
+            == sampled.read((0.1 * step, -0.3))[0].tolist()
+        )
 
 
 def look(sensor: PoseSensor, samples: range) -> dict[int, int]:
-    """Sample of arrival to sample of truth, of a target that moves 1 m in each sample."""
-    seen = {sample: sensor.sense(sample, (float(sample), -float(sample))) for sample in samples}
+    """Sample of arrival to sample of truth, of a target that moves 1 m in each
+    sample.
+    """
+    seen = {
+        sample: sensor.sense(sample, (float(sample), -float(sample)))
+        for sample in samples
+    }
     for measurement in seen.values():
-        assert measurement is None or measurement.x == (measurement.sample, -measurement.sample)
-    return {arrival: measurement.sample for arrival, measurement in seen.items() if measurement}
+        assert measurement is None or measurement.x == (
+            measurement.sample,
+            -measurement.sample,
+        )
+    return {
+        arrival: measurement.sample
+        for arrival, measurement in seen.items()
+        if measurement
+    }
 
 
 @pytest.mark.parametrize(
     ("rate", "exposures"),
-    [(1000.0, list(range(12))), (500.0, [0, 2, 4, 6, 8, 10]), (300.0, [0, 4, 7, 10]), (0.0, [])],
+    [
+        (1000.0, list(range(12))),
+        (500.0, [0, 2, 4, 6, 8, 10]),
+        (300.0, [0, 4, 7, 10]),
+        (0.0, []),
+    ],
 )
-def test_camera_exposes_at_its_rate_and_answers_after_its_delay(rate: float, exposures: list[int]) -> None:
-    """Due at 0, 3.33, 6.67, 10 ms: at the first sample not earlier; 2.2 ms are three samples."""
+def test_camera_exposes_at_its_rate_and_answers_after_its_delay(
+    rate: float, exposures: list[int]
+) -> None:
+    """Due at 0, 3.33, 6.67, 10 ms: at the first sample not earlier; 2.2 ms are three
+    samples.
+    """
     seen = look(PoseSensor(PERIOD, rate=rate, delay=2.2e-3), range(15))
-    assert {arrival: truth for arrival, truth in seen.items() if truth < 12} == {truth + 3: truth for truth in exposures}
+    assert {arrival: truth for arrival, truth in seen.items() if truth < 12} == {
+        truth + 3: truth for truth in exposures
+    }
 
 
 def test_camera_without_delay_answers_at_once() -> None:
-    assert look(PoseSensor(PERIOD, rate=1000.0), range(100, 103)) == {100: 100, 101: 101, 102: 102}
+    assert look(PoseSensor(PERIOD, rate=1000.0), range(100, 103)) == {
+        100: 100,
+        101: 101,
+        102: 102,
+    }
 
 
 def test_camera_forgets_what_is_under_way() -> None:
@@ -173,7 +219,9 @@ def test_camera_outage_is_counted_from_the_first_sample() -> None:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_command_that_is_not_finite_is_refused_and_the_last_one_stays(bad: float) -> None:
+def test_command_that_is_not_finite_is_refused_and_the_last_one_stays(
+    bad: float,
+) -> None:
     hold = hold_with((0.1, -0.1))
     assert not hold.receive(Command(MILLISECOND, (bad, 0.0)))
     assert hold.refused == 1

@@ -1,4 +1,6 @@
-"""Services that no executor serves, over real DDS: how many are served, in which order, and what a broken call does."""
+"""Services that no executor serves, over real DDS: how many are served, in which order,
+and what a broken call does.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,8 @@ from rclpy.signals import SignalHandlerOptions
 from rig import PATIENCE
 from std_srvs.srv import Trigger
 
-from dextar_control.contract.node import DextarNode
-from dextar_control.ros.recorder_node import SPECS
+from dextar_control.nodekit.node import DextarNode
+from dextar_control.nodes.recorder import SPECS
 
 WaitSet = rclpy_implementation.WaitSet
 
@@ -37,7 +39,11 @@ class _Desk:
         self.caller = Node("caller")
         self.asked: list[str] = []
         for name in ("one", "two"):
-            self.node.create_service(Trigger, f"~/{name}", lambda _, response, name=name: self._on_call(name, response))
+            self.node.create_service(
+                Trigger,
+                f"~/{name}",
+                lambda _, response, name=name: self._on_call(name, response),
+            )
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._executor.add_node(self.caller)
@@ -48,13 +54,19 @@ class _Desk:
         return response
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
-        client = self._clients.setdefault(name, self.caller.create_client(kind, f"recorder/{name}"))
+        client = self._clients.setdefault(
+            name, self.caller.create_client(kind, f"recorder/{name}")
+        )
         assert client.wait_for_service(PATIENCE)
         return client.call_async(request)
 
     def arrive(self, *names: str) -> None:
         """Wait until a request lies at each of these services, without taking it."""
-        handles = [service.handle for service in self.node._services if service.service_name.rpartition("/")[2] in names]
+        handles = [
+            service.handle
+            for service in self.node._services
+            if service.service_name.rpartition("/")[2] in names
+        ]
         assert len(handles) == len(names)
         for handle in handles:
             waits = WaitSet(0, 0, 0, 0, 1, 0, self.node.context.handle)
@@ -86,7 +98,12 @@ def desk() -> Iterator[_Desk]:
 
 def test_an_executor_serves_none_and_a_poll_at_most_its_limit(desk: _Desk) -> None:
     futures = [desk.call(Trigger, "one", Trigger.Request()) for _ in range(8)]
-    read = [desk.call(GetParameters, "get_parameters", GetParameters.Request(names=["output"])) for _ in range(8)]
+    read = [
+        desk.call(
+            GetParameters, "get_parameters", GetParameters.Request(names=["output"])
+        )
+        for _ in range(8)
+    ]
     desk.arrive("one", "get_parameters")
     for _ in range(20):
         desk._executor.spin_once(timeout_sec=0.01)
@@ -114,14 +131,21 @@ def test_a_flood_on_one_service_does_not_keep_another_waiting(desk: _Desk) -> No
 def test_a_malformed_request_is_answered_and_ends_nothing(desk: _Desk) -> None:
     """A type that does not exist raises inside rclpy's own parameter service."""
     wrong = ParameterMessage(name="output", value=ParameterValue(type=200))
-    future = desk.call(SetParameters, "set_parameters", SetParameters.Request(parameters=[wrong]))
+    future = desk.call(
+        SetParameters, "set_parameters", SetParameters.Request(parameters=[wrong])
+    )
     deadline = time.monotonic() + PATIENCE
     while not desk.node.desk.poll(1):
         assert time.monotonic() < deadline
     desk.spin([future])
     assert len(future.result().results) == 0
-    good = ParameterMessage(name="output", value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="x"))
-    future = desk.call(SetParameters, "set_parameters", SetParameters.Request(parameters=[good]))
+    good = ParameterMessage(
+        name="output",
+        value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="x"),
+    )
+    future = desk.call(
+        SetParameters, "set_parameters", SetParameters.Request(parameters=[good])
+    )
     while not desk.node.desk.poll(1):
         assert time.monotonic() < deadline
     desk.spin([future])

@@ -1,4 +1,6 @@
-"""Who speaks on a topic, told by message numbers alone: every interleaving of a speaker, a ghost and a second speaker."""
+"""Who speaks on a topic, told by message numbers alone: every interleaving of a
+speaker, a ghost and a second speaker.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +88,9 @@ def test_a_long_outage_of_one_publisher_costs_nothing() -> None:
     assert topic.say(voice)
 
 
-def test_a_second_publisher_in_the_graph_ends_it_at_once_and_its_silence_is_waited_for() -> None:
+def test_a_second_publisher_in_the_graph_ends_it_at_once_and_its_silence_is_waited_for() -> (
+    None
+):
     topic, voice = Topic(), Voice()
     topic.talk(voice, 1000)
     topic.appear(2)
@@ -101,7 +105,9 @@ def test_a_second_publisher_in_the_graph_ends_it_at_once_and_its_silence_is_wait
     assert all(topic.talk(voice, 10))
 
 
-def test_the_successor_of_a_killed_speaker_is_taken_while_the_graph_still_has_the_dead_one() -> None:
+def test_the_successor_of_a_killed_speaker_is_taken_while_the_graph_still_has_the_dead_one() -> (
+    None
+):
     topic, killed, successor = Topic(), Voice(), Voice()
     topic.talk(killed, 5000)
     topic.wait(700)
@@ -119,20 +125,26 @@ def test_the_successor_of_a_speaker_that_left_is_taken_at_once() -> None:
     assert all(topic.talk(successor, 100))
 
 
-def test_a_successor_that_follows_at_once_loses_one_message_where_the_graph_has_one() -> None:
+def test_a_successor_that_follows_at_once_loses_one_message_where_the_graph_has_one() -> (
+    None
+):
     topic, left, successor = Topic(), Voice(), Voice()
     topic.talk(left, 5000)
     assert topic.talk(successor, 100) == [False] + [True] * 99
 
 
-def test_a_starting_second_speaker_is_told_by_its_first_message_before_anybody_looks_at_the_graph() -> None:
+def test_a_starting_second_speaker_is_told_by_its_first_message_before_anybody_looks_at_the_graph() -> (
+    None
+):
     topic, first, second = Topic(), Voice(), Voice()
     topic.talk(first, 1000)
     topic.graph = 2
     topic.wait(1)
     assert not topic.say(second)
     assert not topic.clear
-    assert not any(topic.talk(first, 5000))  # both were heard: silence is no proof any more
+    assert not any(
+        topic.talk(first, 5000)
+    )  # both were heard: silence is no proof any more
     assert topic.speakers.several
     topic.appear(1)
     assert topic.clear and all(topic.talk(first, 10))
@@ -169,8 +181,10 @@ SLIPS = ("as many", "one behind", "a few ahead", "at the slack")
 def test_every_interleaving_of_two_speakers_ends_when_the_first_one_is_heard_again(
     start: str, seen: bool, lossless: bool
 ) -> None:
-    """Eight messages of either in any order, a state for each: what the second one says is taken only before the first
-    one's next word, and not at all where its numbers are not those that the first one might give next."""
+    """Eight messages of either in any order, a state for each: what the second one says
+    is taken only before the first one's next word, and not at all where its numbers are
+    not those that the first one might give next.
+    """
     for pattern in product((True, False), repeat=8):
         topic, first = Topic(lossless=lossless), Voice()
         topic.talk(first, 300)
@@ -185,7 +199,11 @@ def test_every_interleaving_of_two_speakers_ends_when_the_first_one_is_heard_aga
         for is_first in pattern:
             topic.wait(1)
             taken = topic.say(first if is_first else second)
-            told = told or (is_first and heard_second) or (not is_first and start not in SLIPS)
+            told = (
+                told
+                or (is_first and heard_second)
+                or (not is_first and start not in SLIPS)
+            )
             heard_second = heard_second or not is_first
             assert not (taken and told), (pattern, start)
             slipped += taken and not is_first
@@ -207,7 +225,9 @@ def test_two_that_speak_from_the_beginning_are_never_taken(lossless: bool) -> No
 
 
 def test_with_one_in_the_graph_that_lags_only_one_of_two_is_ever_taken() -> None:
-    """The graph may come late: of a pair that answers each state, no message that steps back is taken."""
+    """The graph may come late: of a pair that answers each state, no message that steps
+    back is taken.
+    """
     topic, first, second = Topic(), Voice(), Voice()
     topic.talk(first, 1000)
     for _ in range(50):

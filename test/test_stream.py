@@ -33,7 +33,9 @@ def _healthy(stamps: list[int], arrivals: list[float] | None = None) -> StateStr
         ([5, 6, 7, 3, 4, 5], 0.002, "a state of 3000000 ns after one of 7000000 ns"),
     ],
 )
-def test_healthy_time_counts_from_the_last_trouble_by_the_stamps(stamps: list[int], healthy: float, trouble: str) -> None:
+def test_healthy_time_counts_from_the_last_trouble_by_the_stamps(
+    stamps: list[int], healthy: float, trouble: str
+) -> None:
     stream = _healthy(stamps)
     assert stream.healthy_for(LIMIT) == pytest.approx(healthy, abs=1e-12)
     assert stream.trouble == trouble
@@ -46,7 +48,10 @@ def test_a_refused_state_begins_the_count_anew_with_the_next_one() -> None:
     stream.take(90 * MS, LIMIT)  # a gap to a state before the trouble is no second one
     stream.take(91 * MS, LIMIT)
     assert stream.healthy_for(LIMIT) == pytest.approx(0.001, abs=1e-12)
-    with pytest.raises(StateError, match=r"healthy states for 0.00 s; 0.5 s are needed \(last: not finite\)"):
+    with pytest.raises(
+        StateError,
+        match=r"healthy states for 0.00 s; 0.5 s are needed \(last: not finite\)",
+    ):
         stream.check(0.5, LIMIT)
 
 
@@ -72,7 +77,9 @@ def test_a_stale_stream_is_not_healthy_and_says_how_stale() -> None:
 def test_nothing_is_asked_of_a_stream_whose_healthy_time_is_zero() -> None:
     StateStream().check(0.0, LIMIT)
     StateStream().check(0.0, LIMIT, 5.0)
-    with pytest.raises(StateError, match=r"healthy states for 0.00 s; 0.5 s are needed$"):
+    with pytest.raises(
+        StateError, match=r"healthy states for 0.00 s; 0.5 s are needed$"
+    ):
         StateStream().check(0.5, LIMIT)
 
 
@@ -86,7 +93,10 @@ def test_a_window_forgets_and_tells_what_numpy_tells_of_the_rest() -> None:
     found = window.regularity()
     assert found.rate == pytest.approx(1.0 / kept.mean(), rel=1e-12)
     assert found.jitter == pytest.approx(kept.std(), rel=1e-9)
-    assert (found.p99, found.longest) == (pytest.approx(np.percentile(kept, 99)), kept.max())
+    assert (found.p99, found.longest) == (
+        pytest.approx(np.percentile(kept, 99)),
+        kept.max(),
+    )
     window.clear()
     assert math.isnan(window.percentiles(50.0)[0])
 

@@ -1,4 +1,6 @@
-"""Words are legible and curves told apart on light, dark and grey; symbols are typeset."""
+"""Words are legible and curves told apart on light, dark and grey; symbols are
+typeset.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +10,24 @@ import pytest
 
 from dextar_control.contract import style
 
-PALETTES = {"light": style.LIGHT, "dark": style.DARK, "grey": style.grey(style.LIGHT), "dark, grey": style.grey(style.DARK)}
+PALETTES = {
+    "light": style.LIGHT,
+    "dark": style.DARK,
+    "grey": style.grey(style.LIGHT),
+    "dark, grey": style.grey(style.DARK),
+}
 SHARED = (  # curves that lie in one picture
     [("planned", 0), ("planned", 1), ("commanded", 0), ("commanded", 1)],
     [("true", 0), ("estimated", 0), ("planned", 0), ("confidence", 0)],
     [("each", 0), ("mean", 0), ("limit", 0)],
-    [("stretched", 0), ("folded", 0), ("planned", 0), ("true", 0), ("t_s", 0), ("linkage", 0)],
+    [
+        ("stretched", 0),
+        ("folded", 0),
+        ("planned", 0),
+        ("true", 0),
+        ("t_s", 0),
+        ("linkage", 0),
+    ],
 )
 
 
@@ -22,7 +36,10 @@ def test_words_have_the_contrast_that_wcag_asks_for(name: str) -> None:
     palette = PALETTES[name]
     for text, under in itertools.product(style.TEXTS, ("paper", "wash")):
         assert style.contrast(palette[text], palette[under]) >= 4.5, (text, under)
-    for drawn in {line.color for line in (*style.LINES.values(), *style.RUNS)} - {"band", "link"}:
+    for drawn in {line.color for line in (*style.LINES.values(), *style.RUNS)} - {
+        "band",
+        "link",
+    }:
         assert style.contrast(palette[drawn], palette["paper"]) >= 3.0, drawn
     assert style.contrast("#000000", "#ffffff") == pytest.approx(21.0)
 
@@ -30,16 +47,24 @@ def test_words_have_the_contrast_that_wcag_asks_for(name: str) -> None:
 @pytest.mark.parametrize("name", PALETTES)
 def test_curves_that_share_a_picture_differ_without_colour(name: str) -> None:
     palette = PALETTES[name]
-    pictures = [[style.LINES[key] for key in keys] for keys in SHARED] + [list(style.RUNS)]
+    pictures = [[style.LINES[key] for key in keys] for keys in SHARED] + [
+        list(style.RUNS)
+    ]
     for lines in pictures:
         for one, other in itertools.combinations(lines, 2):
             lightness = style.contrast(palette[one.color], palette[other.color])
             wider = max(one.width, other.width) / min(one.width, other.width)
-            assert one.dash != other.dash or lightness >= 1.8 or wider >= 1.6, (one, other)
+            assert one.dash != other.dash or lightness >= 1.8 or wider >= 1.6, (
+                one,
+                other,
+            )
 
 
 def test_symbols_are_typeset_and_the_rest_is_text() -> None:
-    assert style.html("|t_s·w_d| <N>") == "|<i>t</i><sub>s</sub>·<i>w</i><sub>d</sub>| &lt;N&gt;"
+    assert (
+        style.html("|t_s·w_d| <N>")
+        == "|<i>t</i><sub>s</sub>·<i>w</i><sub>d</sub>| &lt;N&gt;"
+    )
     assert style.html("max_torque, t_start") == "max_torque, t_start"
     assert style.mathtext("τ1 planned") == r"$\tau_{1}$ planned"
     assert style.label("residual") == "t_s·w_d (N)"
@@ -47,4 +72,7 @@ def test_symbols_are_typeset_and_the_rest_is_text() -> None:
 
 def test_every_palette_has_every_colour() -> None:
     assert set(style.LIGHT) == set(style.DARK)
-    assert all(f"--{name}: {color};" in style.css() for name, color in (*style.LIGHT.items(), *style.DARK.items()))
+    assert all(
+        f"--{name}: {color};" in style.css()
+        for name, color in (*style.LIGHT.items(), *style.DARK.items())
+    )

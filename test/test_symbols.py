@@ -1,4 +1,6 @@
-"""The documentation's table of symbols is that of the code, and all of the paper's equations are in it."""
+"""The documentation's table of symbols is that of the code, and all of the paper's
+equations are in it.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,26 @@ from dextar_control.model.equations import Equations
 from dextar_control.model.model import equations_of
 
 ROOT = Path(__file__).resolve().parents[1]
-SHAPES = {"(n, n)": ("n", "n"), "(n,)": ("n", "1"), "(k,)": ("k", "1"), "(n, k)": ("n", "k")}
+SHAPES = {
+    "(n, n)": ("n", "n"),
+    "(n,)": ("n", "1"),
+    "(k,)": ("k", "1"),
+    "(n, k)": ("n", "k"),
+}
 NOT_OF_THE_PAPER = {
-    "p", "q_a", "x", "x_dot", "x_ddot", "tau", "friction", "forward_dynamics", "s", "s_blocks", "singular", "type1",
-}  # fmt: skip
+    "p",
+    "q_a",
+    "x",
+    "x_dot",
+    "x_ddot",
+    "tau",
+    "friction",
+    "forward_dynamics",
+    "s",
+    "s_blocks",
+    "singular",
+    "type1",
+}
 TAG = re.compile(r"# Eqs?\. (.*)$")
 
 
@@ -37,7 +55,9 @@ def rows() -> list[Row]:
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) == 6 and cells[1].startswith("`"):
             numbers = {int(number) for number in cells[4].split(",")}
-            found.append(Row(cells[1].strip("`"), cells[2], numbers, cells[5].strip("`")))
+            found.append(
+                Row(cells[1].strip("`"), cells[2], numbers, cells[5].strip("`"))
+            )
     return found
 
 
@@ -57,9 +77,13 @@ def test_a_symbol_has_the_shape_that_is_told(name: str) -> None:
     sizes = {"n": mechanism_named(name).n, "k": 1, "1": 1}
     for row in rows():
         if hasattr(e, row.name):
-            assert getattr(e, row.name).shape == tuple(sizes[side] for side in SHAPES[row.shape]), row.name
+            assert getattr(e, row.name).shape == tuple(
+                sizes[side] for side in SHAPES[row.shape]
+            ), row.name
 
 
 def test_no_symbol_and_no_equation_of_the_paper_is_left_out() -> None:
-    assert {field.name for field in dataclasses.fields(Equations)} - NOT_OF_THE_PAPER <= {row.name for row in rows()}
+    assert {
+        field.name for field in dataclasses.fields(Equations)
+    } - NOT_OF_THE_PAPER <= {row.name for row in rows()}
     assert set.union(*(row.numbers for row in rows())) == set(range(1, 15))

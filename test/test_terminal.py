@@ -1,4 +1,6 @@
-"""What users typed is printed as they typed it, and what is under way is told in lines where there is no terminal."""
+"""What users typed is printed as they typed it, and what is under way is told in lines
+where there is no terminal.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,12 @@ from rich.progress import BarColumn
 from rich.table import Table
 from synthetic_run import write_run
 
-from dextar_control import cli
 from dextar_control.analysis import report
 from dextar_control.analysis.compare import Comparison, summary_table
+from dextar_control.cli import main as cli
 from dextar_control.contract import terminal
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, plain
-from dextar_control.ros import demo
+from dextar_control.experiments import demo
 
 NASTY = "runs [friday] [/y] [bold]x[/bold] :smile: [link=a]b %s {0} \\[c]"
 PACKAGE = Path(__file__).resolve().parents[1] / "dextar_control"
@@ -50,13 +52,21 @@ def test_a_terminal_is_not_commanded_by_what_a_name_holds(interactive: bool) -> 
     name = "a\x1b[31mb\x1b]0;title\x07\rc\x7f\x9b2Jd"
     for what in (name, table(name)):
         text = shown(what, force_terminal=interactive, color_system=None, width=200)
-        text = text.replace("\x1b[1m", "").replace("\x1b[3m", "").replace("\x1b[0m", "")  # rich's own bold and italic
-        assert not set(text) & set(map(chr, [*range(10), *range(11, 32), *range(0x7F, 0xA0)])), repr(text)
+        text = (
+            text.replace("\x1b[1m", "").replace("\x1b[3m", "").replace("\x1b[0m", "")
+        )  # rich's own bold and italic
+        assert not set(text) & set(
+            map(chr, [*range(10), *range(11, 32), *range(0x7F, 0xA0)])
+        ), repr(text)
         assert "a␛[31mb␛]0;title" in text
-    assert plain(f"{name}\n{name}").count("␛") == 4 and "\n" not in plain(f"{name}\n{name}")
+    assert plain(f"{name}\n{name}").count("␛") == 4 and "\n" not in plain(
+        f"{name}\n{name}"
+    )
 
 
-def test_no_name_is_cut_where_there_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_name_is_cut_where_there_is_no_terminal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
     name = f"/{'x' * 300}/topic"
     assert name in shown(table(name))
@@ -69,13 +79,24 @@ def test_the_runs_of_a_comparison_may_have_any_name() -> None:
     assert "1: a [/b]" in text and "2: [red]c" in text
 
 
-def progress(file: io.StringIO, interactive: bool = False, transient: bool = False) -> Steps:
-    console = Terminal(file=file, force_terminal=interactive, color_system=None, width=100)
-    return Steps(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), console=console,
-                 transient=transient)  # fmt: skip
+def progress(
+    file: io.StringIO, interactive: bool = False, transient: bool = False
+) -> Steps:
+    console = Terminal(
+        file=file, force_terminal=interactive, color_system=None, width=100
+    )
+    return Steps(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total}"),
+        console=console,
+        transient=transient,
+    )
 
 
-def test_progress_is_a_line_now_and_then_and_one_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_is_a_line_now_and_then_and_one_at_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     now = 0.0
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
     file = io.StringIO()
@@ -84,7 +105,9 @@ def test_progress_is_a_line_now_and_then_and_one_at_the_end(monkeypatch: pytest.
         for _ in range(100):
             now += 0.25
             steps.advance(task)
-    assert file.getvalue().splitlines() == [f"{NASTY}  {count}/100" for count in (40, 80, 100)]
+    assert file.getvalue().splitlines() == [
+        f"{NASTY}  {count}/100" for count in (40, 80, 100)
+    ]
 
 
 def test_progress_that_leaves_nothing_says_nothing_in_a_short_time() -> None:
@@ -101,7 +124,9 @@ def test_progress_on_a_terminal_shows_a_bar_and_no_markup() -> None:
     assert "a [/b] ␛[31m" in file.getvalue() and "━" in file.getvalue()
 
 
-def test_what_is_done_now_is_told_again_when_it_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_done_now_is_told_again_when_it_changes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     now = 0.0
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
     file = io.StringIO()
@@ -115,21 +140,32 @@ def test_what_is_done_now_is_told_again_when_it_changes(monkeypatch: pytest.Monk
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag in a folder whose name is markup, holds an escape and is not UTF-8."""
-    folder = tmp_path_factory.mktemp("bags") / os.fsdecode(b"[friday] [bold] \x1b[31m caf\xe9")
+    folder = tmp_path_factory.mktemp("bags") / os.fsdecode(
+        b"[friday] [bold] \x1b[31m caf\xe9"
+    )
     folder.mkdir()
     write_run(folder / "run [x].mcap")
     return folder / "run [x].mcap"
 
 
-COMMANDS = (["analyze"], ["compare", "BAG"], ["export", "--format", "csv", "--format", "parquet"], ["recover"])
+COMMANDS = (
+    ["analyze"],
+    ["compare", "BAG"],
+    ["export", "--format", "csv", "--format", "parquet"],
+    ["recover"],
+)
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=lambda words: words[0])
 def test_a_bag_may_lie_in_a_folder_of_any_name(
     bag: Path, tmp_path: Path, words: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The commands print to pipes of their own; the whole name stands there, the escape as its picture."""
-    output, errors = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8") for _ in range(2))
+    """The commands print to pipes of their own; the whole name stands there, the escape
+    as its picture.
+    """
+    output, errors = (
+        io.TextIOWrapper(io.BytesIO(), encoding="utf-8") for _ in range(2)
+    )
     monkeypatch.setattr(sys, "stdout", output)
     monkeypatch.setattr(sys, "stderr", errors)
     into = bag.parent / "out"
@@ -138,8 +174,16 @@ def test_a_bag_may_lie_in_a_folder_of_any_name(
         cut.write_bytes(bag.read_bytes()[:-3000])
         given = [str(cut)]
     else:
-        given = [str(bag), *(str(bag) for word in words if word == "BAG"), "--output", str(into)]
-    assert cli.main([words[0], *given, *(word for word in words[1:] if word != "BAG")]) == 0
+        given = [
+            str(bag),
+            *(str(bag) for word in words if word == "BAG"),
+            "--output",
+            str(into),
+        ]
+    assert (
+        cli.main([words[0], *given, *(word for word in words[1:] if word != "BAG")])
+        == 0
+    )
     for stream in (output, errors):
         stream.flush()
     said = output.buffer.getvalue().decode()
@@ -148,13 +192,26 @@ def test_a_bag_may_lie_in_a_folder_of_any_name(
 
 
 def test_nothing_prints_past_the_one_way() -> None:
-    """Consoles, progress displays and status lines of rich take markup; those of ``terminal`` do not."""
+    """Consoles, progress displays and status lines of rich take markup; those of
+    ``terminal`` do not.
+    """
     for path in PACKAGE.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = {alias.name for alias in node.names} if isinstance(node, ast.ImportFrom) else set()
+            names = (
+                {alias.name for alias in node.names}
+                if isinstance(node, ast.ImportFrom)
+                else set()
+            )
             module = getattr(node, "module", "") or ""
             if module.startswith("rich") and path.name != "terminal.py":
-                assert not names & {"Console", "Progress", "TextColumn", "track", "print", "Status"}, f"{path}: {names}"
+                assert not names & {
+                    "Console",
+                    "Progress",
+                    "TextColumn",
+                    "track",
+                    "print",
+                    "Status",
+                }, f"{path}: {names}"
 
 
 def test_an_output_that_takes_nothing_is_told_in_one_line(
@@ -162,7 +219,19 @@ def test_an_output_that_takes_nothing_is_told_in_one_line(
 ) -> None:
     with contextlib.suppress(OSError), open("/dev/full", "w", encoding="utf-8") as full:
         monkeypatch.setattr(sys, "stdout", full)
-        assert cli.main(["export", str(bag), "--format", "csv", "--output", str(bag.parent / "full")]) == 2
+        assert (
+            cli.main(
+                [
+                    "export",
+                    str(bag),
+                    "--format",
+                    "csv",
+                    "--output",
+                    str(bag.parent / "full"),
+                ]
+            )
+            == 2
+        )
     said = capsys.readouterr().err
     assert "No space left on device" in said and said.count("\n") == 1
 
@@ -186,7 +255,11 @@ def test_the_demo_tells_what_the_analysis_warns_of_in_one_line(
 
     for name in ("_wait_until_ready", "_follow"):
         monkeypatch.setattr(demo, name, lambda *_: None)
-    monkeypatch.setattr(demo, "_monitor", lambda: contextlib.nullcontext(SimpleNamespace(resume=lambda: None)))
+    monkeypatch.setattr(
+        demo,
+        "_monitor",
+        lambda: contextlib.nullcontext(SimpleNamespace(resume=lambda: None)),
+    )
     monkeypatch.setattr(demo._Processes, "start", lambda *_: None)
     monkeypatch.setattr(report, "analyze", analyze)
     assert cli.main(["demo", "--output", str(tmp_path)]) == 0

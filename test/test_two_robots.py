@@ -1,4 +1,6 @@
-"""Two robots in one domain, each in its namespace: a DexTAR and, with remapped topics, the mock-up. In lockstep."""
+"""Two robots in one domain, each in its namespace: a DexTAR and, with remapped topics,
+the mock-up. In lockstep.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +15,29 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rig import PATIENCE, start, stop
 
-from dextar_control.contract.node import qos
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.topics import CLOCK, DIAGNOSTICS, SERVICES, TOPICS
 from dextar_control.control.prepare import prepare
 from dextar_control.mechanisms import mechanism_named
+from dextar_control.nodekit.node import qos
 
 DURATION = {"left": 0.33, "right": 0.4}  # s of one way
 MODULES = {
     "plant": ("dextar_sim.node", ("mode:=lockstep", "real_time_factor:=0.0")),
-    "controller": ("dextar_control.ros.controller_node", ("lockstep:=true",)),
-    "trajectory_server": ("dextar_control.ros.trajectory_server", ("autostart:=true",)),
+    "controller": ("dextar_control.nodes.controller", ("lockstep:=true",)),
+    "trajectory_server": (
+        "dextar_control.nodes.trajectory_server",
+        ("autostart:=true",),
+    ),
 }
-REMAPPED = ("-r", "joint_states:=encoders", "-r", "joint_commands:=drives", "-r", "trajectory:=wanted")
+REMAPPED = (
+    "-r",
+    "joint_states:=encoders",
+    "-r",
+    "joint_commands:=drives",
+    "-r",
+    "trajectory:=wanted",
+)
 
 
 class Seen:
@@ -34,7 +46,8 @@ class Seen:
     Attributes:
         status: what every node said last, once both trips were over.
         topics: name to (type, reliable, latched) of each publisher of the left robot.
-        services: name to type of each service of the left robot's nodes, those of parameters apart.
+        services: name to type of each service of the left robot's nodes, those of
+            parameters apart.
     """
 
     def __init__(self, node: Node, status: dict[str, dict[str, str]]) -> None:
@@ -45,13 +58,21 @@ class Seen:
             ends = node.get_publishers_info_by_topic(name)
             profiles = [(end.topic_type, end.qos_profile) for end in ends]
             self.topics[topic.name] = {
-                (kind, profile.reliability.name == "RELIABLE", profile.durability.name == "TRANSIENT_LOCAL")
+                (
+                    kind,
+                    profile.reliability.name == "RELIABLE",
+                    profile.durability.name == "TRANSIENT_LOCAL",
+                )
                 for kind, profile in profiles
             }
         self.services: dict[str, str] = {}
         for module in MODULES:
-            for name, types in node.get_service_names_and_types_by_node(module, "/left"):
-                if not types[0].startswith(("rcl_interfaces/", "type_description_interfaces/")):
+            for name, types in node.get_service_names_and_types_by_node(
+                module, "/left"
+            ):
+                if not types[0].startswith(
+                    ("rcl_interfaces/", "type_description_interfaces/")
+                ):
                     self.services[name.removeprefix("/left/")] = types[0]
 
 
@@ -64,18 +85,30 @@ def seen() -> Iterator[Seen]:
 
     def take(message: DiagnosticArray) -> None:
         for item in message.status:
-            heard[item.name] = {pair.key: pair.value for pair in item.values} | {"message": item.message}
+            heard[item.name] = {pair.key: pair.value for pair in item.values} | {
+                "message": item.message
+            }
 
     node.create_subscription(DiagnosticArray, DIAGNOSTICS.name, take, qos(DIAGNOSTICS))
     processes: list[subprocess.Popen[str]] = []
-    for robot, extra in (("left", ()), ("right", ("--params-file", str(config_file("mockup.yaml")), *REMAPPED))):
+    for robot, extra in (
+        ("left", ()),
+        ("right", ("--params-file", str(config_file("mockup.yaml")), *REMAPPED)),
+    ):
         for module, values in MODULES.values():
             own = [part for value in values for part in ("-p", value)]
-            own += ["-p", f"duration:={DURATION[robot]}"] if module.endswith("server") else []
+            own += (
+                ["-p", f"duration:={DURATION[robot]}"]
+                if module.endswith("server")
+                else []
+            )
             processes.append(start(module, "-r", f"__ns:=/{robot}", *extra, *own))
     deadline = time.monotonic() + 3 * PATIENCE
     try:
-        while any(heard.get(f"/{robot}/controller", {}).get("completed", "0") == "0" for robot in DURATION):
+        while any(
+            heard.get(f"/{robot}/controller", {}).get("completed", "0") == "0"
+            for robot in DURATION
+        ):
             rclpy.spin_once(node, timeout_sec=0.1)
             assert all(process.poll() is None for process in processes), "a node ended"
             assert time.monotonic() < deadline, heard
@@ -101,7 +134,9 @@ def test_each_robot_crosses_on_its_own_trajectory(seen: Seen, robot: str) -> Non
 
 
 @pytest.mark.parametrize("robot", DURATION)
-def test_each_plant_hears_one_commander_and_refuses_nothing(seen: Seen, robot: str) -> None:
+def test_each_plant_hears_one_commander_and_refuses_nothing(
+    seen: Seen, robot: str
+) -> None:
     plant = seen.status[f"/{robot}/plant"]
     assert plant["command_publishers"] == "1"
     assert plant["commands_refused"] == "0"
@@ -111,7 +146,11 @@ def test_each_plant_hears_one_commander_and_refuses_nothing(seen: Seen, robot: s
 def test_the_nodes_offer_what_the_contract_says(seen: Seen) -> None:
     """Depths are not told by discovery; what is optional is not there."""
     assert seen.topics == {
-        topic.name: set() if topic.optional and topic is not CLOCK else {(topic.type, topic.reliable, topic.latched)}
+        topic.name: (
+            set()
+            if topic.optional and topic is not CLOCK
+            else {(topic.type, topic.reliable, topic.latched)}
+        )
         for topic in TOPICS
     }
 
@@ -120,5 +159,9 @@ def test_the_nodes_offer_the_contracts_services_and_no_others(seen: Seen) -> Non
     managed = "controller/change_state" in seen.services
     wanted = {item.name: item.type for item in SERVICES if item.node in MODULES}
     if not managed:
-        wanted = {name: kind for name, kind in wanted.items() if not kind.startswith("lifecycle_msgs/")}
+        wanted = {
+            name: kind
+            for name, kind in wanted.items()
+            if not kind.startswith("lifecycle_msgs/")
+        }
     assert seen.services == wanted

@@ -14,13 +14,11 @@ import pytest
 from rclpy.context import Context
 from rclpy.node import Node
 
-from dextar_control import cli
 from dextar_control.bags.folder import METADATA_FILE, METADATA_ROOT, read_listing
 from dextar_control.bags.run_record import robot_file
-from dextar_control.campaign.config import load_config
+from dextar_control.cli import main as cli
 from dextar_control.contract import yaml_text
 from dextar_control.contract.errors import BagError, ParameterError
-from dextar_control.contract.node import run_node
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import load_robot
 from dextar_control.contract.yaml_text import (
@@ -33,23 +31,153 @@ from dextar_control.contract.yaml_text import (
     parse_value,
     read_text,
 )
-from dextar_control.faults.cases import load_cases
+from dextar_control.experiments.campaign.config import load_config
+from dextar_control.experiments.faults.cases import load_cases
+from dextar_control.nodekit.node import run_node
 
 SCALARS = (
-    "1e-1", "1.5", "1.", ".5", "+.5e3", "1e5", "1E+5", "1e", "1d", ".e3", "-0", "-0.0", "0e400", "1e400", "1e-320", "4.9e-324",
-    "2.2250738585072011e-308", "2.2250738585072014e-308", "0", "+1", "-7", "010", "08", "0o7", "0b11", "0x10", "-0x10", "0x",
-    "0x1p3", "0x1.8", "0x.8", "9223372036854775807", "9223372036854775808", "-9223372036854775808", "-9223372036854775809",
-    "99999999999999999999", "1_000", "1:30", "1,5", "2024-01-01", ".inf", "-.inf", "+.INF", ".NaN", "-.nan", "nan", "NAN",
-    "nan(1)", "inf", "-infinity", "Inf", "yes", "Yes", "y", "N", "on", "OFF", "true", "TRUE", "tRUE", "False", "null", "~", "=",
-    "<<", "word", "two words", "'1'", '"1"', "'yes'", '""', "!!str 1", "!!int '1'", "!other 1", "|\n      1", ">-\n      1",
-    "[1, 2]", "[1.0, 2e0]", "[a, '1']", "[yes, no]", "&anchor 1", "größer",
-)  # fmt: skip
+    "1e-1",
+    "1.5",
+    "1.",
+    ".5",
+    "+.5e3",
+    "1e5",
+    "1E+5",
+    "1e",
+    "1d",
+    ".e3",
+    "-0",
+    "-0.0",
+    "0e400",
+    "1e400",
+    "1e-320",
+    "4.9e-324",
+    "2.2250738585072011e-308",
+    "2.2250738585072014e-308",
+    "0",
+    "+1",
+    "-7",
+    "010",
+    "08",
+    "0o7",
+    "0b11",
+    "0x10",
+    "-0x10",
+    "0x",
+    "0x1p3",
+    "0x1.8",
+    "0x.8",
+    "9223372036854775807",
+    "9223372036854775808",
+    "-9223372036854775808",
+    "-9223372036854775809",
+    "99999999999999999999",
+    "1_000",
+    "1:30",
+    "1,5",
+    "2024-01-01",
+    ".inf",
+    "-.inf",
+    "+.INF",
+    ".NaN",
+    "-.nan",
+    "nan",
+    "NAN",
+    "nan(1)",
+    "inf",
+    "-infinity",
+    "Inf",
+    "yes",
+    "Yes",
+    "y",
+    "N",
+    "on",
+    "OFF",
+    "true",
+    "TRUE",
+    "tRUE",
+    "False",
+    "null",
+    "~",
+    "=",
+    "<<",
+    "word",
+    "two words",
+    "'1'",
+    '"1"',
+    "'yes'",
+    '""',
+    "!!str 1",
+    "!!int '1'",
+    "!other 1",
+    "|\n      1",
+    ">-\n      1",
+    "[1, 2]",
+    "[1.0, 2e0]",
+    "[a, '1']",
+    "[yes, no]",
+    "&anchor 1",
+    "größer",
+)
 TEXTS = (
-    "a #b", "a: b", "a:b", "it's", '"', "\\", "\\n", "*a", "&a", "!a", "[a", "{a", "]", "true", "yes", "1e3", "0x1", "null", "~",
-    "", "  ", " lead", "trail ", "größe 😀", "two\nlines", "a\ttab", "\x1b[31m", "\x7f", "\x85", "\u2028", "-", "- a", "%a", "@a",
-    "`a`",    "? a", "|", ">", "a, b", "#", ":", ":=", "$HOME", "runs/x #1/run.mcap", "x" * 400,
-)  # fmt: skip
-PATTERNS = ("/**", "/*", "/**/taker", "/taker", "taker", "/*/taker", "/**/*", "/left/*", "/left/**", "left/taker")
+    "a #b",
+    "a: b",
+    "a:b",
+    "it's",
+    '"',
+    "\\",
+    "\\n",
+    "*a",
+    "&a",
+    "!a",
+    "[a",
+    "{a",
+    "]",
+    "true",
+    "yes",
+    "1e3",
+    "0x1",
+    "null",
+    "~",
+    "",
+    "  ",
+    " lead",
+    "trail ",
+    "größe 😀",
+    "two\nlines",
+    "a\ttab",
+    "\x1b[31m",
+    "\x7f",
+    "\x85",
+    "\u2028",
+    "-",
+    "- a",
+    "%a",
+    "@a",
+    "`a`",
+    "? a",
+    "|",
+    ">",
+    "a, b",
+    "#",
+    ":",
+    ":=",
+    "$HOME",
+    "runs/x #1/run.mcap",
+    "x" * 400,
+)
+PATTERNS = (
+    "/**",
+    "/*",
+    "/**/taker",
+    "/taker",
+    "taker",
+    "/*/taker",
+    "/**/*",
+    "/left/*",
+    "/left/**",
+    "left/taker",
+)
 
 
 class Taker:
@@ -58,19 +186,35 @@ class Taker:
     def __init__(self, folder: Path) -> None:
         self.file = folder / "taken.yaml"
 
-    def take(self, text: str | bytes, *arguments: str, namespace: str = "") -> dict[str, Any]:
+    def take(
+        self, text: str | bytes, *arguments: str, namespace: str = ""
+    ) -> dict[str, Any]:
         """Parameters that a node gets from a file and further ROS arguments."""
         self.file.write_bytes(text if isinstance(text, bytes) else text.encode())
         context = Context()
-        context.init(["taker", "--ros-args", "--params-file", str(self.file), *arguments])
+        context.init(
+            ["taker", "--ros-args", "--params-file", str(self.file), *arguments]
+        )
         try:
-            node = Node("taker", namespace=namespace, context=context, enable_rosout=False, start_parameter_services=False,
-                        allow_undeclared_parameters=True)  # fmt: skip
-            found = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
+            node = Node(
+                "taker",
+                namespace=namespace,
+                context=context,
+                enable_rosout=False,
+                start_parameter_services=False,
+                allow_undeclared_parameters=True,
+            )
+            found = {
+                name: parameter.value
+                for name, parameter in node._parameter_overrides.items()
+            }
             node.destroy_node()
         finally:
             context.try_shutdown()
-        return {name: value.tolist() if hasattr(value, "tolist") else value for name, value in found.items()}
+        return {
+            name: value.tolist() if hasattr(value, "tolist") else value
+            for name, value in found.items()
+        }
 
 
 @pytest.fixture
@@ -80,26 +224,42 @@ def taker(tmp_path: Path) -> Iterator[Taker]:
 
 def same(ours: dict[str, Any], theirs: dict[str, Any]) -> bool:
     """Equal in value and type; nan equals nan."""
-    return {name: repr(value) for name, value in ours.items()} == {name: repr(value) for name, value in theirs.items()}
+    return {name: repr(value) for name, value in ours.items()} == {
+        name: repr(value) for name, value in theirs.items()
+    }
 
 
 def test_each_scalar_is_what_a_node_gets(taker: Taker) -> None:
-    text = "/**:\n  ros__parameters:\n" + "".join(f"    p{index}: {value}\n" for index, value in enumerate(SCALARS))
+    text = "/**:\n  ros__parameters:\n" + "".join(
+        f"    p{index}: {value}\n" for index, value in enumerate(SCALARS)
+    )
     theirs = taker.take(text)
     ours = parameters_of("/taker", load_parameters(taker.file))
     assert len(theirs) == len(SCALARS)
     for index, written in enumerate(SCALARS):
         assert repr(ours[f"p{index}"]) == repr(theirs[f"p{index}"]), written
-    assert (ours["p0"], ours[f"p{SCALARS.index('1:30')}"], ours[f"p{SCALARS.index('010')}"]) == (0.1, "1:30", 8)
+    assert (
+        ours["p0"],
+        ours[f"p{SCALARS.index('1:30')}"],
+        ours[f"p{SCALARS.index('010')}"],
+    ) == (0.1, "1:30", 8)
 
 
 @pytest.mark.parametrize("namespace", ["", "/left"])
-def test_sections_are_matched_and_merged_as_a_node_does(taker: Taker, namespace: str) -> None:
+def test_sections_are_matched_and_merged_as_a_node_does(
+    taker: Taker, namespace: str
+) -> None:
     for first in PATTERNS:
         for second in PATTERNS:
-            text = f'"{first}": {{ros__parameters: {{a: 1, b: 1}}}}\n"{second}": {{ros__parameters: {{a: 2, c.d: 2}}}}\n'
+            text = (
+                f'"{first}": {{ros__parameters: {{a: 1, b: 1}}}}\n"{second}":'
+                " {ros__parameters: {a: 2, c.d: 2}}\n"
+            )
             theirs = taker.take(text, namespace=namespace)
-            assert parameters_of(f"{namespace}/taker", load_parameters(taker.file)) == theirs, (first, second)
+            assert (
+                parameters_of(f"{namespace}/taker", load_parameters(taker.file))
+                == theirs
+            ), (first, second)
 
 
 @pytest.mark.parametrize(
@@ -118,17 +278,35 @@ def test_layouts_are_read_as_a_node_reads_them(taker: Taker, text: str) -> None:
     assert parameters_of("/left/taker", load_parameters(taker.file)) == theirs
 
 
-def test_later_files_override_earlier_ones_section_by_section(taker: Taker, tmp_path: Path) -> None:
+def test_later_files_override_earlier_ones_section_by_section(
+    taker: Taker, tmp_path: Path
+) -> None:
     first, second = tmp_path / "first.yaml", tmp_path / "second.yaml"
-    first.write_text("/**: {ros__parameters: {a: 1}}\ntaker: {ros__parameters: {b: 1, c: 1}}\n")
-    second.write_text("/taker: {ros__parameters: {c: 2}}\n/**: {ros__parameters: {a: 2, b: 2}}\n")
+    first.write_text(
+        "/**: {ros__parameters: {a: 1}}\ntaker: {ros__parameters: {b: 1, c: 1}}\n"
+    )
+    second.write_text(
+        "/taker: {ros__parameters: {c: 2}}\n/**: {ros__parameters: {a: 2, b: 2}}\n"
+    )
     theirs = taker.take(first.read_bytes(), "--params-file", str(second))
-    assert parameters_of("/taker", load_parameters(first, second)) == theirs == {"a": 2, "b": 1, "c": 2}
+    assert (
+        parameters_of("/taker", load_parameters(first, second))
+        == theirs
+        == {
+            "a": 2,
+            "b": 1,
+            "c": 2,
+        }
+    )
     assert node_defaults("taker", first, second) == theirs
 
 
 def test_a_text_arrives_as_it_was_given(taker: Taker) -> None:
-    arguments = [part for index, text in enumerate(TEXTS) for part in ("-p", assignment(f"taker:p{index}", text))]
+    arguments = [
+        part
+        for index, text in enumerate(TEXTS)
+        for part in ("-p", assignment(f"taker:p{index}", text))
+    ]
     found = taker.take("/**: {ros__parameters: {p: 1}}\n", *arguments)
     for index, text in enumerate(TEXTS):
         assert found[f"p{index}"] == text
@@ -136,17 +314,39 @@ def test_a_text_arrives_as_it_was_given(taker: Taker) -> None:
 
 
 @pytest.mark.parametrize(
-    "value", [True, False, 3, -3, 2**62, 0.1, 1e-5, 1e16, 5.0, -0.0, math.inf, -math.inf, math.nan, [1.0, 2.5], [1, 2],
-              ["a #", "1"], [True, False]]
-)  # fmt: skip
+    "value",
+    [
+        True,
+        False,
+        3,
+        -3,
+        2**62,
+        0.1,
+        1e-5,
+        1e16,
+        5.0,
+        -0.0,
+        math.inf,
+        -math.inf,
+        math.nan,
+        [1.0, 2.5],
+        [1, 2],
+        ["a #", "1"],
+        [True, False],
+    ],
+)
 def test_a_value_arrives_with_its_type(taker: Taker, value: Any) -> None:
-    found = taker.take("/**: {ros__parameters: {p: 1}}\n", "-p", assignment("taker:a", value))
+    found = taker.take(
+        "/**: {ros__parameters: {p: 1}}\n", "-p", assignment("taker:a", value)
+    )
     assert same(found, {"p": 1, "a": value})
     assert repr(parse_value(as_yaml(value), "x")) == repr(value)
 
 
 def test_a_path_that_is_not_utf_8_is_refused() -> None:
-    with pytest.raises(ParameterError, match="it is not UTF-8, and a ROS 2 parameter must be"):
+    with pytest.raises(
+        ParameterError, match="it is not UTF-8, and a ROS 2 parameter must be"
+    ):
         assignment("output", Path(os.fsdecode(b"caf\xe9.mcap")))
 
 
@@ -161,38 +361,76 @@ def test_a_recorded_robot_keeps_its_name(tmp_path: Path, name: str) -> None:
 
 GOOD = config_file(ROBOT_FILE).read_bytes()
 ODD_FILES = {  # content, what is said of it as a robot file
-    "latin1": (b"# M\xe4rz\n" + GOOD, "line 1 is not UTF-8 (byte 0xe4); if it is Latin-1, convert it: iconv -f ISO-8859-1"),
-    "utf16": (GOOD.decode().encode("utf-16"), "it is UTF-16, not UTF-8; convert it: iconv -f UTF-16"),
+    "latin1": (
+        b"# M\xe4rz\n" + GOOD,
+        (
+            "line 1 is not UTF-8 (byte 0xe4); if it is Latin-1, convert it: iconv -f"
+            " ISO-8859-1"
+        ),
+    ),
+    "utf16": (
+        GOOD.decode().encode("utf-16"),
+        "it is UTF-16, not UTF-8; convert it: iconv -f UTF-16",
+    ),
     "utf16be": ("\ufeff".encode("utf-16-be"), "it is UTF-16"),
     "nul": (GOOD + b"\0", f"line {GOOD.count(bytes([10])) + 1} holds a NUL byte"),
     "null": (b"/**:\n  ros__parameters:\n    robot:\n", "line 3: 'robot' has no value"),
-    "list": (b"/**:\n  ros__parameters:\n    robot: [1, 2]\n", "'robot' is [1, 2]; a description such as config/dextar.yaml"),
+    "list": (
+        b"/**:\n  ros__parameters:\n    robot: [1, 2]\n",
+        "'robot' is [1, 2]; a description such as config/dextar.yaml",
+    ),
     "word": (b"/**: {ros__parameters: {robot: hello}}\n", "'robot' is 'hello'"),
     "empty": (b"", "no entry '/**: ros__parameters: robot:'"),
     "scalar": (b"hello\n", "line 1: 'hello' stands where a node's name is wanted"),
     "top": (b"- 1\n", "line 1: a list stands where a node's name is wanted"),
-    "no section": (b"ros__parameters: {a: 1}\n", "'ros__parameters' stands under no node's name"),
-    "no parameters": (b"/**:\n  ros__parameters:\n", "line 2: nothing stands where a mapping of parameters"),
-    "tab": (b"/**:\n\tros__parameters: {a: 1}\n", "line 2: while scanning for the next token"),
-    "alias": (b"/**: {ros__parameters: {a: &x 1, b: *x}}\n", "line 1: ROS 2 knows no aliases (*x)"),
-    "mixed": (GOOD.replace(b"[1, -1]", b"[1, -1.0]"),
-              "a list holds whole numbers and numbers with a point"),
-    "nested": (b"/**: {ros__parameters: {robot: {gravity: [[0.0]]}}}\n", "a list of lists or mappings is no value"),
-    "infinite": (b"/**: {ros__parameters: {robot: {name: x, working_mode: [.inf, 1.0]}}}\n", "robot parameters 'base_dist"),
+    "no section": (
+        b"ros__parameters: {a: 1}\n",
+        "'ros__parameters' stands under no node's name",
+    ),
+    "no parameters": (
+        b"/**:\n  ros__parameters:\n",
+        "line 2: nothing stands where a mapping of parameters",
+    ),
+    "tab": (
+        b"/**:\n\tros__parameters: {a: 1}\n",
+        "line 2: while scanning for the next token",
+    ),
+    "alias": (
+        b"/**: {ros__parameters: {a: &x 1, b: *x}}\n",
+        "line 1: ROS 2 knows no aliases (*x)",
+    ),
+    "mixed": (
+        GOOD.replace(b"[1, -1]", b"[1, -1.0]"),
+        "a list holds whole numbers and numbers with a point",
+    ),
+    "nested": (
+        b"/**: {ros__parameters: {robot: {gravity: [[0.0]]}}}\n",
+        "a list of lists or mappings is no value",
+    ),
+    "infinite": (
+        b"/**: {ros__parameters: {robot: {name: x, working_mode: [.inf, 1.0]}}}\n",
+        "robot parameters 'base_dist",
+    ),
     "control": (b'/**: {ros__parameters: {a: "\x1b"}}\n', "unacceptable character"),
     "deep": (b"/**: {ros__parameters: " + b"{a: " * 3000, "it is nested too deeply"),
     "huge": (b"#" * 4_000_001, "it is larger than 4 MB"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", ODD_FILES)
-def test_a_file_that_is_no_robot_is_told_in_one_sentence(tmp_path: Path, name: str) -> None:
+def test_a_file_that_is_no_robot_is_told_in_one_sentence(
+    tmp_path: Path, name: str
+) -> None:
     file = tmp_path / "robot.yaml"
     content, said = ODD_FILES[name]
     file.write_bytes(content)
     with pytest.raises(ParameterError) as caught:
         load_robot(file)
-    assert said in str(caught.value) and str(file) in str(caught.value) and "\n" not in str(caught.value)
+    assert (
+        said in str(caught.value)
+        and str(file) in str(caught.value)
+        and "\n" not in str(caught.value)
+    )
 
 
 @pytest.mark.parametrize("name", ["latin1", "no parameters", "tab", "mixed"])
@@ -209,20 +447,40 @@ def test_a_node_refuses_such_a_file_in_the_same_sentence(
 
 def test_an_infinite_working_mode_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
-    file.write_text(robot_file({"a": node_defaults("a", config_file(ROBOT_FILE)) | {"robot.working_mode": [math.inf, 1.0]}}))
-    with pytest.raises(ParameterError, match=r"robot.working_mode = \[inf, 1.0\]; it must be two numbers"):
+    file.write_text(
+        robot_file(
+            {
+                "a": (
+                    node_defaults("a", config_file(ROBOT_FILE))
+                    | {"robot.working_mode": [math.inf, 1.0]}
+                )
+            }
+        )
+    )
+    with pytest.raises(
+        ParameterError,
+        match=r"robot.working_mode = \[inf, 1.0\]; it must be two numbers",
+    ):
         load_robot(file)
 
 
-@pytest.mark.parametrize("read", [load_robot, load_config, load_cases, lambda path: node_defaults("plant", path)])
-def test_what_is_no_text_file_is_told_in_one_sentence(tmp_path: Path, read: Any) -> None:
+@pytest.mark.parametrize(
+    "read",
+    [load_robot, load_config, load_cases, lambda path: node_defaults("plant", path)],
+)
+def test_what_is_no_text_file_is_told_in_one_sentence(
+    tmp_path: Path, read: Any
+) -> None:
     loop, latin = tmp_path / "loop", tmp_path / "latin1"
     loop.symlink_to(loop)
     latin.write_bytes(b"seed: 1\nrobot: caf\xe9\n")
     for path, said in (
-        (tmp_path, "it is a folder, not a file"), (loop, "Too many levels of symbolic links"),
-        (tmp_path / "none", "No such file"), (Path("/dev/zero"), "it is larger than 4 MB"), (latin, "line 2 is not UTF-8"),
-    ):  # fmt: skip
+        (tmp_path, "it is a folder, not a file"),
+        (loop, "Too many levels of symbolic links"),
+        (tmp_path / "none", "No such file"),
+        (Path("/dev/zero"), "it is larger than 4 MB"),
+        (latin, "line 2 is not UTF-8"),
+    ):
         with pytest.raises(ParameterError) as caught:
             read(path)
         assert said in str(caught.value) and "\n" not in str(caught.value)
@@ -230,27 +488,45 @@ def test_what_is_no_text_file_is_told_in_one_sentence(tmp_path: Path, read: Any)
 
 def test_no_parameter_of_a_file_stands_twice(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
-    file.write_text("/**:\n  ros__parameters:\n    robot: {left: {distal_mass: 1.0, distal_mass: 2.0}}\n")
-    with pytest.raises(ParameterError, match="line 3: the key 'distal_mass' stands there twice"):
+    file.write_text(
+        "/**:\n  ros__parameters:\n    robot: {left: {distal_mass: 1.0, distal_mass:"
+        " 2.0}}\n"
+    )
+    with pytest.raises(
+        ParameterError, match="line 3: the key 'distal_mass' stands there twice"
+    ):
         load_parameters(file)
 
 
 def test_a_document_has_rcls_numbers_and_no_key_twice(tmp_path: Path) -> None:
     file = tmp_path / "campaign.yaml"
-    file.write_text("\ufeffa: 1e-1\r\nb: 1:30\r\nc: null\r\nd: nan\r\ne: .inf\r\nf: [1, x, [2]]\r\ng: {<<: &m {h: 1}, i: 2}\r\n"
-                    "j: *m\r\n")  # fmt: skip
+    file.write_text(
+        "\ufeffa: 1e-1\r\nb: 1:30\r\nc: null\r\nd: nan\r\ne: .inf\r\nf: [1, x,"
+        " [2]]\r\ng: {<<: &m {h: 1}, i: 2}\r\nj: *m\r\n"
+    )
     assert load_document(file, "x") == {
-        "a": 0.1, "b": "1:30", "c": None, "d": "nan", "e": math.inf, "f": [1, "x", [2]], "g": {"h": 1, "i": 2}, "j": {"h": 1},
-    }  # fmt: skip
+        "a": 0.1,
+        "b": "1:30",
+        "c": None,
+        "d": "nan",
+        "e": math.inf,
+        "f": [1, "x", [2]],
+        "g": {"h": 1, "i": 2},
+        "j": {"h": 1},
+    }
     file.write_text("seed: 1\nseed: 2\n")
-    with pytest.raises(ParameterError, match="line 2: the key 'seed' stands there twice"):
+    with pytest.raises(
+        ParameterError, match="line 2: the key 'seed' stands there twice"
+    ):
         load_document(file, "x")
     file.write_text("a: &a [*a]\n")
     with pytest.raises(ParameterError, match="an alias stands within what it names"):
         load_document(file, "x")
     levels = "".join(f"a{n + 1}: &a{n + 1} [*a{n}, *a{n}]\n" for n in range(40))
     file.write_text(f"a0: &a0 1\n{levels}")
-    assert len(load_document(file, "x")) == 41  # 2 to the 40 if each alias were read anew
+    assert (
+        len(load_document(file, "x")) == 41
+    )  # 2 to the 40 if each alias were read anew
 
 
 def test_a_listing_that_is_nested_too_deeply_is_no_listing(tmp_path: Path) -> None:
@@ -260,7 +536,9 @@ def test_a_listing_that_is_nested_too_deeply_is_no_listing(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("seconds", ["nan", "0", "-1", "inf", "x"])
-def test_a_bench_of_no_length_is_refused(seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bench_of_no_length_is_refused(
+    seconds: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as caught:
         cli.main(["bench", f"--seconds={seconds}"])
     assert caught.value.code == 2 and "argument --seconds:" in capsys.readouterr().err
@@ -278,7 +556,13 @@ def test_a_pipe_without_a_writer_is_told_and_one_with_a_writer_is_read(
     monkeypatch.setattr(yaml_text, "WRITER_PATIENCE", 0.05)
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    with pytest.raises(ParameterError, match="parameter file .*pipe: it is a pipe, and nobody wrote into it within 0.05 s"):
+    with pytest.raises(
+        ParameterError,
+        match=(
+            "parameter file .*pipe: it is a pipe, and nobody wrote into it within"
+            " 0.05 s"
+        ),
+    ):
         load_parameters(pipe)
     reading, writing = os.pipe()
 

@@ -1,4 +1,6 @@
-"""A run as an animation: linkage, locus, path, torques and t_s, to a GIF, a WebP or an MP4."""
+"""A run as an animation: linkage, locus, path, torques and t_s, to a GIF, a WebP or an
+MP4.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dextar_control.analysis.curves import Curve, Panel
-from dextar_control.analysis.drawing import SCREEN, Look, draw_line, draw_locus, draw_panel, finish_plane
+from dextar_control.analysis.drawing import (
+    SCREEN,
+    Look,
+    draw_line,
+    draw_locus,
+    draw_panel,
+    finish_plane,
+)
 from dextar_control.analysis.motion import Motion
 from dextar_control.analysis.plane import corners, locus_of
 from dextar_control.contract import style
@@ -25,7 +34,11 @@ from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.signals import caused_by_interrupt
 from dextar_control.contract.style import LINES, Line
 
-MOST_FRAMES = {".gif": 1500, ".webp": 1500, ".mp4": 20_000}  # frames of the first two are held in memory until they are written
+MOST_FRAMES = {
+    ".gif": 1500,
+    ".webp": 1500,
+    ".mp4": 20_000,
+}  # frames of the first two are held in memory until they are written
 SIZE = (10.0, 5.0)  # inches
 RESOLUTION = 96  # dots per inch: 960 x 480 pixels
 T_S_HALF = 0.016  # m, of what is drawn of t_s
@@ -33,18 +46,31 @@ ARC_RADIUS = 0.014  # m, of the arcs that show the torques
 ARC_TURN = 2.0 * math.pi  # rad, of such an arc at the torque axis' end
 TRACE, LINKS, T_S = Line("accent", (), 2.0), Line("mid", (), 5.0), Line("bad", (), 4.0)
 RING, ARC, CURSOR = Line("line", (), 3.0), Line("ink", (), 3.0), Line("bad", (), 2.0)
-PHASES = {"TRACK": "on its way", "CROSSING": "crossing the locus", "SAFE_STOP": "safe stop", "FAULT": "fault", "HOLD": "at rest",
-          "IDLE": "idle", "APPROACH": "to its start"}  # fmt: skip
+PHASES = {
+    "TRACK": "on its way",
+    "CROSSING": "crossing the locus",
+    "SAFE_STOP": "safe stop",
+    "FAULT": "fault",
+    "HOLD": "at rest",
+    "IDLE": "idle",
+    "APPROACH": "to its start",
+}
 
 
 def animate(
-    motion: Motion, file: Path, speed: float, frames_per_second: int, progress: Callable[[int, int], None], look: Look = SCREEN
+    motion: Motion,
+    file: Path,
+    speed: float,
+    frames_per_second: int,
+    progress: Callable[[int, int], None],
+    look: Look = SCREEN,
 ) -> None:
     """Write the animation.
 
     Args:
         motion: its frames lie speed / frames_per_second s apart.
-        file: ``.gif``, ``.webp`` or ``.mp4``; one that is there is replaced once the new one is whole.
+        file: ``.gif``, ``.webp`` or ``.mp4``; one that is there is replaced once the
+            new one is whole.
         speed: s of the run in a second of the animation; printed.
         frames_per_second: of the animation.
         progress: told (frames done, frames in all).
@@ -59,7 +85,9 @@ def animate(
         writer: Any = PillowWriter(fps=frames_per_second)
     else:
         matplotlib.rcParams["animation.ffmpeg_path"] = find_ffmpeg()
-        writer = FFMpegWriter(fps=frames_per_second, codec="libx264", extra_args=["-pix_fmt", "yuv420p"])
+        writer = FFMpegWriter(
+            fps=frames_per_second, codec="libx264", extra_args=["-pix_fmt", "yuv420p"]
+        )
     with matplotlib.rc_context(style.matplotlib_settings(look.palette)):
         scene = _Scene(motion, speed, look)
     partial = file.with_name(f".{file.stem}.partial{file.suffix}")
@@ -76,7 +104,10 @@ def animate(
     except subprocess.CalledProcessError as error:  # ffmpeg's; an interrupt ends it too
         if (interrupt := caused_by_interrupt(error)) is not None:
             raise interrupt from None
-        raise BagError(f"cannot write {file}: {Path(error.cmd[0]).name} ended with code {error.returncode}") from error
+        raise BagError(
+            f"cannot write {file}: {Path(error.cmd[0]).name} ended with code"
+            f" {error.returncode}"
+        ) from error
     finally:
         with contextlib.suppress(OSError):
             partial.unlink()
@@ -90,10 +121,14 @@ def check_output(file: Path, frames: int = 0) -> None:
     """
     most = MOST_FRAMES.get(file.suffix.lower())
     if most is None or file.is_dir():
-        raise ParameterError(f"--output {file}: it must be a file whose name ends in {', '.join(MOST_FRAMES)}")
+        raise ParameterError(
+            f"--output {file}: it must be a file whose name ends in"
+            f" {', '.join(MOST_FRAMES)}"
+        )
     if frames > most:
         raise ParameterError(
-            f"{frames} frames; a {file.suffix} may have {most}: raise --speed, lower --fps, or name a part with --from and --to"
+            f"{frames} frames; a {file.suffix} may have {most}: raise --speed, lower"
+            " --fps, or name a part with --from and --to"
         )
     if file.suffix.lower() == ".mp4":
         find_ffmpeg()
@@ -114,14 +149,16 @@ def find_ffmpeg() -> str:
         return str(imageio_ffmpeg.get_ffmpeg_exe())
     except (ImportError, RuntimeError) as error:
         raise ParameterError(
-            "an MP4 needs ffmpeg: install it (apt install ffmpeg, or pip install imageio-ffmpeg), or write a .gif"
+            "an MP4 needs ffmpeg: install it (apt install ffmpeg, or pip install"
+            " imageio-ffmpeg), or write a .gif"
         ) from error
 
 
 class _Scene:
     """The figure; ``show`` moves what moves.
 
-    What stands still is drawn once and lies under the rest as an image: a frame then takes a tenth of the time.
+    What stands still is drawn once and lies under the rest as an image: a frame then
+        takes a tenth of the time.
     """
 
     def __init__(self, motion: Motion, speed: float, look: Look = SCREEN) -> None:
@@ -143,13 +180,27 @@ class _Scene:
         self.figure.figimage(np.array(canvas.buffer_rgba()), origin="upper", zorder=-1)
         moving = [self._over(axes) for axes in (plane, torque, measure)]
         (self._trace,) = moving[0].plot([], [], **look.line(TRACE))
-        (self._linkage,) = moving[0].plot([], [], **look.line(LINKS, marker="o", markersize=6, alpha=0.85))
+        (self._linkage,) = moving[0].plot(
+            [], [], **look.line(LINKS, marker="o", markersize=6, alpha=0.85)
+        )
         (self._t_s,) = moving[0].plot([], [], **look.line(T_S))
-        self._arcs = [moving[0].plot([], [], **look.line(ARC))[0] for _ in motion.torque.T]
-        self._heads = [moving[0].plot([], [], **look.line(ARC, marker="o", markersize=6))[0] for _ in motion.torque.T]
-        self._cursors = [axes.axvline(motion.time[0], **look.line(CURSOR)) for axes in moving[1:]]
-        self._title = self.figure.text(0.012, 0.955, "", fontsize=11.0, weight="bold", parse_math=False)
-        self._words = f"{'true motion' if motion.true else 'estimated motion'}, {speed:g} × real time"
+        self._arcs = [
+            moving[0].plot([], [], **look.line(ARC))[0] for _ in motion.torque.T
+        ]
+        self._heads = [
+            moving[0].plot([], [], **look.line(ARC, marker="o", markersize=6))[0]
+            for _ in motion.torque.T
+        ]
+        self._cursors = [
+            axes.axvline(motion.time[0], **look.line(CURSOR)) for axes in moving[1:]
+        ]
+        self._title = self.figure.text(
+            0.012, 0.955, "", fontsize=11.0, weight="bold", parse_math=False
+        )
+        self._words = (
+            f"{'true motion' if motion.true else 'estimated motion'}, {speed:g} × real"
+            " time"
+        )
 
     def _over(self, axes: Any) -> Any:
         """Empty axes in the place of others."""
@@ -168,45 +219,88 @@ class _Scene:
         along = T_S_HALF * motion.t_s[frame]
         self._t_s.set_data(*np.stack([x - along, x + along]).T)
         self._t_s.set_alpha(max(0.15, 1.0 - abs(float(motion.s[frame]))) ** 2)
-        for arc, base, torque in zip(self._arcs, links[[0, 4]], motion.torque[frame], strict=True):
+        for arc, base, torque in zip(
+            self._arcs, links[[0, 4]], motion.torque[frame], strict=True
+        ):
             around = _arc(base, torque / self._limit if math.isfinite(torque) else 0.0)
             arc.set_data(*around.T)
             self._heads[self._arcs.index(arc)].set_data(*around[-1:].T)
         for cursor in self._cursors:
             cursor.set_xdata([motion.time[frame]] * 2)
-        time, s = (round(float(value), 3) + 0.0 for value in (motion.time[frame], motion.s[frame]))  # no -0.000
+        time, s = (
+            round(float(value), 3) + 0.0
+            for value in (motion.time[frame], motion.s[frame])
+        )  # no -0.000
         phase = PHASES.get(motion.phase[frame], motion.phase[frame].lower())
-        self._title.set_text(f"{time:.3f} s: {phase or 'phase unknown'}, s = {s:+.3f}  ({self._words})".replace("-", "−"))
+        title = (
+            f"{time:.3f} s: {phase or 'phase unknown'}, s = {s:+.3f}  ({self._words})"
+        )
+        self._title.set_text(title.replace("-", "−"))
 
     def _draw_plane(self, axes: Any) -> None:
         motion, look, locus = self._motion, self._look, locus_of(self._motion.robot)
         draw_locus(axes, locus, look)
         draw_line(axes, motion.planned, LINES["planned", 0], "planned path", look)
         axes.plot([], [], label="path so far", **look.line(TRACE))
-        axes.plot([], [], label=style.mathtext("weak direction, t_s on the locus"), **look.line(T_S))
-        axes.plot([], [], label=f"motor's torque, whole ring {self._limit:.2g} N m", **look.line(ARC, marker="o", markersize=6))
+        axes.plot(
+            [],
+            [],
+            label=style.mathtext("weak direction, t_s on the locus"),
+            **look.line(T_S),
+        )
+        axes.plot(
+            [],
+            [],
+            label=f"motor's torque, whole ring {self._limit:.2g} N m",
+            **look.line(ARC, marker="o", markersize=6),
+        )
         for base in motion.chain(0)[[0, -1]]:
             axes.plot(*_arc(base, 1.0).T, **look.line(RING))
-        reach = [motion.planned, motion.x, *[motion.chain(row) for row in _some(len(motion.time))]]
-        low, high = corners([part[(np.abs(part) < 1.0).all(axis=1)] for part in (*reach, *(arc for _, arc in locus))], [])
+        reach = [
+            motion.planned,
+            motion.x,
+            *[motion.chain(row) for row in _some(len(motion.time))],
+        ]
+        low, high = corners(
+            [
+                part[(np.abs(part) < 1.0).all(axis=1)]
+                for part in (*reach, *(arc for _, arc in locus))
+            ],
+            [],
+        )
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
         finish_plane(axes)
 
     def _draw_time(self, torque: Any, measure: Any) -> None:
         motion = self._motion
-        curves = [Curve(f"τ{part + 1}", motion.course_time, values, "commanded", part)
-                  for part, values in enumerate(motion.course.T)]  # fmt: skip
-        draw_panel(torque, Panel("torque", style.label("torque"), curves, -self._limit, self._limit), [], False, self._look)
+        curves = [
+            Curve(f"τ{part + 1}", motion.course_time, values, "commanded", part)
+            for part, values in enumerate(motion.course.T)
+        ]
+        draw_panel(
+            torque,
+            Panel("torque", style.label("torque"), curves, -self._limit, self._limit),
+            [],
+            False,
+            self._look,
+        )
         s = [Curve("s", motion.time, motion.s, "seen")]
-        draw_panel(measure, Panel("s", style.label("s"), s, -1.05, 1.05), [], True, self._look)
+        draw_panel(
+            measure, Panel("s", style.label("s"), s, -1.05, 1.05), [], True, self._look
+        )
         measure.axhline(0.0, **self._look.line(Line("mid", (), 0.9)))
-        torque.set_xlim(motion.time[0], motion.time[-1] if len(motion.time) > 1 else motion.time[0] + 1e-3)
+        torque.set_xlim(
+            motion.time[0],
+            motion.time[-1] if len(motion.time) > 1 else motion.time[0] + 1e-3,
+        )
         measure.set_xlabel(style.label("time"))
 
 
 def _arc(base: Any, share: float) -> Any:
-    """(40, 2) around a motor, m, by a share of what a whole ring stands for, from the top."""
+    """(40, 2) around a motor, m, by a share of what a whole ring stands for, from the
+    top.
+    """
     angles = 0.5 * math.pi + np.linspace(0.0, ARC_TURN * share, 40)
     return base + ARC_RADIUS * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 

@@ -27,8 +27,9 @@ def check_run(run: Run) -> None:
     for name, stamps in streams.items():
         if len(stamps) and not _has_one_of(run.states.stamps, stamps):
             raise BagError(
-                f"{run.path}: none of the {len(stamps)} stamps of {name} is one of the {len(run.states.stamps)} of"
-                f" {topics.JOINT_STATES.name}: these are streams of different runs, or of different clocks"
+                f"{run.path}: none of the {len(stamps)} stamps of {name} is one of the"
+                f" {len(run.states.stamps)} of {topics.JOINT_STATES.name}: these are"
+                " streams of different runs, or of different clocks"
             )
 
 
@@ -36,6 +37,8 @@ def _has_one_of(known: Stamps, stamps: Stamps) -> bool:
     """Whether one of the stamps is among the known ones, (n,) rising."""
     for first in range(0, len(stamps), BLOCK):
         part = stamps[first : first + BLOCK]
-        if (known[np.minimum(np.searchsorted(known, part), len(known) - 1)] == part).any():
+        if (
+            known[np.minimum(np.searchsorted(known, part), len(known) - 1)] == part
+        ).any():
             return True
     return False

@@ -1,4 +1,6 @@
-"""Several runs side by side: the same quantities with their differences, and their curves over each other."""
+"""Several runs side by side: the same quantities with their differences, and their
+curves over each other.
+"""
 
 from __future__ import annotations
 
@@ -63,54 +65,149 @@ class CrossingQuantity(NamedTuple):
 
 
 QUANTITIES = (
-    Quantity("verdict", "", "", lambda m: {True: "success", False: "failed", None: "not decidable"}[m.success]),
+    Quantity(
+        "verdict",
+        "",
+        "",
+        lambda m: {True: "success", False: "failed", None: "not decidable"}[m.success],
+    ),
     Quantity("law", "", "", lambda m: m.law or "unknown"),
     Quantity("estimator", "", "", lambda m: m.estimator or "unknown"),
     Quantity("planned crossings", "", "d", lambda m: _planned(m, len(m.crossings))),
-    Quantity("crossed", "", "d", lambda m: _planned(m, _count([c.crossed for c in m.crossings])), truth=True),
-    Quantity("estimator's verdicts", "", "d", lambda m: _planned(m, sum(c.verdict in DECIDED for c in m.crossings))),
-    Quantity("of these right", "", "d", lambda m: _planned(m, _count(_checked(m))), truth=True),
-    Quantity("true error, largest", "mm", ".3f", lambda m: 1e3 * m.max_true_error, truth=True),
-    Quantity("true error, RMS", "mm", ".4f", lambda m: 1e3 * m.rms_true_error, truth=True),
-    Quantity("true error at the end", "mm", ".3f", lambda m: 1e3 * m.final_true_error, truth=True),
-    Quantity("estimated error, largest", "mm", ".3f", lambda m: 1e3 * m.max_estimated_error),
-    Quantity("estimated error, RMS", "mm", ".4f", lambda m: 1e3 * m.rms_estimated_error),
+    Quantity(
+        "crossed",
+        "",
+        "d",
+        lambda m: _planned(m, _count([c.crossed for c in m.crossings])),
+        truth=True,
+    ),
+    Quantity(
+        "estimator's verdicts",
+        "",
+        "d",
+        lambda m: _planned(m, sum(c.verdict in DECIDED for c in m.crossings)),
+    ),
+    Quantity(
+        "of these right",
+        "",
+        "d",
+        lambda m: _planned(m, _count(_checked(m))),
+        truth=True,
+    ),
+    Quantity(
+        "true error, largest", "mm", ".3f", lambda m: 1e3 * m.max_true_error, truth=True
+    ),
+    Quantity(
+        "true error, RMS", "mm", ".4f", lambda m: 1e3 * m.rms_true_error, truth=True
+    ),
+    Quantity(
+        "true error at the end",
+        "mm",
+        ".3f",
+        lambda m: 1e3 * m.final_true_error,
+        truth=True,
+    ),
+    Quantity(
+        "estimated error, largest", "mm", ".3f", lambda m: 1e3 * m.max_estimated_error
+    ),
+    Quantity(
+        "estimated error, RMS", "mm", ".4f", lambda m: 1e3 * m.rms_estimated_error
+    ),
     Quantity("peak torque", "N m", ".4f", lambda m: m.peak_torque),
     Quantity("peak torque over the plan's", "1", ".3f", lambda m: m.torque_ratio),
-    Quantity("peak torque within |s| < 0.1", "N m", ".4f", lambda m: m.peak_torque_near),
-    Quantity("the same over the plan's peak", "1", ".3f", lambda m: m.torque_ratio_near),
-    Quantity("saturated commands", "", "d", lambda m: m.saturated if saturated(m).isdigit() else None),
+    Quantity(
+        "peak torque within |s| < 0.1", "N m", ".4f", lambda m: m.peak_torque_near
+    ),
+    Quantity(
+        "the same over the plan's peak", "1", ".3f", lambda m: m.torque_ratio_near
+    ),
+    Quantity(
+        "saturated commands",
+        "",
+        "d",
+        lambda m: m.saturated if saturated(m).isdigit() else None,
+    ),
     Quantity("duration of the trajectory", "s", ".3f", lambda m: m.duration),
     Quantity("states without a command", "", "d", lambda m: m.missed, machine=True),
-    Quantity("longest run of such states", "", "d", lambda m: m.timing.longest_miss, machine=True),
-    Quantity("rate of the states, median", "Hz", ".0f", lambda m: m.loop_rate, machine=True),
-    Quantity("period of the states, 99 %", "µs", ".0f", lambda m: 1e6 * m.timing.state_period.p99, machine=True),
-    Quantity("round trip, median", "µs", ".0f", lambda m: 1e6 * m.timing.round_trip.median, machine=True),
-    Quantity("round trip, 99 %", "µs", ".0f", lambda m: 1e6 * m.timing.round_trip.p99, machine=True),
-    Quantity("samples lost in recording", "", "d", lambda m: sum(n or 0 for n in m.lost.values()) if m.lost else None,
-             machine=True),
+    Quantity(
+        "longest run of such states",
+        "",
+        "d",
+        lambda m: m.timing.longest_miss,
+        machine=True,
+    ),
+    Quantity(
+        "rate of the states, median", "Hz", ".0f", lambda m: m.loop_rate, machine=True
+    ),
+    Quantity(
+        "period of the states, 99 %",
+        "µs",
+        ".0f",
+        lambda m: 1e6 * m.timing.state_period.p99,
+        machine=True,
+    ),
+    Quantity(
+        "round trip, median",
+        "µs",
+        ".0f",
+        lambda m: 1e6 * m.timing.round_trip.median,
+        machine=True,
+    ),
+    Quantity(
+        "round trip, 99 %",
+        "µs",
+        ".0f",
+        lambda m: 1e6 * m.timing.round_trip.p99,
+        machine=True,
+    ),
+    Quantity(
+        "samples lost in recording",
+        "",
+        "d",
+        lambda m: sum(n or 0 for n in m.lost.values()) if m.lost else None,
+        machine=True,
+    ),
 )
 CROSSING_QUANTITIES = (
     CrossingQuantity("outcome", "", "", lambda c: c.outcome, truth=True),
     CrossingQuantity("estimator says", "", "", lambda c: c.verdict or "not recorded"),
     CrossingQuantity("planned instant", "s", ".4f", lambda c: c.planned_time),
     CrossingQuantity("true instant", "s", ".4f", lambda c: c.true_time, truth=True),
-    CrossingQuantity("true speed", "m/s", ".3f", lambda c: None if c.outcome is None else c.speed, truth=True),
+    CrossingQuantity(
+        "true speed",
+        "m/s",
+        ".3f",
+        lambda c: None if c.outcome is None else c.speed,
+        truth=True,
+    ),
     CrossingQuantity("estimated speed", "m/s", ".3f", lambda c: c.estimated_speed),
     CrossingQuantity("|t_s·w_d| seen", "N", ".4f", lambda c: c.residual),
     CrossingQuantity("smallest σ", "1", ".4f", lambda c: c.sigma_min),
     CrossingQuantity("peak torque", "N m", ".4f", lambda c: c.peak_torque),
     CrossingQuantity("torque step", "N m", ".4f", lambda c: c.torque_step),
-    CrossingQuantity("true error before", "mm", ".3f", lambda c: 1e3 * c.error_before, truth=True),
-    CrossingQuantity("true error after", "mm", ".3f", lambda c: 1e3 * c.error_after, truth=True),
-    CrossingQuantity("estimated error before", "mm", ".3f", lambda c: 1e3 * c.estimated_error_before),
-    CrossingQuantity("estimated error after", "mm", ".3f", lambda c: 1e3 * c.estimated_error_after),
+    CrossingQuantity(
+        "true error before", "mm", ".3f", lambda c: 1e3 * c.error_before, truth=True
+    ),
+    CrossingQuantity(
+        "true error after", "mm", ".3f", lambda c: 1e3 * c.error_after, truth=True
+    ),
+    CrossingQuantity(
+        "estimated error before", "mm", ".3f", lambda c: 1e3 * c.estimated_error_before
+    ),
+    CrossingQuantity(
+        "estimated error after", "mm", ".3f", lambda c: 1e3 * c.estimated_error_after
+    ),
 )
-TRUE_OR_ESTIMATED = {"error": "{} error (mm)", "s": "{} s, 0 on the locus (1)"}  # labels of the panels that can be either
+TRUE_OR_ESTIMATED = {
+    "error": "{} error (mm)",
+    "s": "{} s, 0 on the locus (1)",
+}  # labels of the panels that can be either
 MOST_HEADING = 80  # characters
 MOST_CROSSINGS = 24  # written out one by one; the JSON has them all
 MOST_DIFFERENCES = 40  # that the page and the text list; the JSON has them all
-MATTERS = 1.02  # ratio of two runs' numbers from which on the page counts them as different
+MATTERS = (
+    1.02  # ratio of two runs' numbers from which on the page counts them as different
+)
 WAYS_TO_NAME = 3  # differences that may be part of a run's name
 
 
@@ -120,7 +217,8 @@ class Line(NamedTuple):
     Attributes:
         name, unit, form: of the numbers.
         values: per run; None where the bag does not tell.
-        differences: of each further run to the first; None where one of the two is not a number.
+        differences: of each further run to the first; None where one of the two is not
+            a number.
         truth: whether it needs the true motion.
         missing: per run, what stands for a value that is not there.
         machine: whether it is of the machine that ran it, not of the robot.
@@ -137,7 +235,9 @@ class Line(NamedTuple):
 
     @property
     def matter(self) -> float:
-        """How much the runs differ in it: by a word (infinity), or the largest ratio of two numbers; 1 is not at all."""
+        """How much the runs differ in it: by a word (infinity), or the largest ratio of
+        two numbers; 1 is not at all.
+        """
         known = [value for value in self.values if isinstance(value, (int, float))]
         if len(known) < len(self.values):
             return math.inf if len(set(self.values)) > 1 else 1.0
@@ -157,7 +257,8 @@ class Comparison:
         lines: of the whole runs.
         crossings: lines per crossing number, of those that every run has planned.
         remarks: what makes the runs less comparable.
-        differences: of bags, laws, estimators, robots and parameters; those in which all runs agree are left out.
+        differences: of bags, laws, estimators, robots and parameters; those in which
+            all runs agree are left out.
     """
 
     names: list[str]
@@ -172,29 +273,51 @@ class Comparison:
         """Strict JSON: what is not known is null."""
         return json.dumps(
             {
-                "runs": [{"name": name, "bag": str(run.path)} for name, run in zip(self.names, self.runs, strict=True)],
+                "runs": [
+                    {"name": name, "bag": str(run.path)}
+                    for name, run in zip(self.names, self.runs, strict=True)
+                ],
                 "differences": [one._asdict() for one in self.differences],
                 "remarks": self.remarks,
                 "quantities": [_entry(line) for line in self.lines],
-                "crossings": [[_entry(line) for line in lines] for lines in self.crossings],
+                "crossings": [
+                    [_entry(line) for line in lines] for lines in self.crossings
+                ],
             },
-            indent=2, allow_nan=False, ensure_ascii=False,
-        )  # fmt: skip
+            indent=2,
+            allow_nan=False,
+            ensure_ascii=False,
+        )
 
     def to_markdown(self) -> str:
         """The tables as Markdown."""
         text = ["# Comparison", ""]
-        text += [f"- **{name}**: `{run.path}`" for name, run in zip(self.names, self.runs, strict=True)]
+        text += [
+            f"- **{name}**: `{run.path}`"
+            for name, run in zip(self.names, self.runs, strict=True)
+        ]
         differences = [[one.name, *one.values] for one in self.shown_differences]
         text += ["", "## What differs", "", *_rows(["", *self.names], differences)]
-        text += [f"\n... and {more} more in comparison.json." if (more := len(self.differences) - MOST_DIFFERENCES) > 0 else ""]
+        text += [
+            (
+                f"\n... and {more} more in comparison.json."
+                if (more := len(self.differences) - MOST_DIFFERENCES) > 0
+                else ""
+            )
+        ]
         text += ["", "## Side by side", "", "Differences (Δ) are to the first run."]
         text += [*[f"\n{remark}" for remark in self.remarks], ""]
         text += _markdown(self, self.lines)
         for index, lines in enumerate(self.crossings[:MOST_CROSSINGS], start=1):
             text += ["", f"## Crossing {index}", "", *_markdown(self, lines)]
         if len(self.crossings) > MOST_CROSSINGS:
-            text += ["", f"... and {len(self.crossings) - MOST_CROSSINGS} more crossings in comparison.json."]
+            text += [
+                "",
+                (
+                    f"... and {len(self.crossings) - MOST_CROSSINGS} more crossings in"
+                    " comparison.json."
+                ),
+            ]
         return "\n".join(text) + "\n"
 
     @property
@@ -203,7 +326,9 @@ class Comparison:
         return self.differences[:MOST_DIFFERENCES]
 
 
-def compare_runs(runs: Sequence[Run], metrics: Sequence[Metrics], names: Sequence[str] | None = None) -> Comparison:
+def compare_runs(
+    runs: Sequence[Run], metrics: Sequence[Metrics], names: Sequence[str] | None = None
+) -> Comparison:
     """Put runs side by side.
 
     Raises:
@@ -215,19 +340,34 @@ def compare_runs(runs: Sequence[Run], metrics: Sequence[Metrics], names: Sequenc
     lines = [_line(quantity, list(metrics), truths) for quantity in QUANTITIES]
     common = min(len(one.crossings) for one in metrics)
     crossings = [
-        [_line(quantity, [one.crossings[index] for one in metrics], truths) for quantity in CROSSING_QUANTITIES]
+        [
+            _line(quantity, [one.crossings[index] for one in metrics], truths)
+            for quantity in CROSSING_QUANTITIES
+        ]
         for index in range(common)
     ]
     differences = differing(runs, metrics)
     names = list(names) if names is not None else name_runs(runs, metrics, differences)
-    return Comparison(names, list(runs), list(metrics), lines, crossings, _remarks(names, runs, metrics), differences)
+    return Comparison(
+        names,
+        list(runs),
+        list(metrics),
+        lines,
+        crossings,
+        _remarks(names, runs, metrics),
+        differences,
+    )
 
 
 def compare_bags(
-    paths: Sequence[str | Path], progress: Callable[[str], None] = lambda stage: None, namespace: str | None = None,
-    reading: Progress | None = None, robot: RobotParameters | None = None,
-) -> Comparison:  # fmt: skip
-    """Load the bags and put them side by side; ``namespace``, ``reading`` and ``robot`` as in ``load_run``.
+    paths: Sequence[str | Path],
+    progress: Callable[[str], None] = lambda stage: None,
+    namespace: str | None = None,
+    reading: Progress | None = None,
+    robot: RobotParameters | None = None,
+) -> Comparison:
+    """Load the bags and put them side by side; ``namespace``, ``reading`` and ``robot``
+    as in ``load_run``.
 
     Raises:
         BagError: a bag cannot be read, or there are fewer than two.
@@ -249,11 +389,19 @@ def write_comparison(comparison: Comparison, folder: Path) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "comparison.json").write_text(comparison.to_json() + "\n", encoding="utf-8", errors="replace")
-        (folder / "comparison.md").write_text(comparison.to_markdown(), encoding="utf-8", errors="replace")
-        (folder / "comparison.html").write_text(render_comparison(comparison), encoding="utf-8", errors="replace")
+        (folder / "comparison.json").write_text(
+            comparison.to_json() + "\n", encoding="utf-8", errors="replace"
+        )
+        (folder / "comparison.md").write_text(
+            comparison.to_markdown(), encoding="utf-8", errors="replace"
+        )
+        (folder / "comparison.html").write_text(
+            render_comparison(comparison), encoding="utf-8", errors="replace"
+        )
     except OSError as error:
-        raise BagError(f"cannot write the comparison to {folder}: {error.strerror or error}") from error
+        raise BagError(
+            f"cannot write the comparison to {folder}: {error.strerror or error}"
+        ) from error
 
 
 def render_comparison(comparison: Comparison) -> str:
@@ -261,11 +409,26 @@ def render_comparison(comparison: Comparison) -> str:
     figures: dict[str, WebFigure] = {}
     over = overlaid(comparison)
     if over:
-        durations = [one.duration if math.isfinite(one.duration) else one.tracked_until for one in comparison.metrics]
-        duration = max((value for value in durations if math.isfinite(value)), default=1.0)
-        instants = [crossing.planned_time for crossing in comparison.metrics[0].crossings]
-        figures = {f"time-{index}": one for index, one in enumerate(over_time(over, instants, duration, comparison.names))}
-    planes = [plane_of(run, one) for run, one in zip(comparison.runs, comparison.metrics, strict=True)]
+        durations = [
+            one.duration if math.isfinite(one.duration) else one.tracked_until
+            for one in comparison.metrics
+        ]
+        duration = max(
+            (value for value in durations if math.isfinite(value)), default=1.0
+        )
+        instants = [
+            crossing.planned_time for crossing in comparison.metrics[0].crossings
+        ]
+        figures = {
+            f"time-{index}": one
+            for index, one in enumerate(
+                over_time(over, instants, duration, comparison.names)
+            )
+        }
+    planes = [
+        plane_of(run, one)
+        for run, one in zip(comparison.runs, comparison.metrics, strict=True)
+    ]
     if not planes[0].empty:
         figures["plane"] = in_plane(planes, comparison.names)
     first, *others = comparison.names
@@ -277,80 +440,149 @@ def render_comparison(comparison: Comparison) -> str:
     if len(heading) > MOST_HEADING:
         heading = f"{first} against {counted(len(others), 'other run')}"
     told = {"verdict", *(one.name for one in comparison.differences)}
-    matter, alike, machine = by_matter([line for line in comparison.lines if line.name not in told])
+    matter, alike, machine = by_matter(
+        [line for line in comparison.lines if line.name not in told]
+    )
     return render(
-        "comparison.html", figures,
+        "comparison.html",
+        figures,
         title=heading,
         heading=heading,
         notes=[f"{panel.label}: {panel.note}" for panel in over if panel.note],
         bags=[
             {
-                "name": name, "path": shown_name(run), "verdict": line, "reasons": one.reasons,
+                "name": name,
+                "path": shown_name(run),
+                "verdict": line,
+                "reasons": one.reasons,
                 "kind": {True: "good", False: "bad", None: ""}[one.success],
             }
             for name, run, one, line in zip(
-                comparison.names, comparison.runs, comparison.metrics, comparison.lines[0].values, strict=True
+                comparison.names,
+                comparison.runs,
+                comparison.metrics,
+                comparison.lines[0].values,
+                strict=True,
             )
         ],
         remarks=comparison.remarks,
         differences=(
-            [Column("", text=True), *(Column(name, text=True) for name in comparison.names)],
-            [[Cell(one.name), *map(Cell, one.values)] for one in comparison.shown_differences],
+            [
+                Column("", text=True),
+                *(Column(name, text=True) for name in comparison.names),
+            ],
+            [
+                [Cell(one.name), *map(Cell, one.values)]
+                for one in comparison.shown_differences
+            ],
         ),
-        more_differences=len(comparison.differences) - len(comparison.shown_differences),
-        keys=[{"name": name, "tag": run_tag(index), "line": RUNS[index % len(RUNS)]}
-              for index, name in enumerate(comparison.names)],
+        more_differences=len(comparison.differences)
+        - len(comparison.shown_differences),
+        keys=[
+            {"name": name, "tag": run_tag(index), "line": RUNS[index % len(RUNS)]}
+            for index, name in enumerate(comparison.names)
+        ],
         columns=columns,
-        lines={name: [_cells(line, joined=True) for line in lines]
-               for name, lines in (("matter", matter), ("alike", alike), ("machine", machine))},
+        lines={
+            name: [_cells(line, joined=True) for line in lines]
+            for name, lines in (
+                ("matter", matter),
+                ("alike", alike),
+                ("machine", machine),
+            )
+        },
         crossings=[[_cells(line, joined=True) for line in lines] for lines in shown],
         more=len(comparison.crossings) - len(shown),
-        footer="Made by dextar compare. Δ: difference to the first run. All numbers stand in comparison.json beside this page.",
-    )  # fmt: skip
+        footer=(
+            "Made by dextar compare. Δ: difference to the first run. All numbers stand"
+            " in comparison.json beside this page."
+        ),
+    )
 
 
 def by_matter(lines: Sequence[Line]) -> tuple[list[Line], list[Line], list[Line]]:
-    """What the runs differ in, the most first; what they agree in; what is of the machine."""
+    """What the runs differ in, the most first; what they agree in; what is of the
+    machine.
+    """
     own = [line for line in lines if not line.machine]
-    differ = sorted((line for line in own if line.matter >= MATTERS), key=lambda line: -line.matter)
-    return differ, [line for line in own if line.matter < MATTERS], [line for line in lines if line.machine]
+    differ = sorted(
+        (line for line in own if line.matter >= MATTERS), key=lambda line: -line.matter
+    )
+    return (
+        differ,
+        [line for line in own if line.matter < MATTERS],
+        [line for line in lines if line.machine],
+    )
 
 
 def overlaid(comparison: Comparison) -> list[Panel]:
-    """The runs' measured curves over each other: each motor's torque, error, residual and s; a curve's kind is its run.
+    """The runs' measured curves over each other: each motor's torque, error, residual
+    and s; a curve's kind is its run.
 
-    Error and s are the true ones where every run holds them, else the estimated ones of all; the label says which.
+    Error and s are the true ones where every run holds them, else the estimated ones of
+    all; the label says which.
     """
-    shown = [panels(run, one) for run, one in zip(comparison.runs, comparison.metrics, strict=True)]
+    shown = [
+        panels(run, one)
+        for run, one in zip(comparison.runs, comparison.metrics, strict=True)
+    ]
     found: dict[str, Panel] = {}
     for index, (name, own) in enumerate(zip(comparison.names, shown, strict=True)):
         for panel in own:
             kind = _kind(panel.key, shown)
             for curve in (curve for curve in panel.curves if curve.kind == kind):
-                key, label = panel.key, TRUE_OR_ESTIMATED.get(panel.key, panel.label).format(kind)
+                key, label = (
+                    panel.key,
+                    TRUE_OR_ESTIMATED.get(panel.key, panel.label).format(kind),
+                )
                 if key == "torque":
                     key, label = f"torque{curve.part}", f"τ{curve.part + 1} (N m)"
                 before = found.get(key, Panel(key, label, [], panel.low, panel.high))
                 found[key] = before._replace(
-                    curves=[*before.curves, Curve(name, curve.time, curve.values, str(index))],
-                    low=_widest(min, before.low, panel.low), high=_widest(max, before.high, panel.high),
-                )  # fmt: skip
+                    curves=[
+                        *before.curves,
+                        Curve(name, curve.time, curve.values, str(index)),
+                    ],
+                    low=_widest(min, before.low, panel.low),
+                    high=_widest(max, before.high, panel.high),
+                )
     if "error" in found:
-        found["error"] = found["error"]._replace(high=error_height(found["error"].curves))
-    ordered = [found[key] for key in (*sorted(key for key in found if key.startswith("torque")), "error", "residual", "s")]
+        found["error"] = found["error"]._replace(
+            high=error_height(found["error"].curves)
+        )
+    ordered = [
+        found[key]
+        for key in (
+            *sorted(key for key in found if key.startswith("torque")),
+            "error",
+            "residual",
+            "s",
+        )
+    ]
     return [panel._replace(note=beyond(panel)) for panel in ordered]
 
 
 def summary_table(comparison: Comparison, width: int = 80) -> Table:
-    """The comparison for a terminal of so many columns: with the differences where there is room for them."""
+    """The comparison for a terminal of so many columns: with the differences where
+    there is room for them.
+    """
     table = _table(comparison, differences=True)
     console = Terminal(width=10 * width)
-    return table if Measurement.get(console, console.options, table).maximum <= width else _table(comparison, differences=False)
+    return (
+        table
+        if Measurement.get(console, console.options, table).maximum <= width
+        else _table(comparison, differences=False)
+    )
 
 
 def _table(comparison: Comparison, differences: bool) -> Table:
-    keys = [f"{number}: {name}" for number, name in enumerate(comparison.names, start=1)]
-    table = Table(title=title(*keys, *(["Δ: difference to 1"] if differences else [])), title_justify="left")
+    keys = [
+        f"{number}: {name}" for number, name in enumerate(comparison.names, start=1)
+    ]
+    table = Table(
+        title=title(*keys, *(["Δ: difference to 1"] if differences else [])),
+        title_justify="left",
+    )
     table.add_column("", no_wrap=True)
     for index in range(len(comparison.names)):
         table.add_column(str(index + 1), justify="right", overflow="fold")
@@ -363,53 +595,114 @@ def _table(comparison: Comparison, differences: bool) -> Table:
     return table
 
 
-def name_runs(runs: Sequence[Run], metrics: Sequence[Metrics], differences: Sequence[Difference]) -> list[str]:
-    """Short names that differ: by law and estimator, whether the truth is known, what else differs, the folder, the number."""
+def name_runs(
+    runs: Sequence[Run], metrics: Sequence[Metrics], differences: Sequence[Difference]
+) -> list[str]:
+    """Short names that differ: by law and estimator, whether the truth is known, what
+    else differs, the folder, the number.
+    """
     ways: list[list[str]] = [
-        [run.record.get("name", "") or (f"{one.law or 'law unknown'} / {one.estimator or 'estimator unknown'}"
-                                        if one.law or one.estimator else run.path.absolute().parent.name)
-         for run, one in zip(runs, metrics, strict=True)],
-    ]  # fmt: skip
-    ways.append([f"{name}, {'simulation' if run.truth else 'no truth'}" for name, run in zip(ways[0], runs, strict=True)])
+        [
+            run.record.get("name", "")
+            or (
+                f"{one.law or 'law unknown'} / {one.estimator or 'estimator unknown'}"
+                if one.law or one.estimator
+                else run.path.absolute().parent.name
+            )
+            for run, one in zip(runs, metrics, strict=True)
+        ]
+    ]
+    ways.append(
+        [
+            f"{name}, {'simulation' if run.truth else 'no truth'}"
+            for name, run in zip(ways[0], runs, strict=True)
+        ]
+    )
     told = [one for one in differences if one.parameter][:WAYS_TO_NAME]
     for count in range(1, len(told) + 1):
-        ways.append([", ".join([name, *(f"{one.name.rpartition('.')[2]} {one.values[row]}" for one in told[:count])])
-                     for row, name in enumerate(ways[0])])  # fmt: skip
+        ways.append(
+            [
+                ", ".join(
+                    [
+                        name,
+                        *(
+                            f"{one.name.rpartition('.')[2]} {one.values[row]}"
+                            for one in told[:count]
+                        ),
+                    ]
+                )
+                for row, name in enumerate(ways[0])
+            ]
+        )
     folders = [run.path.absolute().parent.name for run in runs]
-    ways.append([name if name == folder else f"{name}, {folder}" for name, folder in zip(ways[0], folders, strict=True)])
+    ways.append(
+        [
+            name if name == folder else f"{name}, {folder}"
+            for name, folder in zip(ways[0], folders, strict=True)
+        ]
+    )
     ways.append([f"{name}, {index}" for index, name in enumerate(ways[0], start=1)])
     return next(names for names in ways if len(set(names)) == len(names))
 
 
-def _remarks(names: Sequence[str], runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[str]:
-    remarks = [f"{name}: no true motion in the bag; what needs it is marked." for name, run in zip(names, runs, strict=True)
-               if run.truth is None]  # fmt: skip
+def _remarks(
+    names: Sequence[str], runs: Sequence[Run], metrics: Sequence[Metrics]
+) -> list[str]:
+    remarks = [
+        f"{name}: no true motion in the bag; what needs it is marked."
+        for name, run in zip(names, runs, strict=True)
+        if run.truth is None
+    ]
     if remarks and len(remarks) < len(runs):
-        remarks.append("Error, s and path are drawn as estimated for all runs, for not every bag holds the true ones. |s| < 0.1"
-                       " goes by the true s where the bag holds it, else by the estimated one.")  # fmt: skip
+        remarks.append(
+            "Error, s and path are drawn as estimated for all runs, for not every bag"
+            " holds the true ones. |s| < 0.1 goes by the true s where the bag holds it,"
+            " else by the estimated one."
+        )
     for name, one in zip(names, metrics, strict=True):
-        remarks += [f"{name}: no trajectory was tracked; it has no curves."] if one.start_stamp is None else []
-        remarks += [f"{name}: {text}." for text in damage_lines(one.holes, one.truncated, one.unreadable)]
+        remarks += (
+            [f"{name}: no trajectory was tracked; it has no curves."]
+            if one.start_stamp is None
+            else []
+        )
+        remarks += [
+            f"{name}: {text}."
+            for text in damage_lines(one.holes, one.truncated, one.unreadable)
+        ]
         if stepped := clock_in_words(one.stamp_steps, one.clock_steps):
             remarks.append(f"{name}: {stepped}.")
     if len({run.robot for run in runs if run.robot is not None}) > 1:
         remarks.append("The runs have different robots.")
     counts = [len(one.crossings) for one in metrics]
     if len(set(counts)) > 1:
-        planned = ", ".join(f"{name}: {count}" for name, count in zip(names, counts, strict=True))
-        first = f"the first {min(counts)} one by one" if min(counts) else "none one by one"
-        remarks.append(f"The numbers of planned crossings differ ({planned}); compared are {first}.")
+        planned = ", ".join(
+            f"{name}: {count}" for name, count in zip(names, counts, strict=True)
+        )
+        first = (
+            f"the first {min(counts)} one by one" if min(counts) else "none one by one"
+        )
+        remarks.append(
+            f"The numbers of planned crossings differ ({planned}); compared are"
+            f" {first}."
+        )
     elif any(
         abs(a.planned_time - b.planned_time) > 1e-3
-        for other in metrics[1:] for a, b in zip(metrics[0].crossings, other.crossings, strict=True)
-    ):  # fmt: skip
-        remarks.append("The plans differ: their crossings are not at the same instants.")
+        for other in metrics[1:]
+        for a, b in zip(metrics[0].crossings, other.crossings, strict=True)
+    ):
+        remarks.append(
+            "The plans differ: their crossings are not at the same instants."
+        )
     return remarks
 
 
 def _checked(metrics: Metrics) -> list[bool | None]:
     """Whether each verdict is right; undecided ones are none."""
-    return [crossing.verdict_correct for crossing in metrics.crossings if crossing.verdict in DECIDED]
+    return [
+        crossing.verdict_correct
+        for crossing in metrics.crossings
+        if crossing.verdict in DECIDED
+    ]
 
 
 def _planned(metrics: Metrics, count: int | None) -> int | None:
@@ -421,15 +714,31 @@ def _count(values: Sequence[bool | None]) -> int | None:
     return None if None in values else sum(map(bool, values))
 
 
-def _line(quantity: Quantity | CrossingQuantity, of: Sequence[Any], truths: Sequence[bool]) -> Line:
+def _line(
+    quantity: Quantity | CrossingQuantity, of: Sequence[Any], truths: Sequence[bool]
+) -> Line:
     values = [_known(quantity.of(one)) for one in of]
     first = values[0]
     differences = [
-        value - first if isinstance(value, (int, float)) and isinstance(first, (int, float)) else None for value in values[1:]
+        (
+            value - first
+            if isinstance(value, (int, float)) and isinstance(first, (int, float))
+            else None
+        )
+        for value in values[1:]
     ]
     missing = [NO_TRUTH if quantity.truth and not known else "-" for known in truths]
     machine = isinstance(quantity, Quantity) and quantity.machine
-    return Line(quantity.name, quantity.unit, quantity.form, values, differences, quantity.truth, missing, machine)
+    return Line(
+        quantity.name,
+        quantity.unit,
+        quantity.form,
+        values,
+        differences,
+        quantity.truth,
+        missing,
+        machine,
+    )
 
 
 def _known(value: Value) -> Value:
@@ -443,15 +752,25 @@ def _entry(line: Line) -> dict[str, Any]:
 
 
 def _cells(line: Line, joined: bool = False) -> list[Cell]:
-    """Name, unit, and each run's value with its difference; name and unit in one cell where they are joined."""
+    """Name, unit, and each run's value with its difference; name and unit in one cell
+    where they are joined.
+    """
     unit = f" ({line.unit})" if line.unit not in ("", "1") else ""
-    cells = [Cell(f"{line.name}{unit}")] if joined else [Cell(line.name), Cell(line.unit)]
+    cells = (
+        [Cell(f"{line.name}{unit}")] if joined else [Cell(line.name), Cell(line.unit)]
+    )
     for index, value in enumerate(line.values):
-        known = value if isinstance(value, str) else number(value, line.form, line.missing[index])
+        known = (
+            value
+            if isinstance(value, str)
+            else number(value, line.form, line.missing[index])
+        )
         cells.append(Cell(known))
         if index:
             difference = line.differences[index - 1]
-            cells.append(Cell("" if difference is None else signed(difference, line.form)))
+            cells.append(
+                Cell("" if difference is None else signed(difference, line.form))
+            )
     return cells
 
 
@@ -459,12 +778,19 @@ def _markdown(comparison: Comparison, lines: Sequence[Line]) -> list[str]:
     head = ["", "unit"]
     for index, name in enumerate(comparison.names):
         head += [name, "Δ"] if index else [name]
-    return _rows(head, [[cell.text for cell in _cells(line)] for line in lines], numbers_from=2)
+    return _rows(
+        head, [[cell.text for cell in _cells(line)] for line in lines], numbers_from=2
+    )
 
 
-def _rows(head: Sequence[str], rows: Sequence[Sequence[str]], numbers_from: int = 1000) -> list[str]:
+def _rows(
+    head: Sequence[str], rows: Sequence[Sequence[str]], numbers_from: int = 1000
+) -> list[str]:
     marks = ["---:" if column >= numbers_from else "---" for column in range(len(head))]
-    return [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in (head, marks, *rows)]
+    return [
+        f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |"
+        for row in (head, marks, *rows)
+    ]
 
 
 def _kind(key: str, shown: Sequence[Sequence[Panel]]) -> str:
@@ -472,7 +798,11 @@ def _kind(key: str, shown: Sequence[Sequence[Panel]]) -> str:
     if key not in TRUE_OR_ESTIMATED:
         return {"torque": "commanded", "residual": "seen"}[key]
     own = [panel for run in shown for panel in run if panel.key == key]
-    return "true" if all(any(curve.kind == "true" for curve in panel.curves) for panel in own) else "estimated"
+    return (
+        "true"
+        if all(any(curve.kind == "true" for curve in panel.curves) for panel in own)
+        else "estimated"
+    )
 
 
 def _widest(pick: Callable[[float, float], float], one: float, other: float) -> float:

@@ -1,4 +1,6 @@
-"""Each planned crossing of a run: whether it happened, how, and what the estimator made of it."""
+"""Each planned crossing of a run: whether it happened, how, and what the estimator made
+of it.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,18 @@ from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 from dextar_control.planning.checks import clear_times
 
 STEP_ZONE = 0.15  # |s| within which torque steps are looked for
-_MEASURED = ("speed", "estimated_speed", "residual", "sigma_min", "peak_torque", "torque_step", "error_before", "error_after",
-             "estimated_error_before", "estimated_error_after")  # about the crossing, and thus not where the bag has a hole
+_MEASURED = (
+    "speed",
+    "estimated_speed",
+    "residual",
+    "sigma_min",
+    "peak_torque",
+    "torque_step",
+    "error_before",
+    "error_after",
+    "estimated_error_before",
+    "estimated_error_after",
+)  # about the crossing, and thus not where the bag has a hole
 FRESH = 2e-3  # s after a crossing has begun from which on a verdict is its own
 
 
@@ -27,33 +39,43 @@ class CrossingMetrics:
     """One planned crossing; times in s since the trajectory's start.
 
     Attributes:
-        planned_time: of the plan: where s of the served trajectory (a quintic between its points that meets their positions,
-            velocities and accelerations) changes sign; ``planned_stamp`` is the same instant in ns.
+        planned_time: of the plan: where s of the served trajectory (a quintic between
+            its points that meets their positions, velocities and accelerations) changes
+            sign; ``planned_stamp`` is the same instant in ns.
         point: planned, m.
         sign: planned sign of s afterwards.
-        true_time: where the true s, a straight line between its stamps, is zero, nearest to the plan; None when it is nowhere
-            zero between the sides. s = r_1 x r_2 / (l_1 l_2) with r_i from elbow i, by the true active joints, to the true
-            end effector and l_i the distal lengths.
-        outcome: crossed, bounced (it has not crossed by the time the plan is clear of the locus), not reached (tracking
-            ended before) or not recorded (the bag breaks off before, or has a hole there); None without truth.
-        crossed: the true s has the other sign before and the planned sign after, where the plan is clear of the
-            locus; None without truth, or where it is not recorded.
-        estimated_mode: assembly mode that the controller took there afterwards; None when not recorded.
-        verdict: the estimator's last one: crossed, bounced or undecided; None when not recorded.
-        verdict_time, verdict_confidence: when it fell, and in the assembly mode that it rests on; nan while undecided, the time
-            also where the bag has a hole before the verdict.
-        verdict_correct: against the true side at that time; None without truth or verdict.
+        true_time: where the true s, a straight line between its stamps, is zero,
+            nearest to the plan; None when it is nowhere zero between the sides. s = r_1
+            x r_2 / (l_1 l_2) with r_i from elbow i, by the true active joints, to the
+            true end effector and l_i the distal lengths.
+        outcome: crossed, bounced (it has not crossed by the time the plan is clear of
+            the locus), not reached (tracking ended before) or not recorded (the bag
+            breaks off before, or has a hole there); None without truth.
+        crossed: the true s has the other sign before and the planned sign after, where
+            the plan is clear of the locus; None without truth, or where it is not
+            recorded.
+        estimated_mode: assembly mode that the controller took there afterwards; None
+            when not recorded.
+        verdict: the estimator's last one: crossed, bounced or undecided; None when not
+            recorded.
+        verdict_time, verdict_confidence: when it fell, and in the assembly mode that it
+            rests on; nan while undecided, the time also where the bag has a hole before
+            the verdict.
+        verdict_correct: against the true side at that time; None without truth or
+            verdict.
         speed: true speed at the crossing (estimated without truth), m/s.
         estimated_speed: at the planned instant, m/s.
         residual: |t_s.w_d| that the controller saw at the planned instant, N.
         planned_residual: |t_s.w_d| of the plan there, N.
-        sigma_min: smallest singular value of A_r over the distal length that the controller saw while the plan was not
-            clear of the locus, 1.
+        sigma_min: smallest singular value of A_r over the distal length that the
+            controller saw while the plan was not clear of the locus, 1.
         peak_torque: within |s| < 0.1 of this crossing, N m.
         torque_step: largest change in one tick within |s| < 0.15 of this crossing, N m.
-        error_before, error_after: largest true tracking error from where the plan leaves |s| >= 0.3 to the planned instant,
-            and from there to where it is at |s| >= 0.3 again, m; nan without truth.
-        estimated_error_before, estimated_error_after: the same of the estimated error, m.
+        error_before, error_after: largest true tracking error from where the plan
+            leaves |s| >= 0.3 to the planned instant, and from there to where it is at
+            |s| >= 0.3 again, m; nan without truth.
+        estimated_error_before, estimated_error_after: the same of the estimated error,
+            m.
     """
 
     planned_time: float
@@ -81,21 +103,31 @@ class CrossingMetrics:
     estimated_error_after: float
 
 
-def judge_crossings(run: Run, plan: Certificate, track: Tracked) -> list[CrossingMetrics]:
+def judge_crossings(
+    run: Run, plan: Certificate, track: Tracked
+) -> list[CrossingMetrics]:
     """Every planned crossing in order."""
     criterion_time = _since(track, run.criterion.stamps)
     control_time = _since(track, run.control.stamps)
     motion_time = control_time if run.truth is None else _since(track, run.truth.stamps)
     times = criterion_time, control_time, motion_time
-    return [_crossing(run, plan, track, index, *times) for index in range(len(plan.crossing_times))]
+    return [
+        _crossing(run, plan, track, index, *times)
+        for index in range(len(plan.crossing_times))
+    ]
 
 
 def crossed_in_words(crossings: Sequence[CrossingMetrics], planned: str = "") -> str:
-    """How many of the planned ones were crossed, with a noun for these; "" without truth."""
+    """How many of the planned ones were crossed, with a noun for these; "" without
+    truth.
+    """
     if any(crossing.outcome is None for crossing in crossings):
         return ""
     missing = sum(crossing.crossed is None for crossing in crossings)
-    text = f"{sum(bool(crossing.crossed) for crossing in crossings)} of {len(crossings)}{planned and f' {planned}'}"
+    text = (
+        f"{sum(bool(crossing.crossed) for crossing in crossings)} of"
+        f" {len(crossings)}{planned and f' {planned}'}"
+    )
     return f"{text}, {missing} not recorded" if missing else text
 
 
@@ -104,7 +136,13 @@ def _since(track: Tracked, stamps: Stamps) -> Floats:
 
 
 def _crossing(
-    run: Run, plan: Certificate, track: Tracked, index: int, criterion_time: Floats, control_time: Floats, motion_time: Floats
+    run: Run,
+    plan: Certificate,
+    track: Tracked,
+    index: int,
+    criterion_time: Floats,
+    control_time: Floats,
+    motion_time: Floats,
 ) -> CrossingMetrics:
     planned = float(plan.crossing_times[index])
     sign = int(plan.crossing_signs[index])
@@ -112,9 +150,18 @@ def _crossing(
     crossed = outcome = None
     lost = any(hole.meets(*_stamps(track, before, after)) for hole in run.holes)
     if len(track.true_s):
-        sides = at(track.true_time, track.true_s, before) * sign, at(track.true_time, track.true_s, after) * sign
+        sides = (
+            at(track.true_time, track.true_s, before) * sign,
+            at(track.true_time, track.true_s, after) * sign,
+        )
         crossed = bool(sides[0] < 0.0 < sides[1] and planned <= track.time[-1])
-        outcome = "crossed" if crossed else "not reached" if planned > track.time[-1] else "bounced"
+        outcome = (
+            "crossed"
+            if crossed
+            else "not reached"
+            if planned > track.time[-1]
+            else "bounced"
+        )
         if lost or (run.truncated and after > track.time[-1]):
             crossed, outcome = None, "not recorded"
     moment = None if lost else _true_instant(track, planned, before, after)
@@ -124,11 +171,16 @@ def _crossing(
     mine = _own_part(plan, track.torque_time, index)
     torque, distance = track.torque[mine], np.abs(track.torque_s[mine])
     zone = distance < STEP_ZONE
-    verdict, verdict_time, confidence = _verdict(run, plan, track, criterion_time, index)
+    verdict, verdict_time, confidence = _verdict(
+        run, plan, track, criterion_time, index
+    )
     found = CrossingMetrics(
         planned_time=planned,
         planned_stamp=track.start + round(planned * 1e9),
-        point=(float(plan.crossing_points[index][0]), float(plan.crossing_points[index][1])),
+        point=(
+            float(plan.crossing_points[index][0]),
+            float(plan.crossing_points[index][1]),
+        ),
         sign=sign,
         true_time=moment,
         crossed=crossed,
@@ -139,16 +191,24 @@ def _crossing(
         verdict_confidence=confidence,
         verdict_correct=_correct(track, verdict, verdict_time, sign),
         speed=math.hypot(*(at(motion_time, axis, instant) for axis in velocity.T)),
-        estimated_speed=math.hypot(*(at(control_time, axis, planned) for axis in run.control.estimate_dot.T)),
+        estimated_speed=math.hypot(
+            *(at(control_time, axis, planned) for axis in run.control.estimate_dot.T)
+        ),
         residual=abs(at(criterion_time, run.criterion.residual, planned)),
         planned_residual=float(abs(plan.residuals[index])),
-        sigma_min=_least_between(criterion_time, run.criterion.sigma_min, before, after),
+        sigma_min=_least_between(
+            criterion_time, run.criterion.sigma_min, before, after
+        ),
         peak_torque=peak(torque[distance < NEAR_LOCUS]),
         torque_step=peak(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
         error_before=peak_between(track.true_time, track.true_error, before, planned),
         error_after=peak_between(track.true_time, track.true_error, planned, after),
-        estimated_error_before=peak_between(track.time, track.estimated_error, before, planned),
-        estimated_error_after=peak_between(track.time, track.estimated_error, planned, after),
+        estimated_error_before=peak_between(
+            track.time, track.estimated_error, before, planned
+        ),
+        estimated_error_after=peak_between(
+            track.time, track.estimated_error, planned, after
+        ),
     )
     unknown: dict[str, Any] = dict.fromkeys(_MEASURED, math.nan)
     return replace(found, **unknown) if lost else found
@@ -162,9 +222,13 @@ def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:
 def _verdict(
     run: Run, plan: Certificate, track: Tracked, time: np.ndarray, index: int
 ) -> tuple[Verdict | None, float, float]:
-    """(last verdict, when it fell, confidence) on one crossing; where the controller let go, until the run ends."""
+    """(last verdict, when it fell, confidence) on one crossing; where the controller
+    let go, until the run ends.
+    """
     verdicts = run.criterion.verdict
-    if len(verdicts) == 0 or (np.isnan(verdicts[-1]) and np.isnan(verdicts).all()):  # the last alone, as a rule
+    if len(verdicts) == 0 or (
+        np.isnan(verdicts[-1]) and np.isnan(verdicts).all()
+    ):  # the last alone, as a rule
         return None, math.nan, math.nan
     begun = np.append(plan.crossing_times - OPEN_BEFORE, np.inf)
     if begun[index] > track.time[-1]:
@@ -179,14 +243,35 @@ def _verdict(
     final = verdicts[first + said[-1]]
     before = np.flatnonzero(verdicts[first : first + said[-1]] != final)
     row = first + (int(before[-1]) + 1 if len(before) else 0)
-    if lost and not recorded(run.criterion.stamps[[max(row - 1, 0)]], run.holes, run.criterion.stamps[[row]])[0]:
-        return Verdict(int(verdicts[row])), math.nan, float(run.criterion.mode_confidence[row])
-    return Verdict(int(verdicts[row])), float(time[row]), float(run.criterion.mode_confidence[row])
+    if (
+        lost
+        and not recorded(
+            run.criterion.stamps[[max(row - 1, 0)]],
+            run.holes,
+            run.criterion.stamps[[row]],
+        )[0]
+    ):
+        return (
+            Verdict(int(verdicts[row])),
+            math.nan,
+            float(run.criterion.mode_confidence[row]),
+        )
+    return (
+        Verdict(int(verdicts[row])),
+        float(time[row]),
+        float(run.criterion.mode_confidence[row]),
+    )
 
 
-def _correct(track: Tracked, verdict: Verdict | None, moment: float, sign: int) -> bool | None:
+def _correct(
+    track: Tracked, verdict: Verdict | None, moment: float, sign: int
+) -> bool | None:
     side = at(track.true_time, track.true_s, moment) if verdict else math.nan
-    return None if math.isnan(side) else (side * sign > 0.0) == (verdict is Verdict.CROSSED)
+    return (
+        None
+        if math.isnan(side)
+        else (side * sign > 0.0) == (verdict is Verdict.CROSSED)
+    )
 
 
 def _own_part(plan: Certificate, time: Floats, index: int) -> slice:
@@ -196,34 +281,60 @@ def _own_part(plan: Certificate, time: Floats, index: int) -> slice:
     return slice(*np.searchsorted(time, edges[index : index + 2]).tolist())
 
 
-def _true_instant(track: Tracked, planned: float, before: float, after: float) -> float | None:
+def _true_instant(
+    track: Tracked, planned: float, before: float, after: float
+) -> float | None:
     inside = slice(*np.searchsorted(track.true_time, (before, after)).tolist())
     time, s = track.true_time[inside], track.true_s[inside]
     rows = np.flatnonzero((s[:-1] * s[1:] <= 0.0) & (s[:-1] != s[1:]))
     if len(rows) == 0:
         return None
-    zeros = time[rows] - s[rows] * (time[rows + 1] - time[rows]) / (s[rows + 1] - s[rows])
+    zeros = time[rows] - s[rows] * (time[rows + 1] - time[rows]) / (
+        s[rows + 1] - s[rows]
+    )
     return float(zeros[np.abs(zeros - planned).argmin()])
 
 
 def at(time: np.ndarray, values: np.ndarray, moment: float) -> float:
-    """The value recorded nearest to a moment, times rising; nan outside the recording."""
+    """The value recorded nearest to a moment, times rising; nan outside the
+    recording.
+    """
     if len(values) == 0 or not time[0] <= moment <= time[-1]:
         return math.nan
     row = int(np.searchsorted(time, moment))
-    return float(values[row - 1 if row and moment - time[row - 1] < time[row] - moment else row])
+    return float(
+        values[row - 1 if row and moment - time[row - 1] < time[row] - moment else row]
+    )
 
 
-def peak_between(time: np.ndarray, values: np.ndarray, first: float, last: float) -> float:
-    """The largest finite value within [first, last], times rising; nan where there is none."""
-    inside = values[np.searchsorted(time, first, side="left") : np.searchsorted(time, last, side="right")]
+def peak_between(
+    time: np.ndarray, values: np.ndarray, first: float, last: float
+) -> float:
+    """The largest finite value within [first, last], times rising; nan where there is
+    none.
+    """
+    inside = values[
+        np.searchsorted(time, first, side="left") : np.searchsorted(
+            time, last, side="right"
+        )
+    ]
     finite = inside[np.isfinite(inside)]
     return float(finite.max()) if finite.size else math.nan
 
 
-def _least_between(time: np.ndarray, values: np.ndarray, first: float, last: float) -> float:
-    """The least finite magnitude within [first, last], times rising; nan where there is none."""
-    inside = np.abs(values[np.searchsorted(time, first, side="left") : np.searchsorted(time, last, side="right")])
+def _least_between(
+    time: np.ndarray, values: np.ndarray, first: float, last: float
+) -> float:
+    """The least finite magnitude within [first, last], times rising; nan where there is
+    none.
+    """
+    inside = np.abs(
+        values[
+            np.searchsorted(time, first, side="left") : np.searchsorted(
+                time, last, side="right"
+            )
+        ]
+    )
     finite = inside[np.isfinite(inside)]
     return float(finite.min()) if finite.size else math.nan
 

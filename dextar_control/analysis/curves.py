@@ -1,4 +1,6 @@
-"""What a run's figures show over time: curves with their units, for paper, page and comparison alike."""
+"""What a run's figures show over time: curves with their units, for paper, page and
+comparison alike.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,8 @@ class Panel(NamedTuple):
         curves: in drawing order.
         low, high: of the axis; nan where the curves decide.
         note: what is missing and why; "" when nothing is.
-        limit: which the values keep on either side, in the panel's unit; nan where there is none.
+        limit: which the values keep on either side, in the panel's unit; nan where
+            there is none.
     """
 
     key: str
@@ -71,7 +74,8 @@ class Around(NamedTuple):
     Attributes:
         label: what it is, with its unit.
         time: (n,) s since the planned crossing.
-        each: (n,) of each of the first MOST_AROUND crossings, in the label's unit; nan where nothing is known.
+        each: (n,) of each of the first MOST_AROUND crossings, in the label's unit; nan
+            where nothing is known.
         mean: (n,) of all crossings.
         high: of the axis, which begins at 0.
     """
@@ -84,7 +88,9 @@ class Around(NamedTuple):
 
 
 def checked_plan(run: Run) -> Certificate | None:
-    """The plan, or None where there is none or it cannot be computed; the metrics' reasons say why."""
+    """The plan, or None where there is none or it cannot be computed; the metrics'
+    reasons say why.
+    """
     try:
         return plan_of(run)
     except DextarError:
@@ -92,43 +98,74 @@ def checked_plan(run: Run) -> Certificate | None:
 
 
 def panels(run: Run, metrics: Metrics) -> list[Panel]:
-    """Torques, tracking error, residual of the criterion and s over time; empty when nothing was tracked."""
+    """Torques, tracking error, residual of the criterion and s over time; empty when
+    nothing was tracked.
+    """
     track = tracked(run)
     if track is None:
         return []
     plan = checked_plan(run)
     return [
-        _torque(run, metrics, track, plan), _error(run, track), _residual(run, track, plan), _singularity(run, track, plan)
-    ]  # fmt: skip
+        _torque(run, metrics, track, plan),
+        _error(run, track),
+        _residual(run, track, plan),
+        _singularity(run, track, plan),
+    ]
 
 
 def around(run: Run, metrics: Metrics) -> list[Around]:
-    """Largest torque and error about each crossing of a run that has many; they have no sign, so that they have a mean."""
+    """Largest torque and error about each crossing of a run that has many; they have no
+    sign, so that they have a mean.
+    """
     track, plan = tracked(run), checked_plan(run)
     if track is None or plan is None or len(metrics.crossings) <= MANY:
         return []
     instants = np.array([crossing.planned_time for crossing in metrics.crossings])
     least = 0.5 * float(np.diff(instants).min())
-    width = min(BESIDE * float(np.median([crossing.near_time for crossing in plan.crossings])), max(least, 5e-3))
+    width = min(
+        BESIDE * float(np.median([crossing.near_time for crossing in plan.crossings])),
+        max(least, 5e-3),
+    )
     time = np.linspace(-width, width, AROUND)
     true = len(track.true_error) > 0
-    error = (track.true_time, 1e3 * track.true_error) if true else (track.time, 1e3 * track.estimated_error)
+    error = (
+        (track.true_time, 1e3 * track.true_error)
+        if true
+        else (track.time, 1e3 * track.estimated_error)
+    )
     found = []
     for label, (clock, values) in (
         ("largest torque (N m)", (track.torque_time, np.abs(track.torque).max(axis=1))),
         (f"{'true' if true else 'estimated'} error (mm)", error),
     ):
-        each = [np.interp(instant + time, clock, values, math.nan, math.nan) for instant in instants] if len(clock) else []
+        each = (
+            [
+                np.interp(instant + time, clock, values, math.nan, math.nan)
+                for instant in instants
+            ]
+            if len(clock)
+            else []
+        )
         known = np.array([own for own in each if np.isfinite(own).any()])
         if len(known):
             high = 1.1 * max(float(np.nanmax(known)), 1e-6)
             counts = np.maximum(np.isfinite(known).sum(axis=0), 1)
-            found.append(Around(label, time, each[:MOST_AROUND], np.nansum(known, axis=0) / counts, high))
+            found.append(
+                Around(
+                    label,
+                    time,
+                    each[:MOST_AROUND],
+                    np.nansum(known, axis=0) / counts,
+                    high,
+                )
+            )
     return found
 
 
 def observer_panels(run: Run, metrics: Metrics) -> list[Panel]:
-    """What the observer says that the model lacks, and its innovations beside what they should be; empty where not told."""
+    """What the observer says that the model lacks, and its innovations beside what they
+    should be; empty where not told.
+    """
     track = tracked(run)
     found = metrics.margins
     if track is None or found.innovation is None:
@@ -137,48 +174,113 @@ def observer_panels(run: Run, metrics: Metrics) -> list[Panel]:
     inside = _inside(time, track)
     panels = []
     if found.disturbance:
-        curves = [Curve(f"joint {name}", time[inside], 1e3 * run.criterion.disturbance[inside, part], "commanded", part)
-                  for part, name in enumerate(JOINT_NAMES)]  # fmt: skip
-        panels.append(Panel("disturbance", style.label("disturbance"), curves, math.nan, math.nan))
-    square = np.convolve(run.criterion.innovation_square[inside], np.full(TOGETHER, 1.0 / TOGETHER), "same")
-    expected = Curve("as its noise has it", track.time[[0, -1]], np.full(2, found.innovation.expected), "planned")
-    curves = [expected, Curve(f"mean of {TOGETHER} samples", time[inside], square, "seen")]
-    return [*panels, Panel("innovation", style.label("innovation"), curves, math.nan, math.nan)]
+        curves = [
+            Curve(
+                f"joint {name}",
+                time[inside],
+                1e3 * run.criterion.disturbance[inside, part],
+                "commanded",
+                part,
+            )
+            for part, name in enumerate(JOINT_NAMES)
+        ]
+        panels.append(
+            Panel("disturbance", style.label("disturbance"), curves, math.nan, math.nan)
+        )
+    square = np.convolve(
+        run.criterion.innovation_square[inside],
+        np.full(TOGETHER, 1.0 / TOGETHER),
+        "same",
+    )
+    expected = Curve(
+        "as its noise has it",
+        track.time[[0, -1]],
+        np.full(2, found.innovation.expected),
+        "planned",
+    )
+    curves = [
+        expected,
+        Curve(f"mean of {TOGETHER} samples", time[inside], square, "seen"),
+    ]
+    return [
+        *panels,
+        Panel("innovation", style.label("innovation"), curves, math.nan, math.nan),
+    ]
 
 
-def _torque(run: Run, metrics: Metrics, track: Tracked, plan: Certificate | None) -> Panel:
+def _torque(
+    run: Run, metrics: Metrics, track: Tracked, plan: Certificate | None
+) -> Panel:
     curves = []
     for part in range(track.torque.shape[1]):
         name = f"τ{part + 1}"
         if plan is not None:
-            curves.append(Curve(f"{name} planned", plan.profile.time, plan.profile.torque[:, part], "planned", part))
-        curves.append(Curve(f"{name} commanded", track.torque_time, track.torque[:, part], "commanded", part))
+            curves.append(
+                Curve(
+                    f"{name} planned",
+                    plan.profile.time,
+                    plan.profile.torque[:, part],
+                    "planned",
+                    part,
+                )
+            )
+        curves.append(
+            Curve(
+                f"{name} commanded",
+                track.torque_time,
+                track.torque[:, part],
+                "commanded",
+                part,
+            )
+        )
     high = math.nan
     planned, found = metrics.planned_peak_torque, metrics.peak_torque
     if math.isfinite(planned) and math.isfinite(found):
         high = HEADROOM * min(max(planned, found), max(MOST_TORQUE * planned, 1e-6))
     limit = run.robot.max_torque if run.robot is not None else math.nan
-    return _noted(Panel("torque", style.label("torque"), curves, -high, high, "" if plan else "no plan to compare with", limit))
+    return _noted(
+        Panel(
+            "torque",
+            style.label("torque"),
+            curves,
+            -high,
+            high,
+            "" if plan else "no plan to compare with",
+            limit,
+        )
+    )
 
 
 def _error(run: Run, track: Tracked) -> Panel:
     curves = [Curve("estimated", track.time, 1e3 * track.estimated_error, "estimated")]
     if len(track.true_error):
         shown = _inside(track.true_time, track)
-        curves.append(Curve("true", track.true_time[shown], 1e3 * track.true_error[shown], "true"))
-    note = "" if run.truth is not None else "the true error needs the true motion, which this bag does not hold"
-    return _noted(Panel("error", style.label("error"), curves, 0.0, error_height(curves), note))
+        curves.append(
+            Curve("true", track.true_time[shown], 1e3 * track.true_error[shown], "true")
+        )
+    note = (
+        ""
+        if run.truth is not None
+        else "the true error needs the true motion, which this bag does not hold"
+    )
+    return _noted(
+        Panel("error", style.label("error"), curves, 0.0, error_height(curves), note)
+    )
 
 
 def error_height(curves: Sequence[Curve]) -> float:
     """Upper end of an axis of errors, mm."""
     together = np.concatenate([curve.values for curve in curves])
     finite = together[np.isfinite(together)]
-    return 1.15 * min(max(float(finite.max()) if finite.size else 0.0, 1e-2), ERROR_CEILING)
+    return 1.15 * min(
+        max(float(finite.max()) if finite.size else 0.0, 1e-2), ERROR_CEILING
+    )
 
 
 def beyond(panel: Panel) -> str:
-    """How far measured curves go where the axis does not follow them; "" where all is shown."""
+    """How far measured curves go where the axis does not follow them; "" where all is
+    shown.
+    """
     if not math.isfinite(panel.high):
         return ""
     found = []
@@ -190,7 +292,9 @@ def beyond(panel: Panel) -> str:
 
 
 def _noted(panel: Panel) -> Panel:
-    return panel._replace(note="; ".join(note for note in (panel.note, beyond(panel)) if note))
+    return panel._replace(
+        note="; ".join(note for note in (panel.note, beyond(panel)) if note)
+    )
 
 
 def _time(stamps: Stamps, track: Tracked) -> Floats:
@@ -198,7 +302,9 @@ def _time(stamps: Stamps, track: Tracked) -> Floats:
 
 
 def _inside(time: Floats, track: Tracked) -> slice:
-    return slice(*np.searchsorted(time, (track.time[0], track.time[-1] + 1e-9)).tolist())
+    return slice(
+        *np.searchsorted(time, (track.time[0], track.time[-1] + 1e-9)).tolist()
+    )
 
 
 def _residual(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
@@ -208,10 +314,17 @@ def _residual(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
     curves = [Curve("seen by the controller", time[inside], seen, "seen")]
     low = high = math.nan
     if plan is not None:
-        curves.insert(0, Curve("planned", plan.profile.time, plan.profile.residual, "planned"))
-        ceiling = MOST_RESIDUAL * max(float(np.nanmax(np.abs(plan.profile.residual))), 1e-3)
+        curves.insert(
+            0, Curve("planned", plan.profile.time, plan.profile.residual, "planned")
+        )
+        ceiling = MOST_RESIDUAL * max(
+            float(np.nanmax(np.abs(plan.profile.residual))), 1e-3
+        )
         finite = np.concatenate([seen[np.isfinite(seen)], plan.profile.residual])
-        low, high = 1.1 * max(float(finite.min()), -ceiling), 1.1 * min(float(finite.max()), ceiling)
+        low, high = (
+            1.1 * max(float(finite.min()), -ceiling),
+            1.1 * min(float(finite.max()), ceiling),
+        )
     return _noted(Panel("residual", style.label("residual"), curves, low, high))
 
 
@@ -220,14 +333,25 @@ def _singularity(run: Run, track: Tracked, plan: Certificate | None) -> Panel:
     inside = _inside(time, track)
     curves = []
     if np.isfinite(run.criterion.mode_confidence[inside]).any():
-        curves.append(Curve("confidence", time[inside], run.criterion.mode_confidence[inside], "confidence"))
+        curves.append(
+            Curve(
+                "confidence",
+                time[inside],
+                run.criterion.mode_confidence[inside],
+                "confidence",
+            )
+        )
     if plan is not None:
         curves.append(Curve("planned", plan.profile.time, plan.profile.s, "planned"))
-    curves.append(Curve("estimated", time[inside], run.criterion.s[inside], "estimated"))
+    curves.append(
+        Curve("estimated", time[inside], run.criterion.s[inside], "estimated")
+    )
     lacking = "robot description" if run.truth is not None else "true motion"
     note = f"the true s needs the {lacking}, which this bag does not hold"
     if len(track.true_s):
         shown = _inside(track.true_time, track)
-        curves.append(Curve("true", track.true_time[shown], track.true_s[shown], "true"))
+        curves.append(
+            Curve("true", track.true_time[shown], track.true_s[shown], "true")
+        )
         note = ""
     return Panel("s", style.label("s"), curves, -1.05, 1.05, note)

@@ -1,4 +1,6 @@
-"""What the figures share that Matplotlib draws: the plane to scale, a panel over time, a figure as part of a page."""
+"""What the figures share that Matplotlib draws: the plane to scale, a panel over time,
+a figure as part of a page.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ from dextar_control.analysis.thin import thin, thin_path
 from dextar_control.contract import style
 from dextar_control.contract.style import LIGHT, LINES, MARKS, Line
 
-LEGEND_DROP = 4.0  # of the axis label's size, from the frame to the legend: numbers and label lie between
+# of the axis label's size, from the frame to the legend: numbers and label lie between
+LEGEND_DROP = 4.0
 FEW, SEVERAL = 3, 6  # numbers on a small and on a large axis
 ACROSS = 6  # small figures side by side
 BESIDE = 4.5  # px, of a word from its mark
@@ -45,6 +48,7 @@ class Look(NamedTuple):
 
 SCREEN, PAPER = Look(), Look(0.42)  # of a page's width, of a column of a paper
 
+
 def draw_plane(axes: Any, plane: Plane, look: Look = SCREEN) -> None:
     """Path to scale with locus, linkage, crossings and t_s; its legend lies under it.
 
@@ -55,17 +59,36 @@ def draw_plane(axes: Any, plane: Plane, look: Look = SCREEN) -> None:
     """
     if plane.empty:
         axes.set_axis_off()
-        axes.text(0.5, 0.5, "no position of the end effector in the bag", ha="center", transform=axes.transAxes)
+        axes.text(
+            0.5,
+            0.5,
+            "no position of the end effector in the bag",
+            ha="center",
+            transform=axes.transAxes,
+        )
         return
     draw_locus(axes, plane.locus, look)
     if len(plane.linkage):
-        draw_line(axes, plane.linkage, LINES["linkage", 0], "robot at a crossing" if plane.places else "robot", look,
-                  zorder=2)
+        draw_line(
+            axes,
+            plane.linkage,
+            LINES["linkage", 0],
+            "robot at a crossing" if plane.places else "robot",
+            look,
+            zorder=2,
+        )
         mark(axes, plane.linkage, "o", 2.6, look, zorder=2)
         mark(axes, plane.motors, "^", 4.0, look, fill="ink", zorder=4)
     draw_line(axes, plane.planned, LINES["planned", 0], "planned", look, zorder=2.5)
     kind = "true" if len(plane.true) else "estimated"
-    draw_line(axes, plane.true if len(plane.true) else plane.estimated, LINES[kind, 0], kind, look, zorder=3)
+    draw_line(
+        axes,
+        plane.true if len(plane.true) else plane.estimated,
+        LINES[kind, 0],
+        kind,
+        look,
+        zorder=3,
+    )
     draw_places(axes, plane.places, plane.ends, look)
     axes.set_xlim(plane.low[0], plane.high[0])
     axes.set_ylim(plane.low[1], plane.high[1])
@@ -78,51 +101,109 @@ def draw_locus(axes: Any, locus: Sequence[tuple[str, Floats]], look: Look) -> No
         draw_line(axes, arc, LINES[family, 0], f"Type 2 locus, {family}", look)
 
 
-def draw_line(axes: Any, x: Floats, line: Line, name: str, look: Look, **more: Any) -> None:
+def draw_line(
+    axes: Any, x: Floats, line: Line, name: str, look: Look, **more: Any
+) -> None:
     """A path (n, 2), named once in the legend."""
     if len(x):
         label = style.mathtext(name)
         named = label in axes.get_legend_handles_labels()[1]
-        axes.plot(*x[thin_path(x)].T, label=None if named else label, **look.line(line, **more))
+        axes.plot(
+            *x[thin_path(x)].T,
+            label=None if named else label,
+            **look.line(line, **more),
+        )
 
 
-def draw_places(axes: Any, places: Sequence[Place], ends: Sequence[tuple[str, Floats]], look: Look) -> None:
-    """Crossings with their numbers and t_s, and the path's ends, each word where no other is."""
+def draw_places(
+    axes: Any, places: Sequence[Place], ends: Sequence[tuple[str, Floats]], look: Look
+) -> None:
+    """Crossings with their numbers and t_s, and the path's ends, each word where no
+    other is.
+    """
     taken = [place.x for place in places] + [point for _, point in ends]
     for place in places:
         draw_line(axes, place.t_s, LINES["t_s", 0], "t_s at a crossing", look, zorder=4)
-        label = f"crossing, estimator: {place.verdict}" if place.verdict else "planned crossing"
+        label = (
+            f"crossing, estimator: {place.verdict}"
+            if place.verdict
+            else "planned crossing"
+        )
         mark(axes, place.x[None], MARKS[place.verdict], 4.5, look, label)
     for _, point in ends:
         mark(axes, point[None], "o", 3.0, look, fill="ink")
-    for words, point in [*((numbers_in_words(place.numbers), place.x) for place in places), *ends]:
+    for words, point in [
+        *((numbers_in_words(place.numbers), place.x) for place in places),
+        *ends,
+    ]:
         if np.isfinite(point).all():
             _write(axes, words, point, taken, look)
 
 
-def mark(axes: Any, x: Floats, shape: str, size: float, look: Look, name: str = "",
-         fill: str = "paper", zorder: float = 5) -> None:  # fmt: skip
+def mark(
+    axes: Any,
+    x: Floats,
+    shape: str,
+    size: float,
+    look: Look,
+    name: str = "",
+    fill: str = "paper",
+    zorder: float = 5,
+) -> None:
     """Marks at places (n, 2), of a half width in pixels."""
     named = not name or name in axes.get_legend_handles_labels()[1]
-    axes.plot(*x.T, linestyle="none", marker=shape, markersize=2.0 * size * look.scale, markerfacecolor=look.palette[fill],
-              markeredgecolor=look.palette["ink"], markeredgewidth=1.2 * look.scale, zorder=zorder,
-              label=None if named else name)  # fmt: skip
+    axes.plot(
+        *x.T,
+        linestyle="none",
+        marker=shape,
+        markersize=2.0 * size * look.scale,
+        markerfacecolor=look.palette[fill],
+        markeredgecolor=look.palette["ink"],
+        markeredgewidth=1.2 * look.scale,
+        zorder=zorder,
+        label=None if named else name,
+    )
 
 
-def _write(axes: Any, words: str, point: Floats, taken: list[Floats], look: Look) -> None:
+def _write(
+    axes: Any, words: str, point: Floats, taken: list[Floats], look: Look
+) -> None:
     """Beside a point, on the side where the nearest of what is taken is farthest."""
     size = 0.8 * axes.xaxis.label.get_size()
     span = float(np.ptp(axes.dataLim.get_points(), axis=0).max()) or 1.0
     aside = 0.03 * span * np.array([1.0 + 0.35 * len(words), 1.0])
-    gaps = [min((float(np.hypot(*(point + aside * side - other))) for other in taken if other is not point), default=span)
-            for side in PLACES]  # fmt: skip
+    gaps = [
+        min(
+            (
+                float(np.hypot(*(point + aside * side - other)))
+                for other in taken
+                if other is not point
+            ),
+            default=span,
+        )
+        for side in PLACES
+    ]
     best = int(np.argmax(np.minimum(gaps, 0.08 * span)))
     right, up = PLACES[best]
     taken.append(point + aside * PLACES[best])
-    axes.annotate(words, point, xytext=(BESIDE * right * look.scale, BESIDE * up * look.scale), textcoords="offset points",
-                  ha="left" if right > 0 else "right", va="bottom" if up > 0 else "top", fontsize=size, weight="bold", zorder=6,
-                  annotation_clip=True, bbox={"boxstyle": "square,pad=0.05", "facecolor": look.palette["paper"],
-                                              "edgecolor": "none", "alpha": 0.7})  # fmt: skip
+    axes.annotate(
+        words,
+        point,
+        xytext=(BESIDE * right * look.scale, BESIDE * up * look.scale),
+        textcoords="offset points",
+        ha="left" if right > 0 else "right",
+        va="bottom" if up > 0 else "top",
+        fontsize=size,
+        weight="bold",
+        zorder=6,
+        annotation_clip=True,
+        bbox={
+            "boxstyle": "square,pad=0.05",
+            "facecolor": look.palette["paper"],
+            "edgecolor": "none",
+            "alpha": 0.7,
+        },
+    )
 
 
 def finish_plane(axes: Any) -> None:
@@ -133,13 +214,29 @@ def finish_plane(axes: Any) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(SEVERAL))
     axes.set_xlabel(style.label("x"))
     axes.set_ylabel(style.label("y"))
-    under = offset_copy(axes.transAxes, axes.figure, y=-LEGEND_DROP * axes.xaxis.label.get_size(), units="points")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), bbox_transform=under, ncols=2, handlelength=2.6,
-                labelspacing=0.25, columnspacing=1.2, borderaxespad=0.0)  # fmt: skip
+    under = offset_copy(
+        axes.transAxes,
+        axes.figure,
+        y=-LEGEND_DROP * axes.xaxis.label.get_size(),
+        units="points",
+    )
+    axes.legend(
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.0),
+        bbox_transform=under,
+        ncols=2,
+        handlelength=2.6,
+        labelspacing=0.25,
+        columnspacing=1.2,
+        borderaxespad=0.0,
+    )
 
 
-def draw_panel(axes: Any, panel: Panel, instants: Sequence[float], last: bool, look: Look = SCREEN) -> None:
-    """Curves over time with their legend above, where it hides none; dotted lines at some instants, s.
+def draw_panel(
+    axes: Any, panel: Panel, instants: Sequence[float], last: bool, look: Look = SCREEN
+) -> None:
+    """Curves over time with their legend above, where it hides none; dotted lines at
+    some instants, s.
 
     Args:
         axes: matplotlib's.
@@ -152,8 +249,12 @@ def draw_panel(axes: Any, panel: Panel, instants: Sequence[float], last: bool, l
         axes.axvline(instant, **look.line(INSTANT))
     for curve in panel.curves:
         rows = thin(curve.time, curve.values, instants)
-        axes.plot(curve.time[rows], curve.values[rows], label=style.mathtext(curve.name),
-                  **look.line(LINES[curve.kind, curve.part]))  # fmt: skip
+        axes.plot(
+            curve.time[rows],
+            curve.values[rows],
+            label=style.mathtext(curve.name),
+            **look.line(LINES[curve.kind, curve.part]),
+        )
     if math.isfinite(panel.limit) and panel.limit < panel.high:
         for limit in (-panel.limit, panel.limit):
             axes.axhline(limit, **look.line(LINES["limit", 0]))
@@ -162,29 +263,55 @@ def draw_panel(axes: Any, panel: Panel, instants: Sequence[float], last: bool, l
     axes.grid(linewidth=0.4)
     axes.tick_params(labelbottom=last)
     axes.set_ylabel(style.mathtext(panel.label))
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, handlelength=2.2, columnspacing=1.0,
-                borderaxespad=0.0, borderpad=0.15)  # fmt: skip
+    axes.legend(
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=5,
+        handlelength=2.2,
+        columnspacing=1.0,
+        borderaxespad=0.0,
+        borderpad=0.15,
+    )
 
 
-def draw_around(figure: Any, found: Around, outcomes: Sequence[str], look: Look = SCREEN) -> None:
-    """Each crossing by itself over the mean of all, in a figure of small ones, whose places are given: a layout takes seconds."""
+def draw_around(
+    figure: Any, found: Around, outcomes: Sequence[str], look: Look = SCREEN
+) -> None:
+    """Each crossing by itself over the mean of all, in a figure of small ones, whose
+    places are given: a layout takes seconds.
+    """
     rows = -(-len(found.each) // ACROSS)
-    for number, (own, outcome) in enumerate(zip(found.each, outcomes, strict=False), start=1):
+    for number, (own, outcome) in enumerate(
+        zip(found.each, outcomes, strict=False), start=1
+    ):
         row, column = divmod(number - 1, ACROSS)
         wide, tall = 0.93 / ACROSS, 0.88 / rows
-        axes = figure.add_axes((0.07 + wide * column, 0.89 - tall * (row + 0.92), 0.86 * wide, 0.66 * tall))
+        axes = figure.add_axes(
+            (0.07 + wide * column, 0.89 - tall * (row + 0.92), 0.86 * wide, 0.66 * tall)
+        )
         axes.plot(1e3 * found.time, found.mean, **look.line(LINES["mean", 0]))
         axes.plot(1e3 * found.time, own, **look.line(LINES["each", 0]))
         axes.axvline(0.0, **look.line(INSTANT))
-        axes.set_title(crossing_title(number, outcome), fontsize=7.0, pad=1.5, loc="center")
-        axes.tick_params(labelbottom=False, labelleft=column == 0, labelsize=7.0, length=2.0)
+        axes.set_title(
+            crossing_title(number, outcome), fontsize=7.0, pad=1.5, loc="center"
+        )
+        axes.tick_params(
+            labelbottom=False, labelleft=column == 0, labelsize=7.0, length=2.0
+        )
         axes.set_ylim(0.0, found.high)
         axes.yaxis.set_major_locator(MaxNLocator(FEW))
-    figure.text(0.02, 0.93, f"{found.label}, {1e3 * found.time[-1]:.0f} ms around each crossing; wide: the mean")
+    figure.text(
+        0.02,
+        0.93,
+        f"{found.label}, {1e3 * found.time[-1]:.0f} ms around each crossing; wide: the"
+        " mean",
+    )
 
 
 def svg(figure: Figure) -> str:
-    """A figure that was drawn in the light palette, as part of a page, in whose colours it then is."""
+    """A figure that was drawn in the light palette, as part of a page, in whose colours
+    it then is.
+    """
     stream = io.StringIO()
     figure.savefig(stream, format="svg")
     text = stream.getvalue()

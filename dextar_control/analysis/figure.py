@@ -13,7 +13,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dextar_control.analysis.curves import Panel, around, panels
-from dextar_control.analysis.drawing import SCREEN, draw_around, draw_panel, draw_plane, mark
+from dextar_control.analysis.drawing import (
+    SCREEN,
+    draw_around,
+    draw_panel,
+    draw_plane,
+    mark,
+)
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import Run
@@ -28,25 +34,54 @@ MOST_REASONS, MOST_PLACES = 3, 6
 
 @matplotlib.rc_context(style.matplotlib_settings(LIGHT))
 def draw_run(run: Run, metrics: Metrics) -> Figure:
-    """The figure of one run: path to scale, torques, errors, criterion and s over time; of many crossings each by itself."""
-    shown, many, plane = panels(run, metrics), around(run, metrics), plane_of(run, metrics)
+    """The figure of one run: path to scale, torques, errors, criterion and s over time;
+    of many crossings each by itself.
+    """
+    shown, many, plane = (
+        panels(run, metrics),
+        around(run, metrics),
+        plane_of(run, metrics),
+    )
     wide, tall = np.maximum(plane.high - plane.low, 1e-3)
     words = [] if many else _places(metrics)
-    left = min(LEFT * WIDTH * float(tall / wide), LEFT * WIDTH) + 1.3 + LINE * len(words)
+    left = (
+        min(LEFT * WIDTH * float(tall / wide), LEFT * WIDTH) + 1.3 + LINE * len(words)
+    )
     over_time = PANEL * max(len(shown), 1)
     lines = _title(metrics).count("\n") + 2
-    heights = [LINE * lines, left, over_time] if many else [LINE * lines, max(left, over_time)]
+    heights = (
+        [LINE * lines, left, over_time]
+        if many
+        else [LINE * lines, max(left, over_time)]
+    )
     figure = Figure(figsize=(WIDTH, sum(heights)), layout="constrained")
     FigureCanvasAgg(figure)
-    head, *parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    head, *parts = figure.subfigures(
+        len(heights), 1, height_ratios=heights, squeeze=False
+    )[:, 0]
     color = {True: "good", False: "bad", None: "ink"}[metrics.success]
-    head.text(0.012, 0.35, _title(metrics), fontsize=11.0, color=LIGHT[color], weight="bold", va="center", parse_math=False)
+    head.text(
+        0.012,
+        0.35,
+        _title(metrics),
+        fontsize=11.0,
+        color=LIGHT[color],
+        weight="bold",
+        va="center",
+        parse_math=False,
+    )
     beside, right = parts[0].subfigures(1, 2, width_ratios=(LEFT, 1.0 - LEFT))
     draw_plane(beside.subplots(), plane)
     low = max(1.0 - left / heights[1], 0.0) + 0.01
-    beside.text(0.1, low, "\n".join(words), va="bottom", linespacing=1.5, parse_math=False)
-    outcomes = [crossing.outcome or crossing.verdict or "" for crossing in metrics.crossings]
-    for place, one in zip(right.subfigures(max(len(many), 1), 1, squeeze=False)[:, 0], many, strict=False):
+    beside.text(
+        0.1, low, "\n".join(words), va="bottom", linespacing=1.5, parse_math=False
+    )
+    outcomes = [
+        crossing.outcome or crossing.verdict or "" for crossing in metrics.crossings
+    ]
+    for place, one in zip(
+        right.subfigures(max(len(many), 1), 1, squeeze=False)[:, 0], many, strict=False
+    ):
         draw_around(place, one, outcomes)
     _over_time(parts[1] if many else right, shown, metrics)
     return figure
@@ -54,7 +89,12 @@ def draw_run(run: Run, metrics: Metrics) -> Figure:
 
 def _over_time(figure: Any, shown: Sequence[Panel], metrics: Metrics) -> None:
     if not shown:
-        figure.text(0.5, 0.5, "nothing to draw over time: no tracked trajectory in the bag", ha="center")
+        figure.text(
+            0.5,
+            0.5,
+            "nothing to draw over time: no tracked trajectory in the bag",
+            ha="center",
+        )
         return
     every = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
     instants = [crossing.planned_time for crossing in metrics.crossings]
@@ -63,7 +103,10 @@ def _over_time(figure: Any, shown: Sequence[Panel], metrics: Metrics) -> None:
             axes.axhline(0.0, **SCREEN.line(style.Line("mid", (), 0.9)))
             _verdicts(axes, metrics)
         draw_panel(axes, panel, instants, panel is shown[-1])
-    every[0].set_xlim(0.0, metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until)
+    every[0].set_xlim(
+        0.0,
+        metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until,
+    )
     every[-1].set_xlabel(f"{style.label('time')}; dotted: planned crossings")
     figure.align_ylabels()
 
@@ -71,9 +114,20 @@ def _over_time(figure: Any, shown: Sequence[Panel], metrics: Metrics) -> None:
 def _verdicts(axes: Any, metrics: Metrics) -> None:
     """When the estimator said what of the crossings."""
     for verdict in ("crossed", "bounced"):
-        times = [crossing.verdict_time for crossing in metrics.crossings if crossing.verdict == verdict]
+        times = [
+            crossing.verdict_time
+            for crossing in metrics.crossings
+            if crossing.verdict == verdict
+        ]
         if times:
-            mark(axes, np.stack([times, np.zeros(len(times))], axis=1), MARKS[verdict], 4.0, SCREEN, f"says {verdict}")
+            mark(
+                axes,
+                np.stack([times, np.zeros(len(times))], axis=1),
+                MARKS[verdict],
+                4.0,
+                SCREEN,
+                f"says {verdict}",
+            )
 
 
 def _places(metrics: Metrics) -> list[str]:
@@ -81,17 +135,29 @@ def _places(metrics: Metrics) -> list[str]:
     lines = []
     for number, one in enumerate(metrics.crossings[:MOST_PLACES], start=1):
         x = ", ".join(f"{1e3 * value:.1f}" for value in one.point)
-        when = f"at {one.true_time:.3f} s" if one.true_time is not None else f"planned at {one.planned_time:.3f} s"
+        when = (
+            f"at {one.true_time:.3f} s"
+            if one.true_time is not None
+            else f"planned at {one.planned_time:.3f} s"
+        )
         says = one.verdict or "nothing recorded"
-        lines.append(f"crossing {number} at ({x}) mm {when}: {one.outcome or 'outcome unknown'}; estimator: {says}")
+        lines.append(
+            f"crossing {number} at ({x}) mm {when}: {one.outcome or 'outcome unknown'};"
+            f" estimator: {says}"
+        )
     if len(metrics.crossings) > MOST_PLACES:
         lines.append(f"and {len(metrics.crossings) - MOST_PLACES} more")
     return lines
 
 
 def _title(metrics: Metrics) -> str:
-    law = f"{metrics.robot or 'robot unknown'}, law {metrics.law or 'unknown'}, estimator {metrics.estimator or 'unknown'}"
-    verdict = {True: "crossed as planned", False: "FAILED", None: "not decidable"}[metrics.success]
+    law = (
+        f"{metrics.robot or 'robot unknown'}, law {metrics.law or 'unknown'}, estimator"
+        f" {metrics.estimator or 'unknown'}"
+    )
+    verdict = {True: "crossed as planned", False: "FAILED", None: "not decidable"}[
+        metrics.success
+    ]
     lines = [f"{law}: {verdict}", *metrics.reasons[:MOST_REASONS]]
     if len(metrics.reasons) > MOST_REASONS:
         lines[-1] += f" (and {len(metrics.reasons) - MOST_REASONS} more)"

@@ -10,14 +10,22 @@ from dextar_control.planning.model import states_model
 
 
 def singularity_measure(robot: RobotParameters, x: Floats, q_a: Floats) -> Floats:
-    """s (...,): sine of the angle from the left to the right distal link, of x (..., n) and q_a (..., n)."""
+    """s (...,): sine of the angle from the left to the right distal link, of x (..., n)
+    and q_a (..., n).
+    """
     model = states_model(robot)
-    found = model.library.batch("state")(model.p, q_a.reshape(-1, model.n), x.reshape(-1, model.n), np.zeros(model.n))
+    found = model.library.batch("state")(
+        model.p, q_a.reshape(-1, model.n), x.reshape(-1, model.n), np.zeros(model.n)
+    )
     s: Floats = found.s.reshape(x.shape[:-1])
     return s
 
 
 def active_joints(robot: RobotParameters, x: Floats) -> Floats:
-    """Active joints (..., n), rad, of x (..., n), m, in the robot's working mode; nan out of reach."""
-    q_a: Floats = states_model(robot).sides(x.reshape(-1, x.shape[-1])).q_a.reshape(x.shape)
+    """Active joints (..., n), rad, of x (..., n), m, in the robot's working mode; nan
+    out of reach.
+    """
+    q_a: Floats = (
+        states_model(robot).sides(x.reshape(-1, x.shape[-1])).q_a.reshape(x.shape)
+    )
     return q_a

@@ -33,14 +33,22 @@ from dextar_control.bags.scan import Progress
 from dextar_control.bags.series import Columns, Select, Series, Steady
 from dextar_control.contract import topics
 from dextar_control.contract.errors import BagError, ParameterError
-from dextar_control.contract.robot import JOINT_NAMES, ROBOT_KEYS, RobotParameters, from_flat
+from dextar_control.contract.robot import (
+    JOINT_NAMES,
+    ROBOT_KEYS,
+    RobotParameters,
+    from_flat,
+)
 from dextar_control.contract.words import counted
 from dextar_control.control.verdicts import Verdict
 
 NANOSECONDS = 1_000_000_000
 PARAMETER_PREFIX = "parameters."
-MEMORY = 250_000  # bytes of memory of its own for each recorded second at 1 kHz, at most: loaded and measured
-ANSWERED = 100_000_000  # ns beside a hole within which a stream that has no stamp lacks it because of the hole
+# bytes of memory of its own for each recorded second at 1 kHz, at most: loaded and
+# measured
+MEMORY = 250_000
+# ns beside a hole within which a stream that has no stamp lacks it because of the hole
+ANSWERED = 100_000_000
 _KINDS = ("position", "velocity", "effort")
 JOINT_COLUMNS = [f"{kind}.{name}" for kind in _KINDS for name in JOINT_NAMES]
 _POINT_FIELDS = (
@@ -50,31 +58,50 @@ _POINT_FIELDS = (
     ("accelerations", "effort"),
 )
 _CONTROL_NAMES = [
-    "points.0.time_from_start.sec", "points.0.time_from_start.nanosec",
-    *(f"points.{point}.{kind}.{axis}" for point, kinds in enumerate(_POINT_FIELDS) for kind in kinds
-      for axis in range(len(topics.PLATFORM_NAMES))),
-]  # fmt: skip
+    "points.0.time_from_start.sec",
+    "points.0.time_from_start.nanosec",
+    *(
+        f"points.{point}.{kind}.{axis}"
+        for point, kinds in enumerate(_POINT_FIELDS)
+        for kind in kinds
+        for axis in range(len(topics.PLATFORM_NAMES))
+    ),
+]
 _POSE_NAMES = ["pose.position.x", "pose.position.y"]
-_MOTION_NAMES = ["pose.pose.position.x", "pose.pose.position.y", "twist.twist.linear.x", "twist.twist.linear.y"]
+_MOTION_NAMES = [
+    "pose.pose.position.x",
+    "pose.pose.position.y",
+    "twist.twist.linear.x",
+    "twist.twist.linear.y",
+]
 
 
 def load_run(
-    path: str | Path, namespace: str | None = None, progress: Progress | None = None, robot: RobotParameters | None = None
+    path: str | Path,
+    namespace: str | None = None,
+    progress: Progress | None = None,
+    robot: RobotParameters | None = None,
 ) -> Run:
-    """A recorded run; also one that ``ros2 bag record`` made, whose parameters are then unknown.
+    """A recorded run; also one that ``ros2 bag record`` made, whose parameters are then
+    unknown.
 
-    The columns lie in temporary files without names (in TMPDIR, about 1 MB for each recorded second at 1 kHz) that are mapped
-    into memory, so that of memory of its own a run takes less than MEMORY for each recorded second, also while its metrics are
-    computed; the plan that they compute anew comes on top where the trajectory is as long as the recording.
+    The columns lie in temporary files without names (in TMPDIR, about 1 MB for each
+    recorded second at 1 kHz) that are mapped into memory, so that of memory of its own
+    a run takes less than MEMORY for each recorded second, also while its metrics are
+    computed; the plan that they compute anew comes on top where the trajectory is as
+    long as the recording.
 
     Args:
         path: of the bag: a file, or a folder in rosbag2's layout.
-        namespace: of the robot, where a bag of another recorder holds several; where it holds one, it must be that one's.
+        namespace: of the robot, where a bag of another recorder holds several; where it
+            holds one, it must be that one's.
         progress: told the bytes read and those there are.
-        robot: of a bag that does not say it, as that of another recorder; the bag's own counts.
+        robot: of a bag that does not say it, as that of another recorder; the bag's own
+            counts.
 
     Raises:
-        BagError: the file is missing, empty, foreign or holds no joint states of one robot, or of another than was named.
+        BagError: the file is missing, empty, foreign or holds no joint states of one
+            robot, or of another than was named.
     """
     bag = read_bag(path, COLUMNS, SELECT, progress, tell=False)
     record = bag.metadata.get("dextar", {})
@@ -84,14 +111,24 @@ def load_run(
         parameters = _parameters(record)
     except (ValueError, RecursionError, yaml.YAMLError) as error:
         why = " ".join(str(error).split())
-        bag.faults.append(f"{bag.path}: its metadata record 'dextar' cannot be read and is passed over: {why}")
+        bag.faults.append(
+            f"{bag.path}: its metadata record 'dextar' cannot be read and is passed"
+            f" over: {why}"
+        )
         record, resolved, losses, parameters = {}, {}, {}, {}
     if bag.damage:
         warnings.warn(bag.damage, stacklevel=2)
 
     recorded = _namespace(resolved)
-    if namespace is not None and recorded is not None and namespace.strip("/") != recorded.strip("/"):
-        raise BagError(f"{bag.path} is of the robot in namespace '{recorded or '/'}', not '{namespace}'")
+    if (
+        namespace is not None
+        and recorded is not None
+        and namespace.strip("/") != recorded.strip("/")
+    ):
+        raise BagError(
+            f"{bag.path} is of the robot in namespace '{recorded or '/'}', not"
+            f" '{namespace}'"
+        )
     try:
         run = _run(_Topics(bag, resolved, namespace), record, parameters, losses)
     except BagError as error:
@@ -101,27 +138,40 @@ def load_run(
         return run
     if run.robot is None:
         return replace(run, robot=robot)
-    told = f"{bag.path} says which robot it is of, and that counts: another description is for bags that do not"
+    told = (
+        f"{bag.path} says which robot it is of, and that counts: another description is"
+        " for bags that do not"
+    )
     warnings.warn(told, stacklevel=2)
     return run
 
 
 def _table_of(record: dict[str, str], key: str, kind: type) -> dict[str, Any]:
     table = json.loads(record.get(key, "{}"))
-    if not isinstance(table, dict) or not all(isinstance(value, kind) for value in table.values()):
+    if not isinstance(table, dict) or not all(
+        isinstance(value, kind) for value in table.values()
+    ):
         raise ValueError(f"{key} = {table!r} is no table")
     return table
 
 
 def _losses(table: dict[str, dict[str, Any]]) -> dict[str, dict[str, int | None]]:
     """Counts per topic; what is no number is not known."""
-    return {topic: {key: value if isinstance(value, int) else None for key, value in counts.items()}
-            for topic, counts in table.items()}  # fmt: skip
+    return {
+        topic: {
+            key: value if isinstance(value, int) else None
+            for key, value in counts.items()
+        }
+        for topic, counts in table.items()
+    }
 
 
 def _parameters(record: dict[str, str]) -> dict[str, dict[str, Any]]:
-    found = {key.removeprefix(PARAMETER_PREFIX): yaml.safe_load(text) or {} for key, text in record.items()
-             if key.startswith(PARAMETER_PREFIX)}  # fmt: skip
+    found = {
+        key.removeprefix(PARAMETER_PREFIX): yaml.safe_load(text) or {}
+        for key, text in record.items()
+        if key.startswith(PARAMETER_PREFIX)
+    }
     for values in found.values():
         if not isinstance(values, dict):
             raise ValueError(f"{values!r} is no table")
@@ -129,9 +179,13 @@ def _parameters(record: dict[str, str]) -> dict[str, dict[str, Any]]:
 
 
 class _Topics:
-    """The topics of a bag that a run needs; what cannot be read of them is told once."""
+    """The topics of a bag that a run needs; what cannot be read of them is told
+    once.
+    """
 
-    def __init__(self, bag: Bag, resolved: dict[str, str], namespace: str | None) -> None:
+    def __init__(
+        self, bag: Bag, resolved: dict[str, str], namespace: str | None
+    ) -> None:
         self.bag, self.resolved = bag, resolved
         self._namespace = namespace
         self._near: str | None = None
@@ -146,43 +200,66 @@ class _Topics:
 
     def unreadable(self) -> dict[str, Unreadable]:
         """What could not be decoded of those that were taken, per topic; warned of."""
-        found = {one.topic: Unreadable(one.unreadable, len(one), one.why) for one in self.used if one.unreadable}
+        found = {
+            one.topic: Unreadable(one.unreadable, len(one), one.why)
+            for one in self.used
+            if one.unreadable
+        }
         for line in unreadable_lines(found):
             warnings.warn(line, stacklevel=4)
         for series in self.used:
             if series.untimed:
                 warnings.warn(
-                    f"{series.topic}: the time of {counted(series.untimed, 'message')} is none ({series.odd_time} ns); the other"
-                    " of its two times, or that of the message before, stands for it",
+                    f"{series.topic}: the time of {counted(series.untimed, 'message')}"
+                    f" is none ({series.odd_time} ns); the other of its two times, or"
+                    " that of the message before, stands for it",
                     stacklevel=4,
                 )
         return found
 
 
 def _run(
-    bag_topics: _Topics, record: dict[str, str], parameters: dict[str, dict[str, Any]],
+    bag_topics: _Topics,
+    record: dict[str, str],
+    parameters: dict[str, dict[str, Any]],
     losses: dict[str, dict[str, int | None]],
-) -> Run:  # fmt: skip
+) -> Run:
     bag, of = bag_topics.bag, bag_topics.of
     recorded = of(topics.JOINT_STATES)
     name = topics.JOINT_STATES.name
     if len(recorded) == 0:
-        raise BagError(f"{bag.path} holds no message of {name}: not a run of this robot")
+        raise BagError(
+            f"{bag.path} holds no message of {name}: not a run of this robot"
+        )
     if recorded.readable == 0:
         why = recorded.why
         if recorded.untimed:
             why += f"; one has the time {recorded.odd_time} ns: the file is damaged"
-        raise BagError(f"{bag.path}: none of {counted(len(recorded), 'message')} on {recorded.topic} can be read: {why}")
+        raise BagError(
+            f"{bag.path}: none of {counted(len(recorded), 'message')} on"
+            f" {recorded.topic} can be read: {why}"
+        )
     served = of(topics.TRAJECTORY)
     clock = clock_of(recorded, served.places)
     steady = clock.steady if clock.steps else None
     states = _joints(recorded, steady)
     if np.isnan(states.position).all():
-        raise BagError(f"{bag.path}: {name} never holds the joints {', '.join(JOINT_NAMES)} of this robot")
-    commands, control = _joints(of(topics.JOINT_COMMANDS), steady), _control(of(topics.CONTROLLER_STATE), steady)
+        raise BagError(
+            f"{bag.path}: {name} never holds the joints {', '.join(JOINT_NAMES)} of"
+            " this robot"
+        )
+    commands, control = (
+        _joints(of(topics.JOINT_COMMANDS), steady),
+        _control(of(topics.CONTROLLER_STATE), steady),
+    )
     criterion = _criterion(of(topics.CRITERION), steady)
     truth = _truth(of(topics.SIM_END_EFFECTOR), of(topics.SIM_JOINT_STATES), steady)
-    answers = [commands.stamps, control.stamps, criterion.stamps, *([] if truth is None else [truth.stamps])]
+    answers = [
+        commands.stamps,
+        control.stamps,
+        criterion.stamps,
+        *([] if truth is None else [truth.stamps]),
+    ]
     trajectory = _trajectory(served)
     diagnostics = _diagnostics(of(topics.DIAGNOSTICS), _namespace(bag_topics.resolved))
     run = Run(
@@ -201,8 +278,10 @@ def _run(
         losses=losses,
         version=record.get("version", ""),
         record={
-            key: text for key, text in record.items()
-            if key not in ("contract", "topics") and not key.startswith(PARAMETER_PREFIX)
+            key: text
+            for key, text in record.items()
+            if key not in ("contract", "topics")
+            and not key.startswith(PARAMETER_PREFIX)
         },
         topics=_recorded_topics(bag),
         truncated=bag.truncated is not None,
@@ -221,15 +300,23 @@ def _nanoseconds(time: Any) -> int:
 
 
 def _recorded_topics(bag: Bag) -> dict[str, RecordedTopic]:
-    return {name: RecordedTopic(series.type, len(series), series.first, series.last, series.fallen)
-            for name, series in bag.messages.items()}  # fmt: skip
+    return {
+        name: RecordedTopic(
+            series.type, len(series), series.first, series.last, series.fallen
+        )
+        for name, series in bag.messages.items()
+    }
 
 
 def _joint_paths(message: Any) -> dict[str, str]:
     """Of a JointState: what joints and criterion have, by name."""
     wanted = [(kind, name) for kind in _KINDS for name in JOINT_NAMES]
     wanted += [("position", name) for name in topics.CRITERION_NAMES]
-    return {f"{kind}.{name}": f"{kind}.{message.name.index(name)}" for kind, name in wanted if name in message.name}
+    return {
+        f"{kind}.{name}": f"{kind}.{message.name.index(name)}"
+        for kind, name in wanted
+        if name in message.name
+    }
 
 
 def _control_paths(message: Any) -> dict[str, str]:
@@ -237,7 +324,9 @@ def _control_paths(message: Any) -> dict[str, str]:
     found = {name: name for name in _CONTROL_NAMES[:2]}
     for name in _CONTROL_NAMES[2:]:
         _, point, kind, _ = name.split(".")
-        if int(point) < len(message.points) and len(getattr(message.points[int(point)], kind)) == len(topics.PLATFORM_NAMES):
+        if int(point) < len(message.points) and len(
+            getattr(message.points[int(point)], kind)
+        ) == len(topics.PLATFORM_NAMES):
             found[name] = name
     return found
 
@@ -261,27 +350,63 @@ def _last_statuses(newest: Iterable[Any]) -> list[Any]:
 COLUMNS: dict[str, Columns] = {
     topics.JOINT_STATES.type: _joint_paths,
     topics.CONTROLLER_STATE.type: _control_paths,
-    topics.EXTERNAL_POSE.type: lambda message: dict(zip(_POSE_NAMES, _POSE_NAMES, strict=True)) if _in_base(message) else {},
-    topics.SIM_END_EFFECTOR.type: lambda _: dict(zip(_MOTION_NAMES, _MOTION_NAMES, strict=True)),
+    topics.EXTERNAL_POSE.type: lambda message: (
+        dict(zip(_POSE_NAMES, _POSE_NAMES, strict=True)) if _in_base(message) else {}
+    ),
+    topics.SIM_END_EFFECTOR.type: lambda _: dict(
+        zip(_MOTION_NAMES, _MOTION_NAMES, strict=True)
+    ),
 }
-SELECT: dict[str, Select] = {topics.TRAJECTORY.type: _served, topics.DIAGNOSTICS.type: _last_statuses}
+SELECT: dict[str, Select] = {
+    topics.TRAJECTORY.type: _served,
+    topics.DIAGNOSTICS.type: _last_statuses,
+}
 
 
 def _holes(bag: Bag, states: Joints, answers: Sequence[Stamps]) -> list[Hole]:
-    """The bag's holes by stamps: from the last state that has all its answers to the first one that has them again."""
+    """The bag's holes by stamps: from the last state that has all its answers to the
+    first one that has them again.
+    """
     found = []
     for hole in bag.holes:
         begin = end = None
-        before = states.stamps[states.logged <= hole.first] if hole.first is not None else states.stamps[:0]
-        after = states.stamps[states.logged >= hole.last] if hole.last is not None else states.stamps[:0]
+        before = (
+            states.stamps[states.logged <= hole.first]
+            if hole.first is not None
+            else states.stamps[:0]
+        )
+        after = (
+            states.stamps[states.logged >= hole.last]
+            if hole.last is not None
+            else states.stamps[:0]
+        )
         if len(before):
             begin = int(before.max())
-            rows = [stamps[int(np.searchsorted(stamps, begin, side="right")) - 1] for stamps in answers if len(stamps)]
-            begin = min([begin, *(int(stamp) for stamp in rows if begin - ANSWERED <= stamp <= begin)])
+            rows = [
+                stamps[int(np.searchsorted(stamps, begin, side="right")) - 1]
+                for stamps in answers
+                if len(stamps)
+            ]
+            begin = min(
+                [
+                    begin,
+                    *(
+                        int(stamp)
+                        for stamp in rows
+                        if begin - ANSWERED <= stamp <= begin
+                    ),
+                ]
+            )
         if len(after):
             end = int(after.min())
-            rows = [stamps[min(int(np.searchsorted(stamps, end)), len(stamps) - 1)] for stamps in answers if len(stamps)]
-            end = max([end, *(int(stamp) for stamp in rows if end <= stamp <= end + ANSWERED)])
+            rows = [
+                stamps[min(int(np.searchsorted(stamps, end)), len(stamps) - 1)]
+                for stamps in answers
+                if len(stamps)
+            ]
+            end = max(
+                [end, *(int(stamp) for stamp in rows if end <= stamp <= end + ANSWERED)]
+            )
         found.append(replace(hole, file=Path(hole.file).name, begin=begin, end=end))
     return found
 
@@ -289,27 +414,53 @@ def _holes(bag: Bag, states: Joints, answers: Sequence[Stamps]) -> list[Hole]:
 def _joints(series: Series, steady: Steady | None) -> Joints:
     table = series.table(JOINT_COLUMNS, steady)
     position, velocity, effort = (table.values[:, 2 * k : 2 * k + 2] for k in range(3))
-    return Joints(table.stamps, position, velocity, effort, table.published, table.logged)
+    return Joints(
+        table.stamps, position, velocity, effort, table.published, table.logged
+    )
 
 
 def _control(series: Series, steady: Steady | None) -> Control:
     table = series.table(_CONTROL_NAMES, steady)
     time = (table.values[:, 0] * NANOSECONDS + table.values[:, 1]) / NANOSECONDS
-    return Control(table.stamps, time, *(table.values[:, 2 * k : 2 * k + 2] for k in range(1, 10)))
+    return Control(
+        table.stamps, time, *(table.values[:, 2 * k : 2 * k + 2] for k in range(1, 10))
+    )
 
 
 def _criterion(series: Series, steady: Steady | None) -> Criterion:
-    table = series.table([f"position.{name}" for name in topics.CRITERION_NAMES], steady)
+    table = series.table(
+        [f"position.{name}" for name in topics.CRITERION_NAMES], steady
+    )
     columns = dict(zip(topics.CRITERION_NAMES, table.values.T, strict=True))
-    phase = _codes(columns.pop("phase"), range(len(topics.PHASES)), -1.0).astype(np.int64)
+    phase = _codes(columns.pop("phase"), range(len(topics.PHASES)), -1.0).astype(
+        np.int64
+    )
     columns["verdict"] = _codes(columns["verdict"], list(Verdict), np.nan)
     first = topics.CRITERION_NAMES.index(f"innovation_{JOINT_NAMES[0]}")
-    innovation, bias, disturbance = (table.values[:, first + 2 * k : first + 2 * k + 2] for k in range(3))
+    innovation, bias, disturbance = (
+        table.values[:, first + 2 * k : first + 2 * k + 2] for k in range(3)
+    )
     return Criterion(
-        stamps=table.stamps, phase=phase, innovation=innovation, bias=bias, disturbance=disturbance,
-        **{name: columns[name] for name in ("residual", "s", "sigma_min", "projection_weight", "assembly_mode",
-                                            "mode_confidence", "verdict", "torque_limit", "innovation_square")},
-    )  # fmt: skip
+        stamps=table.stamps,
+        phase=phase,
+        innovation=innovation,
+        bias=bias,
+        disturbance=disturbance,
+        **{
+            name: columns[name]
+            for name in (
+                "residual",
+                "s",
+                "sigma_min",
+                "projection_weight",
+                "assembly_mode",
+                "mode_confidence",
+                "verdict",
+                "torque_limit",
+                "innovation_square",
+            )
+        },
+    )
 
 
 def _codes(values: Floats, known: Iterable[int], unknown: float) -> Floats:
@@ -320,11 +471,25 @@ def _codes(values: Floats, known: Iterable[int], unknown: float) -> Floats:
 def _truth(platform: Series, joints: Series, steady: Steady | None) -> Truth | None:
     motion, active = platform.table(_MOTION_NAMES, steady), _joints(joints, steady)
     if np.array_equal(motion.stamps, active.stamps):
-        return Truth(motion.stamps, motion.values[:, 0:2], motion.values[:, 2:4], active.position) if len(motion.stamps) else None
-    common, rows, joint_rows = np.intersect1d(motion.stamps, active.stamps, assume_unique=True, return_indices=True)
+        return (
+            Truth(
+                motion.stamps,
+                motion.values[:, 0:2],
+                motion.values[:, 2:4],
+                active.position,
+            )
+            if len(motion.stamps)
+            else None
+        )
+    common, rows, joint_rows = np.intersect1d(
+        motion.stamps, active.stamps, assume_unique=True, return_indices=True
+    )
     if len(common) == 0:
         if len(motion.stamps) and len(active.stamps):
-            raise BagError("the stamps of the true end effector and of the true joints have none in common")
+            raise BagError(
+                "the stamps of the true end effector and of the true joints have none"
+                " in common"
+            )
         return None
     x, x_dot = motion.values[rows, 0:2], motion.values[rows, 2:4]
     return Truth(common, x, x_dot, active.position[joint_rows])
@@ -338,16 +503,28 @@ def _poses(series: Series, steady: Steady | None) -> Poses | None:
     table = series.table(_POSE_NAMES, steady)
     seen = np.isfinite(table.values).all(axis=1)
     if len(table.stamps) and not seen.any():
-        warnings.warn(f"{series.topic}: no pose counts: none is finite and in the frame '{topics.BASE_FRAME}'", stacklevel=4)
+        warnings.warn(
+            f"{series.topic}: no pose counts: none is finite and in the frame"
+            f" '{topics.BASE_FRAME}'",
+            stacklevel=4,
+        )
     return Poses(table.stamps[seen], table.values[seen]) if seen.any() else None
 
 
 def _trajectory(series: Series) -> Served | None:
     for message in _served(reversed(series.messages())):
         if problem := _incomplete(message.points):
-            warnings.warn(f"{series.topic}: the trajectory cannot be used: {problem}", stacklevel=4)
+            warnings.warn(
+                f"{series.topic}: the trajectory cannot be used: {problem}",
+                stacklevel=4,
+            )
             return None
-        time = np.array([_nanoseconds(point.time_from_start) / NANOSECONDS for point in message.points])
+        time = np.array(
+            [
+                _nanoseconds(point.time_from_start) / NANOSECONDS
+                for point in message.points
+            ]
+        )
 
         def vectors(pick: Callable[[Any], Any], points: Any = message.points) -> Floats:
             return np.array([(pick(point).x, pick(point).y) for point in points])
@@ -371,8 +548,15 @@ def _incomplete(points: Sequence[Any]) -> str:
 
 
 def _namespace(resolved: dict[str, str]) -> str | None:
-    """The recorded robot's namespace ("" is the root) by a topic of its own; None when no name tells."""
-    for topic in (topics.JOINT_STATES, topics.JOINT_COMMANDS, topics.CONTROLLER_STATE, topics.CRITERION):
+    """The recorded robot's namespace ("" is the root) by a topic of its own; None when
+    no name tells.
+    """
+    for topic in (
+        topics.JOINT_STATES,
+        topics.JOINT_COMMANDS,
+        topics.CONTROLLER_STATE,
+        topics.CRITERION,
+    ):
         name = resolved.get(topic.name, "")
         if name.endswith(f"/{topic.name}"):
             return name.removesuffix(f"/{topic.name}")
@@ -389,7 +573,9 @@ def _diagnostics(series: Series, namespace: str | None) -> dict[str, dict[str, A
                 continue
             values: dict[str, Any] = {entry.key: entry.value for entry in status.values}
             level = status.level
-            values["level"] = level[0] if isinstance(level, (bytes, bytearray)) else int(level)
+            values["level"] = (
+                level[0] if isinstance(level, (bytes, bytearray)) else int(level)
+            )
             values["message"] = status.message
             last[node] = values
     return last
@@ -398,8 +584,11 @@ def _diagnostics(series: Series, namespace: str | None) -> dict[str, dict[str, A
 def _robot(parameters: dict[str, dict[str, Any]]) -> RobotParameters | None:
     """The controller's robot, else any node's that has one."""
     for node in ("controller", *parameters):
-        flat = {key.removeprefix("robot."): value for key, value in parameters.get(node, {}).items()
-                if key.startswith("robot.")}  # fmt: skip
+        flat = {
+            key.removeprefix("robot."): value
+            for key, value in parameters.get(node, {}).items()
+            if key.startswith("robot.")
+        }
         try:
             return from_flat({key: flat[key] for key in ROBOT_KEYS if key in flat})
         except ParameterError:

@@ -13,7 +13,16 @@ import numpy as np
 from dextar_control.analysis.crossings import CrossingMetrics, judge_crossings, peak
 from dextar_control.analysis.margins import Margins, measure_margins
 from dextar_control.analysis.run import Floats, Phase, Run
-from dextar_control.analysis.timing import PhaseSpan, Timing, measure_timing, periods, phase_name, phase_spans, recorded, within
+from dextar_control.analysis.timing import (
+    PhaseSpan,
+    Timing,
+    measure_timing,
+    periods,
+    phase_name,
+    phase_spans,
+    recorded,
+    within,
+)
 from dextar_control.analysis.tracking import Tracked, plan_of, tracked
 from dextar_control.analysis.verdict import Verdict, judge, late_share
 from dextar_control.bags.damage import Hole, Unreadable
@@ -29,39 +38,50 @@ SATURATED = 1.0 - 1e-9  # of the torque limit
 class Metrics:
     """A run's numbers: m, N m, s, Hz; nan where the bag does not tell.
 
-    Each can be computed again from the bag alone. The *tracked ticks* are the stamps that both ``criterion`` (in phase TRACK
-    or CROSSING, or APPROACH where there is none of these) and ``controller_state`` (with a time) have, of the last trajectory:
-    those whose start, stamp less time, is within 1 ms of the last one's. Time zero is the median of their starts.
+    Each can be computed again from the bag alone. The *tracked ticks* are the stamps
+    that both ``criterion`` (in phase TRACK or CROSSING, or APPROACH where there is none
+    of these) and ``controller_state`` (with a time) have, of the last trajectory: those
+    whose start, stamp less time, is within 1 ms of the last one's. Time zero is the
+    median of their starts.
 
     Attributes:
-        law, estimator, phase, reason: of the controller; its last phase and why it is there.
+        law, estimator, phase, reason: of the controller; its last phase and why it is
+            there.
         success: None without truth. ``reasons`` says why not, or why nobody can know.
         crossings: each planned one.
         start_stamp: time zero of the trajectory, ns.
-        max_true_error, rms_true_error, final_true_error: distance between the reference and the true end effector of the same
-            stamp over the tracked ticks that have a truth; rms is the root of the mean square.
-        max_estimated_error, rms_estimated_error: the same between reference and estimate, over all tracked ticks.
-        peak_torque: largest magnitude of either motor's command from the first tracked tick to the last;
-            ``planned_peak_torque`` that of the plan, ``torque_ratio`` the one over the other.
-        peak_torque_near, planned_peak_torque_near, torque_ratio_near: the same within |s| < 0.1;
-            the ratio is to the planned peak of the whole trajectory.
-        saturated: commands at the controller's torque limit while tracking (as recorded; else ``watch_ratio`` x planned, or the
-            motors'); ``drive_saturated``: steps that the plant's drives clipped, over its whole run.
+        max_true_error, rms_true_error, final_true_error: distance between the reference
+            and the true end effector of the same stamp over the tracked ticks that have
+            a truth; rms is the root of the mean square.
+        max_estimated_error, rms_estimated_error: the same between reference and
+            estimate, over all tracked ticks.
+        peak_torque: largest magnitude of either motor's command from the first tracked
+            tick to the last; ``planned_peak_torque`` that of the plan, ``torque_ratio``
+            the one over the other.
+        peak_torque_near, planned_peak_torque_near, torque_ratio_near: the same within
+            |s| < 0.1; the ratio is to the planned peak of the whole trajectory.
+        saturated: commands at the controller's torque limit while tracking (as
+            recorded; else ``watch_ratio`` x planned, or the motors');
+            ``drive_saturated``: steps that the plant's drives clipped, over its whole
+            run.
         truth_share: of the tracked ticks, those with a recorded truth.
-        loop_rate: of the states while tracking on the system clock (not by their stamps), from their
-            median period; ``mean_rate`` from the mean.
-        states, answered, missed: recorded states while tracking, those with a command of their stamp, the others; not those
-            beside a hole of the bag.
-        late_commands, late_ticks, plant_steps: as the plant counted over its whole run (commands that
-            came too late for their step, steps taken without their command); None when it did not.
-        late_share: of the steps, those without a command in time: late_ticks of plant_steps, or timing.late_share where that is
-            greater.
-        lost: samples lost per topic, as the recorder counted last; None where not known. What a damaged or cut-off file no
-            longer holds is not in it.
+        loop_rate: of the states while tracking on the system clock (not by their
+            stamps), from their median period; ``mean_rate`` from the mean.
+        states, answered, missed: recorded states while tracking, those with a command
+            of their stamp, the others; not those beside a hole of the bag.
+        late_commands, late_ticks, plant_steps: as the plant counted over its whole run
+            (commands that came too late for their step, steps taken without their
+            command); None when it did not.
+        late_share: of the steps, those without a command in time: late_ticks of
+            plant_steps, or timing.late_share where that is greater.
+        lost: samples lost per topic, as the recorder counted last; None where not
+            known. What a damaged or cut-off file no longer holds is not in it.
         truncated: the end of the bag is missing.
         holes: what is missing before.
-        unreadable: per topic name, what could not be decoded of what is needed; it counts as not recorded.
-        stamp_steps, clock_steps: by how much the clock of the stamps, and the recorder's system clock, stepped back each time, s.
+        unreadable: per topic name, what could not be decoded of what is needed; it
+            counts as not recorded.
+        stamp_steps, clock_steps: by how much the clock of the stamps, and the
+            recorder's system clock, stepped back each time, s.
         timing: rates, jitter and round trips.
         margins: how near the run came to what is watched.
         phases: the controller's, one after the other.
@@ -146,7 +166,11 @@ def compute_metrics(run: Run) -> Metrics:
     phase = phase_name(int(run.criterion.phase[-1])) if len(run.criterion.phase) else ""
     controller = run.diagnostics.get("controller", {})
     stopped = phase in (Phase.SAFE_STOP.name, Phase.FAULT.name)
-    reason = str(controller.get("reason") or controller.get("message") or "") if stopped else ""
+    reason = (
+        str(controller.get("reason") or controller.get("message") or "")
+        if stopped
+        else ""
+    )
     plant = run.diagnostics.get("plant", {})
     late_ticks, steps = _whole(plant.get("late_ticks")), _whole(plant.get("steps"))
     timing = measure_timing(run, track)
@@ -176,7 +200,11 @@ def compute_metrics(run: Run) -> Metrics:
         "peak_torque_near": peak(torque[near]),
         "planned_peak_torque_near": planned_near,
         "torque_ratio_near": _ratio(peak(torque[near]), planned_peak),
-        "truth_share": float(np.isfinite(track.true_error).sum() / len(track.stamps)) if track else 0.0,
+        "truth_share": (
+            float(np.isfinite(track.true_error).sum() / len(track.stamps))
+            if track
+            else 0.0
+        ),
         "drive_saturated": _whole(plant.get("saturated_ticks")),
         "saturated": _saturated(run, track, limit) if track else 0,
         "loop_rate": _ratio(1.0, float(np.median(spans))) if len(spans) else math.nan,
@@ -194,11 +222,18 @@ def compute_metrics(run: Run) -> Metrics:
         "unreadable": run.unreadable,
         "stamp_steps": run.stamp_steps,
         "clock_steps": run.clock_steps,
-        "lost": {topic: _add(count.get("lost"), count.get("dropped")) for topic, count in run.losses.items()},
+        "lost": {
+            topic: _add(count.get("lost"), count.get("dropped"))
+            for topic, count in run.losses.items()
+        },
     }
     exciting = bool(run.parameters.get("trajectory_server", {}).get("excite"))
     verdict: Verdict = judge(
-        values, has_truth=run.truth is not None, tracked=track is not None, problem=problem, exciting=exciting
+        values,
+        has_truth=run.truth is not None,
+        tracked=track is not None,
+        problem=problem,
+        exciting=exciting,
     )
     return Metrics(**values, success=verdict.success, reasons=verdict.reasons)
 
@@ -226,24 +261,41 @@ def saturated(metrics: Metrics) -> str:
     """How many commands were, or why that is not known."""
     if math.isnan(metrics.peak_torque):
         return "no command while tracking"
-    return str(metrics.saturated) if metrics.robot or metrics.saturated else "unknown without a limit"
+    return (
+        str(metrics.saturated)
+        if metrics.robot or metrics.saturated
+        else "unknown without a limit"
+    )
 
 
 def _saturated(run: Run, track: Tracked, otherwise: float) -> int:
-    """How many commands were at their limit: the one that the controller had, where the bag tells, N m."""
+    """How many commands were at their limit: the one that the controller had, where the
+    bag tells, N m.
+    """
     stamps = track.start + np.round(1e9 * track.torque_time).astype(np.int64)
-    rows = np.minimum(np.searchsorted(run.criterion.stamps, stamps), len(run.criterion.stamps) - 1)
+    rows = np.minimum(
+        np.searchsorted(run.criterion.stamps, stamps), len(run.criterion.stamps) - 1
+    )
     recorded = run.criterion.torque_limit[rows]
-    limits = np.where((run.criterion.stamps[rows] == stamps) & (recorded > 0.0), recorded, otherwise)
-    return int((np.abs(track.torque).max(axis=1, initial=0.0) >= limits * SATURATED).sum())
+    limits = np.where(
+        (run.criterion.stamps[rows] == stamps) & (recorded > 0.0), recorded, otherwise
+    )
+    return int(
+        (np.abs(track.torque).max(axis=1, initial=0.0) >= limits * SATURATED).sum()
+    )
 
 
 def _torque_limit(run: Run, planned_peak: float) -> float:
-    """At which the controller held its commands while tracking, N m: the motors' limit, or nearer what was planned."""
+    """At which the controller held its commands while tracking, N m: the motors' limit,
+    or nearer what was planned.
+    """
     limit = run.robot.max_torque if run.robot else math.inf
     controller = run.parameters.get("controller", {})
     try:
-        watched = max(float(controller["watch_ratio"]) * planned_peak, float(controller["watch_torque"]))
+        watched = max(
+            float(controller["watch_ratio"]) * planned_peak,
+            float(controller["watch_torque"]),
+        )
     except (KeyError, TypeError, ValueError):
         return limit
     return min(limit, watched) if math.isfinite(watched) else limit

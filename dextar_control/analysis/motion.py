@@ -1,4 +1,6 @@
-"""A run as frames: where the linkage was, with which torques, at evenly spaced times."""
+"""A run as frames: where the linkage was, with which torques, at evenly spaced
+times.
+"""
 
 from __future__ import annotations
 
@@ -24,15 +26,18 @@ class Motion(NamedTuple):
 
     Attributes:
         robot: as the controller had it.
-        true: the positions are the true ones; otherwise the estimate with the measured joints.
-        time: (n,) s since the trajectory's start (since the first state where nothing was tracked).
+        true: the positions are the true ones; otherwise the estimate with the measured
+            joints.
+        time: (n,) s since the trajectory's start (since the first state where nothing
+            was tracked).
         x, q_a: (n, 2) end effector, m, and active joints, rad.
         torque: (n, 2) last command, N m; nan before the first.
         s: (n,) singularity measure at x and q_a.
         t_s: (n, 2) unit weak direction there: t_s on the locus.
         phase: (n,) of the controller, by name.
         planned: (m, 2) the served path, m.
-        course_time, course: (k,), (k, 2) every command between the first frame and the last, s, N m: frames pass over peaks.
+        course_time, course: (k,), (k, 2) every command between the first frame and the
+            last, s, N m: frames pass over peaks.
     """
 
     robot: RobotParameters
@@ -55,45 +60,82 @@ class Motion(NamedTuple):
     def write(self, file: Path, speed: float) -> None:
         """What PyBullet's window needs, as one .npz file."""
         links = np.array([self.chain(frame) for frame in range(len(self.time))])
-        distal = np.stack([np.arctan2(*(self.x - links[:, row]).T[::-1]) for row in (1, 3)], axis=1)
-        q = np.stack([self.q_a[:, 0], distal[:, 0] - self.q_a[:, 0], self.q_a[:, 1], distal[:, 1] - self.q_a[:, 1]], axis=1)
+        distal = np.stack(
+            [np.arctan2(*(self.x - links[:, row]).T[::-1]) for row in (1, 3)], axis=1
+        )
+        q = np.stack(
+            [
+                self.q_a[:, 0],
+                distal[:, 0] - self.q_a[:, 0],
+                self.q_a[:, 1],
+                distal[:, 1] - self.q_a[:, 1],
+            ],
+            axis=1,
+        )
         arcs = [arc for _, arc in locus_of(self.robot)]
         np.savez_compressed(
-            file, time=self.time, q=q, x=self.x, torque=self.torque, s=self.s, t_s=self.t_s, planned=self.planned,
-            locus=np.concatenate([np.vstack([arc, [[np.nan, np.nan]]]) for arc in arcs]) if arcs else np.zeros((0, 2)),
-            phase=np.array(self.phase), speed=speed, robot=json.dumps(flatten(self.robot)),
-        )  # fmt: skip
+            file,
+            time=self.time,
+            q=q,
+            x=self.x,
+            torque=self.torque,
+            s=self.s,
+            t_s=self.t_s,
+            planned=self.planned,
+            locus=(
+                np.concatenate([np.vstack([arc, [[np.nan, np.nan]]]) for arc in arcs])
+                if arcs
+                else np.zeros((0, 2))
+            ),
+            phase=np.array(self.phase),
+            speed=speed,
+            robot=json.dumps(flatten(self.robot)),
+        )
 
 
-def motion_of(run: Run, period: float, begin: float | None = None, end: float | None = None) -> Motion:
+def motion_of(
+    run: Run, period: float, begin: float | None = None, end: float | None = None
+) -> Motion:
     """Frames every ``period`` s of the run's own time.
 
     Args:
         run: with a robot.
         period: between frames, s of the run.
-        begin, end: s since the trajectory's start; the trajectory with a little before and after by default.
+        begin, end: s since the trajectory's start; the trajectory with a little before
+            and after by default.
 
     Raises:
         BagError: the bag holds no robot description or no position.
         ParameterError: there is nothing between begin and end.
     """
     if run.robot is None:
-        raise BagError(f"{run.path} holds no robot description: there is no linkage to draw; --robot FILE gives it")
+        raise BagError(
+            f"{run.path} holds no robot description: there is no linkage to draw;"
+            " --robot FILE gives it"
+        )
     stamps, x, q_a = _positions(run)
     if len(stamps) == 0:
-        raise BagError(f"{run.path} holds no position of the end effector: neither the truth nor the controller's estimate")
+        raise BagError(
+            f"{run.path} holds no position of the end effector: neither the truth nor"
+            " the controller's estimate"
+        )
     track = tracked(run)
     zero = track.start if track else int(stamps[0])
     clock = np.asarray(stamps - zero, dtype=np.float64) * 1e-9
-    first, last = (track.time[0] - MARGIN, track.time[-1] + MARGIN) if track else (clock[0], clock[-1])
+    first, last = (
+        (track.time[0] - MARGIN, track.time[-1] + MARGIN)
+        if track
+        else (clock[0], clock[-1])
+    )
     first = max(first if begin is None else begin, float(clock[0]))
     if end is None and begin is not None and begin >= last:
         last = float(clock[-1])
     last = min(last if end is None else end, float(clock[-1]))
     if not first < last:
         raise ParameterError(
-            f"from {begin if begin is not None else first:g} s to {end if end is not None else last:g} s: the bag has nothing"
-            f" there; its motion is from {clock[0]:.3f} to {clock[-1]:.3f} s"
+            f"from {begin if begin is not None else first:g} s to"
+            f" {end if end is not None else last:g} s: the bag has nothing there; its"
+            f" motion is from {clock[0]:.3f} to {clock[-1]:.3f} s"
         )
     times = np.arange(first, last + 1e-9, period)
     rows = _last(clock, times)
@@ -101,27 +143,51 @@ def motion_of(run: Run, period: float, begin: float | None = None, end: float | 
     told = _last(commands, times)
     torque = np.full((len(times), len(JOINT_NAMES)), np.nan)
     torque[told >= 0] = run.commands.effort[told[told >= 0]]
-    seen = _last(np.asarray(run.criterion.stamps - zero, dtype=np.float64) * 1e-9, times)
-    names = [phase_name(int(run.criterion.phase[row])) if row >= 0 else "" for row in seen]
-    robot, shown = run.robot, slice(*np.searchsorted(commands, (times[0], times[-1] + 1e-9)).tolist())
+    seen = _last(
+        np.asarray(run.criterion.stamps - zero, dtype=np.float64) * 1e-9, times
+    )
+    names = [
+        phase_name(int(run.criterion.phase[row])) if row >= 0 else "" for row in seen
+    ]
+    robot, shown = (
+        run.robot,
+        slice(*np.searchsorted(commands, (times[0], times[-1] + 1e-9)).tolist()),
+    )
     return Motion(
-        robot=robot, true=run.truth is not None, time=times, x=x[rows], q_a=q_a[rows], torque=torque,
-        s=singularity_measure(robot, x[rows], q_a[rows]), t_s=np.array([t_s_at(robot, point) for point in x[rows]]),
-        phase=names, planned=run.trajectory.x if run.trajectory is not None else np.zeros((0, 2)),
-        course_time=commands[shown], course=run.commands.effort[shown],
-    )  # fmt: skip
+        robot=robot,
+        true=run.truth is not None,
+        time=times,
+        x=x[rows],
+        q_a=q_a[rows],
+        torque=torque,
+        s=singularity_measure(robot, x[rows], q_a[rows]),
+        t_s=np.array([t_s_at(robot, point) for point in x[rows]]),
+        phase=names,
+        planned=run.trajectory.x if run.trajectory is not None else np.zeros((0, 2)),
+        course_time=commands[shown],
+        course=run.commands.effort[shown],
+    )
 
 
 def _positions(run: Run) -> tuple[Stamps, Floats, Floats]:
-    """(stamps, end effector, active joints): the truth, or else the estimate with the measured joints."""
+    """(stamps, end effector, active joints): the truth, or else the estimate with the
+    measured joints.
+    """
     if run.truth is not None:
         return run.truth.stamps, run.truth.x, run.truth.q_a
     known = np.isfinite(run.control.estimate).all(axis=1)
     stamps, rows, joints = np.intersect1d(
-        run.control.stamps[known], run.states.stamps, assume_unique=True, return_indices=True
+        run.control.stamps[known],
+        run.states.stamps,
+        assume_unique=True,
+        return_indices=True,
     )
     offset = run.robot.encoder_offset if run.robot else 0.0
-    return np.asarray(stamps, dtype=np.int64), run.control.estimate[known][rows], run.states.position[joints] - offset
+    return (
+        np.asarray(stamps, dtype=np.int64),
+        run.control.estimate[known][rows],
+        run.states.position[joints] - offset,
+    )
 
 
 def _last(clock: Floats, times: Floats) -> Stamps:

@@ -1,6 +1,7 @@
 """One self-contained HTML page of a run: it opens offline, and its figures zoom.
 
-``templates/figures.js`` draws them: the code of a plotting library (Bokeh's is 1.3 MB) would be many times the rest of the page.
+``templates/figures.js`` draws them: the code of a plotting library (Bokeh's is 1.3 MB)
+would be many times the rest of the page.
 """
 
 from __future__ import annotations
@@ -25,7 +26,13 @@ from dextar_control.analysis.metrics import Metrics, saturated
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import RecordedTopic, Run
 from dextar_control.analysis.thin import POINTS
-from dextar_control.analysis.timing import Spread, lockstep, periods, round_trips, within
+from dextar_control.analysis.timing import (
+    Spread,
+    lockstep,
+    periods,
+    round_trips,
+    within,
+)
 from dextar_control.analysis.tracking import tracked
 from dextar_control.analysis.web_figures import (
     WebFigure,
@@ -45,10 +52,30 @@ from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 NO_TRUTH = "needs truth"
 MOST_PLAN_LINES = 40  # crossings in the plan's table
 TICK = 1.5e-3  # s
-LACKING = 0.5  # correlation of an innovation with the next one, from which on it is no noise
-WORDS = {True: ("good", "Success."), False: ("bad", "Failed."), None: ("", "Not decidable.")}
-PRINTED = {"version", "versions", "started", "ended", "certificate", "parameters_missing", "parameter_changes", "name", "notes",
-           "tags", "law", "estimator", "robot_description", "parameter_changes_not_listed"}  # in their own places
+LACKING = (
+    0.5  # correlation of an innovation with the next one, from which on it is no noise
+)
+WORDS = {
+    True: ("good", "Success."),
+    False: ("bad", "Failed."),
+    None: ("", "Not decidable."),
+}
+PRINTED = {
+    "version",
+    "versions",
+    "started",
+    "ended",
+    "certificate",
+    "parameters_missing",
+    "parameter_changes",
+    "name",
+    "notes",
+    "tags",
+    "law",
+    "estimator",
+    "robot_description",
+    "parameter_changes_not_listed",
+}  # in their own places
 
 
 class Column(NamedTuple):
@@ -82,60 +109,113 @@ def render_report(run: Run, metrics: Metrics) -> str:
     plane = plane_of(run, metrics)
     figures: dict[str, WebFigure] = {} if plane.empty else {"plane": in_plane([plane])}
     shown = panels(run, metrics)
-    duration = metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until
+    duration = (
+        metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until
+    )
     instants = [crossing.planned_time for crossing in metrics.crossings]
-    many, outcomes = around(run, metrics), [crossing.outcome or crossing.verdict or "" for crossing in metrics.crossings]
+    many, outcomes = (
+        around(run, metrics),
+        [crossing.outcome or crossing.verdict or "" for crossing in metrics.crossings],
+    )
     for name, drawn in (
         ("time", over_time(shown, instants, duration)),
         ("timing", _timing_figures(run)),
         ("phases", [phase_band(metrics.phases)] if metrics.phases else []),
-        ("observed", [over_time([panel], instants, duration)[0] for panel in observer_panels(run, metrics)]),
-        *((f"around{index}", around_crossings(one, outcomes)) for index, one in enumerate(many)),
+        (
+            "observed",
+            [
+                over_time([panel], instants, duration)[0]
+                for panel in observer_panels(run, metrics)
+            ],
+        ),
+        *(
+            (f"around{index}", around_crossings(one, outcomes))
+            for index, one in enumerate(many)
+        ),
     ):
         figures |= {f"{name}-{index}": one for index, one in enumerate(drawn)}
     if (found := metrics.margins.innovation) is not None:
         figures["observed-white"] = residuals(
-            np.array(found.correlations), np.full(len(found.correlations), 0.5 * found.bound),
-            np.ones(len(found.correlations), dtype=bool), "correlation of the innovation (1)", "samples between",
-        )  # fmt: skip
+            np.array(found.correlations),
+            np.full(len(found.correlations), 0.5 * found.bound),
+            np.ones(len(found.correlations), dtype=bool),
+            "correlation of the innovation (1)",
+            "samples between",
+        )
     plan = checked_plan(run)
-    most = max((len(curve.time) for panel in shown for curve in panel.curves), default=0)
+    most = max(
+        (len(curve.time) for panel in shown for curve in panel.curves), default=0
+    )
     return render(
-        "report.html", figures,
-        title=f"{metrics.robot or 'run'}: {metrics.law or 'law unknown'}, {verdict(metrics)['word']}",
-        heading=f"{metrics.robot or 'robot unknown'}: law {metrics.law or 'unknown'}, estimator {metrics.estimator or 'unknown'}",
+        "report.html",
+        figures,
+        title=(
+            f"{metrics.robot or 'run'}: {metrics.law or 'law unknown'},"
+            f" {verdict(metrics)['word']}"
+        ),
+        heading=(
+            f"{metrics.robot or 'robot unknown'}: law {metrics.law or 'unknown'},"
+            f" estimator {metrics.estimator or 'unknown'}"
+        ),
         subheading=_subheading(run),
         verdict=verdict(metrics),
         tiles=_tiles(metrics),
-        around=[{"label": one.label, "drawn": [key for key in figures if key.startswith(f"around{index}-")]}
-                for index, one in enumerate(many)],
+        around=[
+            {
+                "label": one.label,
+                "drawn": [key for key in figures if key.startswith(f"around{index}-")],
+            }
+            for index, one in enumerate(many)
+        ],
         around_width=f"{1e3 * many[0].time[-1]:.0f} ms" if many else "",
-        thinned=f"Drawn are the extremes of {1e3 * 2 * duration / POINTS:.0f} ms bins and, about each crossing, every sample"
-        " as far as there is room; the numbers below use every sample." if most > POINTS else "",
+        thinned=(
+            f"Drawn are the extremes of {1e3 * 2 * duration / POINTS:.0f} ms bins and,"
+            " about each crossing, every sample as far as there is room; the numbers"
+            " below use every sample."
+            if most > POINTS
+            else ""
+        ),
         notes=[f"{panel.label}: {panel.note}" for panel in shown if panel.note],
         margins=_margins(metrics.margins),
         crossings=_crossings(run, metrics),
         timing=_timing(metrics),
         recording=_recording(run),
         plan=_plan(run, plan),
-        no_plan=next((reason for reason in metrics.reasons if "plan" in reason), "The bag holds no trajectory."),
+        no_plan=next(
+            (reason for reason in metrics.reasons if "plan" in reason),
+            "The bag holds no trajectory.",
+        ),
         versions=_versions(run),
         nodes=nodes_of(run),
         changes=_changes(run),
-        footer=f"Made by dextar analyze from {run.path.name}. Times are seconds since the trajectory's start unless said"
-        " otherwise; all numbers stand in metrics.json beside this page.",
-    )  # fmt: skip
+        footer=(
+            f"Made by dextar analyze from {run.path.name}. Times are seconds since the"
+            " trajectory's start unless said otherwise; all numbers stand in"
+            " metrics.json beside this page."
+        ),
+    )
 
 
 def render(template: str, figures: Mapping[str, WebFigure], **values: Any) -> str:
-    """A page with its figures, by their names; what is text in it has its symbols typeset by the filter ``symbols``."""
+    """A page with its figures, by their names; what is text in it has its symbols
+    typeset by the filter ``symbols``.
+    """
     environment = Environment(
-        loader=PackageLoader("dextar_control.analysis"), autoescape=select_autoescape(), undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+        loader=PackageLoader("dextar_control.analysis"),
+        autoescape=select_autoescape(),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.filters["symbols"] = lambda text: Markup(style.html(text))
-    numbers = Markup(json.dumps(figures, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"))
-    page = environment.get_template(template).render(figures=list(figures), numbers=numbers, colors=Markup(style.css()), **values)
+    numbers = Markup(
+        json.dumps(figures, allow_nan=False, separators=(",", ":")).replace(
+            "<", "\\u003c"
+        )
+    )
+    page = environment.get_template(template).render(
+        figures=list(figures), numbers=numbers, colors=Markup(style.css()), **values
+    )
     return f"{page}\n"
 
 
@@ -149,19 +229,38 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
         parts.append(f"Crossed {crossed}")
     elif planned:
         said = sum(crossing.verdict == "crossed" for crossing in metrics.crossings)
-        parts.append(f"{counted(planned, 'planned crossing')}, {said} crossed by the estimator's own verdict")
+        parts.append(
+            f"{counted(planned, 'planned crossing')}, {said} crossed by the estimator's"
+            " own verdict"
+        )
     if math.isfinite(metrics.max_true_error):
         largest, last = 1e3 * metrics.max_true_error, 1e3 * metrics.final_true_error
-        parts.append(f"true error {largest:.3f} mm at most and {last:.3f} mm at the end")
+        parts.append(
+            f"true error {largest:.3f} mm at most and {last:.3f} mm at the end"
+        )
     elif math.isfinite(metrics.max_estimated_error):
-        parts.append(f"estimated error {1e3 * metrics.max_estimated_error:.3f} mm at most")
+        parts.append(
+            f"estimated error {1e3 * metrics.max_estimated_error:.3f} mm at most"
+        )
     if math.isfinite(metrics.peak_torque):
-        of_plan = f", {metrics.torque_ratio:.2f} × the plan's" if math.isfinite(metrics.torque_ratio) else ""
+        of_plan = (
+            f", {metrics.torque_ratio:.2f} × the plan's"
+            if math.isfinite(metrics.torque_ratio)
+            else ""
+        )
         parts.append(f"peak torque {metrics.peak_torque:.4f} N m{of_plan}")
     if saturated(metrics).isdigit():
-        parts.append(f"{counted(metrics.saturated, 'command')} saturated" if metrics.saturated else "no command saturated")
+        parts.append(
+            f"{counted(metrics.saturated, 'command')} saturated"
+            if metrics.saturated
+            else "no command saturated"
+        )
     reasons = list(metrics.reasons)
-    reasons += [in_words(hole) for hole in metrics.holes if not any(in_words(hole) in reason for reason in reasons)]
+    reasons += [
+        in_words(hole)
+        for hole in metrics.holes
+        if not any(in_words(hole) in reason for reason in reasons)
+    ]
     if metrics.truncated:
         reasons.append(f"{end_in_words()}.".capitalize())
     sentence = "; ".join(parts)
@@ -170,7 +269,11 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
 
 
 def _tiles(metrics: Metrics) -> list[dict[str, str]]:
-    verdicts = [crossing.verdict_correct for crossing in metrics.crossings if crossing.verdict in ("crossed", "bounced")]
+    verdicts = [
+        crossing.verdict_correct
+        for crossing in metrics.crossings
+        if crossing.verdict in ("crossed", "bounced")
+    ]
     checked = [right for right in verdicts if right is not None]
     right = f"{sum(checked)} of {len(checked)} right" if checked else NO_TRUTH
     lost = sum(count or 0 for count in metrics.lost.values())
@@ -183,17 +286,39 @@ def _tiles(metrics: Metrics) -> list[dict[str, str]]:
         ("estimator's verdicts", right if verdicts else "none"),
         ("true error, largest", _measured(1e3 * metrics.max_true_error, ".3f", "mm")),
         ("true error, RMS", _measured(1e3 * metrics.rms_true_error, ".3f", "mm")),
-        ("true error at the end", _measured(1e3 * metrics.final_true_error, ".3f", "mm")),
-        ("estimated error, largest", _measured(1e3 * metrics.max_estimated_error, ".3f", "mm")),
+        (
+            "true error at the end",
+            _measured(1e3 * metrics.final_true_error, ".3f", "mm"),
+        ),
+        (
+            "estimated error, largest",
+            _measured(1e3 * metrics.max_estimated_error, ".3f", "mm"),
+        ),
         ("peak torque", _measured(metrics.peak_torque, ".4f", "N m")),
         ("of the plan's peak", _measured(metrics.torque_ratio, ".2f", "×", "no plan")),
-        ("near the locus, of the plan's peak", _measured(metrics.torque_ratio_near, ".2f", "×", "no plan")),
+        (
+            "near the locus, of the plan's peak",
+            _measured(metrics.torque_ratio_near, ".2f", "×", "no plan"),
+        ),
         ("states without a command", f"{metrics.missed} of {metrics.states}"),
-        ("samples lost in recording", f"{lost}{', end unknown' * metrics.truncated}" if metrics.lost else "not counted"),
-        ("duration of the trajectory", _measured(metrics.duration, ".2f", "s", "no plan")),
+        (
+            "samples lost in recording",
+            (
+                f"{lost}{', end unknown' * metrics.truncated}"
+                if metrics.lost
+                else "not counted"
+            ),
+        ),
+        (
+            "duration of the trajectory",
+            _measured(metrics.duration, ".2f", "s", "no plan"),
+        ),
     ]
     if math.isnan(metrics.max_true_error):
-        pairs = [(name, NO_TRUTH if name.startswith("true error") else value) for name, value in pairs]
+        pairs = [
+            (name, NO_TRUTH if name.startswith("true error") else value)
+            for name, value in pairs
+        ]
     return [{"name": name, "value": value} for name, value in pairs]
 
 
@@ -204,29 +329,67 @@ def _measured(value: float, form: str, unit: str, missing: str = "not recorded")
 def _margins(margins: Margins) -> dict[str, Any]:
     """Limits as bars, the nearest first, and what the observer says of itself."""
     rows = [
-        {"name": one.name.replace("_", " "), "what": one.what, "width": f"{100.0 * min(max(one.share, 0.0), 1.0):.1f}",
-         "share": f"{100.0 * one.share:.3g} %", "bad": _passed(one), "told": _margin_in_words(one)}
+        {
+            "name": one.name.replace("_", " "),
+            "what": one.what,
+            "width": f"{100.0 * min(max(one.share, 0.0), 1.0):.1f}",
+            "share": f"{100.0 * one.share:.3g} %",
+            "bad": _passed(one),
+            "told": _margin_in_words(one),
+        }
         for one in margins.limits
-    ]  # fmt: skip
-    tiles = [{"name": "least confidence outside of crossings", "value": number(margins.least_confidence, ".5f", "not recorded")}]
+    ]
+    tiles = [
+        {
+            "name": "least confidence outside of crossings",
+            "value": number(margins.least_confidence, ".5f", "not recorded"),
+        }
+    ]
     for name, values, scale, unit in (
-        ("torque that the model lacks, largest at each joint", margins.disturbance, 1e3, "mN m"),
+        (
+            "torque that the model lacks, largest at each joint",
+            margins.disturbance,
+            1e3,
+            "mN m",
+        ),
         ("angle by a wrong geometry, largest at each joint", margins.bias, 1e3, "mrad"),
     ):
         shown = ", ".join(f"{scale * value:.2g}" for value in values)
-        tiles.append({"name": name, "value": f"{shown} {unit}" if values else "not told"})
+        tiles.append(
+            {"name": name, "value": f"{shown} {unit}" if values else "not told"}
+        )
     if (found := margins.innovation) is not None:
         tiles += [
-            {"name": f"square of the innovation, mean; {found.expected:g} if right", "value": f"{found.square:.3g}"},
-            {"name": "correlation with the next sample", "value": f"{found.correlation:+.2f}"},
-            {"name": "scatter of the samples", "value": f"{1e6 * found.scatter:.3g} µrad"},
-        ]  # fmt: skip
-    return {"rows": rows, "unknown": margins.unknown, "tiles": tiles, "innovation": found and _innovation_in_words(found)}
+            {
+                "name": f"square of the innovation, mean; {found.expected:g} if right",
+                "value": f"{found.square:.3g}",
+            },
+            {
+                "name": "correlation with the next sample",
+                "value": f"{found.correlation:+.2f}",
+            },
+            {
+                "name": "scatter of the samples",
+                "value": f"{1e6 * found.scatter:.3g} µrad",
+            },
+        ]
+    return {
+        "rows": rows,
+        "unknown": margins.unknown,
+        "tiles": tiles,
+        "innovation": found and _innovation_in_words(found),
+    }
 
 
 def _passed(margin: Margin) -> bool:
-    """Whether what is watched did not allow it; the tick at which a motion ends is no longer one under the law."""
-    return margin.share >= 1.0 and margin.lasted >= margin.allowed - TICK and not margin.note
+    """Whether what is watched did not allow it; the tick at which a motion ends is no
+    longer one under the law.
+    """
+    return (
+        margin.share >= 1.0
+        and margin.lasted >= margin.allowed - TICK
+        and not margin.note
+    )
 
 
 def _margin_in_words(margin: Margin) -> str:
@@ -236,85 +399,159 @@ def _margin_in_words(margin: Margin) -> str:
     if margin.name == "locus":
         text = f"{value}, at least {margin.limit:.3g}"
     elif margin.name == "joint_range" and margin.value < 0.0:
-        text = f"inside by {-margin.value:.3g}{unit}, {margin.limit:.3g}{unit} beyond is the limit"
+        text = (
+            f"inside by {-margin.value:.3g}{unit}, {margin.limit:.3g}{unit} beyond is"
+            " the limit"
+        )
     if margin.lasted > 0.0:
-        text += f", passed for {1e3 * margin.lasted:.3g} of {1e3 * margin.allowed:.3g} ms"
+        text += (
+            f", passed for {1e3 * margin.lasted:.3g} of {1e3 * margin.allowed:.3g} ms"
+        )
     if math.isfinite(margin.time):
-        text += f"; at {margin.time:.3f} s, |s| = {number(abs(margin.s), '.2f', 'unknown')}"
+        text += (
+            f"; at {margin.time:.3f} s, |s| = {number(abs(margin.s), '.2f', 'unknown')}"
+        )
     return f"{text}; {margin.note}" if margin.note else text
 
 
 def _innovation_in_words(found: Innovation) -> str:
     """Whether the observer errs as it believes."""
     if found.square > found.high:
-        said = "it trusts its model more than this robot bears: something that it does not know acts on the robot"
+        said = (
+            "it trusts its model more than this robot bears: something that it does not"
+            " know acts on the robot"
+        )
     elif found.square < found.low:
-        said = "it is told of more noise than there is, which costs precision and bears what the model lacks"
+        said = (
+            "it is told of more noise than there is, which costs precision and bears"
+            " what the model lacks"
+        )
     else:
         said = "it errs as it believes"
     white = (
-        "innovations of successive samples hang together no more than noise does" if abs(found.correlation) < found.bound else
-        f"innovations hang together over {counted(found.correlated, 'sample')}{' or more' * (found.correlated == LAGS)}"
-        + (": what the model lacks shows in them" if found.correlation > LACKING else "")
+        "innovations of successive samples hang together no more than noise does"
+        if abs(found.correlation) < found.bound
+        else (
+            "innovations hang together over"
+            f" {counted(found.correlated, 'sample')}"
+            f"{' or more' * (found.correlated == LAGS)}"
+        )
+        + (
+            ": what the model lacks shows in them"
+            if found.correlation > LACKING
+            else ""
+        )
     )
     return (
-        f"The observer's innovation (the joints less those that it expected, {1e6 * found.rms:.3g} µrad RMS) has a normalised"
-        f" square of {found.square:.3g} on average over {found.samples} samples; {found.low:.2f} to {found.high:.2f} would be"
-        f" right: {said}. Its {white} (95 % of white noise within ±{found.bound:.3f})."
+        "The observer's innovation (the joints less those that it expected,"
+        f" {1e6 * found.rms:.3g} µrad RMS) has a normalised square of"
+        f" {found.square:.3g} on average over {found.samples} samples; {found.low:.2f}"
+        f" to {found.high:.2f} would be right: {said}. Its {white} (95 % of white noise"
+        f" within ±{found.bound:.3f})."
     )
 
 
 def _crossing_columns(has_truth: bool) -> tuple[Column, ...]:
     kind = "true" if has_truth else "estimated"
     return (
-        Column("no."), Column("planned", "s"), Column("true", "s"), Column("late by", "ms"), Column("outcome"),
-        Column("estimator says"), Column("at", "s"), Column("confidence", "1"), Column("verdict is"),
-        Column(f"{kind} speed", "m/s"), Column("|t_s·w_d| seen", "N"), Column("smallest σ", "1"),
-        Column("peak torque", "N m"), Column("torque step", "N m"),
-        Column(f"{kind} error before", "mm"), Column(f"{kind} error after", "mm"),
-    )  # fmt: skip
+        Column("no."),
+        Column("planned", "s"),
+        Column("true", "s"),
+        Column("late by", "ms"),
+        Column("outcome"),
+        Column("estimator says"),
+        Column("at", "s"),
+        Column("confidence", "1"),
+        Column("verdict is"),
+        Column(f"{kind} speed", "m/s"),
+        Column("|t_s·w_d| seen", "N"),
+        Column("smallest σ", "1"),
+        Column("peak torque", "N m"),
+        Column("torque step", "N m"),
+        Column(f"{kind} error before", "mm"),
+        Column(f"{kind} error after", "mm"),
+    )
 
 
 def _crossings(run: Run, metrics: Metrics) -> dict[str, Any]:
     has_truth = run.truth is not None
-    rows = [_crossing_row(index, crossing, has_truth, crossing.planned_time <= metrics.tracked_until)
-            for index, crossing in enumerate(metrics.crossings, start=1)]  # fmt: skip
+    rows = [
+        _crossing_row(
+            index, crossing, has_truth, crossing.planned_time <= metrics.tracked_until
+        )
+        for index, crossing in enumerate(metrics.crossings, start=1)
+    ]
     notes = [
-        "Speed at the crossing; residual at the planned instant; smallest singular value of A_r over the distal length as the"
-        " controller saw it; peak torque within |s| < 0.1; torque step from one tick to the next within |s| < 0.15; largest"
-        " error from where the plan leaves |s| ≥ 0.3 to the crossing, and from there to |s| ≥ 0.3 again."
+        "Speed at the crossing; residual at the planned instant; smallest singular"
+        " value of A_r over the distal length as the controller saw it; peak torque"
+        " within |s| < 0.1; torque step from one tick to the next within |s| < 0.15;"
+        " largest error from where the plan leaves |s| ≥ 0.3 to the crossing, and from"
+        " there to |s| ≥ 0.3 again."
     ]
     if not has_truth:
-        notes.insert(0, "This bag holds no true motion: instant, outcome and the check of the verdict need it; errors and speed"
-                     " are the estimator's.")  # fmt: skip
-    return {"columns": _crossing_columns(has_truth), "rows": rows, "notes": notes, "empty": _no_crossings(metrics),
-            "places": _crossed_places(metrics, has_truth)}  # fmt: skip
+        notes.insert(
+            0,
+            "This bag holds no true motion: instant, outcome and the check of the"
+            " verdict need it; errors and speed are the estimator's.",
+        )
+    return {
+        "columns": _crossing_columns(has_truth),
+        "rows": rows,
+        "notes": notes,
+        "empty": _no_crossings(metrics),
+        "places": _crossed_places(metrics, has_truth),
+    }
 
 
-def _crossed_places(metrics: Metrics, has_truth: bool) -> tuple[list[Column], list[list[Cell]]] | None:
+def _crossed_places(
+    metrics: Metrics, has_truth: bool
+) -> tuple[list[Column], list[list[Cell]]] | None:
     """Where and when, for beside the path."""
     if not metrics.crossings:
         return None
-    columns = [Column("crossing"), Column("place", "mm"), Column("crossed at", "s"), Column("outcome"),
-               Column("estimator")]  # fmt: skip
+    columns = [
+        Column("crossing"),
+        Column("place", "mm"),
+        Column("crossed at", "s"),
+        Column("outcome"),
+        Column("estimator"),
+    ]
     missing = "-" if has_truth else NO_TRUTH
     return columns, [
-        [Cell(str(index)), Cell(", ".join(f"{1e3 * value:.1f}" for value in one.point)),
-         Cell(number(one.true_time, ".3f", missing)), Cell(one.outcome or missing, one.outcome in ("bounced", "not reached")),
-         Cell(one.verdict or "not recorded", one.verdict_correct is False)]
+        [
+            Cell(str(index)),
+            Cell(", ".join(f"{1e3 * value:.1f}" for value in one.point)),
+            Cell(number(one.true_time, ".3f", missing)),
+            Cell(one.outcome or missing, one.outcome in ("bounced", "not reached")),
+            Cell(one.verdict or "not recorded", one.verdict_correct is False),
+        ]
         for index, one in enumerate(metrics.crossings, start=1)
-    ]  # fmt: skip
+    ]
 
 
 def _no_crossings(metrics: Metrics) -> str:
-    return next((f"Not known: {reason}." for reason in metrics.reasons if math.isnan(metrics.planned_peak_torque)),
-                "The trajectory crosses no singularity.")  # fmt: skip
+    return next(
+        (
+            f"Not known: {reason}."
+            for reason in metrics.reasons
+            if math.isnan(metrics.planned_peak_torque)
+        ),
+        "The trajectory crosses no singularity.",
+    )
 
 
-def _crossing_row(index: int, crossing: CrossingMetrics, has_truth: bool, reached: bool) -> list[Cell]:
-    """What the controller saw and did there is the crossing's only where tracking went on until it was reached."""
+def _crossing_row(
+    index: int, crossing: CrossingMetrics, has_truth: bool, reached: bool
+) -> list[Cell]:
+    """What the controller saw and did there is the crossing's only where tracking went
+    on until it was reached.
+    """
     missing = "-" if has_truth else NO_TRUTH
-    late = None if crossing.true_time is None else 1e3 * (crossing.true_time - crossing.planned_time)
+    late = (
+        None
+        if crossing.true_time is None
+        else 1e3 * (crossing.true_time - crossing.planned_time)
+    )
     unknown = "-" if has_truth or not crossing.verdict else NO_TRUTH
     right = {True: "right", False: "WRONG", None: unknown}[crossing.verdict_correct]
     before, after = (
@@ -327,57 +564,99 @@ def _crossing_row(index: int, crossing: CrossingMetrics, has_truth: bool, reache
         Cell(f"{crossing.planned_time:.4f}"),
         Cell(number(crossing.true_time, ".4f", missing)),
         Cell(missing if late is None else signed(late, ".2f")),
-        Cell(crossing.outcome or missing, crossing.outcome in ("bounced", "not reached")),
+        Cell(
+            crossing.outcome or missing, crossing.outcome in ("bounced", "not reached")
+        ),
         Cell(crossing.verdict or "not recorded"),
         Cell(number(crossing.verdict_time, ".4f")),
         Cell(number(crossing.verdict_confidence, ".4f")),
         Cell(right, right == "WRONG"),
-        *(Cell(number(value if reached else None, form))
-          for value, form in ((crossing.speed, ".3f"), (crossing.residual, ".4f"), (crossing.sigma_min, ".4f"))),
+        *(
+            Cell(number(value if reached else None, form))
+            for value, form in (
+                (crossing.speed, ".3f"),
+                (crossing.residual, ".4f"),
+                (crossing.sigma_min, ".4f"),
+            )
+        ),
         Cell(number(crossing.peak_torque, ".4f")),
         Cell(number(crossing.torque_step, ".4f")),
         Cell(number(1e3 * before, ".3f")),
         Cell(number(1e3 * after, ".3f")),
-    ]  # fmt: skip
+    ]
 
 
 TIMING_COLUMNS = (
-    Column("", text=True), Column("count"), Column("median", "µs"), Column("95\u00a0%", "µs"), Column("99\u00a0%", "µs"),
-    Column("largest", "µs"), Column("standard deviation", "µs"), Column("rate, of the median", "Hz"),
-)  # fmt: skip
+    Column("", text=True),
+    Column("count"),
+    Column("median", "µs"),
+    Column("95\u00a0%", "µs"),
+    Column("99\u00a0%", "µs"),
+    Column("largest", "µs"),
+    Column("standard deviation", "µs"),
+    Column("rate, of the median", "Hz"),
+)
 
 
 def _timing(metrics: Metrics) -> dict[str, Any]:
     timing = metrics.timing
 
     def row(name: str, spread: Spread, rate: bool) -> list[Cell]:
-        numbers = (spread.median, spread.p95, spread.p99, spread.maximum, spread.deviation)
-        per_second = number(1.0 / spread.median, ".0f") if rate and spread.median > 0.0 else ""
-        return [Cell(name), Cell(str(spread.count)), *(Cell(number(1e6 * value, ".0f")) for value in numbers), Cell(per_second)]
+        numbers = (
+            spread.median,
+            spread.p95,
+            spread.p99,
+            spread.maximum,
+            spread.deviation,
+        )
+        per_second = (
+            number(1.0 / spread.median, ".0f") if rate and spread.median > 0.0 else ""
+        )
+        return [
+            Cell(name),
+            Cell(str(spread.count)),
+            *(Cell(number(1e6 * value, ".0f")) for value in numbers),
+            Cell(per_second),
+        ]
 
     how = {
-        True: "Lockstep: the plant waited for each command, so these rates say how fast the simulation ran, and nothing about"
-        " real time.",
+        True: (
+            "Lockstep: the plant waited for each command, so these rates say how fast"
+            " the simulation ran, and nothing about real time."
+        ),
         False: "Real time.",
         None: "The bag does not say whether this was real time.",
     }[timing.lockstep]
     sampled = number(1e3 * timing.stamp_period, ".3f")
-    misses = f"States without a command of their stamp: {metrics.missed} of {metrics.states}"
+    misses = (
+        f"States without a command of their stamp: {metrics.missed} of {metrics.states}"
+    )
     if metrics.missed:
-        misses += f", in {counted(len(timing.missed_runs), 'gap')}, the longest of {counted(timing.longest_miss, 'state')}"
+        misses += (
+            f", in {counted(len(timing.missed_runs), 'gap')}, the longest of"
+            f" {counted(timing.longest_miss, 'state')}"
+        )
     late = (
-        f"As the plant counted over its whole run: steps without their command in time: {metrics.late_ticks} of"
-        f" {metrics.plant_steps}; commands that came later: {metrics.late_commands}."
+        "As the plant counted over its whole run: steps without their command in time:"
+        f" {metrics.late_ticks} of {metrics.plant_steps}; commands that came later:"
+        f" {metrics.late_commands}."
         if metrics.late_ticks is not None
         else "No count of late commands by the plant is in the bag."
     )
     return {
-        "sentence": f"{how} By the system clock at publishing, not by the stamps, which are {sampled} ms apart.",
+        "sentence": (
+            f"{how} By the system clock at publishing, not by the stamps, which are"
+            f" {sampled} ms apart."
+        ),
         "columns": TIMING_COLUMNS,
         "rows": [
             row("period of the states", timing.state_period, True),
             row("period of the commands", timing.command_period, True),
-            row("round trip, state published → its command published", timing.round_trip, False),
+            row(
+                "round trip, state published → its command published",
+                timing.round_trip,
+                False,
+            ),
         ],
         "misses": f"{misses}. {late}",
     }
@@ -400,44 +679,92 @@ def _recording(run: Run) -> dict[str, Any]:
     rows = []
     for name, topic in sorted(run.topics.items()):
         count = run.losses.get(name)
-        lost = "not counted" if count is None else "unknown" if count.get("lost") is None else str(count["lost"])
+        lost = (
+            "not counted"
+            if count is None
+            else "unknown"
+            if count.get("lost") is None
+            else str(count["lost"])
+        )
         dropped = "not counted" if count is None else str(count.get("dropped") or 0)
-        rows.append([
-            Cell(name), Cell(topic.type), Cell(str(topic.count)), Cell(lost, lost not in ("0", "not counted", "unknown")),
-            Cell(dropped, dropped not in ("0", "not counted")), *(Cell(number(rate, ".0f", "")) for rate in _rates(name, topic)),
-        ])  # fmt: skip
+        rows.append(
+            [
+                Cell(name),
+                Cell(topic.type),
+                Cell(str(topic.count)),
+                Cell(lost, lost not in ("0", "not counted", "unknown")),
+                Cell(dropped, dropped not in ("0", "not counted")),
+                *(Cell(number(rate, ".0f", "")) for rate in _rates(name, topic)),
+            ]
+        )
     began, ended = run.record.get("started", ""), run.record.get("ended", "")
-    sentence = f"Recorded from {_short(began)} to {_short(ended)} (UTC). " if began and ended else ""
-    told = [*map(in_words, run.holes), *unreadable_lines(run.unreadable), clock_in_words(run.stamp_steps, run.clock_steps)]
+    sentence = (
+        f"Recorded from {_short(began)} to {_short(ended)} (UTC). "
+        if began and ended
+        else ""
+    )
+    told = [
+        *map(in_words, run.holes),
+        *unreadable_lines(run.unreadable),
+        clock_in_words(run.stamp_steps, run.clock_steps),
+    ]
     sentence += "".join(f"{text[:1].upper()}{text[1:]}. " for text in told if text)
     if run.truncated:
-        sentence += f"{end_in_words()}: what was lost after it is unknown. ".capitalize()
+        sentence += (
+            f"{end_in_words()}: what was lost after it is unknown. ".capitalize()
+        )
     if not run.losses:
-        sentence += "The bag was not written by this package's recorder: nobody counted its losses."
+        sentence += (
+            "The bag was not written by this package's recorder: nobody counted its"
+            " losses."
+        )
     else:
-        sentence += "Lost: by the middleware's sequence numbers. Dropped: before the disk."
+        sentence += (
+            "Lost: by the middleware's sequence numbers. Dropped: before the disk."
+        )
     if lockstep(run):
         sentence += " In lockstep the mean rates are the simulation's own."
     columns = (
-        Column("topic"), Column("type", text=True), Column("messages"), Column("lost"), Column("dropped"),
-        Column("by contract", "Hz"), Column("mean, system clock", "Hz"),
-    )  # fmt: skip
+        Column("topic"),
+        Column("type", text=True),
+        Column("messages"),
+        Column("lost"),
+        Column("dropped"),
+        Column("by contract", "Hz"),
+        Column("mean, system clock", "Hz"),
+    )
     return {"columns": columns, "rows": rows, "sentence": sentence}
 
 
 def _rates(name: str, topic: RecordedTopic) -> tuple[float | None, float | None]:
-    """(nominal, mean by the recorder's clock) of a topic to which the contract gives one rate; else None: it comes in bursts."""
-    longest = max((own for own in TOPICS if f"/{name}".endswith(f"/{own.name.lstrip('/')}")), key=lambda own: len(own.name),
-                  default=None)  # fmt: skip
-    if longest is None or longest.type != topic.type or longest.rate == 0.0 or longest.rate_text:
+    """(nominal, mean by the recorder's clock) of a topic to which the contract gives
+    one rate; else None: it comes in bursts.
+    """
+    longest = max(
+        (own for own in TOPICS if f"/{name}".endswith(f"/{own.name.lstrip('/')}")),
+        key=lambda own: len(own.name),
+        default=None,
+    )
+    if (
+        longest is None
+        or longest.type != topic.type
+        or longest.rate == 0.0
+        or longest.rate_text
+    ):
         return None, None
     span = (topic.last - topic.first + topic.fallen) * 1e-9
-    return longest.rate, (topic.count - 1) / span if topic.count > 1 and span > 0.0 else None
+    return longest.rate, (
+        (topic.count - 1) / span if topic.count > 1 and span > 0.0 else None
+    )
 
 
 def _short(time: str) -> str:
     try:
-        return datetime.fromisoformat(time).astimezone(timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
+        return (
+            datetime.fromisoformat(time)
+            .astimezone(timezone.utc)
+            .strftime("%Y-%m-%d %H:%M:%S")
+        )
     except ValueError:
         return time
 
@@ -446,15 +773,25 @@ def _subheading(run: Run) -> str:
     parts = [run.record["name"]] if run.record.get("name") else []
     parts += [shown_name(run), _short(run.record.get("started", ""))]
     simulated = run.truth is not None
-    parts.append("simulation: the true motion is in the bag" if simulated else "no true motion in the bag, as from a rig")
+    parts.append(
+        "simulation: the true motion is in the bag"
+        if simulated
+        else "no true motion in the bag, as from a rig"
+    )
     parts += [run.record[key] for key in ("notes", "tags") if run.record.get(key)]
     return " · ".join(part for part in parts if part)
 
 
 def _versions(run: Run) -> list[tuple[str, str]]:
     recorded = {"dextar": run.version} | _parsed(run.record.get("versions", ""), dict)
-    known = [(f"recorded with {name}", str(text)) for name, text in recorded.items() if text] or [("recorded with", "unknown")]
-    known += [(key, text) for key, text in sorted(run.record.items()) if key not in PRINTED and 0 < len(text) < 200]
+    known = [
+        (f"recorded with {name}", str(text)) for name, text in recorded.items() if text
+    ] or [("recorded with", "unknown")]
+    known += [
+        (key, text)
+        for key, text in sorted(run.record.items())
+        if key not in PRINTED and 0 < len(text) < 200
+    ]
     known += [("analysed with numpy", np.__version__)]
     return [*known, ("analysed with python", platform.python_version())]
 
@@ -479,16 +816,23 @@ def _changes(run: Run) -> list[str]:
     for change in _parsed(run.record.get("parameter_changes", ""), list):
         try:
             moment = (int(change["time"]) - zero) * 1e-9
-            lines.append(f"{change['node']}.{change['name']} was set to {json.dumps(change['value'])} at {moment:+.3f} s")
+            lines.append(
+                f"{change['node']}.{change['name']} was set to"
+                f" {json.dumps(change['value'])} at {moment:+.3f} s"
+            )
         except (KeyError, TypeError, ValueError):
             continue
     return lines
 
 
 def _plan(run: Run, plan: Certificate | None) -> dict[str, Any]:
-    """Extremes and crossings of the plan as computed anew, beside what was recorded of it and the robot's limits."""
+    """Extremes and crossings of the plan as computed anew, beside what was recorded of
+    it and the robot's limits.
+    """
     recorded = _parsed(run.record.get("certificate", ""), dict)
-    listed = [one for one in _listed(recorded.get("crossings")) if isinstance(one, dict)]
+    listed = [
+        one for one in _listed(recorded.get("crossings")) if isinstance(one, dict)
+    ]
     rows = []
     names = "max_torque", "max_joint_speed", "max_platform_speed", "min_type1_distance"
     torque, speed, platform, type1 = (getattr(run.robot, name, None) for name in names)
@@ -497,48 +841,96 @@ def _plan(run: Run, plan: Certificate | None) -> dict[str, Any]:
         ("peak_torque", "peak torque", "N m", number(torque, "g", "")),
         ("peak_torque_near", f"peak torque within |s| < {NEAR_LOCUS}", "N m", ""),
         ("peak_joint_speed", "peak joint speed", "rad/s", number(speed, "g", "")),
-        ("peak_platform_speed", "peak platform speed", "m/s", number(platform, "g", "")),
-        ("least_type1", "least distance to Type 1", "1", "" if type1 is None else f"at least {type1:g}"),
+        (
+            "peak_platform_speed",
+            "peak platform speed",
+            "m/s",
+            number(platform, "g", ""),
+        ),
+        (
+            "least_type1",
+            "least distance to Type 1",
+            "1",
+            "" if type1 is None else f"at least {type1:g}",
+        ),
     ):
         kept = recorded.get(name)
-        texts = number(getattr(plan, name, None), ".4g"), number(kept if isinstance(kept, (int, float)) else None, ".4g")
+        texts = (
+            number(getattr(plan, name, None), ".4g"),
+            number(kept if isinstance(kept, (int, float)) else None, ".4g"),
+        )
         rows.append([Cell(words), *map(Cell, texts), Cell(limit), Cell(unit)])
-    columns = [Column("", text=True), Column("computed anew"), Column("recorded"), Column("limit"), Column("unit", text=True)]
+    columns = [
+        Column("", text=True),
+        Column("computed anew"),
+        Column("recorded"),
+        Column("limit"),
+        Column("unit", text=True),
+    ]
     text = ""
     if plan is not None and isinstance(recorded.get("peak_torque"), (int, float)):
         torque_gap = abs(plan.peak_torque - recorded["peak_torque"])
-        gaps = [abs(one["time"] - time) for one, time in zip(listed, plan.crossing_times, strict=False)
-                if isinstance(one.get("time"), (int, float))]  # fmt: skip
+        gaps = [
+            abs(one["time"] - time)
+            for one, time in zip(listed, plan.crossing_times, strict=False)
+            if isinstance(one.get("time"), (int, float))
+        ]
         text = (
-            f"Certificate recorded with the run: {counted(len(listed), 'crossing')} listed; the plan computed anew differs by"
-            f" {torque_gap:.2g} N m in peak torque"
-            + (f" and by at most {max(gaps):.2g} s in the instants of the crossings." if gaps else ".")
+            f"Certificate recorded with the run: {counted(len(listed), 'crossing')}"
+            f" listed; the plan computed anew differs by {torque_gap:.2g} N m in peak"
+            " torque"
+            + (
+                f" and by at most {max(gaps):.2g} s in the instants of the crossings."
+                if gaps
+                else "."
+            )
         )
     return {
         "table": (columns, rows) if plan is not None or recorded else None,
-        "crossings": _planned_crossings(plan), "note": text,
+        "crossings": _planned_crossings(plan),
+        "note": text,
         "more": max(len(plan.crossings) - MOST_PLAN_LINES, 0) if plan else 0,
-    }  # fmt: skip
+    }
 
 
 def _listed(value: Any) -> list[Any]:
     return value if isinstance(value, list) else []
 
 
-def _planned_crossings(plan: Certificate | None) -> tuple[list[Column], list[list[Cell]]] | None:
+def _planned_crossings(
+    plan: Certificate | None,
+) -> tuple[list[Column], list[list[Cell]]] | None:
     if plan is None or not plan.crossings:
         return None
-    columns = [Column("no."), Column("at", "s"), Column("locus", text=True), Column("to s"), Column("place", "mm"),
-               Column("along t_s", "m/s"), Column(f"|s| < {NEAR_LOCUS}", "ms"), Column("|t_s·w_d|", "N"),
-               Column("multiplier", "N/m"), Column("torque", plan.joint.effort_unit)]  # fmt: skip
+    columns = [
+        Column("no."),
+        Column("at", "s"),
+        Column("locus", text=True),
+        Column("to s"),
+        Column("place", "mm"),
+        Column("along t_s", "m/s"),
+        Column(f"|s| < {NEAR_LOCUS}", "ms"),
+        Column("|t_s·w_d|", "N"),
+        Column("multiplier", "N/m"),
+        Column("torque", plan.joint.effort_unit),
+    ]
 
     def several(values: Sequence[float], form: str) -> Cell:
         return Cell(", ".join(format(value, form) for value in values))
 
     rows = [
-        [Cell(str(index)), Cell(f"{one.time:.4f}"), Cell(one.family), Cell("> 0" if one.sign > 0 else "< 0"),
-         several([1e3 * value for value in one.x], ".2f"), Cell(f"{one.speed:.3f}"), Cell(f"{1e3 * one.near_time:.0f}"),
-         Cell(f"{one.residual:.1e}"), several(one.multipliers, ".3f"), several(one.torque, ".4f")]
+        [
+            Cell(str(index)),
+            Cell(f"{one.time:.4f}"),
+            Cell(one.family),
+            Cell("> 0" if one.sign > 0 else "< 0"),
+            several([1e3 * value for value in one.x], ".2f"),
+            Cell(f"{one.speed:.3f}"),
+            Cell(f"{1e3 * one.near_time:.0f}"),
+            Cell(f"{one.residual:.1e}"),
+            several(one.multipliers, ".3f"),
+            several(one.torque, ".4f"),
+        ]
         for index, one in enumerate(plan.crossings[:MOST_PLAN_LINES], start=1)
-    ]  # fmt: skip
+    ]
     return columns, rows

@@ -1,4 +1,6 @@
-"""A run as a figure that fits a paper's column, or its page: (a) path to scale, (b) torques, error, residual over time."""
+"""A run as a figure that fits a paper's column, or its page: (a) path to scale, (b)
+torques, error, residual over time.
+"""
 
 from __future__ import annotations
 
@@ -28,23 +30,32 @@ PANEL = 27.0  # mm, height of a panel over time
 LEGEND = 22.0  # mm, under the path
 RESOLUTION = 600  # dots per inch, of the PNG
 SETTINGS: Any = style.matplotlib_settings(style.LIGHT, 7.0) | {
-    "legend.fontsize": 6.0, "xtick.labelsize": 6.5, "ytick.labelsize": 6.5, "axes.linewidth": 0.6, "xtick.major.width": 0.6,
+    "legend.fontsize": 6.0,
+    "xtick.labelsize": 6.5,
+    "ytick.labelsize": 6.5,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
     "ytick.major.width": 0.6,
     "pdf.fonttype": 42,  # TrueType, embedded: publishers refuse Type 3
     "svg.fonttype": "path",  # outlines: the same everywhere
     "svg.hashsalt": "dextar",
-}  # fmt: skip
+}
 SHORT = {"seen by the controller": "seen", "τ1 commanded": "τ1", "τ2 commanded": "τ2"}
 KEYS = {"torque", "error", "residual"}
 
 
 def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
-    """The paper's Figure 4 of a run, ``width`` mm wide; without a tracked trajectory the path alone."""
+    """The paper's Figure 4 of a run, ``width`` mm wide; without a tracked trajectory
+    the path alone.
+    """
     shown = [_shortened(panel) for panel in panels(run, metrics) if panel.key in KEYS]
     plane = plane_of(run, metrics)
     span = np.maximum(plane.high - plane.low, 1e-3)
     beside = width >= WIDE and bool(shown)
-    path = min(0.86 * (0.42 if beside else 1.0) * width * span[1] / span[0], 1.2 * width) + LEGEND
+    path = (
+        min(0.86 * (0.42 if beside else 1.0) * width * span[1] / span[0], 1.2 * width)
+        + LEGEND
+    )
     over_time = PANEL * len(shown) + 6.0 * bool(shown)
     with matplotlib.rc_context(SETTINGS):
         height = max(path, over_time) if beside else path + over_time
@@ -54,7 +65,9 @@ def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
             grid = figure.add_gridspec(len(shown), 2, width_ratios=(0.75, 1.0))
             places = [grid[:, 0], *(grid[row, 1] for row in range(len(shown)))]
         else:
-            grid = figure.add_gridspec(1 + len(shown), 1, height_ratios=[path, *[PANEL] * len(shown)])
+            grid = figure.add_gridspec(
+                1 + len(shown), 1, height_ratios=[path, *[PANEL] * len(shown)]
+            )
             places = [grid[row, 0] for row in range(1 + len(shown))]
         axes = figure.add_subplot(places[0])
         draw_plane(axes, plane, PAPER)
@@ -68,7 +81,14 @@ def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
             draw_panel(axes, panel, instants, panel is shown[-1], PAPER)
         if first is not None:
             axes.set_xlabel("time (s)")
-            first.set_xlim(0.0, metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until)
+            first.set_xlim(
+                0.0,
+                (
+                    metrics.duration
+                    if math.isfinite(metrics.duration)
+                    else metrics.tracked_until
+                ),
+            )
             first.set_title("(b)", loc="left", fontsize=7.0, pad=2.0)
             figure.align_ylabels()
     return figure
@@ -76,11 +96,18 @@ def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
 
 def _shortened(panel: Panel) -> Panel:
     """With the names of its curves as a column has room for them."""
-    return panel._replace(label=panel.label.removeprefix("tracking "),
-                          curves=[curve._replace(name=SHORT.get(curve.name, curve.name)) for curve in panel.curves])  # fmt: skip
+    return panel._replace(
+        label=panel.label.removeprefix("tracking "),
+        curves=[
+            curve._replace(name=SHORT.get(curve.name, curve.name))
+            for curve in panel.curves
+        ],
+    )
 
 
-def write_paper(run: Run, metrics: Metrics, folder: Path, formats: list[str], width: float = COLUMN) -> list[Path]:
+def write_paper(
+    run: Run, metrics: Metrics, folder: Path, formats: list[str], width: float = COLUMN
+) -> list[Path]:
     """Write ``paper.<format>`` for each format; the files.
 
     Raises:
@@ -90,9 +117,13 @@ def write_paper(run: Run, metrics: Metrics, folder: Path, formats: list[str], wi
     files = [folder / f"paper.{name}" for name in formats]
     with matplotlib.rc_context(SETTINGS):
         for file in files:
-            dated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}[file.suffix[1:]]
+            dated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}[
+                file.suffix[1:]
+            ]
             try:
                 figure.savefig(file, dpi=RESOLUTION, metadata=dated)
             except OSError as error:
-                raise BagError(f"cannot write {file}: {error.strerror or error}") from error
+                raise BagError(
+                    f"cannot write {file}: {error.strerror or error}"
+                ) from error
     return files

@@ -1,4 +1,6 @@
-"""A plan before it runs: its path across the locus, and what it asks of the motors over time; of any mechanism."""
+"""A plan before it runs: its path across the locus, and what it asks of the motors over
+time; of any mechanism.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dextar_control.analysis.curves import Curve, Panel
-from dextar_control.analysis.drawing import SCREEN, draw_line, draw_locus, draw_panel, draw_places, finish_plane, mark
+from dextar_control.analysis.drawing import (
+    SCREEN,
+    draw_line,
+    draw_locus,
+    draw_panel,
+    draw_places,
+    finish_plane,
+    mark,
+)
 from dextar_control.analysis.plane import T_S_LENGTH, Place, corners, locus_of
 from dextar_control.analysis.run import Floats
 from dextar_control.contract import style
@@ -30,7 +40,9 @@ GRID = 90  # points along each axis where a locus has no closed form
 
 @matplotlib.rc_context(style.matplotlib_settings(LIGHT))
 def draw_plan(robot: AnyRobot, plan: Plan) -> Figure:
-    """The figure of a plan: path to scale on the locus of its working mode, torques and s over time."""
+    """The figure of a plan: path to scale on the locus of its working mode, torques and
+    s over time.
+    """
     certificate = plan.certificate
     figure = Figure(figsize=SIZE, layout="constrained")
     FigureCanvasAgg(figure)
@@ -38,7 +50,9 @@ def draw_plan(robot: AnyRobot, plan: Plan) -> Figure:
     _path(figure.add_subplot(grid[:, 0]), robot, certificate)
     first = figure.add_subplot(grid[0, 1])
     panels, times = _panels(robot, certificate), certificate.crossing_times.tolist()
-    for axes, panel in zip((first, figure.add_subplot(grid[1, 1], sharex=first)), panels, strict=True):
+    for axes, panel in zip(
+        (first, figure.add_subplot(grid[1, 1], sharex=first)), panels, strict=True
+    ):
         draw_panel(axes, panel, times, panel is panels[-1])
     axes.axhline(0.0, **SCREEN.line(Line("mid", (), 0.9)))
     axes.set_xlim(0.0, certificate.duration)
@@ -46,20 +60,38 @@ def draw_plan(robot: AnyRobot, plan: Plan) -> Figure:
     name = robot.name if isinstance(robot, RobotParameters) else robot.mechanism.name
     mode = ", ".join(f"{side:+d}" for side in robot.working_mode)
     title = (
-        f"{name}: {counted(len(certificate.crossings), 'crossing')} in {certificate.duration:.2f} s, peak torque"
-        f" {certificate.peak_torque:.3f} of {robot.max_torque:g} {certificate.joint.effort_unit}"
+        f"{name}: {counted(len(certificate.crossings), 'crossing')} in"
+        f" {certificate.duration:.2f} s, peak torque {certificate.peak_torque:.3f} of"
+        f" {robot.max_torque:g} {certificate.joint.effort_unit}"
     )
-    figure.suptitle(f"{title}; working mode {mode}" if mode else title, x=0.01, ha="left", weight="bold", parse_math=False)
+    figure.suptitle(
+        f"{title}; working mode {mode}" if mode else title,
+        x=0.01,
+        ha="left",
+        weight="bold",
+        parse_math=False,
+    )
     return figure
 
 
 def _path(axes: Any, robot: AnyRobot, certificate: Certificate) -> None:
-    model, x, crossings = states_model(robot), certificate.profile.x, certificate.crossings
+    model, x, crossings = (
+        states_model(robot),
+        certificate.profile.x,
+        certificate.crossings,
+    )
     locus = locus_of(robot) if isinstance(robot, RobotParameters) else []
     draw_locus(axes, locus, SCREEN)
     at = np.array(crossings[0].x) if crossings else x[0]
     links = np.asarray(model.mechanism.linkage(model.place(at).q_a, at, model.numbers))
-    draw_line(axes, links, LINES["linkage", 0], "robot at the first crossing" if crossings else "robot", SCREEN, zorder=2)
+    draw_line(
+        axes,
+        links,
+        LINES["linkage", 0],
+        "robot at the first crossing" if crossings else "robot",
+        SCREEN,
+        zorder=2,
+    )
     if len(links):
         mark(axes, links, "o", 2.6, SCREEN, zorder=2)
     draw_line(axes, x[:, :2], Line("ink", (), 1.4), "path", SCREEN, zorder=3)
@@ -67,11 +99,26 @@ def _path(axes: Any, robot: AnyRobot, certificate: Certificate) -> None:
     for numbers, row in _places(certificate):
         point, velocity = np.array(crossings[row].x), np.array(crossings[row].x_dot)[:2]
         t_s = T_S_LENGTH * model.place(point).t_s[:2]
-        places.append(Place(numbers, point[:2], np.stack([point[:2] - t_s, point[:2] + t_s]), ""))
+        places.append(
+            Place(numbers, point[:2], np.stack([point[:2] - t_s, point[:2] + t_s]), "")
+        )
         if speed := float(np.hypot(*velocity)):
-            axes.annotate("", point[:2] + ARROW * velocity / speed, point[:2], zorder=6,
-                          arrowprops={"arrowstyle": "-|>", "color": LIGHT["ink"], "linewidth": 1.2})  # fmt: skip
-    ends = [("start", x[0, :2])] if np.hypot(*(x[-1, :2] - x[0, :2])) < SAME_PLACE else [("start", x[0, :2]), ("end", x[-1, :2])]
+            axes.annotate(
+                "",
+                point[:2] + ARROW * velocity / speed,
+                point[:2],
+                zorder=6,
+                arrowprops={
+                    "arrowstyle": "-|>",
+                    "color": LIGHT["ink"],
+                    "linewidth": 1.2,
+                },
+            )
+    ends = (
+        [("start", x[0, :2])]
+        if np.hypot(*(x[-1, :2] - x[0, :2])) < SAME_PLACE
+        else [("start", x[0, :2]), ("end", x[-1, :2])]
+    )
     draw_places(axes, places, ends, SCREEN)
     low, high = corners([x[:, :2], links, *(arc for _, arc in locus)], [])
     if not isinstance(robot, RobotParameters):
@@ -82,25 +129,48 @@ def _path(axes: Any, robot: AnyRobot, certificate: Certificate) -> None:
 
 
 def _contour(axes: Any, model: Any, at: Floats, low: Floats, high: Floats) -> None:
-    """The locus in the plane through a place (n,), its other coordinates being that place's."""
+    """The locus in the plane through a place (n,), its other coordinates being that
+    place's.
+    """
     across, up = np.linspace(low[0], high[0], GRID), np.linspace(low[1], high[1], GRID)
     places = np.tile(at, (GRID * GRID, 1))
     places[:, :2] = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
     s = model.sides(places).s[:, 0].reshape(GRID, GRID)
     if np.isfinite(s).any() and np.nanmin(s) < 0.0 < np.nanmax(s):
         line = SCREEN.line(LINES["stretched", 0])
-        axes.contour(across, up, np.ma.masked_invalid(s), levels=[0.0], colors=[line["color"]], linestyles=[line["linestyle"]],
-                     linewidths=[line["linewidth"]])  # fmt: skip
-        axes.plot([], [], label="Type 2 locus as the platform is turned there" if len(at) > 2 else "Type 2 locus", **line)
+        axes.contour(
+            across,
+            up,
+            np.ma.masked_invalid(s),
+            levels=[0.0],
+            colors=[line["color"]],
+            linestyles=[line["linestyle"]],
+            linewidths=[line["linewidth"]],
+        )
+        axes.plot(
+            [],
+            [],
+            label=(
+                "Type 2 locus as the platform is turned there"
+                if len(at) > 2
+                else "Type 2 locus"
+            ),
+            **line,
+        )
 
 
 def _places(certificate: Certificate) -> list[tuple[list[int], int]]:
-    """The numbers of the crossings that share a place and a direction, with the row of the first."""
+    """The numbers of the crossings that share a place and a direction, with the row of
+    the first.
+    """
     places: list[tuple[list[int], int]] = []
     for row, crossing in enumerate(certificate.crossings):
         for numbers, first in places:
             other = certificate.crossings[first]
-            if crossing.sign == other.sign and np.linalg.norm(np.subtract(crossing.x, other.x)) < SAME_PLACE:
+            if (
+                crossing.sign == other.sign
+                and np.linalg.norm(np.subtract(crossing.x, other.x)) < SAME_PLACE
+            ):
                 numbers.append(row + 1)
                 break
         else:
@@ -111,9 +181,30 @@ def _places(certificate: Certificate) -> list[tuple[list[int], int]]:
 def _panels(robot: AnyRobot, certificate: Certificate) -> list[Panel]:
     profile, ceiling = certificate.profile, HEADROOM * certificate.peak_torque
     tall = max(1.05, 1.05 * float(np.nanmax(np.abs(profile.s))))
-    torques = [Curve(f"τ{part + 1}, {side}", profile.time, profile.torque[:, part], "commanded", part)
-               for part, side in enumerate(robot.sides)]  # fmt: skip
+    torques = [
+        Curve(
+            f"τ{part + 1}, {side}",
+            profile.time,
+            profile.torque[:, part],
+            "commanded",
+            part,
+        )
+        for part, side in enumerate(robot.sides)
+    ]
     return [
-        Panel("torque", f"planned torque ({certificate.joint.effort_unit})", torques, -ceiling, ceiling, limit=robot.max_torque),
-        Panel("s", style.label("s"), [Curve("s", profile.time, profile.s, "seen")], -tall, tall),
+        Panel(
+            "torque",
+            f"planned torque ({certificate.joint.effort_unit})",
+            torques,
+            -ceiling,
+            ceiling,
+            limit=robot.max_torque,
+        ),
+        Panel(
+            "s",
+            style.label("s"),
+            [Curve("s", profile.time, profile.s, "seen")],
+            -tall,
+            tall,
+        ),
     ]

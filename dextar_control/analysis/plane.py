@@ -16,7 +16,8 @@ from dextar_control.planning.model import states_model
 
 T_S_LENGTH = 6.0e-3  # m, half of what is drawn of t_s
 MARGIN = 0.012  # m around everything
-NEAR_BY = 0.25  # of the size of what is worth seeing, within which an arc of the locus is shown whole
+# of the size of what is worth seeing, within which an arc of the locus is shown whole
+NEAR_BY = 0.25
 MOST_NUMBERS = 4  # of crossings at one place, the rest as dots
 SAME_PLACE = 1e-3  # m, crossings nearer than this share their marks
 WORST_FIRST = ("bounced", "undecided", "", "crossed")  # verdicts
@@ -28,7 +29,8 @@ class Place(NamedTuple):
     numbers: list[int]  # from 1
     x: Floats  # (2,) m
     t_s: Floats  # (2, 2) ends of a segment along t_s, m; nan without a robot
-    verdict: str  # the estimator's; of several that differ the worst; "" where none is recorded
+    # the estimator's; of several that differ the worst; "" where none is recorded
+    verdict: str
 
 
 class Plane(NamedTuple):
@@ -38,10 +40,11 @@ class Plane(NamedTuple):
         locus: (family, (n, 2)) of each arc in the run's working mode.
         planned, true, estimated: (n, 2); true is empty without truth.
         places: of the crossings.
-        linkage: (5, 2) motor, elbow, end effector, elbow, motor at the first crossing, or at the path's start; empty without
-            a robot.
+        linkage: (5, 2) motor, elbow, end effector, elbow, motor at the first crossing,
+            or at the path's start; empty without a robot.
         motors: (k, 2) their axes.
-        ends: A and B of a trip as in the paper, or the start of a tour, each with its place (2,).
+        ends: A and B of a trip as in the paper, or the start of a tour, each with its
+            place (2,).
         low, high: (2,) corners of what is worth seeing.
     """
 
@@ -59,7 +62,13 @@ class Plane(NamedTuple):
     @property
     def empty(self) -> bool:
         """There is nothing to draw."""
-        return not (self.locus or len(self.planned) or len(self.true) or len(self.estimated) or len(self.linkage))
+        return not (
+            self.locus
+            or len(self.planned)
+            or len(self.true)
+            or len(self.estimated)
+            or len(self.linkage)
+        )
 
 
 def plane_of(run: Run, metrics: Metrics) -> Plane:
@@ -70,24 +79,50 @@ def plane_of(run: Run, metrics: Metrics) -> Plane:
     if track is not None:
         estimated = run.control.estimate[np.isin(run.control.stamps, track.stamps)]
         if run.truth is not None:
-            true = run.truth.x[(run.truth.stamps >= track.stamps[0]) & (run.truth.stamps <= track.stamps[-1])]
+            true = run.truth.x[
+                (run.truth.stamps >= track.stamps[0])
+                & (run.truth.stamps <= track.stamps[-1])
+            ]
     places = _places(run.robot, metrics)
     linkage = none
     if run.robot is not None and (places or len(planned)):
         linkage = linkage_at(run.robot, places[0].x if places else planned[0])
     locus = locus_of(run.robot)
-    low, high = corners([planned if len(planned) else estimated, linkage], [arc for _, arc in locus])
-    motors = np.array([leg.axis for leg in run.robot.legs]) if run.robot is not None else none
-    return Plane(locus, planned, true, estimated, places, linkage, motors, ends_of(planned, len(places)), low, high)
+    low, high = corners(
+        [planned if len(planned) else estimated, linkage], [arc for _, arc in locus]
+    )
+    motors = (
+        np.array([leg.axis for leg in run.robot.legs])
+        if run.robot is not None
+        else none
+    )
+    return Plane(
+        locus,
+        planned,
+        true,
+        estimated,
+        places,
+        linkage,
+        motors,
+        ends_of(planned, len(places)),
+        low,
+        high,
+    )
 
 
 def corners(seen: Sequence[Floats], arcs: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """(2,) lower left and upper right of what is worth seeing, (n, 2) each, and of the arcs of the locus near by."""
+    """(2,) lower left and upper right of what is worth seeing, (n, 2) each, and of the
+    arcs of the locus near by.
+    """
     known = [part[np.isfinite(part).all(axis=1)] for part in seen]
-    everything = np.concatenate([part for part in known if len(part)] or [np.zeros((1, 2))])
+    everything = np.concatenate(
+        [part for part in known if len(part)] or [np.zeros((1, 2))]
+    )
     low, high = everything.min(axis=0), everything.max(axis=0)
     rest = NEAR_BY * float((high - low).max())
-    near = [arc for arc in arcs if (arc >= low - rest).all() and (arc <= high + rest).all()]
+    near = [
+        arc for arc in arcs if (arc >= low - rest).all() and (arc <= high + rest).all()
+    ]
     everything = np.concatenate([everything, *near])
     return everything.min(axis=0) - MARGIN, everything.max(axis=0) + MARGIN
 
@@ -110,19 +145,25 @@ def locus_of(robot: RobotParameters | None) -> list[tuple[str, Floats]]:
 
 
 def linkage_at(robot: RobotParameters, x: Floats) -> Floats:
-    """(5, 2) motor, elbow, end effector, elbow, motor, m, in the robot's working mode; nan where it cannot be."""
+    """(5, 2) motor, elbow, end effector, elbow, motor, m, in the robot's working mode;
+    nan where it cannot be.
+    """
     return chain(robot, x, states_model(robot).place(x).q_a)
 
 
 def chain(robot: RobotParameters, x: Floats, q_a: Floats) -> Floats:
-    """(5, 2) motor, elbow, end effector, elbow, motor, m, of an end effector and active joints."""
+    """(5, 2) motor, elbow, end effector, elbow, motor, m, of an end effector and active
+    joints.
+    """
     model = states_model(robot)
     linkage: Floats = model.mechanism.linkage(q_a, x, model.numbers)
     return linkage
 
 
 def t_s_at(robot: RobotParameters, x: Floats) -> Floats:
-    """(2,) weak direction of A_r at an end effector position: t_s where it is on the locus."""
+    """(2,) weak direction of A_r at an end effector position: t_s where it is on the
+    locus.
+    """
     t_s: Floats = states_model(robot).place(x).t_s
     return t_s
 
@@ -135,7 +176,9 @@ def _places(robot: RobotParameters | None, metrics: Metrics) -> list[Place]:
         for row, place in enumerate(places):
             if np.hypot(*(place.x - x)) < SAME_PLACE:
                 place.numbers.append(number)
-                places[row] = place._replace(verdict=min(place.verdict, verdict, key=WORST_FIRST.index))
+                places[row] = place._replace(
+                    verdict=min(place.verdict, verdict, key=WORST_FIRST.index)
+                )
                 break
         else:
             ends = np.full((2, 2), np.nan)
@@ -148,7 +191,9 @@ def _places(robot: RobotParameters | None, metrics: Metrics) -> list[Place]:
 
 def numbers_in_words(numbers: Sequence[int]) -> str:
     """Of crossings at one place."""
-    return ", ".join(map(str, numbers[:MOST_NUMBERS])) + (" …" if len(numbers) > MOST_NUMBERS else "")
+    return ", ".join(map(str, numbers[:MOST_NUMBERS])) + (
+        " …" if len(numbers) > MOST_NUMBERS else ""
+    )
 
 
 def crossing_title(number: int, outcome: str) -> str:

@@ -35,7 +35,8 @@ def analyze(
     robot: RobotParameters | None = None,
     judged: Callable[[Metrics], object] = lambda metrics: None,
 ) -> Metrics:
-    """Write ``metrics.json``, ``figure.png`` and ``report.html`` of a bag, next to it or into a folder.
+    """Write ``metrics.json``, ``figure.png`` and ``report.html`` of a bag, next to it
+    or into a folder.
 
     Args:
         path: of the bag.
@@ -56,29 +57,40 @@ def analyze(
     progress("computing the metrics")
     metrics = compute_metrics(run)
     judged(metrics)
-    from dextar_control.analysis.figure import draw_run  # here: what draws takes longer to load than a bag to judge
+    from dextar_control.analysis.figure import (
+        draw_run,
+    )  # here: what draws takes longer to load than a bag to judge
     from dextar_control.analysis.page import render_report
     from dextar_control.analysis.paper_figure import COLUMN, write_paper
 
     folder = Path(output_dir) if output_dir is not None else run.path.parent
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "metrics.json").write_text(metrics.to_json() + "\n", encoding="utf-8", errors="replace")
+        (folder / "metrics.json").write_text(
+            metrics.to_json() + "\n", encoding="utf-8", errors="replace"
+        )
         progress("drawing figure.png")
         draw_run(run, metrics).savefig(folder / "figure.png", dpi=RESOLUTION)
         progress("writing report.html")
-        (folder / "report.html").write_text(render_report(run, metrics), encoding="utf-8", errors="replace")
+        (folder / "report.html").write_text(
+            render_report(run, metrics), encoding="utf-8", errors="replace"
+        )
         if formats:
             progress("drawing the figure for a paper")
             write_paper(run, metrics, folder, list(formats), width or COLUMN)
     except OSError as error:
-        raise BagError(f"cannot write the analysis to {folder}: {error.strerror or error}") from error
+        raise BagError(
+            f"cannot write the analysis to {folder}: {error.strerror or error}"
+        ) from error
     return metrics
 
 
 def summary_table(metrics: Metrics) -> Table:
     """The run in a dozen lines, for a terminal."""
-    title = f"{metrics.robot or 'run'}, law {metrics.law or 'unknown'}, estimator {metrics.estimator or 'unknown'}"
+    title = (
+        f"{metrics.robot or 'run'}, law {metrics.law or 'unknown'}, estimator"
+        f" {metrics.estimator or 'unknown'}"
+    )
     table = Table(show_header=False, title=title, title_justify="left")
     for name, value in summary_lines(metrics):
         table.add_row(name, value)
@@ -86,10 +98,16 @@ def summary_table(metrics: Metrics) -> Table:
 
 
 def brief_table(metrics: Metrics) -> Table:
-    """What a summary says to somebody who wants to know whether it went well, and why not if it did not."""
+    """What a summary says to somebody who wants to know whether it went well, and why
+    not if it did not.
+    """
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    usual = {"saturated commands": "0", "states without command": f"0 of {metrics.states}", "steps without it in time": WAITED,
-             "lost in recording": "none"}  # fmt: skip
+    usual = {
+        "saturated commands": "0",
+        "states without command": f"0 of {metrics.states}",
+        "steps without it in time": WAITED,
+        "lost in recording": "none",
+    }
     for name, value in summary_lines(metrics):
         if name not in BEYOND_BRIEF and value != usual.get(name):
             table.add_row(name, value)
@@ -103,21 +121,41 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
         ("crossed", _crossed(metrics)),
         ("estimator says", _verdicts(metrics)),
         ("true error", _true_error(metrics)),
-        ("estimated error", f"{_mm(metrics.max_estimated_error)} max" if math.isfinite(metrics.max_estimated_error) else NOTHING),
-        ("peak torque", _torque(metrics.peak_torque, metrics.torque_ratio, "the plan's")),
-        ("peak near the locus", _torque(metrics.peak_torque_near, metrics.torque_ratio_near, "the plan's peak")),
+        (
+            "estimated error",
+            (
+                f"{_mm(metrics.max_estimated_error)} max"
+                if math.isfinite(metrics.max_estimated_error)
+                else NOTHING
+            ),
+        ),
+        (
+            "peak torque",
+            _torque(metrics.peak_torque, metrics.torque_ratio, "the plan's"),
+        ),
+        (
+            "peak near the locus",
+            _torque(
+                metrics.peak_torque_near, metrics.torque_ratio_near, "the plan's peak"
+            ),
+        ),
         ("saturated commands", saturated(metrics)),
         (
             "loop rate (system clock)",
-            f"{_number(metrics.loop_rate, '.0f')} Hz median, {_number(metrics.mean_rate, '.0f')} Hz mean"
-            f"{_pace(metrics)}",
+            (
+                f"{_number(metrics.loop_rate, '.0f')} Hz median,"
+                f" {_number(metrics.mean_rate, '.0f')} Hz mean{_pace(metrics)}"
+            ),
         ),
         ("states without command", f"{metrics.missed} of {metrics.states}"),
         ("steps without it in time", _late(metrics)),
         ("lost in recording", _lost(metrics)),
         ("verdict", verdict),
-    ]  # fmt: skip
-    lines += [("bag", text) for text in damage_lines(metrics.holes, metrics.truncated, metrics.unreadable)]
+    ]
+    lines += [
+        ("bag", text)
+        for text in damage_lines(metrics.holes, metrics.truncated, metrics.unreadable)
+    ]
     if stepped := clock_in_words(metrics.stamp_steps, metrics.clock_steps):
         lines.append(("clock", stepped))
     return lines + [("", reason) for reason in metrics.reasons]
@@ -125,16 +163,25 @@ def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
 
 def _crossed(metrics: Metrics) -> str:
     if not metrics.crossings:
-        return "no crossing is planned" if math.isfinite(metrics.planned_peak_torque) else "unknown without a plan"
+        return (
+            "no crossing is planned"
+            if math.isfinite(metrics.planned_peak_torque)
+            else "unknown without a plan"
+        )
     return crossed_in_words(metrics.crossings, "planned") or "unknown without truth"
 
 
 def _lost(metrics: Metrics) -> str:
     lost = {topic: count for topic, count in metrics.lost.items() if count != 0}
-    text = ", ".join(f"{topic}: {'unknown' if count is None else count}" for topic, count in lost.items())
+    text = ", ".join(
+        f"{topic}: {'unknown' if count is None else count}"
+        for topic, count in lost.items()
+    )
     text = text or ("none" if metrics.lost else "not counted")
     if metrics.truncated and metrics.lost:
-        text += " by the last count; the end is missing, and what was lost there is unknown"
+        text += (
+            " by the last count; the end is missing, and what was lost there is unknown"
+        )
     if metrics.holes and metrics.lost:
         text += "; what a damaged file no longer holds is not counted"
     return text
@@ -145,8 +192,14 @@ def _verdicts(metrics: Metrics) -> str:
     verdicts = [crossing.verdict for crossing in metrics.crossings]
     if not verdicts or None in verdicts:
         return NOTHING
-    text = ", ".join(f"{verdicts.count(word)} {word}" for word in ("crossed", "bounced", "undecided"))
-    wrong = [str(row) for row, crossing in enumerate(metrics.crossings, 1) if crossing.verdict_correct is False]
+    text = ", ".join(
+        f"{verdicts.count(word)} {word}" for word in ("crossed", "bounced", "undecided")
+    )
+    wrong = [
+        str(row)
+        for row, crossing in enumerate(metrics.crossings, 1)
+        if crossing.verdict_correct is False
+    ]
     if wrong:
         return f"{text}; WRONG at crossing {', '.join(wrong)}"
     if any(crossing.verdict_correct for crossing in metrics.crossings):
@@ -157,7 +210,11 @@ def _verdicts(metrics: Metrics) -> str:
 def _pace(metrics: Metrics) -> str:
     """How fast a simulation that waits for its commands ran."""
     factor = metrics.mean_rate * metrics.timing.stamp_period
-    return f"; {factor:.2f} × real time" if metrics.timing.lockstep and math.isfinite(factor) else ""
+    return (
+        f"; {factor:.2f} × real time"
+        if metrics.timing.lockstep and math.isfinite(factor)
+        else ""
+    )
 
 
 def _late(metrics: Metrics) -> str:
@@ -165,8 +222,15 @@ def _late(metrics: Metrics) -> str:
         return WAITED
     if metrics.late_ticks is None:
         return "not counted"
-    share = f" ({metrics.late_ticks / metrics.plant_steps:.0%})" if metrics.plant_steps else ""
-    return f"{metrics.late_ticks} of {metrics.plant_steps}{share}; {counted(metrics.late_commands or 0, 'command')} came later"
+    share = (
+        f" ({metrics.late_ticks / metrics.plant_steps:.0%})"
+        if metrics.plant_steps
+        else ""
+    )
+    return (
+        f"{metrics.late_ticks} of {metrics.plant_steps}{share};"
+        f" {counted(metrics.late_commands or 0, 'command')} came later"
+    )
 
 
 def _true_error(metrics: Metrics) -> str:
@@ -174,7 +238,9 @@ def _true_error(metrics: Metrics) -> str:
         return "no trajectory was tracked"
     if metrics.truth_share == 0.0:
         return "unknown without truth"
-    return f"{_mm(metrics.max_true_error)} max, {_mm(metrics.final_true_error)} at the end"
+    return (
+        f"{_mm(metrics.max_true_error)} max, {_mm(metrics.final_true_error)} at the end"
+    )
 
 
 def _number(value: float, form: str) -> str:
@@ -188,4 +254,6 @@ def _mm(value: float) -> str:
 def _torque(value: float, ratio: float, of: str) -> str:
     if not math.isfinite(value):
         return NOTHING
-    return f"{value:.4f} N m" + (f", {ratio:.2f} × {of}" if math.isfinite(ratio) else "")
+    return f"{value:.4f} N m" + (
+        f", {ratio:.2f} × {of}" if math.isfinite(ratio) else ""
+    )

@@ -21,10 +21,12 @@ class Joints:
     """Joint states or commands; columns in the order of the contract's joint names.
 
     Attributes:
-        stamps: (n,) ns, rising; where their clock stepped back they are put in the order of record, and go on from there.
+        stamps: (n,) ns, rising; where their clock stepped back they are put in the
+            order of record, and go on from there.
         position, velocity: (n, k) rad, rad/s; nan where not sent.
         effort: (n, k) N m; nan where not sent.
-        published, logged: (n,) when the message was published and when the recorder had it, ns of the system clock.
+        published, logged: (n,) when the message was published and when the recorder had
+            it, ns of the system clock.
     """
 
     stamps: Stamps
@@ -64,7 +66,8 @@ class Control:
 
 @dataclass(frozen=True)
 class Criterion:
-    """The crossing criterion at each tick, and what else the controller thought; all (n,) but where it is said.
+    """The crossing criterion at each tick, and what else the controller thought; all
+    (n,) but where it is said.
 
     Attributes:
         stamps: ns of the state answered.
@@ -74,11 +77,14 @@ class Criterion:
         assembly_mode: +1 or -1, estimated.
         phase: a ``Phase``.
         mode_confidence: in the assembly mode, 0.5 to 1; nan when not recorded.
-        verdict: a ``Verdict`` on the planned crossing that began last; nan when not recorded.
+        verdict: a ``Verdict`` on the planned crossing that began last; nan when not
+            recorded.
         torque_limit: at which the torques were cut, N m; nan when not recorded.
-        innovation: (n, 2) of the observer: joints less those that it expected, rad; innovation_square: (n,) over its covariance;
-            bias: (n, 2) what a wrong geometry adds to the joints, rad; disturbance: (n, 2) torques at the joints that the model
-            lacks, N m. Nan when not recorded; 0 with estimators that have none.
+        innovation: (n, 2) of the observer: joints less those that it expected, rad;
+            innovation_square: (n,) over its covariance; bias: (n, 2) what a wrong
+            geometry adds to the joints, rad; disturbance: (n, 2) torques at the joints
+            that the model lacks, N m. Nan when not recorded; 0 with estimators that
+            have none.
     """
 
     stamps: Stamps
@@ -167,16 +173,19 @@ class Run:
         truth: None in a rig's bag.
         poses: None where none was recorded.
         trajectory: the last one served with points, or None.
-        diagnostics: per node name, the keys of its last status, with ``level`` (int) and ``message``.
+        diagnostics: per node name, the keys of its last status, with ``level`` (int)
+            and ``message``.
         parameters: per node name, its parameters.
         robot: as the controller had it, or None.
         losses: per topic name, {received, lost, dropped}; lost is None when not known.
-        record: what else the recorder wrote about the run: when it started and ended, its name, notes, versions ...
+        record: what else the recorder wrote about the run: when it started and ended,
+            its name, notes, versions ...
         topics: per topic name, how much of it there is.
         truncated: the end of the bag is missing.
         holes: what is missing before.
         unreadable: per topic name, what could not be decoded of what is needed.
-        stamp_steps: by how much the clock of the states' stamps stepped back, each time, s.
+        stamp_steps: by how much the clock of the states' stamps stepped back, each
+            time, s.
         clock_steps: the same of the recorder's system clock.
     """
 

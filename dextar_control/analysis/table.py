@@ -1,4 +1,5 @@
-"""A run as tables for pandas and MATLAB: one row for each state, or each topic in its own rows.
+"""A run as tables for pandas and MATLAB: one row for each state, or each topic in its
+own rows.
 
 Only Parquet needs pyarrow.
 """
@@ -32,23 +33,42 @@ FORMATS = ("parquet", "csv", "mat")
 MAT_LIMIT = 2**31 - 1  # bytes of one variable in MATLAB's format 5
 BLOCK = 4096  # rows written together
 NS, SECOND, METRE, SPEED, ACCELERATION, ANGLE, RATE, TORQUE, FORCE, ONE = (
-    "ns", "s", "m", "m/s", "m/s^2", "rad", "rad/s", "N m", "N", "1"
-)  # fmt: skip
+    "ns",
+    "s",
+    "m",
+    "m/s",
+    "m/s^2",
+    "rad",
+    "rad/s",
+    "N m",
+    "N",
+    "1",
+)
 STAMP = "of the state: when it was sampled, on the rig's clock"
 CONTROL_MEANINGS = {
-    "reference": "reference of the end effector", "estimate": "estimated end effector", "error": "reference less estimate",
-    "output": "auxiliary acceleration that the feedback asks for", "wrench": "J_inv^T tau of the commanded torques",
-}  # fmt: skip
+    "reference": "reference of the end effector",
+    "estimate": "estimated end effector",
+    "error": "reference less estimate",
+    "output": "auxiliary acceleration that the feedback asks for",
+    "wrench": "J_inv^T tau of the commanded torques",
+}
 DERIVATIVES = {"dot": ", velocity", "ddot": ", acceleration"}
 CRITERION_MEANINGS = {
     "residual": "t_s.w_d, the criterion that a crossing meets with 0",
     "s": "singularity measure of the estimate, -1 to 1; 0 on the Type 2 locus",
-    "sigma_min": "smallest singular value of A_r over the distal length, of the estimate",
-    "projection_weight": "of the law's feedback along the weak direction, 1 to 0; 0 on the locus",
+    "sigma_min": (
+        "smallest singular value of A_r over the distal length, of the estimate"
+    ),
+    "projection_weight": (
+        "of the law's feedback along the weak direction, 1 to 0; 0 on the locus"
+    ),
     "assembly_mode": "of the estimate: the sign of its s, +1 or -1",
     "mode_confidence": "in that assembly mode, 0.5 to 1",
     "torque_limit": "at which the torques are cut",
-    "innovation_square": "observer's innovation over its covariance; 2 on average where the observer is right",
+    "innovation_square": (
+        "observer's innovation over its covariance; 2 on average where the observer is"
+        " right"
+    ),
     "innovation": "measured angle less the one that the observer expected",
     "bias": "observer's: what a wrong geometry adds to the angle",
     "disturbance": "observer's: torque at the joint that the model lacks",
@@ -75,7 +95,8 @@ class Field(NamedTuple):
 
     Attributes:
         name: of the column.
-        unit: "" for words: a dictionary column in Parquet (a categorical in pandas), text elsewhere.
+        unit: "" for words: a dictionary column in Parquet (a categorical in pandas),
+            text elsewhere.
         meaning: in a few words.
         values: (n,) numbers, masked or nan where there is none, or ``Words``.
     """
@@ -87,12 +108,18 @@ class Field(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Its name with its unit, for files that have no other place for it: ``true_x [m]``."""
+        """Its name with its unit, for files that have no other place for it: ``true_x
+        [m]``.
+        """
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     def about(self) -> dict[str, str]:
         """Unit and meaning, where there is one."""
-        return {key: text for key, text in (("unit", self.unit), ("meaning", self.meaning)) if text}
+        return {
+            key: text
+            for key, text in (("unit", self.unit), ("meaning", self.meaning))
+            if text
+        }
 
 
 class Sheet(NamedTuple):
@@ -108,23 +135,41 @@ class Sheet(NamedTuple):
 
 
 def _states(run: Run) -> Sheet:
-    """One row for each recorded state, the others joined to it by their stamps; null where there is none.
+    """One row for each recorded state, the others joined to it by their stamps; null
+    where there is none.
 
-    Units and meanings stand with each column, the robot, the parameters and time zero with the table.
+    Units and meanings stand with each column, the robot, the parameters and time zero
+    with the table.
     """
     stamps = run.states.stamps
     track = tracked(run)
     zero = track.start if track else int(stamps[0])
     fields = [
         Field("stamp", NS, STAMP, stamps),
-        Field("time", SECOND, "since the trajectory's start" if track else "since the first state",
-              np.asarray(stamps - zero, dtype=np.float64) * 1e-9),
-        Field("published", NS, "system clock when the state was published", run.states.published),
-        *_measured(run.states, stamps), *_commanded(run.commands, stamps),
-        Field("command_published", NS, "system clock when the command was published",
-              _joined(run.commands.stamps, run.commands.published, stamps)),
-        *_control(run, stamps), *_criterion(run, stamps), *_truth(run, stamps),
-    ]  # fmt: skip
+        Field(
+            "time",
+            SECOND,
+            "since the trajectory's start" if track else "since the first state",
+            np.asarray(stamps - zero, dtype=np.float64) * 1e-9,
+        ),
+        Field(
+            "published",
+            NS,
+            "system clock when the state was published",
+            run.states.published,
+        ),
+        *_measured(run.states, stamps),
+        *_commanded(run.commands, stamps),
+        Field(
+            "command_published",
+            NS,
+            "system clock when the command was published",
+            _joined(run.commands.stamps, run.commands.published, stamps),
+        ),
+        *_control(run, stamps),
+        *_criterion(run, stamps),
+        *_truth(run, stamps),
+    ]
     return _sheet(fields, run, {"time_zero": str(zero)})
 
 
@@ -135,20 +180,38 @@ def _topics(run: Run) -> dict[str, Sheet]:
         ("commands", run.commands, _commanded(run.commands, run.commands.stamps)),
     ):
         found[name] = [
-            Field("stamp", NS, STAMP, joints.stamps), *fields,
+            Field("stamp", NS, STAMP, joints.stamps),
+            *fields,
             Field("published", NS, "system clock of the publisher", joints.published),
             Field("logged", NS, "system clock of the recorder", joints.logged),
-        ]  # fmt: skip
-    found["controller_state"] = [Field("stamp", NS, STAMP, run.control.stamps), *_control(run, run.control.stamps)]
-    found["criterion"] = [Field("stamp", NS, STAMP, run.criterion.stamps), *_criterion(run, run.criterion.stamps)]
+        ]
+    found["controller_state"] = [
+        Field("stamp", NS, STAMP, run.control.stamps),
+        *_control(run, run.control.stamps),
+    ]
+    found["criterion"] = [
+        Field("stamp", NS, STAMP, run.criterion.stamps),
+        *_criterion(run, run.criterion.stamps),
+    ]
     if run.truth is not None:
-        found["truth"] = [Field("stamp", NS, STAMP, run.truth.stamps), *_truth(run, run.truth.stamps)]
+        found["truth"] = [
+            Field("stamp", NS, STAMP, run.truth.stamps),
+            *_truth(run, run.truth.stamps),
+        ]
     if run.trajectory is not None:
         served = run.trajectory
-        found["trajectory"] = [Field("time", SECOND, "since the trajectory's start", served.time)]
+        found["trajectory"] = [
+            Field("time", SECOND, "since the trajectory's start", served.time)
+        ]
         for kind, unit in (("x", METRE), ("x_dot", SPEED), ("x_ddot", ACCELERATION)):
-            found["trajectory"] += _pair(f"planned_{kind}", unit, "served", getattr(served, kind))
-    return {name: _sheet(fields, run, {}) for name, fields in found.items() if len(fields[0].values)}
+            found["trajectory"] += _pair(
+                f"planned_{kind}", unit, "served", getattr(served, kind)
+            )
+    return {
+        name: _sheet(fields, run, {})
+        for name, fields in found.items()
+        if len(fields[0].values)
+    }
 
 
 def check_formats(formats: list[str]) -> None:
@@ -161,17 +224,25 @@ def check_formats(formats: list[str]) -> None:
         try:
             import pyarrow.parquet  # noqa: F401
         except ImportError as error:
-            raise lacking("--format parquet (--format csv does not)", "export", error) from error
+            raise lacking(
+                "--format parquet (--format csv does not)", "export", error
+            ) from error
 
 
 def export(
-    run: Run, folder: Path, formats: list[str], topics: bool = False, progress: Callable[[str], None] = lambda stage: None
+    run: Run,
+    folder: Path,
+    formats: list[str],
+    topics: bool = False,
+    progress: Callable[[str], None] = lambda stage: None,
 ) -> list[Path]:
-    """Write ``run.<format>``, and with ``topics`` each topic's ``<topic>.<format>``; the files.
+    """Write ``run.<format>``, and with ``topics`` each topic's ``<topic>.<format>``;
+    the files.
 
     Raises:
         BagError: a file cannot be written.
-        ParameterError: the table does not fit into the format, or that needs a package that is not there.
+        ParameterError: the table does not fit into the format, or that needs a package
+            that is not there.
     """
     check_formats(formats)
     tables = {"run": _states(run)} | (_topics(run) if topics else {})
@@ -186,9 +257,16 @@ def export(
                 files.append(file)
         if "csv" in formats:
             files.append(folder / "columns.json")
-            files[-1].write_text(json.dumps({name: _describe(sheet) for name, sheet in tables.items()}, indent=1) + "\n")
+            files[-1].write_text(
+                json.dumps(
+                    {name: _describe(sheet) for name, sheet in tables.items()}, indent=1
+                )
+                + "\n"
+            )
     except OSError as error:
-        raise BagError(f"cannot write to {folder}: {error.strerror or error}") from error
+        raise BagError(
+            f"cannot write to {folder}: {error.strerror or error}"
+        ) from error
     return files
 
 
@@ -201,39 +279,86 @@ def _joined(own: Stamps, values: Any, stamps: Stamps) -> Any:
     known = (own[rows] == stamps) if len(own) else np.zeros(len(stamps), dtype=bool)
     if len(own) == 0:
         return np.ma.masked_all((len(stamps), *values.shape[1:]), dtype=values.dtype)
-    return np.ma.array(values[rows], mask=np.broadcast_to(~known.reshape(-1, *[1] * (values.ndim - 1)), values[rows].shape))
+    return np.ma.array(
+        values[rows],
+        mask=np.broadcast_to(
+            ~known.reshape(-1, *[1] * (values.ndim - 1)), values[rows].shape
+        ),
+    )
 
 
 def _pair(name: str, unit: str, meaning: str, values: Any) -> list[Field]:
-    return [Field(f"{name}_{axis}", unit, meaning, values[:, column]) for column, axis in enumerate("xy")]
+    return [
+        Field(f"{name}_{axis}", unit, meaning, values[:, column])
+        for column, axis in enumerate("xy")
+    ]
 
 
 def _joints(name: str, unit: str, meaning: str, values: Any) -> list[Field]:
-    return [Field(name.format(joint), unit, meaning, values[:, column]) for column, joint in enumerate(JOINT_NAMES)]
+    return [
+        Field(name.format(joint), unit, meaning, values[:, column])
+        for column, joint in enumerate(JOINT_NAMES)
+    ]
 
 
 def _measured(joints: Joints, stamps: Stamps) -> list[Field]:
     own = joints.stamps
     return [
-        *_joints("{}_position", ANGLE, "measured angle", _joined(own, joints.position, stamps)),
-        *_joints("{}_velocity", RATE, "measured angular velocity", _joined(own, joints.velocity, stamps)),
-        *_joints("{}_effort", TORQUE, "torque applied since the last state", _joined(own, joints.effort, stamps)),
+        *_joints(
+            "{}_position",
+            ANGLE,
+            "measured angle",
+            _joined(own, joints.position, stamps),
+        ),
+        *_joints(
+            "{}_velocity",
+            RATE,
+            "measured angular velocity",
+            _joined(own, joints.velocity, stamps),
+        ),
+        *_joints(
+            "{}_effort",
+            TORQUE,
+            "torque applied since the last state",
+            _joined(own, joints.effort, stamps),
+        ),
     ]
 
 
 def _commanded(joints: Joints, stamps: Stamps) -> list[Field]:
-    return _joints("command_{}_effort", TORQUE, "commanded torque", _joined(joints.stamps, joints.effort, stamps))
+    return _joints(
+        "command_{}_effort",
+        TORQUE,
+        "commanded torque",
+        _joined(joints.stamps, joints.effort, stamps),
+    )
 
 
 def _control(run: Run, stamps: Stamps) -> list[Field]:
     own = run.control.stamps
     time = _joined(own, run.control.time, stamps)
-    fields = [Field("reference_time", SECOND, "controller's, since the trajectory's start", time)]
+    fields = [
+        Field(
+            "reference_time", SECOND, "controller's, since the trajectory's start", time
+        )
+    ]
     for name, unit in (
-        ("reference", METRE), ("reference_dot", SPEED), ("reference_ddot", ACCELERATION), ("estimate", METRE),
-        ("estimate_dot", SPEED), ("error", METRE), ("error_dot", SPEED), ("output", ACCELERATION), ("wrench", FORCE),
-    ):  # fmt: skip
-        fields += _pair(name, unit, _control_meaning(name), _joined(own, getattr(run.control, name), stamps))
+        ("reference", METRE),
+        ("reference_dot", SPEED),
+        ("reference_ddot", ACCELERATION),
+        ("estimate", METRE),
+        ("estimate_dot", SPEED),
+        ("error", METRE),
+        ("error_dot", SPEED),
+        ("output", ACCELERATION),
+        ("wrench", FORCE),
+    ):
+        fields += _pair(
+            name,
+            unit,
+            _control_meaning(name),
+            _joined(own, getattr(run.control, name), stamps),
+        )
     return fields
 
 
@@ -244,22 +369,46 @@ def _control_meaning(name: str) -> str:
 
 def _criterion(run: Run, stamps: Stamps) -> list[Field]:
     own = run.criterion.stamps
-    units = {"residual": FORCE, "torque_limit": TORQUE, "innovation": ANGLE, "bias": ANGLE, "disturbance": TORQUE}
+    units = {
+        "residual": FORCE,
+        "torque_limit": TORQUE,
+        "innovation": ANGLE,
+        "bias": ANGLE,
+        "disturbance": TORQUE,
+    }
     fields = []
     for field in dataclasses.fields(run.criterion):
         if field.name not in ("stamps", "phase", "verdict"):
             values = _joined(own, getattr(run.criterion, field.name), stamps)
             known = units.get(field.name, ONE), CRITERION_MEANINGS[field.name], values
-            fields += _joints(f"{field.name}_{{}}", *known) if values.ndim == 2 else [Field(field.name, *known)]
-    phases = {int(number): phase_name(int(number)) for number in np.unique(run.criterion.phase) if number >= 0}
+            fields += (
+                _joints(f"{field.name}_{{}}", *known)
+                if values.ndim == 2
+                else [Field(field.name, *known)]
+            )
+    phases = {
+        int(number): phase_name(int(number))
+        for number in np.unique(run.criterion.phase)
+        if number >= 0
+    }
     verdicts = {verdict.value: verdict.name.lower() for verdict in Verdict}
     told = "; ".join(f"{name.upper()}: {meaning}" for name, meaning in PHASES.items())
     return [
         *fields,
-        Field("verdict", "", f"estimator's, of the planned crossing that began last: {', '.join(verdicts.values())}",
-              _words(_joined(own, run.criterion.verdict, stamps), verdicts)),
-        Field("phase", "", f"controller's. {told}", _words(_joined(own, run.criterion.phase, stamps), phases)),
-    ]  # fmt: skip
+        Field(
+            "verdict",
+            "",
+            "estimator's, of the planned crossing that began last:"
+            f" {', '.join(verdicts.values())}",
+            _words(_joined(own, run.criterion.verdict, stamps), verdicts),
+        ),
+        Field(
+            "phase",
+            "",
+            f"controller's. {told}",
+            _words(_joined(own, run.criterion.phase, stamps), phases),
+        ),
+    ]
 
 
 def _truth(run: Run, stamps: Stamps) -> list[Field]:
@@ -267,27 +416,58 @@ def _truth(run: Run, stamps: Stamps) -> list[Field]:
         return []
     truth = run.truth
     fields = [
-        *_pair("true", METRE, "true end effector", _joined(truth.stamps, truth.x, stamps)),
-        *_pair("true_dot", SPEED, "true end effector velocity", _joined(truth.stamps, truth.x_dot, stamps)),
+        *_pair(
+            "true", METRE, "true end effector", _joined(truth.stamps, truth.x, stamps)
+        ),
+        *_pair(
+            "true_dot",
+            SPEED,
+            "true end effector velocity",
+            _joined(truth.stamps, truth.x_dot, stamps),
+        ),
     ]
-    fields += _joints("true_{}", ANGLE, "true joint angle", _joined(truth.stamps, truth.q_a, stamps))
+    fields += _joints(
+        "true_{}", ANGLE, "true joint angle", _joined(truth.stamps, truth.q_a, stamps)
+    )
     if run.robot is not None:
         s = singularity_measure(run.robot, truth.x, truth.q_a)
-        fields.append(Field("true_s", ONE, "singularity measure of the true state", _joined(truth.stamps, s, stamps)))
+        fields.append(
+            Field(
+                "true_s",
+                ONE,
+                "singularity measure of the true state",
+                _joined(truth.stamps, s, stamps),
+            )
+        )
     return fields
 
 
 def _sheet(fields: list[Field], run: Run, extra: dict[str, str]) -> Sheet:
-    return Sheet(fields, {
-        "bag": run.path.name, "version": run.version, "parameters": json.dumps(run.parameters),
-        "robot": json.dumps(flatten(run.robot)) if run.robot else "", **extra,
-    })  # fmt: skip
+    return Sheet(
+        fields,
+        {
+            "bag": run.path.name,
+            "version": run.version,
+            "parameters": json.dumps(run.parameters),
+            "robot": json.dumps(flatten(run.robot)) if run.robot else "",
+            **extra,
+        },
+    )
 
 
 def _words(numbers: Any, names: Mapping[int, str]) -> Words:
-    """The names of numbers (n,); none where one is masked, not a number, or has no name."""
+    """The names of numbers (n,); none where one is masked, not a number, or has no
+    name.
+    """
     codes = {number: row for row, number in enumerate(names)}
-    rows = [codes.get(int(number), -1) if number is not np.ma.masked and number == number else -1 for number in numbers]
+    rows = [
+        (
+            codes.get(int(number), -1)
+            if number is not np.ma.masked and number == number
+            else -1
+        )
+        for number in numbers
+    ]
     return Words(np.array(rows, dtype=np.int8), list(names.values()))
 
 
@@ -308,7 +488,11 @@ def _arrow(sheet: Sheet) -> pa.Table:
     for field in sheet.fields:
         if isinstance(field.values, Words):
             codes = pa.array(field.values.codes, mask=field.values.codes < 0)
-            arrays.append(pa.DictionaryArray.from_arrays(codes, pa.array(field.values.names, type=pa.string())))
+            arrays.append(
+                pa.DictionaryArray.from_arrays(
+                    codes, pa.array(field.values.names, type=pa.string())
+                )
+            )
         else:
             data, mask = _plain(field.values)
             arrays.append(pa.array(np.ascontiguousarray(data), mask=mask))
@@ -333,7 +517,10 @@ def _write_csv(sheet: Sheet, file: Path) -> None:
 
 def _blocks(sheet: Sheet) -> Iterator[list[list[Any]]]:
     """The columns as lists of some rows, None where there is no value."""
-    columns = [field.values if isinstance(field.values, Words) else _plain(field.values) for field in sheet.fields]
+    columns = [
+        field.values if isinstance(field.values, Words) else _plain(field.values)
+        for field in sheet.fields
+    ]
     for first in range(0, len(sheet.fields[0].values), BLOCK):
         rows, block = slice(first, first + BLOCK), []
         for column in columns:
@@ -353,19 +540,30 @@ def _write_mat(sheet: Sheet, file: Path) -> None:
     columns: dict[str, Any] = {}
     for field in sheet.fields:
         if isinstance(field.values, Words):
-            columns[field.name] = np.array([*field.values.names, ""], dtype=object)[field.values.codes]
+            columns[field.name] = np.array([*field.values.names, ""], dtype=object)[
+                field.values.codes
+            ]
             continue
         data, mask = _plain(field.values)
         whole = data.dtype.kind in "iu"
-        columns[field.name] = np.where(mask, -1, data).astype(np.int64) if whole else np.where(mask, np.nan, data)
+        columns[field.name] = (
+            np.where(mask, -1, data).astype(np.int64)
+            if whole
+            else np.where(mask, np.nan, data)
+        )
     largest = max((column.nbytes for column in columns.values()), default=0)
     if not math.isfinite(largest) or largest > MAT_LIMIT:
-        raise ParameterError(f"{file.name}: a column of {largest} bytes; MATLAB's format 5 takes {MAT_LIMIT}: use parquet")
+        raise ParameterError(
+            f"{file.name}: a column of {largest} bytes; MATLAB's format 5 takes"
+            f" {MAT_LIMIT}: use parquet"
+        )
     units = {field.name: field.unit for field in sheet.fields}
     content = {file.stem: columns, "units": units, "about": sheet.about}
     savemat(file, content, do_compression=True, oned_as="column", long_field_names=True)
 
 
 _WRITERS: dict[str, Callable[[Sheet, Path], None]] = {
-    "parquet": _write_parquet, "csv": _write_csv, "mat": _write_mat,
-}  # fmt: skip
+    "parquet": _write_parquet,
+    "csv": _write_csv,
+    "mat": _write_mat,
+}

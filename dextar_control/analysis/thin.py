@@ -1,4 +1,6 @@
-"""Fewer points for a picture, with its extremes: what a report of a long run can hold."""
+"""Fewer points for a picture, with its extremes: what a report of a long run can
+hold.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,11 @@ STEP = 2.0e-4  # m between the points of a drawn path, at least
 Rows = NDArray[np.int64]
 
 
-def thin(time: Floats, values: Floats, instants: Sequence[float] = (), points: int = POINTS) -> Rows:
-    """The rows of a curve that show it: per bin its least and its greatest value, and all rows near some instants.
+def thin(
+    time: Floats, values: Floats, instants: Sequence[float] = (), points: int = POINTS
+) -> Rows:
+    """The rows of a curve that show it: per bin its least and its greatest value, and
+    all rows near some instants.
 
     Args:
         time: (n,) rising, s.
@@ -38,14 +43,20 @@ def thin(time: Floats, values: Floats, instants: Sequence[float] = (), points: i
     rows = [np.array([0, count - 1])]
     for first in range(0, len(edges) - 1, bins):
         rows += _extremes(values, edges[first : first + bins + 1])
-    window = min(WINDOW, WHOLE * float(np.median(np.diff(time))) / max(2 * len(instants), 1))
+    window = min(
+        WINDOW, WHOLE * float(np.median(np.diff(time))) / max(2 * len(instants), 1)
+    )
     for instant in instants:
-        rows.append(np.arange(*np.searchsorted(time, (instant - window, instant + window))))
+        rows.append(
+            np.arange(*np.searchsorted(time, (instant - window, instant + window)))
+        )
     return np.unique(np.concatenate(rows)).astype(np.int64)
 
 
 def _extremes(values: Floats, edges: Rows) -> list[Rows]:
-    """Per bin, from one edge to the next, the rows of its least and greatest value and of its first nan."""
+    """Per bin, from one edge to the next, the rows of its least and greatest value and
+    of its first nan.
+    """
     begins, sizes = edges[:-1], np.diff(edges)
     width = int(sizes.max())
     padded = np.minimum(begins[:, None] + np.arange(width), len(values) - 1)
@@ -59,10 +70,14 @@ def _extremes(values: Floats, edges: Rows) -> list[Rows]:
 
 
 def thin_path(x: Floats, points: int = 2 * POINTS) -> Rows:
-    """The rows of a path (n, 2), m, after each of which it has gone on by a step that suits its length."""
+    """The rows of a path (n, 2), m, after each of which it has gone on by a step that
+    suits its length.
+    """
     if len(x) < 3:
         return np.arange(len(x))
-    gone = np.concatenate([[0.0], np.cumsum(np.nan_to_num(np.hypot(*np.diff(x, axis=0).T)))])
+    gone = np.concatenate(
+        [[0.0], np.cumsum(np.nan_to_num(np.hypot(*np.diff(x, axis=0).T)))]
+    )
     step = max(STEP, float(gone[-1]) / points)
     kept = np.flatnonzero(np.diff(np.floor(gone / step), prepend=-1.0) > 0)
     return np.unique(np.append(kept, len(x) - 1)).astype(np.int64)

@@ -1,4 +1,6 @@
-"""How a run went by the system clock: rates, jitter, round trips, unanswered states, phases."""
+"""How a run went by the system clock: rates, jitter, round trips, unanswered states,
+phases.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ class Spread:
 
     Attributes:
         count: of the values.
-        median, p95, p99, maximum: percentiles by linear interpolation, in the quantity's unit.
+        median, p95, p99, maximum: percentiles by linear interpolation, in the
+            quantity's unit.
         deviation: standard deviation (of the population), in the quantity's unit.
     """
 
@@ -40,25 +43,39 @@ class Spread:
         if len(finite) == 0:
             return Spread(0, *(math.nan,) * 5)
         middle, p95, p99 = np.percentile(finite, (50.0, 95.0, 99.0))
-        return Spread(len(finite), float(middle), float(p95), float(p99), float(finite.max()), float(finite.std()))
+        return Spread(
+            len(finite),
+            float(middle),
+            float(p95),
+            float(p99),
+            float(finite.max()),
+            float(finite.std()),
+        )
 
 
 @dataclass(frozen=True)
 class Timing:
-    """The stream of states and its answers while tracking (or over the whole run when nothing was tracked).
+    """The stream of states and its answers while tracking (or over the whole run when
+    nothing was tracked).
 
-    By the system clocks, not by the stamps. Publishers on one machine share a clock; on two, the round trip is only as true
-    as their clocks are alike.
+    By the system clocks, not by the stamps. Publishers on one machine share a clock; on
+    two, the round trip is only as true as their clocks are alike.
 
     Attributes:
-        lockstep: the plant waited for each command, so that the rates say how fast the simulation ran; None when unknown.
-        state_period, command_period: s between successive messages, by the times at which they were published.
-        round_trip: s from the publishing of a state to the publishing of the command with its stamp.
-        stamp_period: s, median of the states' stamps: the period that the robot was sampled with.
-        missed_runs: lengths of the stretches of successive states without a command, in the order of the run.
+        lockstep: the plant waited for each command, so that the rates say how fast the
+            simulation ran; None when unknown.
+        state_period, command_period: s between successive messages, by the times at
+            which they were published.
+        round_trip: s from the publishing of a state to the publishing of the command
+            with its stamp.
+        stamp_period: s, median of the states' stamps: the period that the robot was
+            sampled with.
+        missed_runs: lengths of the stretches of successive states without a command, in
+            the order of the run.
         longest_miss: the longest of them, in states; 0 when every state was answered.
-        late_share: of the states, those whose command was published later than one of the robot's sample periods after them, or
-            never; nan where time is not known to be real, and without commands.
+        late_share: of the states, those whose command was published later than one of
+            the robot's sample periods after them, or never; nan where time is not known
+            to be real, and without commands.
     """
 
     lockstep: bool | None
@@ -77,8 +94,8 @@ class PhaseSpan:
 
     Attributes:
         phase: of the controller.
-        start, end: s since the trajectory's start (since the first state where nothing was tracked); a phase ends where the
-            next one starts.
+        start, end: s since the trajectory's start (since the first state where nothing
+            was tracked); a phase ends where the next one starts.
         ticks: recorded in it.
     """
 
@@ -89,12 +106,16 @@ class PhaseSpan:
 
 
 def round_trips(run: Run, stamps: Stamps) -> tuple[Stamps, Floats]:
-    """(stamps of the answered states, s from the publishing of each to that of its command; nan where the clock stepped)."""
+    """(stamps of the answered states, s from the publishing of each to that of its
+    command; nan where the clock stepped).
+    """
     states, state_rows, command_rows = np.intersect1d(
         run.states.stamps, run.commands.stamps, assume_unique=True, return_indices=True
     )
     wanted = np.isin(states, stamps)
-    trips = _seconds(run.commands.published[command_rows] - run.states.published[state_rows])
+    trips = _seconds(
+        run.commands.published[command_rows] - run.states.published[state_rows]
+    )
     if run.clock_steps and len(trips):
         trips[np.abs(trips - np.median(trips)) > 0.5 * min(run.clock_steps)] = np.nan
     return np.asarray(states[wanted], dtype=np.int64), trips[wanted]
@@ -107,19 +128,31 @@ def periods(joints: Joints, stamps: Stamps, holes: Sequence[Hole] = ()) -> Float
     """
     mine = np.isin(joints.stamps, stamps)
     published, own = joints.published[mine], joints.stamps[mine]
-    stretch = np.concatenate([[0], np.cumsum(np.diff(published) < -LEAST_SYSTEM_STEP)]) if len(published) else published
+    stretch = (
+        np.concatenate([[0], np.cumsum(np.diff(published) < -LEAST_SYSTEM_STEP)])
+        if len(published)
+        else published
+    )
     order = np.lexsort((published, stretch))
     spans = _seconds(np.diff(published[order]))
     known = np.diff(stretch[order]) == 0
     return spans[known & recorded(own[order][:-1], holes, own[order][1:])]
 
 
-def recorded(stamps: Stamps, holes: Sequence[Hole], until: Stamps | None = None) -> NDArray[np.bool_]:
-    """(n,) whether no hole of the bag meets a stamp, or what lies from it to another."""
+def recorded(
+    stamps: Stamps, holes: Sequence[Hole], until: Stamps | None = None
+) -> NDArray[np.bool_]:
+    """(n,) whether no hole of the bag meets a stamp, or what lies from it to
+    another.
+    """
     known = np.ones(len(stamps), dtype=bool)
     until = stamps if until is None else until
     for hole in holes:
-        after = np.zeros(len(stamps), dtype=bool) if hole.begin is None else until <= hole.begin
+        after = (
+            np.zeros(len(stamps), dtype=bool)
+            if hole.begin is None
+            else until <= hole.begin
+        )
         known &= after if hole.end is None else after | (stamps >= hole.end)
     return known
 
@@ -133,10 +166,14 @@ def measure_timing(run: Run, track: Tracked | None) -> Timing:
     asked = run.states.stamps if track is None else within(run.states.stamps, track)
     told = run.commands.stamps if track is None else within(run.commands.stamps, track)
     missed = ~np.isin(asked, run.commands.stamps) & recorded(asked, run.holes)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], missed, [False]]).astype(int)))
+    edges = np.flatnonzero(
+        np.diff(np.concatenate([[False], missed, [False]]).astype(int))
+    )
     lengths = (edges[1::2] - edges[::2]).tolist()
     trips = round_trips(run, asked)[1]
-    stamp_period = float(np.median(np.diff(asked))) * 1e-9 if len(asked) > 1 else math.nan
+    stamp_period = (
+        float(np.median(np.diff(asked))) * 1e-9 if len(asked) > 1 else math.nan
+    )
     waits = lockstep(run)
     return Timing(
         lockstep=waits,
@@ -146,14 +183,23 @@ def measure_timing(run: Run, track: Tracked | None) -> Timing:
         stamp_period=stamp_period,
         missed_runs=lengths,
         longest_miss=max(lengths, default=0),
-        late_share=math.nan if waits is not False or len(trips) == 0
-        else float((int(missed.sum()) + int((trips > stamp_period).sum())) / len(asked)),
+        late_share=(
+            math.nan
+            if waits is not False or len(trips) == 0
+            else float(
+                (int(missed.sum()) + int((trips > stamp_period).sum())) / len(asked)
+            )
+        ),
     )
 
 
 def lockstep(run: Run) -> bool | None:
-    """Whether the plant waited for its commands; None when neither its diagnostics nor a node's parameters tell."""
-    mode = run.parameters.get("plant", {}).get("mode") or run.diagnostics.get("plant", {}).get("mode")
+    """Whether the plant waited for its commands; None when neither its diagnostics nor
+    a node's parameters tell.
+    """
+    mode = run.parameters.get("plant", {}).get("mode") or run.diagnostics.get(
+        "plant", {}
+    ).get("mode")
     waits = run.parameters.get("controller", {}).get("lockstep")
     if mode is None and waits is None:
         return None
@@ -175,7 +221,12 @@ def phase_spans(run: Run, track: Tracked | None) -> list[PhaseSpan]:
     ends = np.append(begins[1:], len(phases) - 1)
     counts = np.diff(np.append(begins, len(phases)))
     return [
-        PhaseSpan(phase_name(int(phases[begin])), float(stamps[begin] - zero) * 1e-9, float(stamps[end] - zero) * 1e-9, int(n))
+        PhaseSpan(
+            phase_name(int(phases[begin])),
+            float(stamps[begin] - zero) * 1e-9,
+            float(stamps[end] - zero) * 1e-9,
+            int(n),
+        )
         for begin, end, n in zip(begins, ends, counts, strict=True)
     ]
 

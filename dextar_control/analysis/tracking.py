@@ -24,8 +24,8 @@ class Tracked:
         start: ns of its time zero.
         stamps, time: (n,) of the ticks, ns and s.
         estimated_error: (n,) reference against estimate, m.
-        true_time, true_s, true_error: (k,) where truth is known, also after the last tick: s, 1, m; the error is nan
-            where nothing was tracked.
+        true_time, true_s, true_error: (k,) where truth is known, also after the last
+            tick: s, 1, m; the error is nan where nothing was tracked.
         torque_time, torque: (c,), (c, 2) commanded, s, N m.
         torque_s: (c,) s at the commands: true where known, else estimated.
     """
@@ -60,20 +60,30 @@ def once(function: Callable[[Run], Result]) -> Callable[[Run], Result]:
 
 @once
 def plan_of(run: Run) -> Certificate | None:
-    """The served trajectory's crossings and torques, computed anew from the run's robot."""
+    """The served trajectory's crossings and torques, computed anew from the run's
+    robot.
+    """
     if run.robot is None or run.trajectory is None:
         return None
     served = run.trajectory
-    return measure(run.robot, quintic(served.time, served.x, served.x_dot, served.x_ddot))
+    return measure(
+        run.robot, quintic(served.time, served.x, served.x_dot, served.x_ddot)
+    )
 
 
 @once
 def tracked(run: Run) -> Tracked | None:
-    """The last tracked trajectory, with crossings where any has some; None when none was."""
+    """The last tracked trajectory, with crossings where any has some; None when none
+    was.
+    """
     criterion, control = run.criterion, run.control
     crossing = np.isin(criterion.phase, (Phase.TRACK, Phase.CROSSING))
-    busy = criterion.stamps[crossing if crossing.any() else criterion.phase == Phase.APPROACH]
-    stamps, rows, _ = np.intersect1d(control.stamps, busy, assume_unique=True, return_indices=True)
+    busy = criterion.stamps[
+        crossing if crossing.any() else criterion.phase == Phase.APPROACH
+    ]
+    stamps, rows, _ = np.intersect1d(
+        control.stamps, busy, assume_unique=True, return_indices=True
+    )
     known = np.isfinite(control.time[rows])
     stamps, rows = stamps[known], rows[known]
     if len(stamps) == 0:
@@ -88,16 +98,36 @@ def tracked(run: Run) -> Tracked | None:
         true_time = (run.truth.stamps - start)[inside] * 1e-9
         if run.robot is not None:
             true_s = singularity_measure(run.robot, run.truth.x, run.truth.q_a)[inside]
-        _, ticks, truths = np.intersect1d(stamps, run.truth.stamps, assume_unique=True, return_indices=True)
+        _, ticks, truths = np.intersect1d(
+            stamps, run.truth.stamps, assume_unique=True, return_indices=True
+        )
         true_error = np.full(len(run.truth.stamps), np.nan)
-        true_error[truths] = np.hypot(*(run.control.reference[rows[ticks]] - run.truth.x[truths]).T)
+        true_error[truths] = np.hypot(
+            *(run.control.reference[rows[ticks]] - run.truth.x[truths]).T
+        )
         true_error = true_error[inside]
     inside = (run.commands.stamps >= stamps[0]) & (run.commands.stamps <= stamps[-1])
     torque_stamps = run.commands.stamps[inside]
     torque_time = (torque_stamps - start) * 1e-9
-    s_time, s = (true_time, true_s) if len(true_s) else ((criterion.stamps - start) * 1e-9, criterion.s)
-    torque_s = np.interp(torque_time, s_time, s) if len(s) else np.full(len(torque_time), np.nan)
+    s_time, s = (
+        (true_time, true_s)
+        if len(true_s)
+        else ((criterion.stamps - start) * 1e-9, criterion.s)
+    )
+    torque_s = (
+        np.interp(torque_time, s_time, s)
+        if len(s)
+        else np.full(len(torque_time), np.nan)
+    )
     return Tracked(
-        start, stamps, (stamps - start) * 1e-9, np.hypot(*control.error[rows].T), true_time, true_s, true_error,
-        torque_time, run.commands.effort[inside], torque_s,
-    )  # fmt: skip
+        start,
+        stamps,
+        (stamps - start) * 1e-9,
+        np.hypot(*control.error[rows].T),
+        true_time,
+        true_s,
+        true_error,
+        torque_time,
+        run.commands.effort[inside],
+        torque_s,
+    )

@@ -1,1 +1,3 @@
-"""Bags, whole or damaged: written, scanned, read into columns, recovered, and described as rosbag2 does. Needs no ROS."""
+"""Bags, whole or damaged: written, scanned, read into columns, recovered, and described
+as rosbag2 does. Needs no ROS.
+"""

@@ -10,14 +10,21 @@ from dextar_control.contract.errors import BagError
 
 SUFFIXES = (".zstd", ".zst")  # rosbag2 writes the first
 ZSTD = b"\x28\xb5\x2f\xfd"
-OTHERS = {b"\x1f\x8b": ("gzip", "gunzip"), b"BZh": ("bzip2", "bunzip2"), b"\xfd7zXZ\0": ("xz", "unxz"),
-          b"\x04\x22\x4d\x18": ("lz4", "unlz4")}  # fmt: skip
+OTHERS = {
+    b"\x1f\x8b": ("gzip", "gunzip"),
+    b"BZh": ("bzip2", "bunzip2"),
+    b"\xfd7zXZ\0": ("xz", "unxz"),
+    b"\x04\x22\x4d\x18": ("lz4", "unlz4"),
+}
 PIECE = 1 << 20  # bytes
 
 
 def plain_name(name: str) -> str:
     """A file's name without what tells that it is compressed."""
-    return next((name.removesuffix(suffix) for suffix in SUFFIXES if name.endswith(suffix)), name)
+    return next(
+        (name.removesuffix(suffix) for suffix in SUFFIXES if name.endswith(suffix)),
+        name,
+    )
 
 
 def refuse_compressed(file: Path, start: bytes) -> None:
@@ -32,17 +39,23 @@ def refuse_compressed(file: Path, start: bytes) -> None:
     """
     for magic, (kind, command) in OTHERS.items():
         if start.startswith(magic):
-            raise BagError(f"{file} is not an MCAP file but one compressed with {kind}: unpack it ({command} {file.name})")
+            raise BagError(
+                f"{file} is not an MCAP file but one compressed with {kind}: unpack it"
+                f" ({command} {file.name})"
+            )
 
 
 def unpack(file: Path, target: Path) -> None:
-    """Write a zstd file's content, as far as it goes: of a file that breaks off what is before its end.
+    """Write a zstd file's content, as far as it goes: of a file that breaks off what is
+    before its end.
 
     Raises:
         OSError: it cannot be read or written.
     """
     with file.open("rb") as source, target.open("wb") as sink:
-        reader = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
+        reader = zstandard.ZstdDecompressor().stream_reader(
+            source, read_across_frames=True
+        )
         try:
             while piece := reader.read(PIECE):
                 sink.write(piece)
@@ -51,7 +64,9 @@ def unpack(file: Path, target: Path) -> None:
 
 
 def unpack_message(data: bytes) -> bytes | None:
-    """The content of a message that rosbag2 compressed by itself; None where it is damaged."""
+    """The content of a message that rosbag2 compressed by itself; None where it is
+    damaged.
+    """
     frame = zstandard.ZstdDecompressor().decompressobj()
     try:
         content = frame.decompress(data)

@@ -1,4 +1,6 @@
-"""What a damaged or cut-off bag lacks: one sentence, without its stop, for each kind of damage."""
+"""What a damaged or cut-off bag lacks: one sentence, without its stop, for each kind of
+damage.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +12,17 @@ from dextar_control.contract.words import counted
 
 @dataclass
 class Hole:
-    """Where messages are missing in the middle of a recording, because a file is damaged.
+    """Where messages are missing in the middle of a recording, because a file is
+    damaged.
 
     Attributes:
         file: by its path, or its name alone.
-        chunks: damaged ones; 0 where the end of the file is missing, or its records lost their order.
-        first, last: log times, ns, of the messages before and after it; None where there is none.
-        begin, end: stamps, ns, between which a state or its answers may be missing; None where no state is on that side, or
-            where they were not looked for.
+        chunks: damaged ones; 0 where the end of the file is missing, or its records
+            lost their order.
+        first, last: log times, ns, of the messages before and after it; None where
+            there is none.
+        begin, end: stamps, ns, between which a state or its answers may be missing;
+            None where no state is on that side, or where they were not looked for.
     """
 
     file: str
@@ -29,7 +34,9 @@ class Hole:
 
     def meets(self, begin: float, end: float) -> bool:
         """Whether something between two stamps, ns, may be missing."""
-        return (self.begin is None or self.begin < end) and (self.end is None or self.end > begin)
+        return (self.begin is None or self.begin < end) and (
+            self.end is None or self.end > begin
+        )
 
 
 @dataclass(frozen=True)
@@ -57,18 +64,31 @@ def in_words(hole: Hole) -> str:
     return f"no message is left of {what} of {hole.file}, {length}"
 
 
-def end_in_words(file: str = "the bag", unit: str = "chunk", *, recovered: bool = False) -> str:
+def end_in_words(
+    file: str = "the bag", unit: str = "chunk", *, recovered: bool = False
+) -> str:
     """That the end of a file is missing; ``recovered`` from one whose end was."""
-    was = "was recovered from a file that breaks off or" if recovered else "breaks off or"
+    was = (
+        "was recovered from a file that breaks off or" if recovered else "breaks off or"
+    )
     return f"{file} {was} is damaged: read up to its last complete {unit}"
 
 
 def unreadable_lines(unreadable: Mapping[str, Unreadable]) -> list[str]:
     """What could not be decoded of each topic."""
-    return [f"{one.count} of {counted(one.messages, 'message')} on {topic} cannot be read and count as not recorded: {one.reason}"
-            for topic, one in unreadable.items()]  # fmt: skip
+    return [
+        f"{one.count} of {counted(one.messages, 'message')} on {topic} cannot be read"
+        f" and count as not recorded: {one.reason}"
+        for topic, one in unreadable.items()
+    ]
 
 
-def damage_lines(holes: Sequence[Hole], truncated: bool, unreadable: Mapping[str, Unreadable]) -> list[str]:
+def damage_lines(
+    holes: Sequence[Hole], truncated: bool, unreadable: Mapping[str, Unreadable]
+) -> list[str]:
     """All of it."""
-    return [*map(in_words, holes), *[end_in_words()] * truncated, *unreadable_lines(unreadable)]
+    return [
+        *map(in_words, holes),
+        *[end_in_words()] * truncated,
+        *unreadable_lines(unreadable),
+    ]

@@ -12,7 +12,13 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from dextar_control.bags.compression import SUFFIXES, ZSTD, plain_name, refuse_compressed, unpack
+from dextar_control.bags.compression import (
+    SUFFIXES,
+    ZSTD,
+    plain_name,
+    refuse_compressed,
+    unpack,
+)
 from dextar_control.bags.damage import Hole
 from dextar_control.bags.scan import MAGIC, Scan
 from dextar_control.contract.errors import BagError
@@ -20,8 +26,12 @@ from dextar_control.contract.errors import BagError
 METADATA_FILE = "metadata.yaml"
 METADATA_ROOT = "rosbag2_bagfile_information"
 OVERLAP = 1_000_000_000  # ns by which the log times of a split bag's files may overlap
-SQLITE, SQLITE_SUFFIX = b"SQLite format 3\0", ".db3"  # rosbags knows such a file by its suffix
-# As recorders put it at the end of a file's name: 2026_01_30-12_00_00, 20260130T120000Z, 2026-01-30T12-00-00.
+SQLITE, SQLITE_SUFFIX = (
+    b"SQLite format 3\0",
+    ".db3",
+)  # rosbags knows such a file by its suffix
+# As recorders put it at the end of a file's name: 2026_01_30-12_00_00,
+# 20260130T120000Z, 2026-01-30T12-00-00.
 _TIME = re.compile(r"_*\d{4}[-_]?\d{2}[-_]?\d{2}[-_T]?\d{2}[-_]?\d{2}[-_]?\d{2}Z?$")
 
 
@@ -41,7 +51,8 @@ class Opened(NamedTuple):
 
 @contextlib.contextmanager
 def opened(files: Sequence[Path]) -> Iterator[list[Opened]]:
-    """The files of a bag, those that are compressed with zstd unpacked into TMPDIR for as long as they are open.
+    """The files of a bag, those that are compressed with zstd unpacked into TMPDIR for
+    as long as they are open.
 
     Raises:
         BagError: one is empty, compressed in another way, or neither MCAP nor sqlite3.
@@ -51,13 +62,18 @@ def opened(files: Sequence[Path]) -> Iterator[list[Opened]]:
         found = []
         for file in files:
             if file.exists() and not file.is_file():
-                raise BagError(f"{file} is a pipe or a device, and a bag is not read in one go: copy it into a file first")
+                raise BagError(
+                    f"{file} is a pipe or a device, and a bag is not read in one go:"
+                    " copy it into a file first"
+                )
             content, start = file, _start(file)
             if not start:
                 raise BagError(f"{file} is empty")
             packed = start.startswith(ZSTD)
             if packed or (start.startswith(SQLITE) and file.suffix != SQLITE_SUFFIX):
-                folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dextar-")))
+                folder = Path(
+                    stack.enter_context(tempfile.TemporaryDirectory(prefix="dextar-"))
+                )
                 content = folder / f"content{SQLITE_SUFFIX}"
             if content is not file and not packed:
                 content.symlink_to(file.absolute())
@@ -66,12 +82,20 @@ def opened(files: Sequence[Path]) -> Iterator[list[Opened]]:
                     unpack(file, content)
                 except OSError as error:
                     why = error.strerror or error
-                    text = f"cannot unpack {file} into {tempfile.gettempdir()} (set TMPDIR to name another): {why}"
+                    text = (
+                        f"cannot unpack {file} into {tempfile.gettempdir()} (set TMPDIR"
+                        f" to name another): {why}"
+                    )
                     raise BagError(text) from error
                 start = _start(content)
                 if not start:
-                    raise BagError(f"{file} is compressed with zstd and breaks off or is damaged before its first bytes")
-            storage = next((magic for magic in (MAGIC, SQLITE) if start.startswith(magic)), None)
+                    raise BagError(
+                        f"{file} is compressed with zstd and breaks off or is damaged"
+                        " before its first bytes"
+                    )
+            storage = next(
+                (magic for magic in (MAGIC, SQLITE) if start.startswith(magic)), None
+            )
             if storage is None:
                 refuse_compressed(file, start)
                 raise BagError(f"{file} is not an MCAP file, nor a sqlite3 bag")
@@ -89,7 +113,8 @@ class BagFiles(NamedTuple):
 
     Attributes:
         files: all that are there, in order.
-        listed: those that ``metadata.yaml`` lists; empty where there is none, or where one of these is not there.
+        listed: those that ``metadata.yaml`` lists; empty where there is none, or where
+            one of these is not there.
         fault: what is wrong with ``metadata.yaml``; "" nothing.
     """
 
@@ -99,24 +124,38 @@ class BagFiles(NamedTuple):
 
 
 def files_of(folder: Path) -> BagFiles:
-    """Which files of a folder are one bag: those that its ``metadata.yaml`` lists, with others of that bag, or all there are.
+    """Which files of a folder are one bag: those that its ``metadata.yaml`` lists, with
+    others of that bag, or all there are.
 
     Raises:
-        BagError: there is none, or there are several and their names are not those of one bag.
+        BagError: there is none, or there are several and their names are not those of
+            one bag.
         OSError: ``metadata.yaml`` cannot be read.
     """
-    there = [file for kind in ("mcap", "db3") for suffix in ("", *SUFFIXES) for file in folder.glob(f"*.{kind}{suffix}")]
+    there = [
+        file
+        for kind in ("mcap", "db3")
+        for suffix in ("", *SUFFIXES)
+        for file in folder.glob(f"*.{kind}{suffix}")
+    ]
     fault, listed = f"there is no {METADATA_FILE}", list[Path]()
     if (folder / METADATA_FILE).is_file():
         try:
-            listed = [folder / name for name in read_listing(folder)["relative_file_paths"]]
+            listed = [
+                folder / name for name in read_listing(folder)["relative_file_paths"]
+            ]
             fault = "" if listed else f"{METADATA_FILE} lists no file"
         except BagError as error:
             fault = str(error)
     missing = [file for file in listed if not file.is_file()]
-    more = sorted(file for file in there if file not in listed and of_one_bag(file, listed))
+    more = sorted(
+        file for file in there if file not in listed and of_one_bag(file, listed)
+    )
     if missing:
-        fault = f"{METADATA_FILE} lists {_names(missing)}, which {'is' if len(missing) == 1 else 'are'} not there"
+        fault = (
+            f"{METADATA_FILE} lists {_names(missing)}, which"
+            f" {'is' if len(missing) == 1 else 'are'} not there"
+        )
     elif more:
         fault = f"{METADATA_FILE} does not list {_names(more)}"
     if not fault:
@@ -124,7 +163,11 @@ def files_of(folder: Path) -> BagFiles:
     own = [*(file for file in listed if file not in missing), *more] or there
     files = in_order(own)
     if not files:
-        one = f"{len(own)} files of different bags; name one of them" if own else "no .mcap or .db3 file"
+        one = (
+            f"{len(own)} files of different bags; name one of them"
+            if own
+            else "no .mcap or .db3 file"
+        )
         raise BagError(f"folder {folder} holds {one}")
     return BagFiles(files, [] if missing else listed, fault)
 
@@ -134,10 +177,12 @@ def _names(files: Sequence[Path]) -> str:
 
 
 def patterns(file: Path) -> dict[str, int]:
-    """The names that a split bag may have of which this is a file, with ``#`` for the number, and its number.
+    """The names that a split bag may have of which this is a file, with ``#`` for the
+    number, and its number.
 
-    ``run_3.mcap`` is of ``run_#``, and rosbag2's later ``3_run_2026_01_30-12_00_00.mcap`` (number, name, time) of ``#_run``. A
-    time behind the number is that of the file alone.
+    ``run_3.mcap`` is of ``run_#``, and rosbag2's later
+    ``3_run_2026_01_30-12_00_00.mcap`` (number, name, time) of ``#_run``. A time behind
+    the number is that of the file alone.
     """
     stem = Path(plain_name(file.name)).stem
     bare = _TIME.sub("", stem)
@@ -153,14 +198,21 @@ def patterns(file: Path) -> dict[str, int]:
 
 
 def in_order(files: Sequence[Path]) -> list[Path] | None:
-    """The files of one bag by their numbers; None where their names are not those of one: a single file, or a split one's."""
+    """The files of one bag by their numbers; None where their names are not those of
+    one: a single file, or a split one's.
+    """
     if len(files) <= 1:
         return list(files)
     read = [patterns(file) for file in files]
     for pattern in read[0]:
         numbers = [names.get(pattern) for names in read]
         if None not in numbers and len(set(numbers)) == len(files):
-            return [file for _, file in sorted(zip(numbers, files, strict=True), key=lambda pair: pair[0] or 0)]
+            return [
+                file
+                for _, file in sorted(
+                    zip(numbers, files, strict=True), key=lambda pair: pair[0] or 0
+                )
+            ]
     return None
 
 
@@ -169,13 +221,16 @@ def of_one_bag(file: Path, others: Sequence[Path]) -> bool:
 
     def known_as(file: Path) -> set[tuple[str, str]]:
         name = plain_name(file.name)
-        return {(Path(name).suffix, pattern) for pattern in (*patterns(file),) or (name,)}
+        return {
+            (Path(name).suffix, pattern) for pattern in (*patterns(file),) or (name,)
+        }
 
     return any(known_as(file) & known_as(other) for other in others)
 
 
 def read_listing(folder: Path) -> dict[str, Any]:
-    """What ``metadata.yaml`` says of the bag in its folder: at least ``relative_file_paths``, a list of names.
+    """What ``metadata.yaml`` says of the bag in its folder: at least
+    ``relative_file_paths``, a list of names.
 
     Raises:
         BagError: it is no metadata.yaml of rosbag2.
@@ -184,21 +239,35 @@ def read_listing(folder: Path) -> dict[str, Any]:
     listing = folder / METADATA_FILE
     try:
         document = yaml.safe_load(listing.read_text(encoding="utf-8"))[METADATA_ROOT]
-        names = [_there(folder, Path(name).name) for name in document["relative_file_paths"]]
-    except (yaml.YAMLError, RecursionError, ValueError, KeyError, TypeError, AttributeError) as error:
+        names = [
+            _there(folder, Path(name).name) for name in document["relative_file_paths"]
+        ]
+    except (
+        yaml.YAMLError,
+        RecursionError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+    ) as error:
         raise BagError(f"{METADATA_FILE} is none of rosbag2") from error
     return {**document, "relative_file_paths": names}
 
 
 def _there(folder: Path, name: str) -> str:
-    """The name of a listed file; that of its unpacked or compressed content where only that is there."""
+    """The name of a listed file; that of its unpacked or compressed content where only
+    that is there.
+    """
     plain = plain_name(name)
     others = (plain, *(f"{plain}{suffix}" for suffix in SUFFIXES))
-    return next((other for other in (name, *others) if (folder / other).is_file()), name)
+    return next(
+        (other for other in (name, *others) if (folder / other).is_file()), name
+    )
 
 
 def check_one_recording(scans: Sequence[Scan]) -> None:
-    """Files that only their names hold together are of one recording: it began once, and goes on from file to file.
+    """Files that only their names hold together are of one recording: it began once,
+    and goes on from file to file.
 
     Args:
         scans: of files that were read, in order.
@@ -212,25 +281,40 @@ def check_one_recording(scans: Sequence[Scan]) -> None:
         if one.started and next_one.started and one.started != next_one.started:
             why = f"the one began at {one.started}, the other at {next_one.started}"
         elif (one.last or 0) - (next_one.first or 0) > OVERLAP:
-            why = f"the first ends {((one.last or 0) - (next_one.first or 0)) * 1e-9:.3f} s after the second begins"
+            why = (
+                f"the first ends {((one.last or 0) - (next_one.first or 0)) * 1e-9:.3f}"
+                " s after the second begins"
+            )
         if why:
-            raise BagError(f"{one.path} and {next_one.path} are of different recordings: {why}; name one of them")
+            raise BagError(
+                f"{one.path} and {next_one.path} are of different recordings: {why};"
+                " name one of them"
+            )
 
 
 def holes_of(scans: Sequence[Scan]) -> tuple[list[Hole], str | None]:
-    """(what is missing between the messages of a bag's files, the file whose end is missing where nothing comes after it)."""
+    """(what is missing between the messages of a bag's files, the file whose end is
+    missing where nothing comes after it).
+    """
     holes: list[Hole] = []
     waiting: list[Hole] = []  # without messages after them
     last: int | None = None
     for scan in scans:
         known = (*scan.inherited, *scan.holes)
-        found = [replace(hole, first=last if hole.first is None else hole.first) for hole in known]
+        found = [
+            replace(hole, first=last if hole.first is None else hole.first)
+            for hole in known
+        ]
         if (scan.cut or not scan.whole) and not (found and found[-1].last is None):
-            found.append(Hole(str(scan.path), 0, last if scan.last is None else scan.last))
+            found.append(
+                Hole(str(scan.path), 0, last if scan.last is None else scan.last)
+            )
         if scan.first is not None:
             for hole in waiting:
                 hole.last = scan.first
             holes, waiting, last = holes + waiting, [], scan.last
         for hole in found:
             (waiting if hole.last is None else holes).append(hole)
-    return holes + [hole for hole in waiting if hole.chunks], waiting[-1].file if waiting else None
+    return holes + [hole for hole in waiting if hole.chunks], (
+        waiting[-1].file if waiting else None
+    )

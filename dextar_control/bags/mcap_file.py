@@ -1,4 +1,6 @@
-"""One MCAP file in rosbag2's layout: profile ``ros2``, the definition, QoS and type hash of each topic, its own summary."""
+"""One MCAP file in rosbag2's layout: profile ``ros2``, the definition, QoS and type
+hash of each topic, its own summary.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,13 @@ from typing import IO, NamedTuple, cast
 from mcap.records import Attachment
 from mcap.writer import CompressionType, Writer
 
-from dextar_control.bags.metadata import RECORD_NAME, FileSummary, TopicDescription, bag_metadata, qos_text
+from dextar_control.bags.metadata import (
+    RECORD_NAME,
+    FileSummary,
+    TopicDescription,
+    bag_metadata,
+    qos_text,
+)
 from dextar_control.bags.scan import LATEST
 from dextar_control.bags.stream import RESERVE, BagStream
 
@@ -46,7 +54,11 @@ class McapFile:
     """
 
     def __init__(
-        self, path: Path, compression: str = "zstd", chunk_size: int = CHUNK_SIZE, library: str = "dextar recorder"
+        self,
+        path: Path,
+        compression: str = "zstd",
+        chunk_size: int = CHUNK_SIZE,
+        library: str = "dextar recorder",
     ) -> None:
         self.path = path
         self.first = self.last = 0
@@ -55,7 +67,11 @@ class McapFile:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self.stream = BagStream(path)
-        self._writer = Writer(cast(IO[bytes], self.stream), chunk_size=chunk_size, compression=COMPRESSIONS[compression])
+        self._writer = Writer(
+            cast(IO[bytes], self.stream),
+            chunk_size=chunk_size,
+            compression=COMPRESSIONS[compression],
+        )
         try:
             self._writer.start(profile="ros2", library=library)
             self._describe_itself({})
@@ -68,10 +84,17 @@ class McapFile:
         if topic.name in self._topics:
             return
         if topic.type not in self._schemas:
-            self._schemas[topic.type] = self._writer.register_schema(topic.type, topic.encoding, topic.definition.encode())
-        details = {"offered_qos_profiles": qos_text(topic.qos), "topic_type_hash": topic.digest}
+            self._schemas[topic.type] = self._writer.register_schema(
+                topic.type, topic.encoding, topic.definition.encode()
+            )
+        details = {
+            "offered_qos_profiles": qos_text(topic.qos),
+            "topic_type_hash": topic.digest,
+        }
         self._topics[topic.name] = topic
-        self._channels[topic.name] = self._writer.register_channel(topic.name, "cdr", self._schemas[topic.type], details)
+        self._channels[topic.name] = self._writer.register_channel(
+            topic.name, "cdr", self._schemas[topic.type], details
+        )
         self.counts.setdefault(topic.name, 0)
 
     def write(self, batch: Sequence[Sample]) -> None:
@@ -93,11 +116,17 @@ class McapFile:
     def attach(self, attachment: Attachment) -> None:
         """Copy another file's attachment."""
         self._writer.add_attachment(
-            attachment.create_time, attachment.log_time, attachment.name, attachment.media_type, attachment.data
+            attachment.create_time,
+            attachment.log_time,
+            attachment.name,
+            attachment.media_type,
+            attachment.data,
         )
 
     def sync(self) -> None:
-        """Close the chunk under way and wait until the disk has it; keep room for what the end will need."""
+        """Close the chunk under way and wait until the disk has it; keep room for what
+        the end will need.
+        """
         self._writer.flush()
         self.stream.reserve(RESERVE // 2 + INDEX_SIZE * self.stream.writes)
         self.stream.sync()

@@ -1,4 +1,6 @@
-"""Message definitions and type hashes of installed ROS packages, as a bag carries them."""
+"""Message definitions and type hashes of installed ROS packages, as a bag carries
+them.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +14,24 @@ from pathlib import Path
 from dextar_control.contract.errors import BagError
 
 SEPARATOR = "=" * 80
-_FIELD_TYPE = re.compile(r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+", re.MULTILINE)
+_FIELD_TYPE = re.compile(
+    r"^\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+", re.MULTILINE
+)
 _PRIMITIVES = frozenset(
-    "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 string wstring".split()
+    "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64"
+    " string wstring".split()
 )
 
 
 def share_folders() -> list[Path]:
-    """Every ``share`` folder that may hold message packages: AMENT_PREFIX_PATH first, then this Python's prefix."""
-    prefixes = [prefix for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    """Every ``share`` folder that may hold message packages: AMENT_PREFIX_PATH first,
+    then this Python's prefix.
+    """
+    prefixes = [
+        prefix
+        for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        if prefix
+    ]
     return [Path(prefix) / "share" for prefix in [*prefixes, sys.prefix]]
 
 
@@ -28,17 +39,23 @@ def _interface_file(type_name: str, suffix: str) -> Path:
     try:
         package, kind, name = type_name.split("/")
     except ValueError:
-        raise BagError(f"message type '{type_name}'; it must read package/msg/Type") from None
+        raise BagError(
+            f"message type '{type_name}'; it must read package/msg/Type"
+        ) from None
     for share in share_folders():
         path = share / package / kind / f"{name}{suffix}"
         if path.is_file():
             return path
     searched = ", ".join(map(str, share_folders()))
-    raise BagError(f"no {name}{suffix} of message type '{type_name}' in any of: {searched}")
+    raise BagError(
+        f"no {name}{suffix} of message type '{type_name}' in any of: {searched}"
+    )
 
 
 def dependencies(type_name: str, text: str) -> list[str]:
-    """Full names of the message types that this definition uses, in order, each once."""
+    """Full names of the message types that this definition uses, in order, each
+    once.
+    """
     package = type_name.split("/")[0]
     code = "\n".join(line.partition("#")[0] for line in text.splitlines())
     found: dict[str, None] = {}
@@ -52,7 +69,8 @@ def dependencies(type_name: str, text: str) -> list[str]:
 
 @functools.cache
 def definition(type_name: str) -> str:
-    """The concatenated definition (``ros2msg``): the type's own text, then each dependency's, depth first, each once.
+    """The concatenated definition (``ros2msg``): the type's own text, then each
+    dependency's, depth first, each once.
 
     Raises:
         BagError: the package's ``share`` folder is not found.
@@ -66,7 +84,9 @@ def definition(type_name: str) -> str:
             if dependency not in seen:
                 seen.add(dependency)
                 package, _, short = dependency.split("/")
-                parts.append(f"\n{SEPARATOR}\nMSG: {package}/{short}\n{append(dependency)}")
+                parts.append(
+                    f"\n{SEPARATOR}\nMSG: {package}/{short}\n{append(dependency)}"
+                )
         return "".join(parts)
 
     return append(type_name)

@@ -1,4 +1,6 @@
-"""rosbag2's BagMetadata, version 9: in ``metadata.yaml`` and in each file's own record."""
+"""rosbag2's BagMetadata, version 9: in ``metadata.yaml`` and in each file's own
+record.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ class TopicDescription(NamedTuple):
 
 
 class FileSummary(NamedTuple):
-    """What a bag says of one of its files; times in ns since the epoch, of reception."""
+    """What a bag says of one of its files; times in ns since the epoch, of
+    reception.
+    """
 
     name: str
     first: int
@@ -39,7 +43,9 @@ class FileSummary(NamedTuple):
 
 
 def bag_metadata(
-    files: Sequence[FileSummary], topics: Iterable[TopicDescription], custom: Mapping[str, str] | None = None
+    files: Sequence[FileSummary],
+    topics: Iterable[TopicDescription],
+    custom: Mapping[str, str] | None = None,
 ) -> str:
     """BagMetadata as YAML, keys in rosbag2's order."""
     return _dump(_document(files, topics, custom or {}))
@@ -51,7 +57,10 @@ def qos_text(profiles: Sequence[Qos]) -> str:
 
 
 def write_metadata_file(
-    folder: Path, files: Sequence[FileSummary], topics: Iterable[TopicDescription], custom: Mapping[str, str] | None = None
+    folder: Path,
+    files: Sequence[FileSummary],
+    topics: Iterable[TopicDescription],
+    custom: Mapping[str, str] | None = None,
 ) -> None:
     """Write ``metadata.yaml``, whole or not at all, and never over another.
 
@@ -70,7 +79,9 @@ def write_metadata_file(
 
 
 def _document(
-    files: Sequence[FileSummary], topics: Iterable[TopicDescription], custom: Mapping[str, str]
+    files: Sequence[FileSummary],
+    topics: Iterable[TopicDescription],
+    custom: Mapping[str, str],
 ) -> dict[str, object]:
     total: dict[str, int] = {}
     for file in files:
@@ -99,10 +110,7 @@ def _document(
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [file.name for file in files],
-        "files": [
-            {"path": file.name, **_file_span(file)}
-            for file in files
-        ],
+        "files": [{"path": file.name, **_file_span(file)} for file in files],
         "custom_data": dict(custom),
         "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
     }

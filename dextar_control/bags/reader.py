@@ -22,7 +22,14 @@ from dextar_control.bags.folder import (
     holes_of,
     opened,
 )
-from dextar_control.bags.scan import MAGIC, PER_MESSAGE, RECOVERY_NAME, Messages, Progress, Scan
+from dextar_control.bags.scan import (
+    MAGIC,
+    PER_MESSAGE,
+    RECOVERY_NAME,
+    Messages,
+    Progress,
+    Scan,
+)
 from dextar_control.bags.series import TYPES, Columns, Select, Series
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import JOINT_NAMES
@@ -38,7 +45,8 @@ class Bag:
 
     Attributes:
         path: of the file.
-        messages: per topic name; where a topic has two types, the second with its type behind the name.
+        messages: per topic name; where a topic has two types, the second with its type
+            behind the name.
         metadata: per record name, the last record's texts.
         holes: what is missing in its middle.
         truncated: the file whose end is missing, where nothing comes after it, or None.
@@ -56,92 +64,157 @@ class Bag:
 
     @property
     def damage(self) -> str:
-        """What is missing, a sentence for each damage; "" where nothing is known to be."""
+        """What is missing, a sentence for each damage; "" where nothing is known to
+        be.
+        """
         recovered, lines = RECOVERY_NAME in self.metadata, list[str]()
         saved = "" if recovered else "; dextar recover saves what can be"
         if self.truncated:
             sqlite = plain_name(self.truncated).endswith(SQLITE_SUFFIX)
-            lines.append(end_in_words(self.truncated, "message" if sqlite else "chunk", recovered=recovered))
+            lines.append(
+                end_in_words(
+                    self.truncated,
+                    "message" if sqlite else "chunk",
+                    recovered=recovered,
+                )
+            )
             saved = "" if sqlite else saved
         lines += [*map(in_words, self.holes)]
-        lines += [f"{self.path}: {counted(count, 'message')} of channel {channel}, which no record describes, cannot be read"
-                  for channel, count in self.undescribed.items()]  # fmt: skip
+        lines += [
+            f"{self.path}: {counted(count, 'message')} of channel {channel}, which no"
+            " record describes, cannot be read"
+            for channel, count in self.undescribed.items()
+        ]
         return "; ".join([*lines, *self.faults]) + saved * bool(lines)
 
     def of(
-        self, contract_name: str, resolved: Mapping[str, str], namespace: str | None = None, near: str | None = None
+        self,
+        contract_name: str,
+        resolved: Mapping[str, str],
+        namespace: str | None = None,
+        near: str | None = None,
     ) -> Series:
-        """Messages of a contract topic, maybe none. What only has its name, and not its type, is passed over.
+        """Messages of a contract topic, maybe none. What only has its name, and not its
+        type, is passed over.
 
         Args:
             contract_name: of the topic.
-            resolved: the recorder's own table of names; where that says nothing the end of the name decides.
+            resolved: the recorder's own table of names; where that says nothing the end
+                of the name decides.
             namespace: of the robot, where the bag holds several.
-            near: the namespace of the robot's joint states, which decides between several topics.
+            near: the namespace of the robot's joint states, which decides between
+                several topics.
 
         Raises:
-            BagError: of the joint states: they have another type, or there are several robots and none was named.
+            BagError: of the joint states: they have another type, or there are several
+                robots and none was named.
         """
         topic = next(topic for topic in TOPICS if topic.name == contract_name)
         names = self._names(topic, resolved, namespace)
-        named = [series for name in names for series in self.messages.values() if series.topic == name]
+        named = [
+            series
+            for name in names
+            for series in self.messages.values()
+            if series.topic == name
+        ]
         found = [series for series in named if series.type == topic.type]
         if len(found) > 1 and topic is JOINT_STATES:
-            found = [series for series in found if all(series.knows(f"position.{joint}") for joint in JOINT_NAMES)] or found
+            found = [
+                series
+                for series in found
+                if all(series.knows(f"position.{joint}") for joint in JOINT_NAMES)
+            ] or found
         elif len(found) > 1:
             listed = ", ".join(series.topic for series in found)
-            found = [series for series in found if series.topic == f"{near}/{contract_name}"]
+            found = [
+                series for series in found if series.topic == f"{near}/{contract_name}"
+            ]
             if not found:
-                warnings.warn(f"{contract_name} is there as {listed}, and none is the robot's own: not read", stacklevel=5)
+                warnings.warn(
+                    f"{contract_name} is there as {listed}, and none is the robot's"
+                    " own: not read",
+                    stacklevel=5,
+                )
         if len(found) > 1:
             listed = ", ".join(series.topic for series in found)
-            raise BagError(f"{self.path} holds {contract_name} of {len(found)} robots ({listed}); name one's namespace")
+            raise BagError(
+                f"{self.path} holds {contract_name} of {len(found)} robots ({listed});"
+                " name one's namespace"
+            )
         if not found and topic is JOINT_STATES:
             for other in named:
-                raise BagError(f"{self.path}: {other.topic} is a {other.type}; a run of this robot has a {topic.type} there")
+                raise BagError(
+                    f"{self.path}: {other.topic} is a {other.type}; a run of this robot"
+                    f" has a {topic.type} there"
+                )
         return found[0] if found else Series(contract_name, topic.type)
 
-    def _names(self, topic: Topic, resolved: Mapping[str, str], namespace: str | None) -> list[str]:
+    def _names(
+        self, topic: Topic, resolved: Mapping[str, str], namespace: str | None
+    ) -> list[str]:
         """What a topic may be called here."""
         if topic.name in resolved:
             return [resolved[topic.name]]
         if topic.name.startswith("/") or namespace is not None:
-            own = topic.name if topic.name.startswith("/") else f"/{(namespace or '').strip('/')}/{topic.name}"
+            own = (
+                topic.name
+                if topic.name.startswith("/")
+                else f"/{(namespace or '').strip('/')}/{topic.name}"
+            )
             return [own.replace("//", "/")]
-        longer = [other.name for other in TOPICS if other.name.endswith("/" + topic.name)]
+        longer = [
+            other.name for other in TOPICS if other.name.endswith("/" + topic.name)
+        ]
         topics = {series.topic for series in self.messages.values()}
-        return sorted({name for name in topics if name.endswith("/" + topic.name)
-                       and not any(name.endswith("/" + other) for other in longer)})  # fmt: skip
+        return sorted(
+            {
+                name
+                for name in topics
+                if name.endswith("/" + topic.name)
+                and not any(name.endswith("/" + other) for other in longer)
+            }
+        )
 
 
 def read_bag(
-    path: str | Path, columns: Mapping[str, Columns] | None = None, select: Mapping[str, Select] | None = None,
-    progress: Progress | None = None, tell: bool = True,
-) -> Bag:  # fmt: skip
-    """A bag: a file, MCAP or sqlite3, or a folder in rosbag2's layout, also a split one. Damaged chunks are passed over.
+    path: str | Path,
+    columns: Mapping[str, Columns] | None = None,
+    select: Mapping[str, Select] | None = None,
+    progress: Progress | None = None,
+    tell: bool = True,
+) -> Bag:
+    """A bag: a file, MCAP or sqlite3, or a folder in rosbag2's layout, also a split
+    one. Damaged chunks are passed over.
 
-    Memory does not grow with its length: messages are made into columns in temporary files (``Series``), or only counted.
+    Memory does not grow with its length: messages are made into columns in temporary
+        files (``Series``), or only counted.
 
     Args:
         path: of the file or folder.
         columns: per message type, what is kept of each message of a fast topic.
         select: per message type, which messages of a slow topic are kept.
-        progress: told the bytes read and those there are; not for what only the library reads.
+        progress: told the bytes read and those there are; not for what only the library
+            reads.
         tell: warn of its damage; otherwise the caller does.
 
     Raises:
-        BagError: no such file, empty, no bag, of several recordings, or without a message of a known type.
+        BagError: no such file, empty, no bag, of several recordings, or without a
+            message of a known type.
     """
     path = Path(path)
     try:
         files, listed = _files(path) if path.is_dir() else ([path], True)
         bag = Bag(files[0])
         with opened(files) as parts:
-            _Filling(bag, columns or {}, select or {}).from_files(parts, listed, progress)
+            _Filling(bag, columns or {}, select or {}).from_files(
+                parts, listed, progress
+            )
     except OSError as error:
         raise BagError(f"cannot read {path}: {error.strerror or error}") from error
     if not any(len(series) for series in bag.messages.values()):
-        raise BagError(f"{path} holds no ROS 2 message" + (f": {bag.damage}" if bag.damage else ""))
+        raise BagError(
+            f"{path} holds no ROS 2 message" + (f": {bag.damage}" if bag.damage else "")
+        )
     if tell and bag.damage:
         warnings.warn(bag.damage, stacklevel=2)
     return bag
@@ -151,20 +224,31 @@ def _files(folder: Path) -> tuple[list[Path], bool]:
     """(the files of a bag folder in order, whether ``metadata.yaml`` lists them)."""
     found = files_of(folder)
     if not found.listed and (folder / METADATA_FILE).is_file():
-        raise BagError(f"{folder}: {found.fault}; dextar recover saves what is there, or name one of its files")
+        raise BagError(
+            f"{folder}: {found.fault}; dextar recover saves what is there, or name one"
+            " of its files"
+        )
     if found.listed and found.fault:
-        warnings.warn(f"{folder}: {found.fault} beside it: not read; dextar recover puts them together", stacklevel=3)
+        warnings.warn(
+            f"{folder}: {found.fault} beside it: not read; dextar recover puts them"
+            " together",
+            stacklevel=3,
+        )
     return found.listed or found.files, bool(found.listed)
 
 
 class _Filling:
     """Fills a bag; ``columns`` and ``select`` as in ``read_bag``."""
 
-    def __init__(self, bag: Bag, columns: Mapping[str, Columns], select: Mapping[str, Select]) -> None:
+    def __init__(
+        self, bag: Bag, columns: Mapping[str, Columns], select: Mapping[str, Select]
+    ) -> None:
         self._bag, self._columns, self._select = bag, columns, select
         self._count = 0  # messages read
 
-    def from_files(self, parts: list[Opened], listed: bool, progress: Progress | None) -> None:
+    def from_files(
+        self, parts: list[Opened], listed: bool, progress: Progress | None
+    ) -> None:
         """From files in order."""
         sizes = [part.content.stat().st_size for part in parts]
         scans: list[Scan] = []
@@ -197,7 +281,9 @@ class _Filling:
                 if record.id not in series:
                     schema = schemas.get(record.schema_id)
                     known = record.message_encoding == "cdr" and schema is not None
-                    series[record.id] = self._series(record.topic, schema.name if known and schema else "")
+                    series[record.id] = self._series(
+                        record.topic, schema.name if known and schema else ""
+                    )
             elif isinstance(record, Metadata):
                 self._bag.metadata[record.name] = dict(record.metadata)
 
@@ -216,15 +302,26 @@ class _Filling:
             if found is None:
                 continue
             messages = numbers[mine][:, 2:]
-            if any(batch.data[begin : begin + len(ZSTD)] == ZSTD for begin in messages[:, 2].tolist()):
-                for place, (log_time, publish_time, first, last) in zip(places[mine].tolist(), messages.tolist(), strict=True):
-                    self._take_one(found, log_time, publish_time, batch.data[first:last], place)
+            if any(
+                batch.data[begin : begin + len(ZSTD)] == ZSTD
+                for begin in messages[:, 2].tolist()
+            ):
+                for place, (log_time, publish_time, first, last) in zip(
+                    places[mine].tolist(), messages.tolist(), strict=True
+                ):
+                    self._take_one(
+                        found, log_time, publish_time, batch.data[first:last], place
+                    )
             else:
                 found.extend(batch.data, messages, places[mine])
 
     @staticmethod
-    def _take_one(series: Series, log_time: int, publish_time: int, data: bytes, place: int) -> None:
-        """Take a message that rosbag2 may have compressed by itself: no message of CDR begins as such a one."""
+    def _take_one(
+        series: Series, log_time: int, publish_time: int, data: bytes, place: int
+    ) -> None:
+        """Take a message that rosbag2 may have compressed by itself: no message of CDR
+        begins as such a one.
+        """
         content = unpack_message(data) if data.startswith(ZSTD) else data
         if content is None:
             series.lose(log_time, BROKEN_MESSAGE)
@@ -236,7 +333,10 @@ class _Filling:
         before = self._count
         try:
             with Reader(part.content) as reader:
-                series = {connection.id: self._series(connection.topic, connection.msgtype) for connection in reader.connections}
+                series = {
+                    connection.id: self._series(connection.topic, connection.msgtype)
+                    for connection in reader.connections
+                }
                 for connection, time, data in reader.messages():
                     self._count += 1
                     found = series[connection.id]
@@ -244,7 +344,8 @@ class _Filling:
                         self._take_one(found, time, time, bytes(data), self._count)
         except (OSError, BagError):
             raise
-        except Exception as error:  # what the library and sqlite3 raise at a damaged file is listed nowhere
+        # what the library and sqlite3 raise at a damaged file is listed nowhere
+        except Exception as error:
             if self._count == before:
                 raise BagError(f"{part.file} cannot be read: {error}") from error
             self._bag.truncated = str(part.file)
@@ -253,7 +354,16 @@ class _Filling:
         if type_name not in TYPES.fielddefs:
             return None
         known = self._bag.messages
-        name = topic if topic not in known or known[topic].type == type_name else f"{topic} ({type_name})"
+        name = (
+            topic
+            if topic not in known or known[topic].type == type_name
+            else f"{topic} ({type_name})"
+        )
         if name not in known:
-            known[name] = Series(topic, type_name, self._columns.get(type_name), self._select.get(type_name))
+            known[name] = Series(
+                topic,
+                type_name,
+                self._columns.get(type_name),
+                self._select.get(type_name),
+            )
         return known[name]

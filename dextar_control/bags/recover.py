@@ -1,4 +1,6 @@
-"""A whole bag from one that is damaged or breaks off: every intact message, an index, rosbag2's metadata. Needs no ROS."""
+"""A whole bag from one that is damaged or breaks off: every intact message, an index,
+rosbag2's metadata. Needs no ROS.
+"""
 
 from __future__ import annotations
 
@@ -23,20 +25,53 @@ from dextar_control.bags.folder import (
     read_listing,
 )
 from dextar_control.bags.mcap_file import McapFile, Sample
-from dextar_control.bags.metadata import RECORD_NAME, FileSummary, Qos, TopicDescription, write_metadata_file
-from dextar_control.bags.scan import MAGIC, PER_MESSAGE, RECOVERY_NAME, Messages, Progress, Scan
+from dextar_control.bags.metadata import (
+    RECORD_NAME,
+    FileSummary,
+    Qos,
+    TopicDescription,
+    write_metadata_file,
+)
+from dextar_control.bags.scan import (
+    MAGIC,
+    PER_MESSAGE,
+    RECOVERY_NAME,
+    Messages,
+    Progress,
+    Scan,
+)
 from dextar_control.contract.errors import BagError
 
 SUFFIX = "-recovered"
-# Of a QoS profile in rosbag2's order: a type, or the words for the numbers of rmw that stand there before version 9.
+# Of a QoS profile in rosbag2's order: a type, or the words for the numbers of rmw that
+# stand there before version 9.
 QOS_KEYS: dict[str, type | tuple[str, ...]] = {
     "history": ("system_default", "keep_last", "keep_all", "unknown"),
     "depth": int,
-    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
-    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
+    "reliability": (
+        "system_default",
+        "reliable",
+        "best_effort",
+        "unknown",
+        "best_available",
+    ),
+    "durability": (
+        "system_default",
+        "transient_local",
+        "volatile",
+        "unknown",
+        "best_available",
+    ),
     "deadline": dict,
     "lifespan": dict,
-    "liveliness": ("system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown", "best_available"),
+    "liveliness": (
+        "system_default",
+        "automatic",
+        "manual_by_node",
+        "manual_by_topic",
+        "unknown",
+        "best_available",
+    ),
     "liveliness_lease_duration": dict,
     "avoid_ros_namespace_conventions": bool,
 }
@@ -77,8 +112,10 @@ class _Content(NamedTuple):
 
     Attributes:
         messages: all.
-        copied: those that can be copied: of a ROS 2 topic, and not damaged where they are compressed one by one.
-        damaged: of a channel that nothing describes, or damaged where they are compressed one by one.
+        copied: those that can be copied: of a ROS 2 topic, and not damaged where they
+            are compressed one by one.
+        damaged: of a channel that nothing describes, or damaged where they are
+            compressed one by one.
     """
 
     messages: int
@@ -94,10 +131,15 @@ def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> R
         progress: called with each file, gives what to call while it is read.
 
     Raises:
-        BagError: it is whole, was recovered before, holds nothing of ROS 2, or cannot be read or written.
+        BagError: it is whole, was recovered before, holds nothing of ROS 2, or cannot
+            be read or written.
     """
-    whole_path = Path(os.path.realpath(path))  # also of links in a circle, which are told when they are opened
-    folder = whole_path.with_name(plain_name(whole_path.name).removesuffix(".mcap") + SUFFIX)
+    whole_path = Path(
+        os.path.realpath(path)
+    )  # also of links in a circle, which are told when they are opened
+    folder = whole_path.with_name(
+        plain_name(whole_path.name).removesuffix(".mcap") + SUFFIX
+    )
     if folder.exists():
         raise BagError(f"{path} was recovered before: {folder} is there")
     try:
@@ -105,7 +147,10 @@ def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> R
         with opened(files) as parts:
             for part in parts:
                 if part.storage != MAGIC:
-                    raise BagError(f"{part.file} is not an MCAP file but a sqlite3 bag: dextar recover takes MCAP alone")
+                    raise BagError(
+                        f"{part.file} is not an MCAP file but a sqlite3 bag: dextar"
+                        " recover takes MCAP alone"
+                    )
             scans = [Scan(part.file, part.content) for part in parts]
             return _recover(path, scans, fault, folder, progress)
     except OSError as error:
@@ -113,18 +158,32 @@ def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> R
 
 
 def _recover(
-    path: Path, scans: list[Scan], fault: str, folder: Path, progress: Callable[[Path], Progress] | None
+    path: Path,
+    scans: list[Scan],
+    fault: str,
+    folder: Path,
+    progress: Callable[[Path], Progress] | None,
 ) -> Recovery:
-    contents = [_look(scan, progress(scan.path) if progress else None) for scan in scans]
+    contents = [
+        _look(scan, progress(scan.path) if progress else None) for scan in scans
+    ]
     if path.is_dir():
         if fault:
             check_one_recording(scans)
         else:
-            fault = _wrong_counts(path, [scan.path for scan in scans], [content.messages for content in contents])
-    whole = all(scan.whole and not scan.damaged for scan in scans) and not any(content.damaged for content in contents)
+            fault = _wrong_counts(
+                path,
+                [scan.path for scan in scans],
+                [content.messages for content in contents],
+            )
+    whole = all(scan.whole and not scan.damaged for scan in scans) and not any(
+        content.damaged for content in contents
+    )
     if whole and not fault:
         if not any(content.copied for content in contents):
-            raise BagError(f"{path} holds no message of a ROS 2 topic: nothing can be recovered")
+            raise BagError(
+                f"{path} holds no message of a ROS 2 topic: nothing can be recovered"
+            )
         raise BagError(f"{path} is whole: there is nothing to recover")
     working = folder.with_name(f".{folder.name}.{os.getpid()}")
     try:
@@ -133,24 +192,33 @@ def _recover(
         result.metadata = fault
         working.rename(folder)
     except OSError as error:
-        raise BagError(f"cannot recover {path} into {folder}: {error.strerror or error}") from error
+        raise BagError(
+            f"cannot recover {path} into {folder}: {error.strerror or error}"
+        ) from error
     finally:
         shutil.rmtree(working, ignore_errors=True)
     return result
 
 
 def _wrong_counts(folder: Path, files: Sequence[Path], counts: Sequence[int]) -> str:
-    """What ``metadata.yaml`` says wrongly of its files; "" where it is right or does not say."""
+    """What ``metadata.yaml`` says wrongly of its files; "" where it is right or does
+    not say.
+    """
     document = read_listing(folder)
     told = {"the bag": (document.get("message_count"), sum(counts))}
     entries = document.get("files")
     for entry in entries if isinstance(entries, list) else []:
         for file, count in zip(files, counts, strict=True):
-            if isinstance(entry, dict) and plain_name(str(entry.get("path"))) == plain_name(file.name):
+            if isinstance(entry, dict) and plain_name(
+                str(entry.get("path"))
+            ) == plain_name(file.name):
                 told[file.name] = entry.get("message_count"), count
     for name, (said, count) in told.items():
         if said is not None and said != count:
-            return f"{METADATA_FILE} says that {name} has {said} messages; there are {count}"
+            return (
+                f"{METADATA_FILE} says that {name} has {said} messages; there are"
+                f" {count}"
+            )
     return ""
 
 
@@ -163,30 +231,53 @@ def _look(scan: Scan, progress: Progress | None) -> _Content:
         if isinstance(record, Schema):
             schemas.add(record.id)
         elif isinstance(record, Channel):
-            ours[record.id] = record.message_encoding == "cdr" and record.schema_id in schemas
+            ours[record.id] = (
+                record.message_encoding == "cdr" and record.schema_id in schemas
+            )
         elif isinstance(record, Messages):
             numbers = iter(record.numbers)
-            for channel, _, _, _, begin, end in zip(*[numbers] * PER_MESSAGE, strict=True):
+            for channel, _, _, _, begin, end in zip(
+                *[numbers] * PER_MESSAGE, strict=True
+            ):
                 messages += 1
                 good = ours.get(channel)
                 if good and record.data[begin : begin + len(ZSTD)] == ZSTD:
-                    good = None if unpack_message(record.data[begin:end]) is None else True
+                    good = (
+                        None if unpack_message(record.data[begin:end]) is None else True
+                    )
                 copied += good is True
                 damaged += good is None
     return _Content(messages, copied, damaged)
 
 
-def _rebuild(scans: list[Scan], working: Path, folder: Path, progress: Callable[[Path], Progress] | None) -> Recovery:
+def _rebuild(
+    scans: list[Scan],
+    working: Path,
+    folder: Path,
+    progress: Callable[[Path], Progress] | None,
+) -> Recovery:
     result = Recovery(folder)
     summaries: list[FileSummary] = []
     topics: dict[str, TopicDescription] = {}
     for scan in scans:
-        target = McapFile(working / plain_name(scan.path.name), library="dextar recover")
+        target = McapFile(
+            working / plain_name(scan.path.name), library="dextar recover"
+        )
         try:
-            _copy(scan, target, topics, result, progress(scan.path) if progress else None)
+            _copy(
+                scan, target, topics, result, progress(scan.path) if progress else None
+            )
             lost = 0 if scan.whole else scan.size - scan.end
-            target.add_metadata(RECOVERY_NAME, {"source": scan.path.name, "read_bytes": str(scan.end), "lost_bytes": str(lost),
-                                                "damaged_chunks": str(scan.damaged), **scan.told()})  # fmt: skip
+            target.add_metadata(
+                RECOVERY_NAME,
+                {
+                    "source": scan.path.name,
+                    "read_bytes": str(scan.end),
+                    "lost_bytes": str(lost),
+                    "damaged_chunks": str(scan.damaged),
+                    **scan.told(),
+                },
+            )
             target.finish({"recovered_from": scan.path.name})
         finally:
             target.stream.close()
@@ -201,13 +292,25 @@ def _rebuild(scans: list[Scan], working: Path, folder: Path, progress: Callable[
         left = "; ".join(f"messages of {name}: {why}" for name, why in result.left_out)
         what = f"message of a ROS 2 topic ({left})" if left else "complete message"
         raise BagError(f"{scans[0].path} holds no {what}: nothing can be recovered")
-    result.first, result.last = min(summary.first for summary in filled), max(summary.last for summary in filled)
-    write_metadata_file(working, summaries, topics.values(), {"recovered_from": scans[0].path.parent.name})
+    result.first, result.last = (
+        min(summary.first for summary in filled),
+        max(summary.last for summary in filled),
+    )
+    write_metadata_file(
+        working,
+        summaries,
+        topics.values(),
+        {"recovered_from": scans[0].path.parent.name},
+    )
     return result
 
 
 def _copy(
-    scan: Scan, target: McapFile, topics: dict[str, TopicDescription], result: Recovery, progress: Progress | None
+    scan: Scan,
+    target: McapFile,
+    topics: dict[str, TopicDescription],
+    result: Recovery,
+    progress: Progress | None,
 ) -> None:
     schemas: dict[int, Schema] = {}
     channels: dict[int, str] = {}
@@ -215,9 +318,14 @@ def _copy(
     for record in scan.records(progress):
         if isinstance(record, Messages):
             numbers = iter(record.numbers)
-            for channel, sequence, log_time, publish_time, begin, end in zip(*[numbers] * PER_MESSAGE, strict=True):
+            for channel, sequence, log_time, publish_time, begin, end in zip(
+                *[numbers] * PER_MESSAGE, strict=True
+            ):
                 if channel not in channels:
-                    unknown = f"channel {channel}, which no record describes", "nothing says what they are"
+                    unknown = (
+                        f"channel {channel}, which no record describes",
+                        "nothing says what they are",
+                    )
                     result.leave_out(*others.get(channel, unknown), 1)
                     continue
                 data: bytes | None = record.data[begin:end]
@@ -225,21 +333,43 @@ def _copy(
                     data = unpack_message(record.data[begin:end])
                     result.unpacked += data is not None
                 if data is None:
-                    result.leave_out(channels[channel], "their compressed content is damaged", 1)
+                    result.leave_out(
+                        channels[channel], "their compressed content is damaged", 1
+                    )
                 else:
-                    target.write([Sample(log_time, channels[channel], publish_time, sequence, data)])
+                    target.write(
+                        [
+                            Sample(
+                                log_time,
+                                channels[channel],
+                                publish_time,
+                                sequence,
+                                data,
+                            )
+                        ]
+                    )
         elif isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel) and record.id not in channels:
             schema = schemas.get(record.schema_id)
             if schema is None or record.message_encoding != "cdr":
-                why = f"its messages are '{record.message_encoding}'" if schema else "it has no schema"
+                why = (
+                    f"its messages are '{record.message_encoding}'"
+                    if schema
+                    else "it has no schema"
+                )
                 others[record.id] = record.topic, f"it is no ROS 2 topic, {why}"
                 result.leave_out(*others[record.id])
                 continue
             topic = _topic(record, schema)
             if topics.setdefault(topic.name, topic).type != topic.type:
-                others[record.id] = topic.name, f"it is a {topics[topic.name].type} before, and a {topic.type} here"
+                others[record.id] = (
+                    topic.name,
+                    (
+                        f"it is a {topics[topic.name].type} before, and a {topic.type}"
+                        " here"
+                    ),
+                )
                 continue
             channels[record.id] = topic.name
             target.register(topic)
@@ -253,16 +383,34 @@ def _topic(channel: Channel, schema: Schema) -> TopicDescription:
     details: Mapping[str, str] = channel.metadata
     qos = _profiles(details.get("offered_qos_profiles", ""))
     text = schema.data.decode("utf-8", errors="replace")
-    return TopicDescription(channel.topic, schema.name, qos, text, details.get("topic_type_hash", ""), schema.encoding)
+    return TopicDescription(
+        channel.topic,
+        schema.name,
+        qos,
+        text,
+        details.get("topic_type_hash", ""),
+        schema.encoding,
+    )
 
 
 def _profiles(text: str) -> list[Qos]:
-    """The offered QoS profiles that version 9 of rosbag2's metadata can hold; what earlier versions numbered in words."""
+    """The offered QoS profiles that version 9 of rosbag2's metadata can hold; what
+    earlier versions numbered in words.
+    """
     try:
         listed = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, AttributeError, RecursionError):  # what PyYAML raises at content that is none
+    except (
+        yaml.YAMLError,
+        ValueError,
+        AttributeError,
+        RecursionError,
+    ):  # what PyYAML raises at content that is none
         return []
-    return [found for profile in (listed if isinstance(listed, list) else []) if (found := _profile(profile)) is not None]
+    return [
+        found
+        for profile in (listed if isinstance(listed, list) else [])
+        if (found := _profile(profile)) is not None
+    ]
 
 
 def _profile(profile: Any) -> Qos | None:
@@ -272,10 +420,14 @@ def _profile(profile: Any) -> Qos | None:
     for key, kind in QOS_KEYS.items():
         value = profile.get(key)
         if isinstance(kind, tuple):
-            value = kind[value] if type(value) is int and 0 <= value < len(kind) else value
+            value = (
+                kind[value] if type(value) is int and 0 <= value < len(kind) else value
+            )
             good = isinstance(value, str)
         elif kind is dict:
-            good = isinstance(value, dict) and all(type(value.get(part)) is int for part in ("sec", "nsec"))
+            good = isinstance(value, dict) and all(
+                type(value.get(part)) is int for part in ("sec", "nsec")
+            )
         else:
             good = type(value) is kind
         if not good:

@@ -1,4 +1,6 @@
-"""What a bag says of its run: names, parameters and their changes, versions, plan certificate, losses."""
+"""What a bag says of its run: names, parameters and their changes, versions, plan
+certificate, losses.
+"""
 
 from __future__ import annotations
 
@@ -40,14 +42,20 @@ class RunRecord:
         self.more_changes = 0
 
     def note_change(self, time: int, node: str, name: str, value: Any) -> None:
-        """A parameter that was changed while the recording ran; time in ns since the epoch."""
+        """A parameter that was changed while the recording ran; time in ns since the
+        epoch.
+        """
         if len(self.changes) >= MAX_CHANGES:
             self.more_changes += 1
             return
-        self.changes.append({"time": time, "node": node, "name": name, "value": plain(value)})
+        self.changes.append(
+            {"time": time, "node": node, "name": name, "value": plain(value)}
+        )
 
     def note_certificate(self, text: str) -> None:
-        """A plan's certificate as JSON; one that lists all its crossings is kept against a shortened one of the same plan."""
+        """A plan's certificate as JSON; one that lists all its crossings is kept
+        against a shortened one of the same plan.
+        """
         if text == self.certificate:
             return
         try:
@@ -58,9 +66,13 @@ class RunRecord:
             self.certificate = text
 
     def texts(
-        self, parameters: Mapping[str, Mapping[str, Any]], topics: Mapping[str, str], counts: Mapping[str, Any],
-        missing: list[str], ended: datetime | None = None,
-    ) -> dict[str, str]:  # fmt: skip
+        self,
+        parameters: Mapping[str, Mapping[str, Any]],
+        topics: Mapping[str, str],
+        counts: Mapping[str, Any],
+        missing: list[str],
+        ended: datetime | None = None,
+    ) -> dict[str, str]:
         """The record.
 
         Args:
@@ -84,20 +96,30 @@ class RunRecord:
             "parameters_missing": json.dumps(missing),
             "parameter_changes": json.dumps(self.changes),
             "parameter_changes_not_listed": str(self.more_changes),
-            **{f"parameters.{node}": parameter_text(values) for node, values in parameters.items()},
+            **{
+                f"parameters.{node}": parameter_text(values)
+                for node, values in parameters.items()
+            },
         }
 
-    def custom_data(self, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    def custom_data(
+        self, parameters: Mapping[str, Mapping[str, Any]]
+    ) -> dict[str, str]:
         """What ``metadata.yaml`` shows of the run in ``custom_data``; nothing empty."""
         data = {**self.labels, **_laws(parameters), "dextar": version()}
         return {key: str(value) for key, value in data.items() if value}
 
 
 def robot_file(parameters: Mapping[str, Mapping[str, Any]]) -> str:
-    """The robot as a ROS 2 parameter file (``--params-file``, ``load_robot``), the controller's before others'; "" if none."""
+    """The robot as a ROS 2 parameter file (``--params-file``, ``load_robot``), the
+    controller's before others'; "" if none.
+    """
     for node in ("controller", *parameters):
-        flat = {name.removeprefix("robot."): value for name, value in parameters.get(node, {}).items()
-                if name.startswith("robot.")}  # fmt: skip
+        flat = {
+            name.removeprefix("robot."): value
+            for name, value in parameters.get(node, {}).items()
+            if name.startswith("robot.")
+        }
         if flat:
             return robot_text({name: plain(value) for name, value in flat.items()})
     return ""
@@ -105,13 +127,19 @@ def robot_file(parameters: Mapping[str, Mapping[str, Any]]) -> str:
 
 def parameter_text(values: Mapping[str, Any]) -> str:
     """Dotted parameters as YAML, arrays as lists."""
-    return yaml.safe_dump({name: plain(value) for name, value in values.items()}, sort_keys=True, default_flow_style=None,
-                          width=1000)  # fmt: skip
+    return yaml.safe_dump(
+        {name: plain(value) for name, value in values.items()},
+        sort_keys=True,
+        default_flow_style=None,
+        width=1000,
+    )
 
 
 def plain(value: Any) -> Any:
     """A parameter's value in Python's own types."""
-    return value if isinstance(value, (str, bool, int, float, type(None))) else list(value)
+    return (
+        value if isinstance(value, (str, bool, int, float, type(None))) else list(value)
+    )
 
 
 @cache
@@ -127,7 +155,9 @@ def version() -> str:
 
 @cache
 def versions() -> dict[str, str]:
-    """Of what the run was made with: this package and its source's revision, ROS, Python, libraries, machine."""
+    """Of what the run was made with: this package and its source's revision, ROS,
+    Python, libraries, machine.
+    """
     found = {
         "dextar": version(),
         "revision": _revision(),
@@ -165,6 +195,8 @@ def _revision() -> str:
         return ""
     try:
         command = ["git", "-C", str(_source()), "describe", "--always", "--dirty"]
-        return subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=True).stdout.strip()
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=5.0, check=True
+        ).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""

@@ -1,4 +1,6 @@
-"""The records of an MCAP file one after the other: past damaged chunks, up to where the file breaks off."""
+"""The records of an MCAP file one after the other: past damaged chunks, up to where the
+file breaks off.
+"""
 
 from __future__ import annotations
 
@@ -31,10 +33,25 @@ BUFFER = 1 << 20  # bytes
 TOLD = 1 << 18  # bytes from one word of progress to the next
 _RECORD = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_READ: dict[int, Any] = {Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata,
-                         Opcode.ATTACHMENT: Attachment, Opcode.FOOTER: Footer}  # fmt: skip
+_READ: dict[int, Any] = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.FOOTER: Footer,
+}
 # What the libraries raise at content that is none; lz4 raises RuntimeError.
-_DAMAGED = (EndOfFile, McapError, struct.error, ZstdError, ValueError, OverflowError, MemoryError, RuntimeError)
+_DAMAGED = (
+    EndOfFile,
+    McapError,
+    struct.error,
+    ZstdError,
+    ValueError,
+    OverflowError,
+    MemoryError,
+    RuntimeError,
+)
 
 Progress = Callable[[int, int], None]  # bytes read, bytes in all
 
@@ -44,7 +61,8 @@ class Messages(NamedTuple):
 
     Attributes:
         data: what holds them.
-        numbers: PER_MESSAGE for each: channel, sequence, log time and publish time in ns, begin and end of its content in data.
+        numbers: PER_MESSAGE for each: channel, sequence, log time and publish time in
+            ns, begin and end of its content in data.
     """
 
     data: bytes
@@ -62,7 +80,8 @@ class Scan:
         size: bytes of the content.
         holes: in the order of the file.
         damaged: chunks whose content does not agree with their check sum, or is none.
-        first, last: least and greatest log time of its messages, ns; None before there was one. What is no time does not count.
+        first, last: least and greatest log time of its messages, ns; None before there
+            was one. What is no time does not count.
         started: when its recording began, as the recorder says; "" where it does not.
         inherited: holes of the file that it was recovered from.
         cut: it was recovered from a file whose end was missing.
@@ -89,12 +108,20 @@ class Scan:
         return sum(hole.chunks for hole in self.holes)
 
     def records(self, progress: Progress | None = None) -> Iterator[Any]:
-        """Every record that can be read, from the beginning; those of intact chunks as schemas, channels and ``Messages``.
+        """Every record that can be read, from the beginning; those of intact chunks as
+        schemas, channels and ``Messages``.
 
         Raises:
             OSError: the file cannot be read.
         """
-        self.whole, self.end, self.holes, self.first, self.last, self.started = False, 0, [], None, None, ""
+        self.whole, self.end, self.holes, self.first, self.last, self.started = (
+            False,
+            0,
+            [],
+            None,
+            None,
+            "",
+        )
         self._opened, self._count, self.inherited, self.cut = False, 0, [], False
         source = self.content or self.path
         self.size = size = source.stat().st_size
@@ -122,7 +149,11 @@ class Scan:
                         record = _READ[opcode].read(ReadDataStream(BytesIO(content)))
                     except _DAMAGED:
                         continue
-                    if isinstance(record, Metadata) and record.name == "dextar" and not self.started:
+                    if (
+                        isinstance(record, Metadata)
+                        and record.name == "dextar"
+                        and not self.started
+                    ):
                         self.started = str(record.metadata.get("started", ""))
                     if isinstance(record, Metadata) and record.name == RECOVERY_NAME:
                         self._inherit(record.metadata)
@@ -132,8 +163,12 @@ class Scan:
         if progress is not None:
             progress(size, size)
 
-    def _frames(self, stream: IO[bytes], size: int, progress: Progress | None) -> Iterator[tuple[int, bytes]]:
-        """(opcode, content) of each record up to the footer; what only an index needs is passed over."""
+    def _frames(
+        self, stream: IO[bytes], size: int, progress: Progress | None
+    ) -> Iterator[tuple[int, bytes]]:
+        """(opcode, content) of each record up to the footer; what only an index needs
+        is passed over.
+        """
         told = 0
         while True:
             self.end = stream.tell()
@@ -146,7 +181,11 @@ class Scan:
             opcode, length = _RECORD.unpack(head)
             if opcode == 0 or length > size - stream.tell():
                 return
-            if opcode not in _READ and opcode not in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.STATISTICS):
+            if opcode not in _READ and opcode not in (
+                Opcode.CHUNK,
+                Opcode.MESSAGE,
+                Opcode.STATISTICS,
+            ):
                 stream.seek(length, 1)
                 continue
             yield opcode, stream.read(length)
@@ -168,19 +207,36 @@ class Scan:
             yield self._counted(messages)
 
     def _compare(self, statistics: bytes) -> None:
-        """With what the file says itself: a chunk may be missing that was not even seen as one, who knows where."""
-        if not self.holes and len(statistics) >= 8 and int.from_bytes(statistics[:8], "little") > self._count:
+        """With what the file says itself: a chunk may be missing that was not even seen
+        as one, who knows where.
+        """
+        if (
+            not self.holes
+            and len(statistics) >= 8
+            and int.from_bytes(statistics[:8], "little") > self._count
+        ):
             self.holes.append(Hole(str(self.path), 1, self.first, self.last))
 
     def told(self) -> dict[str, str]:
-        """What is missing here, for the record ``RECOVERY_NAME`` of a file recovered from this one."""
-        holes = [(hole.chunks, hole.first, hole.last) for hole in (*self.inherited, *self.holes)]
-        return {"holes": json.dumps(holes), "cut": json.dumps(self.cut or not self.whole)}
+        """What is missing here, for the record ``RECOVERY_NAME`` of a file recovered
+        from this one.
+        """
+        holes = [
+            (hole.chunks, hole.first, hole.last)
+            for hole in (*self.inherited, *self.holes)
+        ]
+        return {
+            "holes": json.dumps(holes),
+            "cut": json.dumps(self.cut or not self.whole),
+        }
 
     def _inherit(self, metadata: Mapping[str, str]) -> None:
         try:
             told = json.loads(metadata.get("holes", "[]"))
-            holes = [Hole(str(self.path), int(chunks), first, last) for chunks, first, last in told]
+            holes = [
+                Hole(str(self.path), int(chunks), first, last)
+                for chunks, first, last in told
+            ]
             cut = bool(json.loads(metadata.get("cut", "false")))
         except (ValueError, TypeError, RecursionError):  # not ours
             return
@@ -196,7 +252,11 @@ class Scan:
     def _counted(self, messages: Messages) -> Messages:
         times = messages.numbers[2::PER_MESSAGE]
         self._count += len(times)
-        known = times if max(times) <= LATEST else [time for time in times if time <= LATEST]
+        known = (
+            times
+            if max(times) <= LATEST
+            else [time for time in times if time <= LATEST]
+        )
         if len(known) == 0:
             return messages
         first, last = min(known), max(known)
@@ -218,8 +278,12 @@ def _joined(loose: list[bytes]) -> Messages:
 
 
 def _break_up(content: bytes) -> tuple[list[Any], Messages]:
-    """Schemas, channels and messages of a chunk; mcap's own way takes ten times as long."""
-    stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(content))), validate_crc=True)
+    """Schemas, channels and messages of a chunk; mcap's own way takes ten times as
+    long.
+    """
+    stream, length = get_chunk_data_stream(
+        Chunk.read(ReadDataStream(BytesIO(content))), validate_crc=True
+    )
     data = stream.read(length)
     records: list[Any] = []
     numbers = array("Q")
@@ -234,13 +298,19 @@ def _break_up(content: bytes) -> tuple[list[Any], Messages]:
             numbers.extend(_MESSAGE.unpack_from(data, begin))
             numbers.extend((begin + _MESSAGE.size, place))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            with contextlib.suppress(UnicodeDecodeError):  # its messages are then of a channel that nothing describes
-                records.append(_READ[opcode].read(ReadDataStream(BytesIO(data[begin:place]))))
+            with contextlib.suppress(
+                UnicodeDecodeError
+            ):  # its messages are then of a channel that nothing describes
+                records.append(
+                    _READ[opcode].read(ReadDataStream(BytesIO(data[begin:place])))
+                )
     return records, Messages(data, numbers)
 
 
 def _described_at_the_end(stream: IO[bytes]) -> Iterator[Any]:
-    """The schemas and channels that a file repeats before its end, for those that stood in a damaged chunk."""
+    """The schemas and channels that a file repeats before its end, for those that stood
+    in a damaged chunk.
+    """
     place, summary = stream.tell(), None
     stream.seek(0)
     with contextlib.suppress(*_DAMAGED, OSError, StopIteration):

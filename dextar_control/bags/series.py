@@ -1,9 +1,12 @@
-"""One topic's messages as columns in a temporary file, so that a long recording is read without holding it in memory.
+"""One topic's messages as columns in a temporary file, so that a long recording is read
+without holding it in memory.
 
-A kilohertz topic repeats one structure: the same names, the same array lengths. Its layout is found once, by having the
-library serialize a message whose numbers are marks, and whole blocks of messages are then read by numpy at the marks'
-places. A message of another structure gets a layout of its own; one whose bytes are not reproduced by the library is read
-by it alone; one that cannot be decoded is counted and passed over. Only the columns that are asked for are kept.
+A kilohertz topic repeats one structure: the same names, the same array lengths. Its
+layout is found once, by having the library serialize a message whose numbers are marks,
+and whole blocks of messages are then read by numpy at the marks' places. A message of
+another structure gets a layout of its own; one whose bytes are not reproduced by the
+library is read by it alone; one that cannot be decoded is counted and passed over. Only
+the columns that are asked for are kept.
 """
 
 from __future__ import annotations
@@ -29,17 +32,23 @@ WAITING = 16  # messages of a slow topic that wait for being selected from
 TYPES = types()
 SECONDS, NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
 _SECONDS, _NANOSECONDS = "(s)", "(ns)"  # names that no column has
-_STAMP, _PUBLISHED, _LOGGED, _ORDER, _TIMES = range(5)  # the first words of a row; numbers follow
+_STAMP, _PUBLISHED, _LOGGED, _ORDER, _TIMES = range(
+    5
+)  # the first words of a row; numbers follow
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Columns = Callable[[Any], Mapping[str, str]]
 Select = Callable[[Iterable[Any]], list[Any]]
-Steady = Callable[[Stamps, Stamps], Stamps]  # (stamps, places in the bag) to stamps of a clock that does not step
+Steady = Callable[
+    [Stamps, Stamps], Stamps
+]  # (stamps, places in the bag) to stamps of a clock that does not step
 
 
 class Table(NamedTuple):
-    """A topic's columns by rising stamp, the first message of each stamp. They lie in a file that is mapped into memory."""
+    """A topic's columns by rising stamp, the first message of each stamp. They lie in a
+    file that is mapped into memory.
+    """
 
     stamps: Stamps  # (n,) ns
     published: Stamps  # (n,) ns of the publisher's system clock
@@ -48,7 +57,9 @@ class Table(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """A topic's columns in the order of the bag; as in ``Table``, with the place of each message among all of the bag."""
+    """A topic's columns in the order of the bag; as in ``Table``, with the place of
+    each message among all of the bag.
+    """
 
     stamps: Stamps
     logged: Stamps
@@ -62,22 +73,32 @@ class Series:
     Args:
         topic: its name.
         type_name: ``package/msg/Type``, known to the typestore.
-        columns: of a fast topic with headers: by name the paths, such as ``position.0``, of the numbers to be kept, from a
-            message; the names stay the same where messages differ in structure.
-        select: of a slow topic: those of some messages, newest first, that have to be kept, in the same order.
+        columns: of a fast topic with headers: by name the paths, such as
+            ``position.0``, of the numbers to be kept, from a message; the names stay
+            the same where messages differ in structure.
+        select: of a slow topic: those of some messages, newest first, that have to be
+            kept, in the same order.
 
     With neither the messages are counted only.
 
     Attributes:
         first, last: log times of the first message and of the last one, ns.
         fallen: by how much the log times fell back between them, ns.
-        unreadable: messages that cannot be decoded; ``why`` says what is wrong with the first of them.
-        untimed: messages with a log or publish time beyond LATEST or none, ``odd_time`` the first of these, ns. The other time
-            stands for it, or that of the message before.
+        unreadable: messages that cannot be decoded; ``why`` says what is wrong with the
+            first of them.
+        untimed: messages with a log or publish time beyond LATEST or none, ``odd_time``
+            the first of these, ns. The other time stands for it, or that of the message
+            before.
         places: of a slow topic's messages, among all of the bag.
     """
 
-    def __init__(self, topic: str, type_name: str, columns: Columns | None = None, select: Select | None = None) -> None:
+    def __init__(
+        self,
+        topic: str,
+        type_name: str,
+        columns: Columns | None = None,
+        select: Select | None = None,
+    ) -> None:
         self.topic, self.type = topic, type_name
         self.first = self.last = self.fallen = 0
         self.unreadable, self.why = 0, ""
@@ -96,10 +117,14 @@ class Series:
     def __len__(self) -> int:
         return self._count
 
-    def add(self, log_time: int, publish_time: int, data: bytes, place: int | None = None) -> None:
+    def add(
+        self, log_time: int, publish_time: int, data: bytes, place: int | None = None
+    ) -> None:
         """Take one serialized message; raises as ``extend`` does."""
         place = self._count if place is None else place
-        ((log_time, publish_time),) = self._see(np.array([[log_time, publish_time]], dtype=np.uint64)).tolist()
+        ((log_time, publish_time),) = self._see(
+            np.array([[log_time, publish_time]], dtype=np.uint64)
+        ).tolist()
         if self._columns is None and self._select is None:
             return
         if self._select is not None:
@@ -113,20 +138,25 @@ class Series:
 
         Args:
             data: what holds them.
-            messages: (m, 4) log time, publish time in ns, begin and end of each in ``data``.
+            messages: (m, 4) log time, publish time in ns, begin and end of each in
+                ``data``.
             places: (m,) of each among all messages of the bag.
 
         Raises:
             BagError: the temporary file cannot be written.
         """
         if self._columns is None and self._select is not None:
-            for place, (log_time, publish_time, begin, end) in zip(places.tolist(), messages.tolist(), strict=True):
+            for place, (log_time, publish_time, begin, end) in zip(
+                places.tolist(), messages.tolist(), strict=True
+            ):
                 self.add(log_time, publish_time, data[begin:end], place)
             return
         times = self._see(messages[:, :2])
         if self._columns is not None:
             self._settle()
-            self._append(data, np.column_stack([times, messages[:, 2:].astype(np.int64), places]))
+            self._append(
+                data, np.column_stack([times, messages[:, 2:].astype(np.int64), places])
+            )
 
     def lose(self, log_time: int, why: str) -> None:
         """Count a message whose content cannot even be taken."""
@@ -134,14 +164,21 @@ class Series:
         self._refuse(why)
 
     def messages(self) -> list[Any]:
-        """The selected messages of a slow topic in the order of the bag, as the library's classes."""
+        """The selected messages of a slow topic in the order of the bag, as the
+        library's classes.
+        """
         self._settle()
         return self._selected[::-1]
 
     def recorded(self, names: Sequence[str]) -> Recorded:
         """The columns of these names in the order of the bag; before ``table``."""
         words = self._words(names)
-        return Recorded(words[_STAMP], words[_LOGGED], words[_ORDER], words[_TIMES:].view(np.float64).T)
+        return Recorded(
+            words[_STAMP],
+            words[_LOGGED],
+            words[_ORDER],
+            words[_TIMES:].view(np.float64).T,
+        )
 
     @property
     def rising(self) -> bool:
@@ -161,11 +198,13 @@ class Series:
         return name in self._names
 
     def table(self, names: Sequence[str], steady: Steady | None = None) -> Table:
-        """The columns of these names, nan where no message has them; once, for the temporary file is given back.
+        """The columns of these names, nan where no message has them; once, for the
+        temporary file is given back.
 
         Args:
             names: of the columns.
-            steady: what makes the stamps go on where the clock that they are from stepped.
+            steady: what makes the stamps go on where the clock that they are from
+                stepped.
 
         Raises:
             BagError: the temporary file cannot be written.
@@ -181,10 +220,17 @@ class Series:
                 np.take(row, order, out=place)
         if self._spool is not None:
             self._spool.close()
-        return Table(words[_STAMP], words[_PUBLISHED], words[_LOGGED], words[_TIMES:].view(np.float64).T)
+        return Table(
+            words[_STAMP],
+            words[_PUBLISHED],
+            words[_LOGGED],
+            words[_TIMES:].view(np.float64).T,
+        )
 
     def _words(self, names: Sequence[str]) -> Any:
-        """Times and columns of these names in the order of the bag, a row for each, in a mapped file."""
+        """Times and columns of these names in the order of the bag, a row for each, in
+        a mapped file.
+        """
         self._settle()
         words = self._mapped(_TIMES + len(names), self._rows)
         for start, rows in self._blocks():
@@ -193,11 +239,15 @@ class Series:
             known = dict(zip(self._names, range(_TIMES, rows.shape[1]), strict=False))
             numbers = rows.view(np.float64)
             for row, name in enumerate(names, start=_TIMES):
-                words.view(np.float64)[row, place] = numbers[:, known[name]] if name in known else np.nan
+                words.view(np.float64)[row, place] = (
+                    numbers[:, known[name]] if name in known else np.nan
+                )
         return words
 
     def _see(self, raw: Any) -> Stamps:
-        """Count messages; their (m, 2) log and publish times, with another for each that is none."""
+        """Count messages; their (m, 2) log and publish times, with another for each
+        that is none.
+        """
         wrong = (raw > LATEST) | ((raw == 0) & (raw[:, ::-1] > 0))
         times = raw.astype(np.int64)
         if wrong.any():
@@ -228,14 +278,20 @@ class Series:
         if not waiting:
             return
         if self._select is not None:
-            newest = (message for *_, data in reversed(waiting) if (message := self._message(data)) is not None)
+            newest = (
+                message
+                for *_, data in reversed(waiting)
+                if (message := self._message(data)) is not None
+            )
             self._selected = self._select(chain(newest, self._selected))
             return
         ends = np.cumsum([len(data) for *_, data in waiting])
         begins = np.concatenate([[0], ends[:-1]])
         numbers = np.array([line[:3] for line in waiting], dtype=np.int64)
         joined = b"".join([data for *_, data in waiting])
-        self._append(joined, np.column_stack([numbers[:, :2], begins, ends, numbers[:, 2]]))
+        self._append(
+            joined, np.column_stack([numbers[:, :2], begins, ends, numbers[:, 2]])
+        )
 
     def _message(self, data: bytes) -> Any:
         """The message, or None where the bytes are none, which is counted."""
@@ -262,18 +318,42 @@ class Series:
             paths = self._columns(message) if self._columns is not None else {}
             room = len(self._layouts) < MOST_LAYOUTS
             layout_of_it = _Layout.of(message, raw, self.type, paths) if room else None
-            if layout_of_it is None:  # its bytes are not those that the library writes, or hardly two messages are alike
+            if (
+                layout_of_it is None
+                # its bytes are not those that the library writes, or hardly two
+                # messages
+                # are alike
+            ):
                 own = dict(_numbers(message))
                 stamp = int(own[SECONDS]) * 1_000_000_000 + int(own[NANOSECONDS])
-                found.append((left[:1], stamp, {name: own[path] for name, path in paths.items() if path in own}))
+                found.append(
+                    (
+                        left[:1],
+                        stamp,
+                        {
+                            name: own[path]
+                            for name, path in paths.items()
+                            if path in own
+                        },
+                    )
+                )
                 left = left[1:]
                 continue
             self._layouts.append(layout_of_it)
             left = layout_of_it.take(data, begins, sizes, left, found)
-        self._names += [name for _, _, numbers in found for name in numbers if name not in self._names]
+        self._names += [
+            name
+            for _, _, numbers in found
+            for name in numbers
+            if name not in self._names
+        ]
         rows = np.full((len(messages), _TIMES + len(self._names)), np.nan)
         times = rows.view(np.int64)
-        times[:, _PUBLISHED], times[:, _LOGGED], times[:, _ORDER] = messages[:, 1], messages[:, 0], messages[:, 4]
+        times[:, _PUBLISHED], times[:, _LOGGED], times[:, _ORDER] = (
+            messages[:, 1],
+            messages[:, 0],
+            messages[:, 4],
+        )
         places = dict(zip(self._names, range(_TIMES, rows.shape[1]), strict=True))
         for where, stamps, numbers in found:
             times[where, _STAMP] = stamps
@@ -284,7 +364,11 @@ class Series:
             if len(rows) == 0:
                 return
         stamps = rows.view(np.int64)[:, _STAMP]
-        self._rising = self._rising and self._latest < stamps[0] and bool((stamps[1:] > stamps[:-1]).all())
+        self._rising = (
+            self._rising
+            and self._latest < stamps[0]
+            and bool((stamps[1:] > stamps[:-1]).all())
+        )
         self._latest = int(stamps[-1])
         self._write(rows)
 
@@ -310,24 +394,38 @@ class Series:
         for words, count in self._segments:
             for done in range(0, count, BLOCK):
                 rows = min(BLOCK, count - done)
-                yield start, np.frombuffer(self._spool.read(8 * words * rows), dtype=np.int64).reshape(rows, words)
+                yield (
+                    start,
+                    np.frombuffer(
+                        self._spool.read(8 * words * rows), dtype=np.int64
+                    ).reshape(rows, words),
+                )
                 start += rows
 
     def _mapped(self, rows: int, columns: int) -> Any:
-        """(rows, columns) zeros, int64, that lie in a file without a name and go with the last array on them."""
+        """(rows, columns) zeros, int64, that lie in a file without a name and go with
+        the last array on them.
+        """
         size = 8 * rows * columns
         if size == 0:
             return np.zeros((rows, columns), dtype=np.int64)
         try:
             with tempfile.TemporaryFile(prefix="dextar-") as file:
-                os.posix_fallocate(file.fileno(), 0, size)  # a full disk is found here, and not by a signal later
-                return np.frombuffer(mmap.mmap(file.fileno(), size), dtype=np.int64).reshape(rows, columns)
+                os.posix_fallocate(
+                    file.fileno(), 0, size
+                )  # a full disk is found here, and not by a signal later
+                return np.frombuffer(
+                    mmap.mmap(file.fileno(), size), dtype=np.int64
+                ).reshape(rows, columns)
         except OSError as error:
             raise self._no_room(error) from error
 
     def _no_room(self, error: OSError) -> BagError:
         why = error.strerror or error
-        return BagError(f"cannot keep the columns of {self.topic} in {tempfile.gettempdir()} (set TMPDIR to name another): {why}")
+        return BagError(
+            f"cannot keep the columns of {self.topic} in {tempfile.gettempdir()} (set"
+            f" TMPDIR to name another): {why}"
+        )
 
 
 class _Layout(NamedTuple):
@@ -339,8 +437,12 @@ class _Layout(NamedTuple):
     numbers: np.dtype[Any]  # a message as a record of its wanted numbers
 
     @staticmethod
-    def of(message: Any, data: bytes, type_name: str, paths: Mapping[str, str]) -> _Layout | None:
-        """The layout of a message, or None when the library writes other bytes for it."""
+    def of(
+        message: Any, data: bytes, type_name: str, paths: Mapping[str, str]
+    ) -> _Layout | None:
+        """The layout of a message, or None when the library writes other bytes for
+        it.
+        """
         plain = bytes(TYPES.serialize_cdr(message, type_name))
         if data[: len(plain)] != plain:
             return None
@@ -353,31 +455,59 @@ class _Layout(NamedTuple):
             moving[offset : offset + np.dtype(kind).itemsize] = True
         wanted = {_SECONDS: SECONDS, _NANOSECONDS: NANOSECONDS, **paths}
         wanted = {name: path for name, path in wanted.items() if path in places}
-        numbers = np.dtype({
-            "names": list(wanted), "offsets": [places[path][0] for path in wanted.values()],
-            "formats": [places[path][1] for path in wanted.values()], "itemsize": len(data),
-        })  # fmt: skip
+        numbers = np.dtype(
+            {
+                "names": list(wanted),
+                "offsets": [places[path][0] for path in wanted.values()],
+                "formats": [places[path][1] for path in wanted.values()],
+                "itemsize": len(data),
+            }
+        )
         fixed = np.flatnonzero(~moving)
-        return _Layout(len(data), fixed, np.frombuffer(data, dtype=np.uint8)[fixed], numbers)
+        return _Layout(
+            len(data), fixed, np.frombuffer(data, dtype=np.uint8)[fixed], numbers
+        )
 
-    def take(self, data: bytes, begins: Any, sizes: Any, left: Any, found: list[tuple[Any, Any, Mapping[str, Any]]]) -> Any:
+    def take(
+        self,
+        data: bytes,
+        begins: Any,
+        sizes: Any,
+        left: Any,
+        found: list[tuple[Any, Any, Mapping[str, Any]]],
+    ) -> Any:
         """Read the messages of this layout among those left; the others."""
         fitting = left[sizes[left] == self.size]
         if len(fitting) == 0:
             return left
-        every_place = np.ndarray((len(data) - self.size + 1,), dtype=f"V{self.size}", buffer=data, strides=(1,))
+        every_place = np.ndarray(
+            (len(data) - self.size + 1,),
+            dtype=f"V{self.size}",
+            buffer=data,
+            strides=(1,),
+        )
         messages = every_place[begins[fitting]]
-        same = (messages.view(np.uint8).reshape(len(fitting), -1)[:, self.fixed] == self.template).all(axis=1)
+        same = (
+            messages.view(np.uint8).reshape(len(fitting), -1)[:, self.fixed]
+            == self.template
+        ).all(axis=1)
         if not same.any():
             return left
         taken = messages.view(self.numbers)
         if not same.all():
             taken, rest = taken[same], fitting[~same]
-            fitting, left = fitting[same], np.union1d(rest, left[sizes[left] != self.size])
+            fitting, left = (
+                fitting[same],
+                np.union1d(rest, left[sizes[left] != self.size]),
+            )
         else:
             left = left[sizes[left] != self.size]
         stamps = taken[_SECONDS].astype(np.int64) * 1_000_000_000 + taken[_NANOSECONDS]
-        names = [name for name in self.numbers.names or () if name not in (_SECONDS, _NANOSECONDS)]
+        names = [
+            name
+            for name in self.numbers.names or ()
+            if name not in (_SECONDS, _NANOSECONDS)
+        ]
         found.append((fitting, stamps, {name: taken[name] for name in names}))
         return left
 
@@ -387,7 +517,9 @@ def _numbers(message: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     for field in dataclasses.fields(message):
         value, here = getattr(message, field.name), f"{path}{field.name}"
         if isinstance(value, np.ndarray) and value.dtype == np.float64:
-            yield from ((f"{here}.{index}", number) for index, number in enumerate(value))
+            yield from (
+                (f"{here}.{index}", number) for index, number in enumerate(value)
+            )
         elif isinstance(value, float) or field.name in ("sec", "nanosec"):
             yield here, value
         elif dataclasses.is_dataclass(value):

@@ -1,4 +1,6 @@
-"""The file under a bag: unbuffered, synchronised on demand, with room kept to end it on a full disk."""
+"""The file under a bag: unbuffered, synchronised on demand, with room kept to end it on
+a full disk.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +11,19 @@ import tempfile
 from pathlib import Path
 from typing import IO
 
-RESERVE = 4 * 1024 * 1024  # bytes kept free for the last chunk, the index and metadata.yaml
+RESERVE = (
+    4 * 1024 * 1024
+)  # bytes kept free for the last chunk, the index and metadata.yaml
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class BagStream:
     """What mcap's Writer writes its whole records to.
 
-    On a full disk a kept reserve is given up: the record under way is still written, and so is the end of
-    the bag. Where the reserve does not help (a limit on the file's size) the write raises.
+    On a full disk a kept reserve is given up: the record under way is still written,
+        and so is the end of
+    the bag. Where the reserve does not help (a limit on the file's size) the write
+    raises.
 
     Args:
         path: of the new file; the folder exists.
@@ -30,7 +36,8 @@ class BagStream:
         full: the error that gave the reserve up, or None.
 
     Raises:
-        OSError: the file exists or cannot be made, or the disk has no room for the reserve.
+        OSError: the file exists or cannot be made, or the disk has no room for the
+            reserve.
     """
 
     def __init__(self, path: Path, reserve: int = RESERVE) -> None:
@@ -111,7 +118,10 @@ class BagStream:
         except OSError as error:
             self._release()
             if error.errno in _FULL:
-                raise OSError(error.errno, f"{error.strerror} ({size >> 20} MiB are kept free to end the bag)") from error
+                raise OSError(
+                    error.errno,
+                    f"{error.strerror} ({size >> 20} MiB are kept free to end the bag)",
+                ) from error
 
     def _release(self) -> None:
         if self._reserve is not None:

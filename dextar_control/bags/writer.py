@@ -1,4 +1,6 @@
-"""A bag written by its own thread: queue, synchronisation with the disk, splitting, ``metadata.yaml``."""
+"""A bag written by its own thread: queue, synchronisation with the disk, splitting,
+``metadata.yaml``.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,13 @@ from dextar_control.bags import mcap_file
 from dextar_control.bags.mcap_file import COMPRESSIONS as COMPRESSIONS
 from dextar_control.bags.mcap_file import McapFile, Sample
 from dextar_control.bags.message_definitions import definition, type_hash
-from dextar_control.bags.metadata import METADATA_FILE, FileSummary, Qos, TopicDescription, write_metadata_file
+from dextar_control.bags.metadata import (
+    METADATA_FILE,
+    FileSummary,
+    Qos,
+    TopicDescription,
+    write_metadata_file,
+)
 from dextar_control.contract.errors import BagError
 
 DRAIN_PERIOD = 0.1  # s
@@ -28,12 +36,15 @@ class BagWriter:
     """Takes samples from one thread, writes them from another.
 
     Args:
-        path: of the new ``.mcap`` file; its folder is made. A bag that is split has ``_0``, ``_1``, ... before the suffix.
+        path: of the new ``.mcap`` file; its folder is made. A bag that is split has
+            ``_0``, ``_1``, ... before the suffix.
         compression: ``zstd`` or ``none``, per chunk.
         max_size: bytes of a file from which on the next begins; 0 does not split.
         max_duration: s of a file after which the next begins; 0 does not split.
-        sync_period: s between two times that the disk is waited for: what a power cut can cost.
-        folder: the file's folder is the bag: ``metadata.yaml`` goes beside it at the end.
+        sync_period: s between two times that the disk is waited for: what a power cut
+            can cost.
+        folder: the file's folder is the bag: ``metadata.yaml`` goes beside it at the
+            end.
 
     Attributes:
         path: of the file under way.
@@ -42,13 +53,20 @@ class BagWriter:
         dropped: samples per topic that found the queue full or the writing ended.
 
     Raises:
-        BagError: the file or the folder's ``metadata.yaml`` exists, or it cannot be made.
+        BagError: the file or the folder's ``metadata.yaml`` exists, or it cannot be
+            made.
     """
 
     def __init__(
-        self, path: Path, compression: str = "zstd", *, max_size: int = 0, max_duration: float = 0.0,
-        sync_period: float = SYNC_PERIOD, folder: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        path: Path,
+        compression: str = "zstd",
+        *,
+        max_size: int = 0,
+        max_duration: float = 0.0,
+        sync_period: float = SYNC_PERIOD,
+        folder: bool = False,
+    ) -> None:
         self.error: BagError | None = None
         self.dropped: dict[str, int] = {}
         self.paths: list[Path] = []
@@ -61,7 +79,9 @@ class BagWriter:
         self._bytes_in = self._bytes_out = 0
         self._stop = threading.Event()
         self._topics: dict[str, TopicDescription] = {}
-        self._standing: dict[str, Sample | None] = {}  # last sample of what is said once
+        self._standing: dict[
+            str, Sample | None
+        ] = {}  # last sample of what is said once
         self._metadata: dict[str, dict[str, str]] = {}
         self._custom: dict[str, str] = {}
         self._done: list[FileSummary] = []
@@ -70,15 +90,28 @@ class BagWriter:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             if folder and (path.parent / METADATA_FILE).exists():
-                raise BagError(f"cannot record to {path}: {path.parent} holds another bag's {METADATA_FILE}; name another folder")
+                raise BagError(
+                    f"cannot record to {path}: {path.parent} holds another bag's"
+                    f" {METADATA_FILE}; name another folder"
+                )
             self._file = self._open()
         except FileExistsError as error:
             if not path.parent.is_dir():
-                raise BagError(f"cannot record to {path}: Not a directory: {path.parent}; name another output") from error
-            raise BagError(f"cannot record to {path}: it exists already; name another output or remove it") from error
+                raise BagError(
+                    f"cannot record to {path}: Not a directory: {path.parent}; name"
+                    " another output"
+                ) from error
+            raise BagError(
+                f"cannot record to {path}: it exists already; name another output or"
+                " remove it"
+            ) from error
         except OSError as error:
-            raise BagError(f"cannot record to {path}: {error.strerror or error}") from error
-        self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
+            raise BagError(
+                f"cannot record to {path}: {error.strerror or error}"
+            ) from error
+        self._thread = threading.Thread(
+            target=self._run, name="bag writer", daemon=True
+        )
         self._thread.start()
 
     def __len__(self) -> int:
@@ -104,20 +137,24 @@ class BagWriter:
         """Whether the topic was added."""
         return topic in self._topics
 
-    def add_topic(self, topic: str, type_name: str, qos: Sequence[Qos], *, standing: bool = False) -> None:
+    def add_topic(
+        self, topic: str, type_name: str, qos: Sequence[Qos], *, standing: bool = False
+    ) -> None:
         """Describe a topic; before its first sample.
 
         Args:
             topic: its name.
             type_name: of its messages.
             qos: as each publisher offers it.
-            standing: its last sample holds until the next one comes: each file of a split bag begins with it, logged at
-                the time of the split.
+            standing: its last sample holds until the next one comes: each file of a
+                split bag begins with it, logged at the time of the split.
 
         Raises:
             BagError: no definition of the type is installed.
         """
-        description = TopicDescription(topic, type_name, list(qos), definition(type_name), type_hash(type_name))
+        description = TopicDescription(
+            topic, type_name, list(qos), definition(type_name), type_hash(type_name)
+        )
         self._topics[topic] = description
         if standing:
             self._standing[topic] = None
@@ -126,14 +163,20 @@ class BagWriter:
     def add(self, sample: Sample) -> None:
         """Queue one sample; a full queue drops and counts it."""
         waiting = self._bytes_in - self._bytes_out
-        if len(self._pending) >= MAX_PENDING or waiting > MAX_PENDING_BYTES or self.error is not None:
+        if (
+            len(self._pending) >= MAX_PENDING
+            or waiting > MAX_PENDING_BYTES
+            or self.error is not None
+        ):
             self._drop(sample)
             return
         self._bytes_in += len(sample.data)
         self._pending.append(sample)
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Queue a metadata record; a later one of the same name replaces it for the reader. Each file has the last."""
+        """Queue a metadata record; a later one of the same name replaces it for the
+        reader. Each file has the last.
+        """
         copy = dict(data)
 
         def write() -> None:
@@ -142,15 +185,21 @@ class BagWriter:
 
         self._pending.append(write)
 
-    def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None, custom: Mapping[str, str] | None = None) -> None:
-        """Write what waits, the metadata records, index and end; then wait for the disk.
+    def close(
+        self,
+        metadata: Mapping[str, Mapping[str, str]] | None = None,
+        custom: Mapping[str, str] | None = None,
+    ) -> None:
+        """Write what waits, the metadata records, index and end; then wait for the
+        disk.
 
         Args:
             metadata: last records, per name.
             custom: goes to ``custom_data`` of rosbag2's metadata.
 
         Raises:
-            BagError: the recording ended early, or the bag is not whole; what was written can be read.
+            BagError: the recording ended early, or the bag is not whole; what was
+                written can be read.
         """
         if not self._closed:
             self._closed = True
@@ -158,7 +207,9 @@ class BagWriter:
             self._thread.join()
             self._custom = dict(custom or {})
             try:
-                if not self._file.stream.closed and (self.error is None or self._file.stream.full is not None):
+                if not self._file.stream.closed and (
+                    self.error is None or self._file.stream.full is not None
+                ):
                     for name, data in (metadata or {}).items():
                         self._file.add_metadata(name, data)
                     self._finish()
@@ -173,7 +224,11 @@ class BagWriter:
     def _open(self) -> McapFile:
         splits = self._max_size or self._max_duration
         target = self._target
-        path = target.with_name(f"{target.stem}_{len(self.paths)}{target.suffix}") if splits else target
+        path = (
+            target.with_name(f"{target.stem}_{len(self.paths)}{target.suffix}")
+            if splits
+            else target
+        )
         chunk = min(mcap_file.CHUNK_SIZE, self._max_size // 4 or mcap_file.CHUNK_SIZE)
         file = McapFile(path, self._compression, chunk)
         self.paths.append(path)
@@ -195,7 +250,9 @@ class BagWriter:
                     return
         except OSError as error:
             self._fail(error)
-        except Exception as error:  # a bug here must end the recording aloud, not silently
+        except (
+            Exception
+        ) as error:  # a bug here must end the recording aloud, not silently
             self._end(repr(error))
 
     def _drain(self) -> None:
@@ -221,7 +278,13 @@ class BagWriter:
                 end = self._slice_end(batch, start)
                 part = batch[start:end]
                 self._file.write(part)
-                self._standing.update({sample.topic: sample for sample in part if sample.topic in self._standing})
+                self._standing.update(
+                    {
+                        sample.topic: sample
+                        for sample in part
+                        if sample.topic in self._standing
+                    }
+                )
                 self._bytes_out += sum(len(sample.data) for sample in part)
                 start = end
         finally:
@@ -241,7 +304,9 @@ class BagWriter:
         end = min(start + SLICE, len(batch)) if self._max_size else len(batch)
         if self._max_duration:
             limit = (self._file.first or batch[start].log_time) + self._max_duration
-            end = min(end, max(start + 1, bisect.bisect_left(batch, limit, key=_log_time)))
+            end = min(
+                end, max(start + 1, bisect.bisect_left(batch, limit, key=_log_time))
+            )
         return end
 
     def _split(self, log_time: int) -> None:
@@ -253,7 +318,13 @@ class BagWriter:
             self._file.register(description)
         for name, data in self._metadata.items():
             self._file.add_metadata(name, data)
-        self._file.write([sample._replace(log_time=log_time) for sample in self._standing.values() if sample is not None])
+        self._file.write(
+            [
+                sample._replace(log_time=log_time)
+                for sample in self._standing.values()
+                if sample is not None
+            ]
+        )
 
     def _finish(self) -> None:
         self._file.finish(self._custom)
@@ -263,10 +334,15 @@ class BagWriter:
         if not self._folder or len(self._done) < len(self.paths):
             return
         try:
-            write_metadata_file(self.path.parent, self._done, self._topics.values(), self._custom)
+            write_metadata_file(
+                self.path.parent, self._done, self._topics.values(), self._custom
+            )
         except OSError as error:
             if self.error is None:
-                self.error = BagError(f"{self.path} is whole, but {METADATA_FILE} beside it: {error.strerror or error}")
+                self.error = BagError(
+                    f"{self.path} is whole, but {METADATA_FILE} beside it:"
+                    f" {error.strerror or error}"
+                )
 
     def _fail(self, error: OSError) -> None:
         stream = self._file.stream
@@ -277,7 +353,10 @@ class BagWriter:
         if isinstance(error, FileNotFoundError):
             self._end(why)
             return
-        self._end(f"{why}; it can be read up to its last complete chunk ({stream.complete} bytes)")
+        self._end(
+            f"{why}; it can be read up to its last complete chunk ({stream.complete}"
+            " bytes)"
+        )
         with contextlib.suppress(OSError):
             stream.cut()
 

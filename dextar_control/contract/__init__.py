@@ -1,1 +1,3 @@
-"""What a rig and its controller share: robot description, topics, errors, node scaffolding."""
+"""What a rig and its controller share: robot description, topics, errors, node
+scaffolding.
+"""

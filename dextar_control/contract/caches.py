@@ -1,7 +1,9 @@
-"""Folders for what may be lost: caches and logs. Where none can be written the package works without, and says so.
+"""Folders for what may be lost: caches and logs. Where none can be written the package
+works without, and says so.
 
-The first that can be written counts: the one that is asked for, ``$XDG_CACHE_HOME/dextar`` (``~/.cache/dextar``), and a folder
-in the temporary one that is this user's alone.
+The first that can be written counts: the one that is asked for,
+``$XDG_CACHE_HOME/dextar`` (``~/.cache/dextar``), and a folder in the temporary one that
+is this user's alone.
 """
 
 from __future__ import annotations
@@ -16,13 +18,16 @@ from dextar_control.contract.errors import ParameterError
 
 
 def cache_folder(name: str, *preferred: Path) -> Path | None:
-    """A folder that can be written, made where it does not exist; None where there is none.
+    """A folder that can be written, made where it does not exist; None where there is
+    none.
 
     Args:
         name: of the cache.
         preferred: folders to try first.
     """
-    return next((folder for folder in (*preferred, *_folders(name)) if writable(folder)), None)
+    return next(
+        (folder for folder in (*preferred, *_folders(name)) if writable(folder)), None
+    )
 
 
 def writable(folder: Path) -> bool:
@@ -38,7 +43,8 @@ def writable(folder: Path) -> bool:
 
 
 def check_file(file: Path, option: str) -> None:
-    """Refuse a file that cannot be written, before anything is done for it; what is there stays as it is.
+    """Refuse a file that cannot be written, before anything is done for it; what is
+    there stays as it is.
 
     Args:
         file: to be written later.
@@ -55,7 +61,9 @@ def check_file(file: Path, option: str) -> None:
             file.unlink()
     except (OSError, ValueError) as error:
         raise ParameterError(
-            f"{option} {file} cannot be written: {getattr(error, 'strerror', None) or error}; name a file in a folder that can"
+            f"{option} {file} cannot be written:"
+            f" {getattr(error, 'strerror', None) or error}; name a file in a folder"
+            " that can"
         ) from error
 
 
@@ -68,13 +76,21 @@ def home() -> Path | None:
 
 
 def prepare_environment() -> None:
-    """Give matplotlib's settings and the nodes' logs a folder where theirs cannot be made: here and in what is started here."""
+    """Give matplotlib's settings and the nodes' logs a folder where theirs cannot be
+    made: here and in what is started here.
+    """
     own = home() or Path("/nonexistent")
     config, cache, ros = (
         Path(os.environ.get(variable) or own / usual)
-        for variable, usual in (("XDG_CONFIG_HOME", ".config"), ("XDG_CACHE_HOME", ".cache"), ("ROS_HOME", ".ros"))
+        for variable, usual in (
+            ("XDG_CONFIG_HOME", ".config"),
+            ("XDG_CACHE_HOME", ".cache"),
+            ("ROS_HOME", ".ros"),
+        )
     )
-    _fall_back("MPLCONFIGDIR", "matplotlib", config / "matplotlib", cache / "matplotlib")
+    _fall_back(
+        "MPLCONFIGDIR", "matplotlib", config / "matplotlib", cache / "matplotlib"
+    )
     _fall_back("ROS_LOG_DIR", "ros-logs", ros / "log")
 
 
@@ -89,7 +105,11 @@ def _fall_back(variable: str, name: str, *usual: Path) -> None:
 def _can_be_made(folder: Path) -> bool:
     """Whether a folder that somebody else would make could be made and written."""
     try:
-        there = next(place for place in (folder, *folder.parents) if place.exists() or place.is_symlink())
+        there = next(
+            place
+            for place in (folder, *folder.parents)
+            if place.exists() or place.is_symlink()
+        )
         return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
     except OSError:
         return False
@@ -107,12 +127,18 @@ def _folders(name: str) -> Iterator[Path]:
 
 
 def _private() -> Path | None:
-    """This user's own folder in the temporary one: nobody else may have made it or may write there."""
+    """This user's own folder in the temporary one: nobody else may have made it or may
+    write there.
+    """
     try:
         folder = Path(tempfile.gettempdir()) / f"dextar-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
     except OSError:
         return None
-    ours = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o077
+    ours = (
+        stat.S_ISDIR(status.st_mode)
+        and status.st_uid == os.getuid()
+        and not status.st_mode & 0o077
+    )
     return folder if ours else None

@@ -1,4 +1,6 @@
-"""CDR bytes to messages, by rosbags, and where numbers lie in them, for live nodes and bags alike. Needs no ROS."""
+"""CDR bytes to messages, by rosbags, and where numbers lie in them, for live nodes and
+bags alike. Needs no ROS.
+"""
 
 from __future__ import annotations
 
@@ -27,20 +29,27 @@ def types() -> Typestore:
 
 
 def read_message(raw: bytes, type_name: str) -> Any:
-    """A message from CDR bytes in rosbags' classes: the fields of rclpy's, read without holding other threads up.
+    """A message from CDR bytes in rosbags' classes: the fields of rclpy's, read without
+    holding other threads up.
 
-    Up to SLACK bytes behind it do not matter. In a text that is not UTF-8 the bytes that are none become question marks, so that
-    it costs no number beside it.
+    Up to SLACK bytes behind it do not matter. In a text that is not UTF-8 the bytes
+    that are none become question marks, so that it costs no number beside it.
 
     Raises:
-        StateError: the bytes are no message of that type, or rosbags does not know the type.
+        StateError: the bytes are no message of that type, or rosbags does not know the
+            type.
     """
     if len(raw) < HEADER or raw[:2] not in (b"\0\0", b"\0\1"):
-        raise StateError(f"{len(raw)} bytes are no message of type {type_name}: they do not begin as CDR does")
+        raise StateError(
+            f"{len(raw)} bytes are no message of type {type_name}: they do not begin as"
+            " CDR does"
+        )
     content = bytes(raw[HEADER:])
     try:
         definition = types().get_msgdef(type_name)
-        decode = definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
+        decode = (
+            definition.deserialize_cdr_le if raw[1] else definition.deserialize_cdr_be
+        )
         while True:
             try:
                 message, end = decode(content, 0, definition.cls, types())
@@ -48,24 +57,32 @@ def read_message(raw: bytes, type_name: str) -> Any:
             except UnicodeDecodeError as error:
                 content = _readable(content, error)
     except (SerdeError, struct.error, ValueError, LookupError) as error:
-        raise StateError(f"{len(raw)} bytes are no message of type {type_name}: {error}") from error
+        raise StateError(
+            f"{len(raw)} bytes are no message of type {type_name}: {error}"
+        ) from error
     if len(content) - end > SLACK:
         raise StateError(
-            f"{len(raw)} bytes are no message of type {type_name}: {len(content) - end} bytes are left behind it; the limit is"
-            f" {SLACK}"
+            f"{len(raw)} bytes are no message of type {type_name}: {len(content) - end}"
+            f" bytes are left behind it; the limit is {SLACK}"
         )
     return message
 
 
 def _readable(content: bytes, error: UnicodeDecodeError) -> bytes:
-    """The content with a question mark for each byte of a text that is no UTF-8: every other byte stays in its place."""
+    """The content with a question mark for each byte of a text that is no UTF-8: every
+    other byte stays in its place.
+    """
     text, changed = error.object, error.object
     while True:
         try:
             changed.decode()
             break
         except UnicodeDecodeError as found:
-            changed = changed[: found.start] + b"?" * (found.end - found.start) + changed[found.end :]
+            changed = (
+                changed[: found.start]
+                + b"?" * (found.end - found.start)
+                + changed[found.end :]
+            )
     for order in "<>":  # CDR stores the length before a text, and a zero behind it
         length = struct.pack(f"{order}I", len(text) + 1)
         if length + text + b"\0" in content:
@@ -74,14 +91,16 @@ def _readable(content: bytes, error: UnicodeDecodeError) -> bytes:
 
 
 def places_of(message: Any, type_name: str) -> dict[str, tuple[int, str]]:
-    """Where the floats and times of a message lie in the bytes that the library writes of it: found by marks, not assumed.
+    """Where the floats and times of a message lie in the bytes that the library writes
+    of it: found by marks, not assumed.
 
     Args:
         message: of the library's classes, with words and lengths that stay.
         type_name: ``package/msg/Type``.
 
     Returns:
-        Per path, such as ``points.0.positions.1``, the first byte and the kind: ``<f8``, ``<i4`` or ``<u4``; nothing where
+        Per path, such as ``points.0.positions.1``, the first byte and the kind:
+            ``<f8``, ``<i4`` or ``<u4``; nothing where
         the message's own words look like a mark.
     """
     marks: list[tuple[str, bytes, str]] = []
@@ -109,7 +128,10 @@ def _mark(message: Any, path: str, marks: list[tuple[str, bytes, str]]) -> Any:
         name, value = field.name, getattr(message, field.name)
         here = f"{path}{name}"
         if isinstance(value, np.ndarray) and value.dtype == np.float64:
-            changed[name] = np.array([number(f"{here}.{index}") for index in range(len(value))], dtype=np.float64)
+            changed[name] = np.array(
+                [number(f"{here}.{index}") for index in range(len(value))],
+                dtype=np.float64,
+            )
         elif name in ("sec", "nanosec"):
             changed[name] = whole(here, "<i4" if name == "sec" else "<u4")
         elif isinstance(value, float):
@@ -117,7 +139,12 @@ def _mark(message: Any, path: str, marks: list[tuple[str, bytes, str]]) -> Any:
         elif dataclasses.is_dataclass(value):
             changed[name] = _mark(value, f"{here}.", marks)
         elif isinstance(value, list) and value and dataclasses.is_dataclass(value[0]):
-            changed[name] = [_mark(inner, f"{here}.{index}.", marks) for index, inner in enumerate(value)]
+            changed[name] = [
+                _mark(inner, f"{here}.{index}.", marks)
+                for index, inner in enumerate(value)
+            ]
         else:
             changed[name] = value
-    return type(message)(**{name: value for name, value in changed.items() if name != "__msgtype__"})
+    return type(message)(
+        **{name: value for name, value in changed.items() if name != "__msgtype__"}
+    )

@@ -52,5 +52,11 @@ def lacking(what: str, extra: str, error: ImportError) -> ParameterError:
         extra: of setup.py, that brings it.
         error: of its import.
     """
-    how = f"install it by make setup EXTRAS={extra}, or pip install '.[{extra}]', in the source folder"
-    return ParameterError(f"{what} needs the package {error.name or extra}, which cannot be imported: {how} ({error})")
+    how = (
+        f"install it by make setup EXTRAS={extra}, or pip install '.[{extra}]', in the"
+        " source folder"
+    )
+    return ParameterError(
+        f"{what} needs the package {error.name or extra}, which cannot be imported:"
+        f" {how} ({error})"
+    )

@@ -1,4 +1,6 @@
-"""What ``--help`` prints of a node: from its docstring, the contract's tables and its parameters. No ROS here."""
+"""What ``--help`` prints of a node: from its docstring, the contract's tables and its
+parameters. No ROS here.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +20,17 @@ BESIDE = 22  # columns of a name in a list
 
 def first_paragraph(text: str | None) -> str:
     """Of a docstring, on one line; empty without one."""
-    return " ".join(inspect.cleandoc(text or "").split("\n\n")[0].replace("``", "").split())
+    return " ".join(
+        inspect.cleandoc(text or "").split("\n\n")[0].replace("``", "").split()
+    )
 
 
 def node_help(node: Any) -> str:
     """The whole text.
 
     Args:
-        node: a node's class, with ``NAME``, and ``PARAMETERS`` and ``ROBOT`` where it has parameters.
+        node: a node's class, with ``NAME``, and ``PARAMETERS`` and ``ROBOT`` where it
+            has parameters.
     """
     about = textwrap.fill(first_paragraph(node.__doc__), WIDTH)
     name = getattr(node, "NAME", "")
@@ -38,17 +43,28 @@ def node_help(node: Any) -> str:
         about,
         _section("publishes", (_topic(topic, name) for topic in ends.publishes)),
         _section("reads", map(_topic, ends.reads)),
-        _section("services, beside those of every node", (
-            _item(f"~/{service.name.partition('/')[2]}", f"{service.type}: {service.meaning}")
-            for service in SERVICES if service.node == name
-        )),
+        _section(
+            "services, beside those of every node",
+            (
+                _item(
+                    f"~/{service.name.partition('/')[2]}",
+                    f"{service.type}: {service.meaning}",
+                )
+                for service in SERVICES
+                if service.node == name
+            ),
+        ),
         _parameters(name, node.PARAMETERS, node.ROBOT),
         textwrap.fill(
-            f"A parameter is set with --ros-args -p NAME:=VALUE, beside a parameter file (--params-file FILE) with -p"
-            f" {name}:NAME:=VALUE; one that is live also while the node runs, with ros2 param set /{name} NAME VALUE. A name is"
-            f" remapped with -r OLD:=NEW, the namespace is set with -r __ns:=/NAMESPACE.", WIDTH, break_on_hyphens=False,
+            "A parameter is set with --ros-args -p NAME:=VALUE, beside a parameter"
+            f" file (--params-file FILE) with -p {name}:NAME:=VALUE; one that is live"
+            f" also while the node runs, with ros2 param set /{name} NAME VALUE. A name"
+            " is remapped with -r OLD:=NEW, the namespace is set with -r"
+            " __ns:=/NAMESPACE.",
+            WIDTH,
+            break_on_hyphens=False,
         ),
-    ]  # fmt: skip
+    ]
     return "\n\n".join(part for part in parts if part)
 
 
@@ -59,16 +75,23 @@ def _section(title: str, items: Iterable[str]) -> str:
 
 def _item(name: str, text: str) -> str:
     """A name with its text beside it, or below where the name is long."""
-    lines = textwrap.wrap(text, WIDTH - BESIDE - 2, break_on_hyphens=False, break_long_words=False)
+    lines = textwrap.wrap(
+        text, WIDTH - BESIDE - 2, break_on_hyphens=False, break_long_words=False
+    )
     if len(name) < BESIDE:
         lines[0] = f"{name:<{BESIDE}}{lines[0]}"
     else:
         lines = [name, " " * BESIDE + lines[0], *lines[1:]]
-    return textwrap.indent("\n".join([lines[0], *(" " * BESIDE + line.strip() for line in lines[1:])]), "  ")
+    return textwrap.indent(
+        "\n".join([lines[0], *(" " * BESIDE + line.strip() for line in lines[1:])]),
+        "  ",
+    )
 
 
 def _topic(topic: Topic, node: str = "") -> str:
-    """One line; where a parameter of the node brings the topic into being, with that."""
+    """One line; where a parameter of the node brings the topic into being, with
+    that.
+    """
     owner, _, parameter = topic.switch.partition(".")
     switch = f" (only with {parameter})" if parameter and owner == node else ""
     return _item(topic.name, f"{topic.type}, {rate(topic)}{switch}")
@@ -78,18 +101,27 @@ def _parameters(node: str, specs: Iterable[Parameter], robot: bool) -> str:
     defaults = resources.node_defaults(node)
     lines = []
     for spec in specs:
-        lines.append(f"  {spec.name} = {_value(defaults[spec.name])}{_unit(spec)}{_limits(spec)}")
+        lines.append(
+            f"  {spec.name} = {_value(defaults[spec.name])}{_unit(spec)}{_limits(spec)}"
+        )
         words = textwrap.wrap(_words(spec), WIDTH - 6, break_on_hyphens=False)
         lines += [textwrap.indent(line, " " * 6) for line in words]
     if robot:
         file = resources.config_file(resources.ROBOT_FILE)
-        lines += [f"  robot.* = those of {file}", "      A whole parameter file describes the robot; it is fixed."]
-    return _section("parameters, with default, unit where a number has one, range", lines)
+        lines += [
+            f"  robot.* = those of {file}",
+            "      A whole parameter file describes the robot; it is fixed.",
+        ]
+    return _section(
+        "parameters, with default, unit where a number has one, range", lines
+    )
 
 
 def _words(spec: Parameter) -> str:
     """The description, the choices behind it."""
-    return spec.description + (f" The choices are {', '.join(spec.choices)}." if spec.choices else "")
+    return spec.description + (
+        f" The choices are {', '.join(spec.choices)}." if spec.choices else ""
+    )
 
 
 def _value(default: Any) -> str:

@@ -17,10 +17,12 @@ class Parameter:
 
     Attributes:
         name: dotted name.
-        description: one sentence, which a stranger understands without the name beside it.
+        description: one sentence, which a stranger understands without the name beside
+            it.
         minimum, maximum: inclusive bounds of a number (or of each of an array).
         choices: the allowed words of a string.
-        size: length of an array; 0 is any. An array whose default is empty may be empty.
+        size: length of an array; 0 is any. An array whose default is empty may be
+            empty.
         live: may be changed while the node runs.
         unit: of a number, SI; 1 where it has no dimension.
     """
@@ -37,28 +39,49 @@ class Parameter:
     @property
     def measured(self) -> str:
         """The description with its unit, as ``ros2 param describe`` shows it."""
-        return self.description if self.unit in ("", "1") else f"{self.description} Unit: {self.unit}."
+        return (
+            self.description
+            if self.unit in ("", "1")
+            else f"{self.description} Unit: {self.unit}."
+        )
 
 
 SCHEDULING = (
-    Parameter("thread_priority", "The kernel schedules all threads by SCHED_FIFO at this priority; 0 leaves its usual"
-              " scheduling.", 0, 99, unit="1"),
-    Parameter("cpu_affinity", "The threads run on the processors with these numbers; [] allows any.", unit="1"),
+    Parameter(
+        "thread_priority",
+        "The kernel schedules all threads by SCHED_FIFO at this priority; 0 leaves its"
+        " usual scheduling.",
+        0,
+        99,
+        unit="1",
+    ),
+    Parameter(
+        "cpu_affinity",
+        "The threads run on the processors with these numbers; [] allows any.",
+        unit="1",
+    ),
     Parameter("lock_memory", "The process keeps its memory out of the swap."),
-)  # fmt: skip
-"""Of nodes with a loop that must be on time, named as ros2_control's; see ``scheduling.ask_kernel``."""
+)
+"""Of nodes with a loop that must be on time, named as ros2_control's; see
+``scheduling.ask_kernel``.
+"""
 
 
 def check_value(spec: Parameter, value: Any, default: Any) -> Any:
     """The value in the type of its default.
 
     Raises:
-        ParameterError: another type, not finite or out of bounds; names the value and the limit.
+        ParameterError: another type, not finite or out of bounds; names the value and
+            the limit.
     """
 
     def fail(limit: str) -> ParameterError:
-        shown = value.tolist() if hasattr(value, "tolist") else value  # ROS hands over arrays
-        return ParameterError(f"parameter '{spec.name}' = {shown!r}; it must be {limit}")
+        shown = (
+            value.tolist() if hasattr(value, "tolist") else value
+        )  # ROS hands over arrays
+        return ParameterError(
+            f"parameter '{spec.name}' = {shown!r}; it must be {limit}"
+        )
 
     if isinstance(default, bool):
         if not isinstance(value, bool):
@@ -74,10 +97,18 @@ def check_value(spec: Parameter, value: Any, default: Any) -> Any:
     optional = array and not default
     if optional and value is None:  # how a parameter file's [] arrives
         return []
-    numbers = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
+    numbers = (
+        list(value)
+        if isinstance(value, (list, tuple)) or hasattr(value, "tolist")
+        else [value]
+    )
     fits = len(numbers) == spec.size or not spec.size or (optional and not numbers)
     if array != (not isinstance(value, (int, float))) or (array and not fits):
-        raise fail(f"{spec.size or 'any number of'} numbers{' or []' if optional else ''}" if array else "a number")
+        raise fail(
+            f"{spec.size or 'any number of'} numbers{' or []' if optional else ''}"
+            if array
+            else "a number"
+        )
     if any(isinstance(number, (bool, str)) for number in numbers):
         raise fail("numeric")
     integer = not optional and isinstance(default[0] if array else default, int)
@@ -94,7 +125,9 @@ def check_value(spec: Parameter, value: Any, default: Any) -> Any:
     return cast if array else cast[0]
 
 
-def settled(node: str, specs: Sequence[Parameter], overrides: Mapping[str, Any], *, robot: bool) -> dict[str, Any]:
+def settled(
+    node: str, specs: Sequence[Parameter], overrides: Mapping[str, Any], *, robot: bool
+) -> dict[str, Any]:
     """The values of a node's parameters, as the node itself takes them at its start.
 
     Args:
@@ -109,12 +142,30 @@ def settled(node: str, specs: Sequence[Parameter], overrides: Mapping[str, Any],
     defaults = resources.node_defaults(node)
     names = [spec.name for spec in specs]
     described = [f"{PREFIX}{key}" for key in ROBOT_KEYS] if robot else []
-    known = {*names, *defaults, *described, "use_sim_time", "start_type_description_service"}
+    known = {
+        *names,
+        *defaults,
+        *described,
+        "use_sim_time",
+        "start_type_description_service",
+    }
     for key in overrides:
-        others = key.startswith("qos_overrides.") or (key.startswith("robot.") and not robot)
+        others = key.startswith("qos_overrides.") or (
+            key.startswith("robot.") and not robot
+        )
         if key not in known and not others:
-            raise ParameterError(f"unknown parameter '{key}' for node {node}; known are: {', '.join([*names, *described])}")
+            raise ParameterError(
+                f"unknown parameter '{key}' for node {node}; known are:"
+                f" {', '.join([*names, *described])}"
+            )
     for name in names:
         if name not in defaults:
-            raise ParameterError(f"config/{resources.NODES_FILE} has no '{name}' for node {node}")
-    return {spec.name: check_value(spec, overrides.get(spec.name, defaults[spec.name]), defaults[spec.name]) for spec in specs}
+            raise ParameterError(
+                f"config/{resources.NODES_FILE} has no '{name}' for node {node}"
+            )
+    return {
+        spec.name: check_value(
+            spec, overrides.get(spec.name, defaults[spec.name]), defaults[spec.name]
+        )
+        for spec in specs
+    }

@@ -7,7 +7,9 @@ from typing import Any
 
 
 def as_plain(value: Any) -> Any:
-    """Mappings, lists and Python's own numbers, with None for each number that is not finite; numpy's become Python's."""
+    """Mappings, lists and Python's own numbers, with None for each number that is not
+    finite; numpy's become Python's.
+    """
     if isinstance(value, dict):
         return {key: as_plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

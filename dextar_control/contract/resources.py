@@ -1,4 +1,6 @@
-"""Where the package's configuration lies: source tree, pip environment or ROS installation."""
+"""Where the package's configuration lies: source tree, pip environment or ROS
+installation.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def share_folder() -> Path:
     for candidate in candidates:
         if (candidate / "config" / NODES_FILE).is_file():
             return candidate
-    raise ParameterError(f"config/{NODES_FILE} not found in any of: {', '.join(map(str, candidates))}")
+    raise ParameterError(
+        f"config/{NODES_FILE} not found in any of: {', '.join(map(str, candidates))}"
+    )
 
 
 def config_file(name: str) -> Path:
@@ -41,11 +45,13 @@ def config_file(name: str) -> Path:
 
 
 def node_defaults(node: str, *paths: Path) -> dict[str, Any]:
-    """Parameters of one node in ROS 2 parameter files, dotted, as the node itself would get them.
+    """Parameters of one node in ROS 2 parameter files, dotted, as the node itself would
+    get them.
 
     Args:
         node: its name, with its namespace where it has one.
-        paths: of the files, later ones over earlier ones; ``config/crossing.yaml`` if none is given.
+        paths: of the files, later ones over earlier ones; ``config/crossing.yaml`` if
+            none is given.
 
     Raises:
         ParameterError: a file cannot be read, or ROS 2 would not take it.
@@ -64,5 +70,7 @@ def _version(path: Path) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=64)
-def _node_defaults(node: str, files: tuple[tuple[Path, tuple[int, int]], ...]) -> dict[str, Any]:
+def _node_defaults(
+    node: str, files: tuple[tuple[Path, tuple[int, int]], ...]
+) -> dict[str, Any]:
     return parameters_of(node, load_parameters(*(path for path, _ in files)))

@@ -1,4 +1,6 @@
-"""The robot description that plant, controller, planner and analysis share: data, no model."""
+"""The robot description that plant, controller, planner and analysis share: data, no
+model.
+"""
 
 from __future__ import annotations
 
@@ -17,19 +19,27 @@ JOINT_NAMES = ("q11", "q21")
 SIM_JOINT_NAMES = ("q11", "q12", "q21", "q22")
 
 
-def joint_positions(names: Sequence[str], positions: Sequence[float]) -> tuple[float, ...]:
-    """Positions of q11 and q21, rad, by name: all that a controller uses of a joint state beside its stamp.
+def joint_positions(
+    names: Sequence[str], positions: Sequence[float]
+) -> tuple[float, ...]:
+    """Positions of q11 and q21, rad, by name: all that a controller uses of a joint
+    state beside its stamp.
 
-    Other joints, velocities and efforts may be there or not, and may be NaN. Of a name that stands there twice the first counts.
+    Other joints, velocities and efforts may be there or not, and may be NaN. Of a name
+    that stands there twice the first counts.
 
     Raises:
         StateError: a name is missing, sizes differ or a number is not finite.
     """
     missing = [name for name in JOINT_NAMES if name not in names]
     if missing:
-        raise StateError(f"joint state names are {list(names)}; '{missing[0]}' is missing")
+        raise StateError(
+            f"joint state names are {list(names)}; '{missing[0]}' is missing"
+        )
     if len(positions) != len(names):
-        raise StateError(f"joint state has {len(positions)} positions for {len(names)} names")
+        raise StateError(
+            f"joint state has {len(positions)} positions for {len(names)} names"
+        )
     q_a = tuple(float(positions[names.index(name)]) for name in JOINT_NAMES)
     if not all(math.isfinite(angle) for angle in q_a):
         raise StateError(f"joint state positions are {list(q_a)}; they must be finite")
@@ -38,27 +48,81 @@ def joint_positions(names: Sequence[str], positions: Sequence[float]) -> tuple[f
 
 @dataclass(frozen=True)
 class LegParameters:
-    """One leg: motor, proximal link, passive elbow, distal link. Each field says what it is, for ``ROBOT_KEYS``."""
+    """One leg: motor, proximal link, passive elbow, distal link. Each field says what
+    it is, for ``ROBOT_KEYS``.
+    """
 
-    axis: Annotated[tuple[float, float], "The {side} motor's axis stands at this point (x, y) of the robot's frame (m)."]
-    proximal_length: Annotated[float, "The {side} proximal link has this length (m, > 0)."]
-    proximal_mass: Annotated[float, "The {side} proximal link has this mass (kg, >= 0)."]
-    proximal_center: Annotated[float, "The {side} proximal link's mass centre is at this fraction of its length from the motor."]
-    proximal_inertia: Annotated[float, "The {side} proximal link has this inertia about its centre of mass (kg m^2, >= 0)."]
+    axis: Annotated[
+        tuple[float, float],
+        "The {side} motor's axis stands at this point (x, y) of the robot's frame (m).",
+    ]
+    proximal_length: Annotated[
+        float, "The {side} proximal link has this length (m, > 0)."
+    ]
+    proximal_mass: Annotated[
+        float, "The {side} proximal link has this mass (kg, >= 0)."
+    ]
+    proximal_center: Annotated[
+        float,
+        "The {side} proximal link's mass centre is at this fraction of its length from"
+        " the motor.",
+    ]
+    proximal_inertia: Annotated[
+        float,
+        "The {side} proximal link has this inertia about its centre of mass (kg m^2,"
+        " >= 0).",
+    ]
     distal_length: Annotated[float, "The {side} distal link has this length (m, > 0)."]
     distal_mass: Annotated[float, "The {side} distal link has this mass (kg, >= 0)."]
-    distal_center: Annotated[float, "The {side} distal link's mass centre is at this fraction of its length from the elbow."]
-    distal_inertia: Annotated[float, "The {side} distal link has this inertia about its centre of mass (kg m^2, >= 0)."]
-    rotor_inertia: Annotated[float, "The {side} motor's rotor has this inertia, reflected to the joint (kg m^2, >= 0)."]
-    viscous_friction: Annotated[float, "The {side} active joint has this viscous friction (N m s/rad, >= 0)."]
-    coulomb_friction: Annotated[float, "The {side} active joint has this Coulomb friction (N m, >= 0)."]
-    min_angle: Annotated[float, "The {side} active joint's range begins at this angle (rad); a whole turn is no bound."]
-    max_angle: Annotated[float, "The {side} active joint's range ends at this angle (rad); a whole turn is no bound."]
-    encoder_offset: Annotated[float, "The {side} encoder reads this where the active joint is at zero (rad, -pi to pi)."]
-    transmission_stiffness: Annotated[float, "The {side} transmission to the link has this stiffness (N m/rad); 0 is rigid."]
-    transmission_damping: Annotated[float, "The {side} transmission to the link has this damping (N m s/rad, >= 0)."]
-    passive_viscous_friction: Annotated[float, "The {side} elbow has this viscous friction (N m s/rad, >= 0)."]
-    passive_coulomb_friction: Annotated[float, "The {side} elbow has this Coulomb friction (N m, >= 0)."]
+    distal_center: Annotated[
+        float,
+        "The {side} distal link's mass centre is at this fraction of its length from"
+        " the elbow.",
+    ]
+    distal_inertia: Annotated[
+        float,
+        "The {side} distal link has this inertia about its centre of mass (kg m^2,"
+        " >= 0).",
+    ]
+    rotor_inertia: Annotated[
+        float,
+        "The {side} motor's rotor has this inertia, reflected to the joint (kg m^2,"
+        " >= 0).",
+    ]
+    viscous_friction: Annotated[
+        float, "The {side} active joint has this viscous friction (N m s/rad, >= 0)."
+    ]
+    coulomb_friction: Annotated[
+        float, "The {side} active joint has this Coulomb friction (N m, >= 0)."
+    ]
+    min_angle: Annotated[
+        float,
+        "The {side} active joint's range begins at this angle (rad); a whole turn is no"
+        " bound.",
+    ]
+    max_angle: Annotated[
+        float,
+        "The {side} active joint's range ends at this angle (rad); a whole turn is no"
+        " bound.",
+    ]
+    encoder_offset: Annotated[
+        float,
+        "The {side} encoder reads this where the active joint is at zero (rad, -pi to"
+        " pi).",
+    ]
+    transmission_stiffness: Annotated[
+        float,
+        "The {side} transmission to the link has this stiffness (N m/rad); 0 is rigid.",
+    ]
+    transmission_damping: Annotated[
+        float, "The {side} transmission to the link has this damping (N m s/rad, >= 0)."
+    ]
+    passive_viscous_friction: Annotated[
+        float, "The {side} elbow has this viscous friction (N m s/rad, >= 0)."
+    ]
+    passive_coulomb_friction: Annotated[
+        float, "The {side} elbow has this Coulomb friction (N m, >= 0)."
+    ]
 
 
 @dataclass(frozen=True)
@@ -68,16 +132,39 @@ class RobotParameters:
     name: Annotated[str, "The robot's description has this name."]
     left: LegParameters
     right: LegParameters
-    end_effector_mass: Annotated[float, "The end effector carries this point mass (kg, >= 0)."]
-    pin_viscous_friction: Annotated[float, "The pin between the distal links has this viscous friction (N m s/rad, >= 0)."]
-    pin_coulomb_friction: Annotated[float, "The pin between the distal links has this Coulomb friction (N m, >= 0)."]
-    gravity: Annotated[tuple[float, float], "Gravity has these components in the robot's plane (m/s^2), 9.81 sin(tilt) in all."]
-    coulomb_speed: Annotated[float, "Coulomb friction changes sign as tanh(joint speed / this speed) (rad/s, > 0)."]
-    working_mode: Annotated[tuple[int, int], "Each elbow lies left (+1) or right (-1) of its line base -> end effector."]
+    end_effector_mass: Annotated[
+        float, "The end effector carries this point mass (kg, >= 0)."
+    ]
+    pin_viscous_friction: Annotated[
+        float,
+        "The pin between the distal links has this viscous friction (N m s/rad, >= 0).",
+    ]
+    pin_coulomb_friction: Annotated[
+        float, "The pin between the distal links has this Coulomb friction (N m, >= 0)."
+    ]
+    gravity: Annotated[
+        tuple[float, float],
+        "Gravity has these components in the robot's plane (m/s^2), 9.81 sin(tilt) in"
+        " all.",
+    ]
+    coulomb_speed: Annotated[
+        float,
+        "Coulomb friction changes sign as tanh(joint speed / this speed) (rad/s, > 0).",
+    ]
+    working_mode: Annotated[
+        tuple[int, int],
+        "Each elbow lies left (+1) or right (-1) of its line base -> end effector.",
+    ]
     max_torque: Annotated[float, "Each motor gives at most this torque (N m, > 0)."]
-    max_joint_speed: Annotated[float, "Each active joint may turn at most this fast (rad/s, > 0)."]
-    max_platform_speed: Annotated[float, "The end effector may move at most this fast (m/s, > 0)."]
-    min_type1_distance: Annotated[float, "The angle between proximal and distal link keeps at least this |sin|."]
+    max_joint_speed: Annotated[
+        float, "Each active joint may turn at most this fast (rad/s, > 0)."
+    ]
+    max_platform_speed: Annotated[
+        float, "The end effector may move at most this fast (m/s, > 0)."
+    ]
+    min_type1_distance: Annotated[
+        float, "The angle between proximal and distal link keeps at least this |sin|."
+    ]
 
     def __post_init__(self) -> None:
         for key, value in flatten(self).items():
@@ -85,19 +172,37 @@ class RobotParameters:
         for side, leg in (("left", self.left), ("right", self.right)):
             if not leg.min_angle < leg.max_angle:
                 raise ParameterError(
-                    f"robot.{side}.min_angle = {leg.min_angle} with max_angle = {leg.max_angle}; it must be smaller"
+                    f"robot.{side}.min_angle = {leg.min_angle} with max_angle ="
+                    f" {leg.max_angle}; it must be smaller"
                 )
             if leg.transmission_damping and not leg.transmission_stiffness:
                 raise ParameterError(
-                    f"robot.{side}.transmission_damping = {leg.transmission_damping} without a transmission_stiffness, which"
-                    " makes it rigid: give the stiffness too, or leave the damping out"
+                    f"robot.{side}.transmission_damping = {leg.transmission_damping}"
+                    " without a transmission_stiffness, which makes it rigid: give the"
+                    " stiffness too, or leave the damping out"
                 )
-            if leg.proximal_inertia + leg.rotor_inertia + leg.proximal_mass * leg.proximal_center**2 <= 0.0:
-                raise ParameterError(f"robot.{side}.rotor_inertia = 0 with a massless proximal link; it must be > 0")
+            if (
+                leg.proximal_inertia
+                + leg.rotor_inertia
+                + leg.proximal_mass * leg.proximal_center**2
+                <= 0.0
+            ):
+                raise ParameterError(
+                    f"robot.{side}.rotor_inertia = 0 with a massless proximal link; it"
+                    " must be > 0"
+                )
         if self.base_distance <= 0.0:
-            raise ParameterError(f"robot.left.axis = {self.left.axis} is that of the right motor too; they must differ")
-        if self.end_effector_mass + self.left.distal_mass + self.right.distal_mass <= 0.0:
-            raise ParameterError("robot.end_effector_mass = 0 with massless distal links; it must be > 0")
+            raise ParameterError(
+                f"robot.left.axis = {self.left.axis} is that of the right motor too;"
+                " they must differ"
+            )
+        if (
+            self.end_effector_mass + self.left.distal_mass + self.right.distal_mass
+            <= 0.0
+        ):
+            raise ParameterError(
+                "robot.end_effector_mass = 0 with massless distal links; it must be > 0"
+            )
 
     @property
     def legs(self) -> tuple[LegParameters, LegParameters]:
@@ -111,7 +216,9 @@ class RobotParameters:
 
     @property
     def encoder_offset(self) -> tuple[float, float]:
-        """Of the active joints, rad: what an encoder reads less this is the joint's angle."""
+        """Of the active joints, rad: what an encoder reads less this is the joint's
+        angle.
+        """
         return self.left.encoder_offset, self.right.encoder_offset
 
     @property
@@ -122,24 +229,44 @@ class RobotParameters:
     @property
     def joint_range(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """(least, largest) angles of the active joints, rad."""
-        return tuple(leg.min_angle for leg in self.legs), tuple(leg.max_angle for leg in self.legs)
+        return tuple(leg.min_angle for leg in self.legs), tuple(
+            leg.max_angle for leg in self.legs
+        )
 
     def replace(self, **changes: Any) -> RobotParameters:
-        """A copy with dotted or plain keys changed, e.g. ``replace(**{"left.distal_mass": 0.1})``; see ``changed``."""
+        """A copy with dotted or plain keys changed, e.g.
+        ``replace(**{"left.distal_mass": 0.1})``; see ``changed``.
+        """
         return from_flat(changed(flatten(self), changes))
 
 
-_POSITIVE = {"proximal_length", "distal_length", "coulomb_speed", "max_torque",
-             "max_joint_speed", "max_platform_speed"}  # fmt: skip
+_POSITIVE = {
+    "proximal_length",
+    "distal_length",
+    "coulomb_speed",
+    "max_torque",
+    "max_joint_speed",
+    "max_platform_speed",
+}
 _FRACTION = {"proximal_center", "distal_center", "min_type1_distance"}
 _FREE = {"axis", "gravity", "min_angle", "max_angle", "encoder_offset"}
 _PAIRS = ("working_mode", "gravity", "left.axis", "right.axis")
 _AXES = ("left.axis", "right.axis")
 _SAME_LENGTH = 1e-9  # m
 _MOST = {
-    "base_distance": 10.0, "axis": 10.0, "proximal_length": 10.0, "distal_length": 10.0, "proximal_mass": 100.0,
-    "distal_mass": 100.0, "end_effector_mass": 100.0, "proximal_inertia": 100.0, "distal_inertia": 100.0, "rotor_inertia": 100.0,
-    "gravity": 10.0, "min_angle": 4.0 * math.pi, "max_angle": 4.0 * math.pi,
+    "base_distance": 10.0,
+    "axis": 10.0,
+    "proximal_length": 10.0,
+    "distal_length": 10.0,
+    "proximal_mass": 100.0,
+    "distal_mass": 100.0,
+    "end_effector_mass": 100.0,
+    "proximal_inertia": 100.0,
+    "distal_inertia": 100.0,
+    "rotor_inertia": 100.0,
+    "gravity": 10.0,
+    "min_angle": 4.0 * math.pi,
+    "max_angle": 4.0 * math.pi,
 }  # in SI units, either way: what is larger was meant in mm, g, g mm^2 or degrees
 
 
@@ -156,14 +283,22 @@ def _check(key: str, value: Any) -> None:
     if not all(math.isfinite(number) for number in numbers):
         raise ParameterError(f"{full} = {value}; it must be finite")
     if name in _MOST and max(map(abs, numbers)) > _MOST[name]:
-        raise ParameterError(f"{full} = {value}; {_MOST[name]:g} is the most, in SI units (m, kg, kg m^2, m/s^2, rad)")
+        raise ParameterError(
+            f"{full} = {value}; {_MOST[name]:g} is the most, in SI units (m, kg, kg"
+            " m^2, m/s^2, rad)"
+        )
     if name in _POSITIVE and value <= 0.0:
         raise ParameterError(f"{full} = {value}; it must be > 0")
     if name == "encoder_offset" and not abs(value) <= math.pi:
         raise ParameterError(f"{full} = {value}; it must lie in [-pi, pi]")
     if name in _FRACTION and not 0.0 <= value <= 1.0:
         raise ParameterError(f"{full} = {value}; it must lie in [0, 1]")
-    if name not in _FREE and name not in _POSITIVE and name not in _FRACTION and value < 0.0:
+    if (
+        name not in _FREE
+        and name not in _POSITIVE
+        and name not in _FRACTION
+        and value < 0.0
+    ):
         raise ParameterError(f"{full} = {value}; it must be >= 0")
 
 
@@ -173,7 +308,12 @@ def flatten(robot: RobotParameters) -> dict[str, Any]:
     for field in dataclasses.fields(robot):
         value = getattr(robot, field.name)
         if isinstance(value, LegParameters):
-            flat.update({f"{field.name}.{key}": number for key, number in dataclasses.asdict(value).items()})
+            flat.update(
+                {
+                    f"{field.name}.{key}": number
+                    for key, number in dataclasses.asdict(value).items()
+                }
+            )
         else:
             flat[field.name] = value
     return flat
@@ -181,22 +321,46 @@ def flatten(robot: RobotParameters) -> dict[str, Any]:
 
 def _sentences(kind: type) -> dict[str, str]:
     hints = get_type_hints(kind, include_extras=True).items()
-    return {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
+    return {
+        name: hint.__metadata__[0]
+        for name, hint in hints
+        if hasattr(hint, "__metadata__")
+    }
 
 
 _LEG_KEYS = _sentences(LegParameters)
 ROBOT_KEYS = {
     "name": _sentences(RobotParameters)["name"],
-    "base_distance": "The motors' axes are this far apart (m, > 0); a description may give it instead of both axes.",
-    **{f"{side}.{key}": text.format(side=side) for side in ("left", "right") for key, text in _LEG_KEYS.items()},
+    "base_distance": (
+        "The motors' axes are this far apart (m, > 0); a description may give it"
+        " instead of both axes."
+    ),
+    **{
+        f"{side}.{key}": text.format(side=side)
+        for side in ("left", "right")
+        for key, text in _LEG_KEYS.items()
+    },
 } | _sentences(RobotParameters)
 """Dotted keys of a description, in its order, and what each is in a sentence."""
 _UNSAID: dict[str, float] = {
-    **{f"{side}.{bound}_angle": sign * math.pi for side in ("left", "right") for bound, sign in (("min", -1.0), ("max", 1.0))},
-    **{f"{side}.{key}": 0.0 for side in ("left", "right")
-       for key in ("encoder_offset", "transmission_stiffness", "transmission_damping", "passive_viscous_friction",
-                   "passive_coulomb_friction")},
-    "pin_viscous_friction": 0.0, "pin_coulomb_friction": 0.0,
+    **{
+        f"{side}.{bound}_angle": sign * math.pi
+        for side in ("left", "right")
+        for bound, sign in (("min", -1.0), ("max", 1.0))
+    },
+    **{
+        f"{side}.{key}": 0.0
+        for side in ("left", "right")
+        for key in (
+            "encoder_offset",
+            "transmission_stiffness",
+            "transmission_damping",
+            "passive_viscous_friction",
+            "passive_coulomb_friction",
+        )
+    },
+    "pin_viscous_friction": 0.0,
+    "pin_coulomb_friction": 0.0,
 }  # what a description need not say: no range, offset, compliance or passive friction
 
 
@@ -221,10 +385,16 @@ def _convert(key: str, value: Any) -> Any:
 
 
 def changed(flat: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Dotted keys with some changed: a new base_distance puts the axes at its ends, two known axes have their own."""
+    """Dotted keys with some changed: a new base_distance puts the axes at its ends, two
+    known axes have their own.
+    """
     merged = {**flat, **changes}
     if "base_distance" in changes:
-        merged = {key: value for key, value in merged.items() if key not in _AXES or key in changes}
+        merged = {
+            key: value
+            for key, value in merged.items()
+            if key not in _AXES or key in changes
+        }
     elif all(key in merged for key in _AXES):
         merged.pop("base_distance", None)
     return merged
@@ -242,9 +412,13 @@ def _with_axes(flat: Mapping[str, Any]) -> dict[str, Any]:
         between = math.dist(*(_convert(key, found[key]) for key in _AXES))
         if not abs(between - distance) <= _SAME_LENGTH:
             raise ParameterError(
-                f"robot.base_distance = {distance} with motor axes {between:.9g} m apart; leave out base_distance or the axes"
+                f"robot.base_distance = {distance} with motor axes {between:.9g} m"
+                " apart; leave out base_distance or the axes"
             )
-    ends = {key: (sign * distance, 0.0) for key, sign in zip(_AXES, (-0.5, 0.5), strict=True)}
+    ends = {
+        key: (sign * distance, 0.0)
+        for key, sign in zip(_AXES, (-0.5, 0.5), strict=True)
+    }
     return ends | found
 
 
@@ -252,22 +426,34 @@ def from_flat(flat: Mapping[str, Any]) -> RobotParameters:
     """A robot from dotted keys.
 
     Raises:
-        ParameterError: a key is unknown or missing (base_distance serves for the motors' axes; see ``_UNSAID`` for what need
-            not be there), a value out of its range.
+        ParameterError: a key is unknown or missing (base_distance serves for the
+            motors' axes; see ``_UNSAID`` for what need not be there), a value out of
+            its range.
     """
     unknown = sorted(set(flat) - set(ROBOT_KEYS))
     if unknown:
-        raise ParameterError(f"unknown robot parameter '{unknown[0]}'; known are: {', '.join(ROBOT_KEYS)}")
+        raise ParameterError(
+            f"unknown robot parameter '{unknown[0]}'; known are:"
+            f" {', '.join(ROBOT_KEYS)}"
+        )
     flat = {**_UNSAID, **_with_axes(flat)}
     wanted = [key for key in ROBOT_KEYS if key != "base_distance"]
-    missing = ["base_distance" if key in _AXES else key for key in wanted if key not in flat]
+    missing = [
+        "base_distance" if key in _AXES else key for key in wanted if key not in flat
+    ]
     if missing:
         names = list(dict.fromkeys(missing))
-        told = f" '{names[0]}' is" if len(names) == 1 else f"s {', '.join(map(repr, names))} are"
+        told = (
+            f" '{names[0]}' is"
+            if len(names) == 1
+            else f"s {', '.join(map(repr, names))} are"
+        )
         raise ParameterError(f"robot parameter{told} missing")
     values: dict[str, Any] = {key: _convert(key, flat[key]) for key in wanted}
     for side in ("left", "right"):
-        values[side] = LegParameters(**{key: values.pop(f"{side}.{key}") for key in _LEG_KEYS})
+        values[side] = LegParameters(
+            **{key: values.pop(f"{side}.{key}") for key in _LEG_KEYS}
+        )
     return RobotParameters(**values)
 
 
@@ -278,10 +464,21 @@ def load_robot(path: str | Path) -> RobotParameters:
         ParameterError: the file cannot be read or describes no valid robot.
     """
     values = load_parameters(path, what="robot file").get("/**", {})
-    flat = {key.removeprefix(PREFIX): value for key, value in values.items() if key.startswith(PREFIX)}
+    flat = {
+        key.removeprefix(PREFIX): value
+        for key, value in values.items()
+        if key.startswith(PREFIX)
+    }
     if not flat:
-        found = f"'robot' is {values['robot']!r}" if "robot" in values else "no entry '/**: ros__parameters: robot:'"
-        raise ParameterError(f"robot file {path}: {found}; a description such as config/dextar.yaml is wanted")
+        found = (
+            f"'robot' is {values['robot']!r}"
+            if "robot" in values
+            else "no entry '/**: ros__parameters: robot:'"
+        )
+        raise ParameterError(
+            f"robot file {path}: {found}; a description such as config/dextar.yaml is"
+            " wanted"
+        )
     try:
         return from_flat(flat)
     except ParameterError as error:

@@ -1,8 +1,10 @@
-"""The signals that ask a process to end, and what every program of the package makes of them. No ROS here.
+"""The signals that ask a process to end, and what every program of the package makes of
+them. No ROS here.
 
-A node takes them as a flag (``StopSignal``) and ends in order with code 0. A command is interrupted by the first one
-(``interruptible``), tidies up, and ends with 128 + the signal's number. While modules load nothing is held yet: ``loading`` ends
-the process at once.
+A node takes them as a flag (``StopSignal``) and ends in order with code 0. A command is
+interrupted by the first one (``interruptible``), tidies up, and ends with 128 + the
+signal's number. While modules load nothing is held yet: ``loading`` ends the process at
+once.
 """
 
 from __future__ import annotations
@@ -18,7 +20,10 @@ from typing import Any, TextIO
 
 from dextar_control.contract.errors import DextarError
 
-EXIT_FAILED, EXIT_USAGE = 1, 2  # what was asked for was done and is no success; a user's mistake
+EXIT_FAILED, EXIT_USAGE = (
+    1,
+    2,
+)  # what was asked for was done and is no success; a user's mistake
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 """Ctrl-C, a supervisor's request, a terminal that closes, Ctrl-backslash."""
 RAISE_AGAIN = 0.5  # s after which an interrupt that was swallowed is raised again
@@ -45,7 +50,9 @@ def exit_code(interrupt: BaseException) -> int:
 
 
 def caused_by_interrupt(error: BaseException) -> KeyboardInterrupt | None:
-    """The interrupt that an error is, or that it came of: compilers and child processes turn one into errors of their own."""
+    """The interrupt that an error is, or that it came of: compilers and child processes
+    turn one into errors of their own.
+    """
     seen: BaseException | None = error
     while seen is not None and not isinstance(seen, KeyboardInterrupt):
         seen = seen.__cause__ or seen.__context__
@@ -55,8 +62,8 @@ def caused_by_interrupt(error: BaseException) -> KeyboardInterrupt | None:
 def install(handler: Handler, always: tuple[int, ...] = ()) -> dict[int, Any]:
     """Take every ending signal; what each one did before.
 
-    One that the parent had ignored (``nohup``, a script's background job) stays ignored. Does nothing outside of the main
-    thread, where Python allows no handlers.
+    One that the parent had ignored (``nohup``, a script's background job) stays
+    ignored. Does nothing outside of the main thread, where Python allows no handlers.
 
     Args:
         handler: of Python's kind.
@@ -65,7 +72,11 @@ def install(handler: Handler, always: tuple[int, ...] = ()) -> dict[int, Any]:
     if threading.current_thread() is not threading.main_thread():
         return {}
     found: dict[int, Any] = {number: signal.getsignal(number) for number in ENDING}
-    before = {number: old for number, old in found.items() if old is not signal.SIG_IGN or number in always}
+    before = {
+        number: old
+        for number, old in found.items()
+        if old is not signal.SIG_IGN or number in always
+    }
     for number in before:
         signal.signal(number, handler)
     return before
@@ -80,11 +91,13 @@ def restore(before: dict[int, Any]) -> None:
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """Ending signals raise ``Interrupted``; a further one is passed over while the first is still being dealt with.
+    """Ending signals raise ``Interrupted``; a further one is passed over while the
+    first is still being dealt with.
 
-    It is being dealt with as long as something holds the exception: an ``except`` or ``finally`` block that it runs through,
-    or a name. One that nothing holds any more while the block goes on was swallowed by foreign code, such as a compiler's
-    callbacks, and is raised again.
+    It is being dealt with as long as something holds the exception: an ``except`` or
+        ``finally`` block that it runs through,
+    or a name. One that nothing holds any more while the block goes on was swallowed by
+    foreign code, such as a compiler's callbacks, and is raised again.
     """
     last: weakref.ref[Interrupted] | None = None
     left = threading.Event()
@@ -123,7 +136,8 @@ def killed(number: int) -> int:
 
 @contextlib.contextmanager
 def loading(code: Callable[[int], int] = killed) -> Iterator[None]:
-    """Ending signals end the process at once, without a word, until something else takes them: only modules are being loaded.
+    """Ending signals end the process at once, without a word, until something else
+    takes them: only modules are being loaded.
 
     Args:
         code: the exit code that belongs to a signal's number.
@@ -136,7 +150,8 @@ def loading(code: Callable[[int], int] = killed) -> Iterator[None]:
 
 
 def run_command(name: str, work: Callable[[], int]) -> int:
-    """The exit code of a command: its own, 2 for a user's mistake, 128 + the number of a signal that ended it.
+    """The exit code of a command: its own, 2 for a user's mistake, 128 + the number of
+    a signal that ended it.
 
     Args:
         name: as it was called, for the one line that says why it ended.
@@ -155,7 +170,9 @@ def run_command(name: str, work: Callable[[], int]) -> int:
                 with contextlib.suppress(OSError):
                     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
                 return EXIT_USAGE
-            if isinstance(error, (DextarError, OSError)):  # a user's mistake, or a disk that fills up under the output
+            if isinstance(
+                error, (DextarError, OSError)
+            ):  # a user's mistake, or a disk that fills up under the output
                 from dextar_control.contract.terminal import plain
 
                 tell(plain(f"{name}: {error}"), sys.stderr)
@@ -164,11 +181,14 @@ def run_command(name: str, work: Callable[[], int]) -> int:
 
 
 class StopSignal:
-    """The ending signals as an event: a node finishes what it holds before it goes, however many of them come.
+    """The ending signals as an event: a node finishes what it holds before it goes,
+    however many of them come.
 
-    A node that is still being made holds nothing yet, and the first signal interrupts it. The compiler's callbacks may swallow
-    or print that interrupt: it is not printed, and where nothing comes of it within ``START_GRACE`` the process ends.
-    SIGINT and SIGTERM are how launchers end their nodes: these are taken even from a parent that ignores them.
+    A node that is still being made holds nothing yet, and the first signal interrupts
+    it. The compiler's callbacks may swallow or print that interrupt: it is not printed,
+    and where nothing comes of it within ``START_GRACE`` the process ends. SIGINT and
+    SIGTERM are how launchers end their nodes: these are taken even from a parent that
+    ignores them.
 
     Attributes:
         starting: the node is still being made.
@@ -211,14 +231,20 @@ class StopSignal:
 
 
 def _hush_callbacks() -> None:
-    """An interrupt that is raised in a callback of compiled code cannot leave it; nobody wants to read its traceback."""
+    """An interrupt that is raised in a callback of compiled code cannot leave it;
+    nobody wants to read its traceback.
+    """
     sys.unraisablehook = lambda _: None
 
 
 def tell(text: str, stream: TextIO) -> None:
-    """Write a line where somebody may no longer read: a closed pipe or terminal must not end what still has to be done."""
+    """Write a line where somebody may no longer read: a closed pipe or terminal must
+    not end what still has to be done.
+    """
     try:
         print(text, file=stream, flush=True)
     except OSError:
-        with contextlib.suppress(OSError):  # what is still buffered would fail again at the process's end
+        with contextlib.suppress(
+            OSError
+        ):  # what is still buffered would fail again at the process's end
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -1,4 +1,6 @@
-"""The contract as the tables of the README: ``python -m dextar_control.contract.tables``."""
+"""The contract as the tables of the README: ``python -m
+dextar_control.contract.tables``.
+"""
 
 from __future__ import annotations
 
@@ -52,14 +54,24 @@ def topic_rows() -> list[list[str]]:
 
 def topic_table() -> list[str]:
     """Lines of markdown."""
-    header = ("topic", "type", "from → to", "QoS", "rate", "unit; joints", "stamp", "time-out")
+    header = (
+        "topic",
+        "type",
+        "from → to",
+        "QoS",
+        "rate",
+        "unit; joints",
+        "stamp",
+        "time-out",
+    )
     return _markdown(header, topic_rows())
 
 
 def service_table() -> list[str]:
     """Lines of markdown."""
     return _markdown(
-        ("service", "type", "what it does"), ([f"`{service.name}`", service.type, service.meaning] for service in SERVICES)
+        ("service", "type", "what it does"),
+        ([f"`{service.name}`", service.type, service.meaning] for service in SERVICES),
     )
 
 
@@ -69,5 +81,7 @@ def phase_line() -> str:
 
 
 if __name__ == "__main__":
-    argparse.ArgumentParser(description="Print the contract as the tables of the README.").parse_args()
+    argparse.ArgumentParser(
+        description="Print the contract as the tables of the README."
+    ).parse_args()
     print("\n".join([*topic_table(), "", *service_table(), "", phase_line()]))

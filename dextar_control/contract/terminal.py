@@ -1,7 +1,9 @@
-"""One way to print: what users, files and bags say appears as it is, on a terminal and in a file.
+"""One way to print: what users, files and bags say appears as it is, on a terminal and
+in a file.
 
-Nothing that is printed here is markup: brackets in a path are brackets. Control characters, which could move the cursor or
-colour a terminal, appear as the pictures that Unicode has of them. Where the output is no terminal, lines are as long as they
+Nothing that is printed here is markup: brackets in a path are brackets. Control
+characters, which could move the cursor or colour a terminal, appear as the pictures
+that Unicode has of them. Where the output is no terminal, lines are as long as they
 need to be, and what is under way is told in lines, now and then, instead of bars.
 """
 
@@ -16,14 +18,27 @@ from collections.abc import Iterator
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task, TaskID
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TaskID,
+)
 from rich.progress import TextColumn as MarkupColumn
 from rich.table import Column
 from rich.text import Text
 
-FILE_WIDTH = 4000  # characters of a line where the output is no terminal: no table needs so many
-LINE_PERIOD = 10.0  # s between two lines about what is under way, where the output is no terminal
-_PICTURES = {code: 0x2400 + code for code in range(0x20) if code not in (0x09, 0x0A)} | {0x7F: 0x2421}
+FILE_WIDTH = (
+    4000  # characters of a line where the output is no terminal: no table needs so many
+)
+LINE_PERIOD = (
+    10.0  # s between two lines about what is under way, where the output is no terminal
+)
+_PICTURES = {
+    code: 0x2400 + code for code in range(0x20) if code not in (0x09, 0x0A)
+} | {0x7F: 0x2421}
 _PICTURES |= dict.fromkeys(range(0x80, 0xA0), 0xFFFD)
 _ONE_LINE = _PICTURES | {0x09: 0x20, 0x0A: 0x240A}
 
@@ -35,7 +50,12 @@ def plain(text: object) -> str:
 
 def title(*lines: object) -> Text:
     """A table's title, whose lines are not broken where the table is narrower."""
-    return Text("\n".join(map(plain, lines)), style="table.title", no_wrap=True, overflow="ignore")
+    return Text(
+        "\n".join(map(plain, lines)),
+        style="table.title",
+        no_wrap=True,
+        overflow="ignore",
+    )
 
 
 def say(text: object) -> None:
@@ -45,14 +65,20 @@ def say(text: object) -> None:
 
 @contextlib.contextmanager
 def spoken_warnings(command: str) -> Iterator[None]:
-    """Print each warning once, as one line on the error output, without the line of code that it comes from.
+    """Print each warning once, as one line on the error output, without the line of
+    code that it comes from.
 
-    Not where an error ends it all: that is told in one line, which says what is damaged too.
+    Not where an error ends it all: that is told in one line, which says what is damaged
+        too.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default", UserWarning)
         yield
-    for text in dict.fromkeys(str(warning.message) for warning in caught if issubclass(warning.category, UserWarning)):
+    for text in dict.fromkeys(
+        str(warning.message)
+        for warning in caught
+        if issubclass(warning.category, UserWarning)
+    ):
         say(f"dextar {command}: {text}")
 
 
@@ -65,12 +91,20 @@ class Terminal(Console):
     """
 
     def __init__(self, *, stderr: bool = False, **options: Any) -> None:
-        super().__init__(stderr=stderr, markup=False, highlight=False, emoji=False, **options)
-        if not self.is_terminal and "width" not in options and "COLUMNS" not in os.environ:
+        super().__init__(
+            stderr=stderr, markup=False, highlight=False, emoji=False, **options
+        )
+        if (
+            not self.is_terminal
+            and "width" not in options
+            and "COLUMNS" not in os.environ
+        ):
             self.width = FILE_WIDTH
 
     def on_broken_pipe(self) -> None:
-        """Leave it to who called: rich would end the process with 1, which says that a run was no success."""
+        """Leave it to who called: rich would end the process with 1, which says that a
+        run was no success.
+        """
         raise  # noqa: PLE0704  called where it is caught
 
     def render_str(self, text: str, **options: Any) -> Text:
@@ -85,16 +119,25 @@ class Terminal(Console):
 class TextColumn(MarkupColumn):
     """A column of a progress display whose texts are no markup."""
 
-    def __init__(self, text_format: str, style: str = "none", table_column: Column | None = None) -> None:
-        super().__init__(text_format, style=style, markup=False, table_column=table_column)
+    def __init__(
+        self, text_format: str, style: str = "none", table_column: Column | None = None
+    ) -> None:
+        super().__init__(
+            text_format, style=style, markup=False, table_column=table_column
+        )
 
     def render(self, task: Task) -> Text:
         """As rich does, without control characters in the text."""
-        return Text(self.text_format.format(task=task).translate(_PICTURES), style=self.style, justify=self.justify)
+        return Text(
+            self.text_format.format(task=task).translate(_PICTURES),
+            style=self.style,
+            justify=self.justify,
+        )
 
 
 class Steps(Progress):
-    """Bars on a terminal; elsewhere, every ``LINE_PERIOD``, a line for each task, and one at its end.
+    """Bars on a terminal; elsewhere, every ``LINE_PERIOD``, a line for each task, and
+    one at its end.
 
     Args:
         columns: of the display.
@@ -102,8 +145,15 @@ class Steps(Progress):
         transient: nothing is to be left of it, so a task's end is no line either.
     """
 
-    def __init__(self, *columns: ProgressColumn, console: Terminal, transient: bool = False) -> None:
-        super().__init__(*columns, console=console, transient=transient, disable=not console.is_terminal)
+    def __init__(
+        self, *columns: ProgressColumn, console: Terminal, transient: bool = False
+    ) -> None:
+        super().__init__(
+            *columns,
+            console=console,
+            transient=transient,
+            disable=not console.is_terminal,
+        )
         self._transient = transient
         self._told: dict[TaskID, str] = {}
         self._since = time.monotonic()
@@ -135,7 +185,11 @@ class Steps(Progress):
 
     def _lines(self, tasks: list[Task]) -> None:
         for task in tasks:
-            words = [_words(column, task) for column in self.columns if isinstance(column, ProgressColumn)]
+            words = [
+                _words(column, task)
+                for column in self.columns
+                if isinstance(column, ProgressColumn)
+            ]
             line = "  ".join(filter(None, words))
             if line != self._told.get(task.id):
                 self._told[task.id] = line
@@ -151,7 +205,12 @@ class Working(Steps):
     """
 
     def __init__(self, console: Terminal, text: str) -> None:
-        super().__init__(SpinnerColumn(), TextColumn("{task.description}"), console=console, transient=True)
+        super().__init__(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            console=console,
+            transient=True,
+        )
         self._task = self.add_task(text, total=None)
 
     def now(self, text: str) -> None:

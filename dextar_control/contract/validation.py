@@ -20,7 +20,8 @@ def load_yaml(model: type[M], path: str | Path, what: str) -> M:
     """A model from a YAML file; ``what`` names the kind of file in messages.
 
     Raises:
-        ParameterError: the file cannot be read, or something in it is unknown, missing or out of its range.
+        ParameterError: the file cannot be read, or something in it is unknown, missing
+            or out of its range.
     """
     return validate(model, load_document(path, what), f"{what} {path}")
 
@@ -29,20 +30,28 @@ def validate(model: type[M], data: Any, source: str) -> M:
     """A model from plain data.
 
     Raises:
-        ParameterError: something in it is unknown, missing or out of its range; it names the source.
+        ParameterError: something in it is unknown, missing or out of its range; it
+            names the source.
     """
     try:
         return model.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"] if part not in ("float", "str"))
+        where = ".".join(
+            str(part) for part in first["loc"] if part not in ("float", "str")
+        )
         if first["type"] == "dextar":
             said = first["msg"]
         elif first["type"] == "missing":
             said = "it is missing"
         else:
-            said = f"{reprlib.repr(first['input'])} is not valid: {first['msg'][0].lower()}{first['msg'][1:]}"
-        raise ParameterError(f"{source}: {where}: {said}" if where else f"{source}: {said}") from error
+            said = (
+                f"{reprlib.repr(first['input'])} is not valid:"
+                f" {first['msg'][0].lower()}{first['msg'][1:]}"
+            )
+        raise ParameterError(
+            f"{source}: {where}: {said}" if where else f"{source}: {said}"
+        ) from error
 
 
 def problem(text: str) -> PydanticCustomError:
@@ -56,7 +65,9 @@ def unknown(name: str, known: Collection[str], what: str) -> str:
 
 
 class Section(BaseModel):
-    """A part of a YAML file: a mapping of known keys to values of the right types, which stay as they are."""
+    """A part of a YAML file: a mapping of known keys to values of the right types,
+    which stay as they are.
+    """
 
     model_config = ConfigDict(strict=True, frozen=True)
 
@@ -64,7 +75,9 @@ class Section(BaseModel):
     @classmethod
     def _known_keys(cls, data: Any) -> Any:
         if not isinstance(data, Mapping):
-            raise problem(f"it must be a mapping with some of: {', '.join(cls.model_fields)}")
+            raise problem(
+                f"it must be a mapping with some of: {', '.join(cls.model_fields)}"
+            )
         for key in data:
             if key not in cls.model_fields:
                 raise problem(unknown(key, cls.model_fields, "key"))

@@ -4,5 +4,7 @@ from __future__ import annotations
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 crossing``, ``2 crossings``; a noun of more words ends in the one that is counted."""
+    """``1 crossing``, ``2 crossings``; a noun of more words ends in the one that is
+    counted.
+    """
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

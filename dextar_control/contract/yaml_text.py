@@ -1,10 +1,12 @@
 """Text files that users give, and YAML as ROS 2 reads it.
 
-A parameter file is read by the nodes with rcl's own parser, whose rules are not those of YAML 1.1 (nor of PyYAML): ``1e-1`` is
-a number, ``1:30`` and ``1_000`` are words, ``010`` is 8, ``null`` is a word, aliases do not exist, and a later section
-overrides an earlier one. The package reads such files by the same rules, so that no value means one thing to a command and
-another to a node; only what stands twice in one place is refused. Campaign and fault files have the same scalars, beside null;
-there ``nan`` without its dot is a word, a list holds anything, and no key stands twice.
+A parameter file is read by the nodes with rcl's own parser, whose rules are not those
+of YAML 1.1 (nor of PyYAML): ``1e-1`` is a number, ``1:30`` and ``1_000`` are words,
+``010`` is 8, ``null`` is a word, aliases do not exist, and a later section overrides an
+earlier one. The package reads such files by the same rules, so that no value means one
+thing to a command and another to a node; only what stands twice in one place is
+refused. Campaign and fault files have the same scalars, beside null; there ``nan``
+without its dot is a word, a list holds anything, and no key stands twice.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ MERGE = "<<"
 QUOTED = ("'", '"')
 PARAMETERS = "ros__parameters"
 Sections = dict[str, dict[str, Any]]
-"""Parameters by the pattern of the nodes' names, in the order in which they are applied."""
+"""Parameters by the pattern of the nodes' names, in the order in which they are
+applied.
+"""
 
 _TRUE = {"Y", "y", "yes", "Yes", "YES", "on", "On", "ON", "true", "True", "TRUE"}
 _FALSE = {"N", "n", "no", "No", "NO", "off", "Off", "OFF", "false", "False", "FALSE"}
@@ -42,7 +46,9 @@ _NULL = {"", "~", "null", "Null", "NULL"}
 _DOTTED = re.compile(r"(\.nan|\.NaN|\.NAN)|([+-]?)(\.inf|\.Inf|\.INF)")
 _INTEGER = re.compile(r"[+-]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)")
 _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-_HEXADECIMAL = re.compile(r"[+-]?0[xX]([0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)([pP][+-]?[0-9]+)?")
+_HEXADECIMAL = re.compile(
+    r"[+-]?0[xX]([0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)([pP][+-]?[0-9]+)?"
+)
 _INFINITE = re.compile(r"([+-]?)inf(inity)?", re.IGNORECASE)
 _NAN = re.compile(r"[+-]?nan(\([0-9A-Za-z_]*\))?", re.IGNORECASE)
 
@@ -63,24 +69,37 @@ def read_text(path: str | Path, what: str) -> str:
         with open(_descriptor(path), "rb") as stream:
             content = stream.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:  # a path with a NUL byte is a ValueError
-        raise ParameterError(f"{what} {path}: {getattr(error, 'strerror', None) or error}") from error
+        raise ParameterError(
+            f"{what} {path}: {getattr(error, 'strerror', None) or error}"
+        ) from error
     if len(content) > MOST_BYTES:
-        raise ParameterError(f"{what} {path}: it is larger than {MOST_BYTES // 1_000_000} MB, which no such file is")
+        raise ParameterError(
+            f"{what} {path}: it is larger than {MOST_BYTES // 1_000_000} MB, which no"
+            " such file is"
+        )
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise ParameterError(f"{what} {path}: it is UTF-16, not UTF-8; convert it: iconv -f UTF-16 -t UTF-8 OLD > NEW")
+        raise ParameterError(
+            f"{what} {path}: it is UTF-16, not UTF-8; convert it: iconv -f UTF-16 -t"
+            " UTF-8 OLD > NEW"
+        )
     if (place := content.find(b"\0")) >= 0:
-        raise ParameterError(f"{what} {path}: line {_line(content, place)} holds a NUL byte; it is no text file in UTF-8")
+        raise ParameterError(
+            f"{what} {path}: line {_line(content, place)} holds a NUL byte; it is no"
+            " text file in UTF-8"
+        )
     try:
         return content.decode().removeprefix(BYTE_ORDER_MARK)
     except UnicodeDecodeError as error:
         raise ParameterError(
-            f"{what} {path}: line {_line(content, error.start)} is not UTF-8 (byte 0x{content[error.start]:02x}); if it is"
-            " Latin-1, convert it: iconv -f ISO-8859-1 -t UTF-8 OLD > NEW"
+            f"{what} {path}: line {_line(content, error.start)} is not UTF-8 (byte"
+            f" 0x{content[error.start]:02x}); if it is Latin-1, convert it: iconv -f"
+            " ISO-8859-1 -t UTF-8 OLD > NEW"
         ) from error
 
 
 def _descriptor(path: str | Path) -> int:
-    """Of a file that is opened to be read; of a pipe only where somebody writes into it.
+    """Of a file that is opened to be read; of a pipe only where somebody writes into
+    it.
 
     Raises:
         OSError: it cannot be opened, or is a pipe into which nobody writes.
@@ -88,14 +107,21 @@ def _descriptor(path: str | Path) -> int:
     descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
     poll = select.poll()
     poll.register(descriptor, select.POLLIN)
-    if stat.S_ISFIFO(os.fstat(descriptor).st_mode) and not poll.poll(1e3 * WRITER_PATIENCE):
+    if stat.S_ISFIFO(os.fstat(descriptor).st_mode) and not poll.poll(
+        1e3 * WRITER_PATIENCE
+    ):
         try:
-            os.read(descriptor, 1)  # nothing: a writer that only has not written yet would make it fail
+            os.read(
+                descriptor, 1
+            )  # nothing: a writer that only has not written yet would make it fail
         except BlockingIOError:
             pass
         else:
             os.close(descriptor)
-            raise OSError(errno.ENXIO, f"it is a pipe, and nobody wrote into it within {WRITER_PATIENCE:g} s")
+            raise OSError(
+                errno.ENXIO,
+                f"it is a pipe, and nobody wrote into it within {WRITER_PATIENCE:g} s",
+            )
     os.set_blocking(descriptor, True)
     return descriptor
 
@@ -112,16 +138,21 @@ def load_document(path: str | Path, what: str) -> Any:
         what: names the kind of file in messages.
 
     Raises:
-        ParameterError: it cannot be read, is no YAML, holds more than one document or a key twice.
+        ParameterError: it cannot be read, is no YAML, holds more than one document or a
+            key twice.
     """
     source = f"{what} {path}"
     nodes = _nodes(read_text(path, what), source, _Loader)
     if len(nodes) > 1:
-        raise ParameterError(f"{source}: it holds {len(nodes)} YAML documents; it must hold one")
+        raise ParameterError(
+            f"{source}: it holds {len(nodes)} YAML documents; it must hold one"
+        )
     try:
         return _plain(nodes[0], source, {}) if nodes else None
     except RecursionError as error:
-        raise ParameterError(f"{source}: an alias stands within what it names") from error
+        raise ParameterError(
+            f"{source}: an alias stands within what it names"
+        ) from error
 
 
 def load_parameters(*paths: str | Path, what: str = "parameter file") -> Sections:
@@ -144,15 +175,20 @@ def load_parameters(*paths: str | Path, what: str = "parameter file") -> Section
             if isinstance(node, yaml.MappingNode):
                 _add_sections(sections, node, "", source)
             elif not _empty(node):
-                raise ParameterError(f"{_at(source, node)}: {_kind(node)} stands where a node's name is wanted, such as /**:")
+                raise ParameterError(
+                    f"{_at(source, node)}: {_kind(node)} stands where a node's name is"
+                    " wanted, such as /**:"
+                )
     return sections
 
 
 def check_parameter_files(arguments: Sequence[str]) -> list[str]:
-    """Refuse a file after ``--params-file`` as a command would: rcl's own words name neither line nor remedy.
+    """Refuse a file after ``--params-file`` as a command would: rcl's own words name
+    neither line nor remedy.
 
     Returns:
-        The arguments without pipes, which give their content once: that is for the node.
+        The arguments without pipes, which give their content once: that is for the
+            node.
 
     Raises:
         ParameterError: a file cannot be read, or ROS 2 would not take it.
@@ -176,8 +212,12 @@ def _mode(path: str) -> int:
         return 0
 
 
-def parameters_of(node: str, sections: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Parameters of the node with this full name (``/controller``, ``/left/plant``), as rcl matches and overrides them."""
+def parameters_of(
+    node: str, sections: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Parameters of the node with this full name (``/controller``, ``/left/plant``), as
+    rcl matches and overrides them.
+    """
     values: dict[str, Any] = {}
     for pattern, section in sections.items():
         if _matches(pattern.strip("/").split("/"), node.strip("/").split("/")):
@@ -198,7 +238,8 @@ def parse_value(text: str, source: str) -> Any:
 
 
 def assignment(name: str, value: Any) -> str:
-    """``NAME:=VALUE`` for ``ros2 run ... --ros-args -p``, quoted so that the node gets this very value.
+    """``NAME:=VALUE`` for ``ros2 run ... --ros-args -p``, quoted so that the node gets
+    this very value.
 
     Args:
         name: of the parameter, with its node's name and a colon where it has one.
@@ -226,13 +267,25 @@ def as_yaml(value: Any) -> str:
         text = str(value)
         text.encode()
     except UnicodeEncodeError as error:
-        raise ParameterError(f"{str(value)!a}: it is not UTF-8, and a ROS 2 parameter must be") from error
-    return yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True).rstrip("\n")
+        raise ParameterError(
+            f"{str(value)!a}: it is not UTF-8, and a ROS 2 parameter must be"
+        ) from error
+    return yaml.safe_dump(
+        text, default_style='"', width=math.inf, allow_unicode=True
+    ).rstrip("\n")
 
 
 def dump_document(document: Any) -> str:
-    """Plain data as YAML, words quoted where another reader might take them for numbers: rcl and PyYAML read the same."""
-    return yaml.dump(document, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    """Plain data as YAML, words quoted where another reader might take them for
+    numbers: rcl and PyYAML read the same.
+    """
+    return yaml.dump(
+        document,
+        Dumper=_Dumper,
+        sort_keys=False,
+        default_flow_style=None,
+        allow_unicode=True,
+    )
 
 
 class _Dumper(yaml.SafeDumper):
@@ -240,7 +293,9 @@ class _Dumper(yaml.SafeDumper):
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    return dumper.represent_scalar(STRING_TAG, text, style=None if isinstance(scalar(text), str) else '"')
+    return dumper.represent_scalar(
+        STRING_TAG, text, style=None if isinstance(scalar(text), str) else '"'
+    )
 
 
 _Dumper.add_representer(str, _represent_text)
@@ -250,7 +305,11 @@ class _Loader(yaml.SafeLoader):
     """Leaves open what a scalar is; only an explicit tag is kept."""
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
-        return PLAIN_TAG if kind is yaml.ScalarNode else super().resolve(kind, value, implicit)
+        return (
+            PLAIN_TAG
+            if kind is yaml.ScalarNode
+            else super().resolve(kind, value, implicit)
+        )
 
 
 class _ParameterLoader(_Loader):
@@ -259,15 +318,24 @@ class _ParameterLoader(_Loader):
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
             event = self.peek_event()
-            raise yaml.MarkedYAMLError(problem=f"ROS 2 knows no aliases (*{event.anchor})", problem_mark=event.start_mark)
+            raise yaml.MarkedYAMLError(
+                problem=f"ROS 2 knows no aliases (*{event.anchor})",
+                problem_mark=event.start_mark,
+            )
         return super().compose_node(parent, index)
 
 
 def _nodes(text: str, source: str, loader: type[_Loader]) -> list[yaml.Node]:
     try:
-        return [node for node in yaml.compose_all(text, Loader=loader) if node is not None]
+        return [
+            node for node in yaml.compose_all(text, Loader=loader) if node is not None
+        ]
     except yaml.MarkedYAMLError as error:
-        where = f"{source}, line {error.problem_mark.line + 1}" if error.problem_mark else source
+        where = (
+            f"{source}, line {error.problem_mark.line + 1}"
+            if error.problem_mark
+            else source
+        )
         said = " ".join(part for part in (error.context, error.problem) if part)
         raise ParameterError(f"{where}: {' '.join(said.split())}") from error
     except yaml.YAMLError as error:
@@ -277,7 +345,9 @@ def _nodes(text: str, source: str, loader: type[_Loader]) -> list[yaml.Node]:
 
 
 def scalar(text: str) -> bool | int | float | str:
-    """A scalar without quotes, as rcl_yaml_param_parser takes it: strtol's whole numbers, strtod's others, else a text."""
+    """A scalar without quotes, as rcl_yaml_param_parser takes it: strtol's whole
+    numbers, strtod's others, else a text.
+    """
     if text in _TRUE or text in _FALSE:
         return text in _TRUE
     if _INTEGER.fullmatch(text):
@@ -295,7 +365,9 @@ def scalar(text: str) -> bool | int | float | str:
 
 
 def _floating(text: str) -> float | str:
-    """A number, or the text where there is none or strtod says that a double cannot hold it."""
+    """A number, or the text where there is none or strtod says that a double cannot
+    hold it.
+    """
     if _HEXADECIMAL.fullmatch(text):
         try:
             return float.fromhex(text)
@@ -304,28 +376,44 @@ def _floating(text: str) -> float | str:
     if not _DECIMAL.fullmatch(text):
         return text
     value = float(text)
-    if math.isinf(value) or (abs(value) < float_info.min and Decimal(text) != Decimal(value)):
+    if math.isinf(value) or (
+        abs(value) < float_info.min and Decimal(text) != Decimal(value)
+    ):
         return text
     return value
 
 
 def _value_of(node: yaml.ScalarNode) -> bool | int | float | str:
-    return node.value if node.style in QUOTED or node.tag == STRING_TAG else scalar(node.value)
+    return (
+        node.value
+        if node.style in QUOTED or node.tag == STRING_TAG
+        else scalar(node.value)
+    )
 
 
 def _empty(node: yaml.Node) -> bool:
-    return isinstance(node, yaml.ScalarNode) and node.style not in QUOTED and not node.value
+    return (
+        isinstance(node, yaml.ScalarNode)
+        and node.style not in QUOTED
+        and not node.value
+    )
 
 
 def _plain(node: yaml.Node, source: str, seen: dict[int, Any]) -> Any:
-    """Plain data; a key twice is a mistake. ``seen`` holds what an alias may name again."""
+    """Plain data; a key twice is a mistake. ``seen`` holds what an alias may name
+    again.
+    """
     if id(node) in seen:
         return seen[id(node)]
     value: Any
     if isinstance(node, yaml.ScalarNode):
         null = node.style is None and node.value in _NULL and node.tag != STRING_TAG
         value = _value_of(node)
-        word = isinstance(value, float) and not math.isfinite(value) and "." not in node.value  # nan and inf, as in YAML
+        word = (
+            isinstance(value, float)
+            and not math.isfinite(value)
+            and "." not in node.value
+        )  # nan and inf, as in YAML
         return None if null else node.value if word else value
     if isinstance(node, yaml.SequenceNode):
         value = [_plain(item, source, seen) for item in node.value]
@@ -341,7 +429,9 @@ def _mapping(node: yaml.Node, source: str, seen: dict[int, Any]) -> dict[str, An
         if not isinstance(key, yaml.ScalarNode):
             raise ParameterError(f"{_at(source, key)}: {_kind(key)} cannot be a key")
         if key.value in found:
-            raise ParameterError(f"{_at(source, key)}: the key '{key.value}' stands there twice")
+            raise ParameterError(
+                f"{_at(source, key)}: the key '{key.value}' stands there twice"
+            )
         if key.value == MERGE and isinstance(value, yaml.MappingNode):
             merged |= _plain(value, source, seen)
         else:
@@ -349,26 +439,41 @@ def _mapping(node: yaml.Node, source: str, seen: dict[int, Any]) -> dict[str, An
     return merged | found
 
 
-def _add_sections(sections: Sections, node: yaml.MappingNode, prefix: str, source: str) -> None:
+def _add_sections(
+    sections: Sections, node: yaml.MappingNode, prefix: str, source: str
+) -> None:
     for key, value in node.value:
         name = _key(key, source)
         if name == PARAMETERS and not prefix:
-            raise ParameterError(f"{_at(source, key)}: '{PARAMETERS}' stands under no node's name; /** is any node's")
+            raise ParameterError(
+                f"{_at(source, key)}: '{PARAMETERS}' stands under no node's name; /**"
+                " is any node's"
+            )
         if not isinstance(value, yaml.MappingNode):
-            wanted = f"a mapping of parameters ({{}} where there are none) under '{PARAMETERS}'" if name == PARAMETERS else \
-                f"'{PARAMETERS}:' under '{name}'"
-            raise ParameterError(f"{_at(source, key)}: {_kind(value)} stands where {wanted} is wanted")
+            wanted = (
+                "a mapping of parameters ({} where there are none) under"
+                f" '{PARAMETERS}'"
+                if name == PARAMETERS
+                else f"'{PARAMETERS}:' under '{name}'"
+            )
+            raise ParameterError(
+                f"{_at(source, key)}: {_kind(value)} stands where {wanted} is wanted"
+            )
         if name == PARAMETERS:
             _flatten(sections.setdefault(prefix, {}), value, "", source)
         else:
             _add_sections(sections, value, f"{prefix}/{name.strip('/')}", source)
 
 
-def _flatten(flat: dict[str, Any], node: yaml.MappingNode, prefix: str, source: str) -> None:
+def _flatten(
+    flat: dict[str, Any], node: yaml.MappingNode, prefix: str, source: str
+) -> None:
     names = [_key(key, source) for key, _ in node.value]
     for row, (key, value) in enumerate(node.value):
         if names[row] in names[:row]:  # rcl would take the last of them
-            raise ParameterError(f"{_at(source, key)}: the key '{names[row]}' stands there twice")
+            raise ParameterError(
+                f"{_at(source, key)}: the key '{names[row]}' stands there twice"
+            )
         name = f"{prefix}{names[row]}"
         if isinstance(value, yaml.MappingNode):
             _flatten(flat, value, f"{name}.", source)
@@ -379,19 +484,34 @@ def _flatten(flat: dict[str, Any], node: yaml.MappingNode, prefix: str, source: 
 
 
 def _value(node: yaml.Node, source: str) -> Any:
-    """A scalar or a list of scalars of one type; an empty list, whose type nobody knows, reaches a node as None."""
+    """A scalar or a list of scalars of one type; an empty list, whose type nobody
+    knows, reaches a node as None.
+    """
     if isinstance(node, yaml.ScalarNode):
         return _value_of(node)
-    if not isinstance(node, yaml.SequenceNode) or not all(isinstance(item, yaml.ScalarNode) for item in node.value):
-        raise ParameterError(f"{_at(source, node)}: {_kind(node)} of lists or mappings is no value of a parameter")
+    if not isinstance(node, yaml.SequenceNode) or not all(
+        isinstance(item, yaml.ScalarNode) for item in node.value
+    ):
+        raise ParameterError(
+            f"{_at(source, node)}: {_kind(node)} of lists or mappings is no value of a"
+            " parameter"
+        )
     values = [_value_of(item) for item in node.value]
     if len({type(value) for value in values}) > 1:
         names = " and ".join(dict.fromkeys(_TYPES[type(value)] for value in values))
-        raise ParameterError(f"{_at(source, node)}: a list holds {names}; ROS 2 wants all of one type (0.0, not 0, beside 0.5)")
+        raise ParameterError(
+            f"{_at(source, node)}: a list holds {names}; ROS 2 wants all of one type"
+            " (0.0, not 0, beside 0.5)"
+        )
     return values
 
 
-_TYPES = {bool: "true or false", int: "whole numbers", float: "numbers with a point", str: "words"}
+_TYPES = {
+    bool: "true or false",
+    int: "whole numbers",
+    float: "numbers with a point",
+    str: "words",
+}
 
 
 def _key(node: yaml.Node, source: str) -> str:
@@ -414,7 +534,9 @@ def _at(source: str, node: yaml.Node) -> str:
 
 
 def _matches(pattern: Sequence[str], name: Sequence[str]) -> bool:
-    """Whether the parts of a node's name fit a pattern: ``*`` is one part, ``**`` any number of them."""
+    """Whether the parts of a node's name fit a pattern: ``*`` is one part, ``**`` any
+    number of them.
+    """
     if not pattern or not name:
         return all(part == "**" for part in pattern) and not name
     if pattern[0] == "**":

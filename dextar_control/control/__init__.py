@@ -1,1 +1,3 @@
-"""From an estimate to torques: laws, phases, what is watched, safe stop; all in one ``step(time, q_a)``."""
+"""From an estimate to torques: laws, phases, what is watched, safe stop; all in one
+``step(time, q_a)``.
+"""

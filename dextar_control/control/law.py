@@ -1,32 +1,42 @@
 """Laws: from an error to input torques through a configuration where A_r loses rank.
 
-The Cartesian laws ask for the platform acceleration u = x_ddot_ref + K_d e_dot + K_p e + K_i int(e)
-(section 3) at the estimated state, which takes the wrenches w_b and w_d; then tau = w_b - B^T lambda
-(Eq. 1). They differ in lambda, the multipliers with w_d = A_r^T lambda; A_r = U S V^T:
+The Cartesian laws ask for the platform acceleration u = x_ddot_ref + K_d e_dot + K_p e
++ K_i int(e) (section 3) at the estimated state, which takes the wrenches w_b and w_d;
+then tau = w_b - B^T lambda (Eq. 1). They differ in lambda, the multipliers with w_d =
+A_r^T lambda; A_r = U S V^T:
 
-- ``classic``: lambda = A_r^-T w_d everywhere (Eq. 4). Grows as 1/s under any tracking error.
-- ``projected``: the paper. Within |s| < band w_u is projected on the image of A_r^T and the torque of
-  least norm is taken (Eq. 9, with J_inv of rank n - 1 in the whole band as it is on the locus): bounded, but it
-  jumps at the band's edges, where the internal force along the distal links is dropped.
-- ``consistent``: ours. lambda = sum u_i (v_i.w_d)/sigma_i over the strong directions, which follow the feedback everywhere,
-  + u_weak [(1 - phi) u_weak.lambda_ref + phi (v_weak.w_d)/sigma_weak], phi rising from 0 to 1 over |s| = zone -+ width/2: along
-  the weak direction the multiplier that the trajectory itself needs (finite on the locus when the criterion
-  holds) takes over, so that nothing jumps and no internal force is lost. Its limit: along t_s there is
-  no feedback inside the zone, where no torque could give any. Before that u is changed where a leg comes near to Type 1 faster
-  than it may (``within_reach``).
-- ``multi_model``: the paper's [10]. Within |s| < band the reduced model tau = w_b of w_d = 0, in the joints:
-  q_a_ddot = q_a_ddot_ref + K_d e_q_dot + K_p e_q; Eq. (4) outside. Needs trajectories planned for w_d = 0; the
-  models differ at the band's edge by what w_d is there, and w_d = 0 depends on how L was written.
-- ``joint_space``: the paper's future work, without any platform estimate. Matrices are taken on the reference;
-  the joint acceleration a = K_d e_q_dot + K_p e_q is split by J_inv = U S V^T: its strong parts are realised
-  everywhere, its part along u_weak fades with phi, because no finite platform acceleration gives it on the
-  locus; u = x_ddot_ref + sum v_i (u_i.a)/sigma_i + phi v_weak (u_weak.a)/sigma_weak, then ``consistent``'s multipliers. What can
-  be shown: with an exact model the error along the strong directions obeys e_ddot + K_d e_dot + K_p e = 0 everywhere but for a
-  hundredth or so of the feedback (how the matrices change with the error), about a point at rest outside the zone all do to
-  first order; inside, the platform's error along t_s only coasts, and the law never knows it.
+- ``classic``: lambda = A_r^-T w_d everywhere (Eq. 4). Grows as 1/s under any tracking
+  error.
+- ``projected``: the paper. Within |s| < band w_u is projected on the image of A_r^T and
+  the torque of least norm is taken (Eq. 9, with J_inv of rank n - 1 in the whole band
+  as it is on the locus): bounded, but it jumps at the band's edges, where the internal
+  force along the distal links is dropped.
+- ``consistent``: ours. lambda = sum u_i (v_i.w_d)/sigma_i over the strong directions,
+  which follow the feedback everywhere, + u_weak [(1 - phi) u_weak.lambda_ref + phi
+  (v_weak.w_d)/sigma_weak], phi rising from 0 to 1 over |s| = zone -+ width/2: along the
+  weak direction the multiplier that the trajectory itself needs (finite on the locus
+  when the criterion holds) takes over, so that nothing jumps and no internal force is
+  lost. Its limit: along t_s there is no feedback inside the zone, where no torque could
+  give any. Before that u is changed where a leg comes near to Type 1 faster than it may
+  (``within_reach``).
+- ``multi_model``: the paper's [10]. Within |s| < band the reduced model tau = w_b of
+  w_d = 0, in the joints: q_a_ddot = q_a_ddot_ref + K_d e_q_dot + K_p e_q; Eq. (4)
+  outside. Needs trajectories planned for w_d = 0; the models differ at the band's edge
+  by what w_d is there, and w_d = 0 depends on how L was written.
+- ``joint_space``: the paper's future work, without any platform estimate. Matrices are
+  taken on the reference; the joint acceleration a = K_d e_q_dot + K_p e_q is split by
+  J_inv = U S V^T: its strong parts are realised everywhere, its part along u_weak fades
+  with phi, because no finite platform acceleration gives it on the locus; u =
+  x_ddot_ref + sum v_i (u_i.a)/sigma_i + phi v_weak (u_weak.a)/sigma_weak, then
+  ``consistent``'s multipliers. What can be shown: with an exact model the error along
+  the strong directions obeys e_ddot + K_d e_dot + K_p e = 0 everywhere but for a
+  hundredth or so of the feedback (how the matrices change with the error), about a
+  point at rest outside the zone all do to first order; inside, the platform's error
+  along t_s only coasts, and the law never knows it.
 
-Where A_r has several blocks each has its weak direction and multiplier, its |s| and phi, or its band; ``multi_model`` takes the
-reduced model of all of them within the band of one.
+Where A_r has several blocks each has its weak direction and multiplier, its |s| and
+phi, or its band; ``multi_model`` takes the reduced model of all of them within the band
+of one.
 """
 
 from __future__ import annotations
@@ -49,16 +59,29 @@ from dextar_control.symbols.smooth import HUGE, is_finite, over, smooth_step
 from dextar_control.symbols.types import Symbol
 
 TWIST_DAMPING = 0.35  # damping ratio that the law adds to a rotor on its transmission
-REACH = 2.0  # times the error's natural frequency: pace at which a leg may approach Type 1
+REACH = (
+    2.0  # times the error's natural frequency: pace at which a leg may approach Type 1
+)
 
 GAINS = (
     Field("K_p", "1/s^2", "of the error"),
     Field("K_d", "1/s", "of its rate"),
     Field("K_i", "1/s^3", "of its integral"),
-    Field("zone", "1", "|s| in the middle of the transition; for projected and multi_model the band's edge"),
+    Field(
+        "zone",
+        "1",
+        "|s| in the middle of the transition; for projected and multi_model the band's"
+        " edge",
+    ),
     Field("zone_width", "1", "of the transition, in |s|"),
-    Field("friction_compensation", "1", "fraction of the modelled friction fed forward"),
-    Field("disturbance_compensation", "1", "fraction of the estimated disturbance torque that is compensated"),
+    Field(
+        "friction_compensation", "1", "fraction of the modelled friction fed forward"
+    ),
+    Field(
+        "disturbance_compensation",
+        "1",
+        "fraction of the estimated disturbance torque that is compensated",
+    ),
 )
 OUTPUT = (
     Field("tau", "N m", "input torques, limited", "n"),
@@ -66,10 +89,20 @@ OUTPUT = (
     Field("error_dot", "m/s", "its rate", "n"),
     Field("u", "m/s^2", "acceleration that is asked for", "n"),
     Field("force", "N", "J_inv^T tau", "n"),
-    Field("residual", "N", "t_s.w_d that u asks for: what the enforcement takes away on the locus"),
+    Field(
+        "residual",
+        "N",
+        "t_s.w_d that u asks for: what the enforcement takes away on the locus",
+    ),
     Field("s", "1", "singularity measure at the state of the model"),
-    Field("sigma_min", "1", "smallest singular value of A_r over the mean length behind s"),
-    Field("weight", "1", "1 where the weak direction follows the feedback, 0 where it follows the plan"),
+    Field(
+        "sigma_min", "1", "smallest singular value of A_r over the mean length behind s"
+    ),
+    Field(
+        "weight",
+        "1",
+        "1 where the weak direction follows the feedback, 0 where it follows the plan",
+    ),
     Field("limit", "N m", "at which tau is cut"),
     Field("finite", "1", "1 where all of this is finite"),
 )
@@ -82,84 +115,137 @@ class Enforcement(NamedTuple):
     weight: Symbol
 
 
-def consistent(e: Equations, multipliers_ref: Symbol, zone: Symbol, width: Symbol) -> Enforcement:
-    """Torque of w_b and w_d at ``e`` with the weak multiplier from feedback and plan."""
+def consistent(
+    e: Equations, multipliers_ref: Symbol, zone: Symbol, width: Symbol
+) -> Enforcement:
+    """Torque of w_b and w_d at ``e`` with the weak multiplier from feedback and
+    plan.
+    """
     v = e.singular
     phi = smooth_step(ca.fabs(e.s_blocks), zone - 0.5 * width, zone + 0.5 * width)
     strong = v.u_strong @ ((v.v_strong.T @ e.w_d) / v.sigma_strong)
-    weak = (1.0 - phi) * (v.u_weak.T @ multipliers_ref) + phi * over(e.criterion, v.sigma_weak)
-    return Enforcement(e.w_b - e.B.T @ (strong + v.u_weak @ weak), ca.mmin(phi))  # Eq. 1
+    weak = (1.0 - phi) * (v.u_weak.T @ multipliers_ref) + phi * over(
+        e.criterion, v.sigma_weak
+    )
+    return Enforcement(
+        e.w_b - e.B.T @ (strong + v.u_weak @ weak), ca.mmin(phi)
+    )  # Eq. 1
 
 
 def projected(e: Equations, band: Symbol) -> Enforcement:
-    """The paper's torque: within the band of a block that of least norm for the wrench projected there, else Eq. (4)."""
+    """The paper's torque: within the band of a block that of least norm for the wrench
+    projected there, else Eq. (4).
+    """
     J, inside = singular_vectors(e.J_inv), ca.fabs(e.s_blocks) <= band
     image = e.w_d - e.singular.v_weak @ ca.if_else(inside, e.criterion, 0.0)  # Eq. 6
     force = e.J_inv.T @ e.w_b + image
     least = J.u_strong @ ((J.v_strong.T @ force) / J.sigma_strong)  # Eq. 9
-    regular = ca.if_else(inside, 0.0, over(J.v_weak.T @ force, J.sigma_weak))  # of other blocks
+    regular = ca.if_else(
+        inside, 0.0, over(J.v_weak.T @ force, J.sigma_weak)
+    )  # of other blocks
     any_inside = ca.fabs(e.s) <= band
-    return Enforcement(ca.if_else(any_inside, least + J.u_weak @ regular, e.inverse_dynamics), ca.if_else(any_inside, 0.0, 1.0))
+    return Enforcement(
+        ca.if_else(any_inside, least + J.u_weak @ regular, e.inverse_dynamics),
+        ca.if_else(any_inside, 0.0, 1.0),
+    )
 
 
 def joint_feedback(planned: Equations, a: Symbol, weight: Symbol) -> Symbol:
-    """Platform acceleration (n,) that realises the joint acceleration a (n,): along the weak direction only by ``weight``."""
+    """Platform acceleration (n,) that realises the joint acceleration a (n,): along the
+    weak direction only by ``weight``.
+    """
     J = singular_vectors(planned.J_inv)
     strong = J.v_strong @ ((J.u_strong.T @ a) / J.sigma_strong)
     return strong + J.v_weak @ (weight * over(J.u_weak.T @ a, J.sigma_weak))
 
 
-def within_reach(mechanism: Mechanism, p: Any, x: Symbol, x_dot: Symbol, u: Symbol, frequency: Symbol) -> Symbol:
-    """u (n,), changed as little as keeps each leg from Type 1, behind which nothing of it is known: a control barrier function.
+def within_reach(
+    mechanism: Mechanism, p: Any, x: Symbol, x_dot: Symbol, u: Symbol, frequency: Symbol
+) -> Symbol:
+    """u (n,), changed as little as keeps each leg from Type 1, behind which nothing of
+    it is known: a control barrier function.
 
-    c, the squared sine of a leg's angle there, has to obey c_ddot + 2 w c_dot + w^2 c >= 0. A leg of two links of 90 mm that is
-    at a sine of 0.12 lacks a third of a millimetre of its reach: the feedback on the platform's error is too soft for that.
+    c, the squared sine of a leg's angle there, has to obey c_ddot + 2 w c_dot + w^2 c
+    >= 0. A leg of two links of 90 mm that is at a sine of 0.12 lacks a third of a
+    millimetre of its reach: the feedback on the platform's error is too soft for that.
     """
     clear = mechanism.type1_sines(mechanism.inverse_geometric_model(x, p), x, p) ** 2
     slopes, w = ca.jacobian(clear, x), REACH * frequency
     rate = slopes @ x_dot
-    least = -(ca.jtimes(rate, x, x_dot) + 2.0 * w * rate + w**2 * clear)  # of slopes . u
+    least = -(
+        ca.jtimes(rate, x, x_dot) + 2.0 * w * rate + w**2 * clear
+    )  # of slopes . u
     for leg in range(slopes.shape[0]):
         lacks = least[leg] - slopes[leg, :] @ u
-        u = u + ca.if_else(lacks > 0.0, lacks / ca.sumsqr(slopes[leg, :]), 0.0) * slopes[leg, :].T
+        u = (
+            u
+            + ca.if_else(lacks > 0.0, lacks / ca.sumsqr(slopes[leg, :]), 0.0)
+            * slopes[leg, :].T
+        )
     return u
 
 
 def twist_damping(inertia: Symbol, stiffness: Symbol, dt: Symbol) -> Symbol:
-    """Torque of the motors (n,) per rate of twist, N m s/rad: 0 where rigid, and less where it swings too fast for the clock.
+    """Torque of the motors (n,) per rate of twist, N m s/rad: 0 where rigid, and less
+    where it swings too fast for the clock.
 
-    The feedback is at the links, the motors are not: between them it excites what the transmission damps too little itself.
+    The feedback is at the links, the motors are not: between them it excites what the
+        transmission damps too little itself.
     """
-    pace = stiffness * dt**2 / ca.fmax(inertia, LEAST_INERTIA)  # squared natural frequency times the period
+    pace = (
+        stiffness * dt**2 / ca.fmax(inertia, LEAST_INERTIA)
+    )  # squared natural frequency times the period
     return 2.0 * TWIST_DAMPING * ca.sqrt(inertia * stiffness) / (1.0 + pace**2)
 
 
 def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
-    """One tick of a law: (p, gains, reference, estimate, integral, limit, dt) -> output, integral_next."""
+    """One tick of a law: (p, gains, reference, estimate, integral, limit, dt) ->
+    output, integral_next.
+    """
     n = mechanism.n
     vector, p = mechanism.symbols()
     (gains_vector, gains), (ref_vector, ref), (hat_vector, hat) = (
-        Layout(name, n, fields).symbols() for name, fields in (("gains", GAINS), ("reference", REFERENCE), ("estimate", ESTIMATE))
+        Layout(name, n, fields).symbols()
+        for name, fields in (
+            ("gains", GAINS),
+            ("reference", REFERENCE),
+            ("estimate", ESTIMATE),
+        )
     )
     integral, limit, dt = ca.SX.sym("integral", n), ca.SX.sym("limit"), ca.SX.sym("dt")
     equations = equations_of(mechanism)
 
     def at(x: Symbol, x_dot: Symbol, x_ddot: Symbol) -> Equations:
-        return equations.at(vector, mechanism.inverse_geometric_model(x, p), x, x_dot, x_ddot)
+        return equations.at(
+            vector, mechanism.inverse_geometric_model(x, p), x, x_dot, x_ddot
+        )
 
     error, error_dot = ref["x"] - hat["x"], ref["x_dot"] - hat["x_dot"]
     zone, width = gains["zone"], gains["zone_width"]
-    grown = ca.if_else(ca.fabs(ref["s"]) > zone + width, integral + dt * error, integral)
-    u = ref["x_ddot"] + gains["K_d"] * error_dot + gains["K_p"] * error + gains["K_i"] * grown
-    a = gains["K_p"] * wrapped(ref["q_a"] - hat["q_a"]) + gains["K_d"] * (ref["q_a_dot"] - hat["q_a_dot"])
+    grown = ca.if_else(
+        ca.fabs(ref["s"]) > zone + width, integral + dt * error, integral
+    )
+    u = (
+        ref["x_ddot"]
+        + gains["K_d"] * error_dot
+        + gains["K_p"] * error
+        + gains["K_i"] * grown
+    )
+    a = gains["K_p"] * wrapped(ref["q_a"] - hat["q_a"]) + gains["K_d"] * (
+        ref["q_a_dot"] - hat["q_a_dot"]
+    )
     if law is Law.JOINT_SPACE:
         planned = at(ref["x"], ref["x_dot"], ref["x_ddot"])
-        weight = smooth_step(ca.fabs(planned.s_blocks), zone - 0.5 * width, zone + 0.5 * width)
+        weight = smooth_step(
+            ca.fabs(planned.s_blocks), zone - 0.5 * width, zone + 0.5 * width
+        )
         u = ref["x_ddot"] + joint_feedback(planned, a, weight)
         e = at(ref["x"], ref["x_dot"], u)
     else:
         if law is Law.CONSISTENT:
-            u = within_reach(mechanism, p, hat["x"], hat["x_dot"], u, ca.sqrt(gains["K_p"]))
+            u = within_reach(
+                mechanism, p, hat["x"], hat["x_dot"], u, ca.sqrt(gains["K_p"])
+            )
         e = at(hat["x"], hat["x_dot"], u)
     if law in (Law.CONSISTENT, Law.JOINT_SPACE):
         tau, weight = consistent(e, ref["multipliers"], zone, width)
@@ -167,9 +253,14 @@ def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
         tau, weight = projected(e, zone)
     elif law is Law.MULTI_MODEL:
         planned = at(ref["x"], ref["x_dot"], ref["x_ddot"])
-        reduced = e.M_a @ (planned.q_a_ddot + a) + e.M_ax @ ref["x_ddot"] + e.c_a  # Eq. 10 with w_d = 0
+        reduced = (
+            e.M_a @ (planned.q_a_ddot + a) + e.M_ax @ ref["x_ddot"] + e.c_a
+        )  # Eq. 10 with w_d = 0
         inside = ca.fabs(e.s) <= zone
-        tau, weight = ca.if_else(inside, reduced, e.inverse_dynamics), ca.if_else(inside, 0.0, 1.0)
+        tau, weight = (
+            ca.if_else(inside, reduced, e.inverse_dynamics),
+            ca.if_else(inside, 0.0, 1.0),
+        )
     else:
         tau, weight = e.inverse_dynamics, ca.SX(1.0)  # Eq. 4
     tau = tau + gains["friction_compensation"] * mechanism.friction(ref["q_a_dot"], p)
@@ -178,14 +269,35 @@ def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
         inertia, stiffness, _ = transmission
         tau = tau - twist_damping(inertia, stiffness, dt) * hat["twist_dot"]
     size = ca.fabs(tau)
-    tau = ca.if_else(size < HUGE, ca.if_else(size <= limit, tau, limit * ca.sign(tau)), ca.SX.nan(n))
+    tau = ca.if_else(
+        size < HUGE, ca.if_else(size <= limit, tau, limit * ca.sign(tau)), ca.SX.nan(n)
+    )
     found = {
-        "tau": tau, "error": error, "error_dot": error_dot, "u": u, "force": e.J_inv.T @ tau,
-        "residual": nearest(e.s_blocks, e.criterion), "s": e.s,
-        "sigma_min": ca.mmin(ca.fabs(e.singular.sigma_weak)) / mechanism.singularity_length(p), "weight": weight, "limit": limit,
+        "tau": tau,
+        "error": error,
+        "error_dot": error_dot,
+        "u": u,
+        "force": e.J_inv.T @ tau,
+        "residual": nearest(e.s_blocks, e.criterion),
+        "s": e.s,
+        "sigma_min": (
+            ca.mmin(ca.fabs(e.singular.sigma_weak)) / mechanism.singularity_length(p)
+        ),
+        "weight": weight,
+        "limit": limit,
     }
     found["finite"] = is_finite(ca.vertcat(*found.values()))
-    arguments = {"p": vector, "gains": gains_vector, "reference": ref_vector, "estimate": hat_vector, "integral": integral,
-                 "limit": limit, "dt": dt}
-    results = {"output": Layout("output", n, OUTPUT).join(found), "integral_next": grown}
+    arguments = {
+        "p": vector,
+        "gains": gains_vector,
+        "reference": ref_vector,
+        "estimate": hat_vector,
+        "integral": integral,
+        "limit": limit,
+        "dt": dt,
+    }
+    results = {
+        "output": Layout("output", n, OUTPUT).join(found),
+        "integral_next": grown,
+    }
     return named(f"law_{law.name.lower()}", arguments, results)

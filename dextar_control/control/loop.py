@@ -1,4 +1,5 @@
-"""The control loop: estimate, law, limits and phases in one ``step(time, q_a) -> torque``.
+"""The control loop: estimate, law, limits and phases in one ``step(time, q_a) ->
+torque``.
 
 It knows no ROS and no simulator; a rig, a node or a plain ``for`` calls it alike.
 """
@@ -28,7 +29,10 @@ from dextar_control.symbols.functions import Fast
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
-REST_ZONE, REST_WIDTH = 0.05, 0.05  # |s| of the estimator's hold while holding a point: the direct model serves nearer
+REST_ZONE, REST_WIDTH = (
+    0.05,
+    0.05,
+)  # |s| of the estimator's hold while holding a point: the direct model serves nearer
 HOLD_MARGIN = 0.05  # in |s|, over what holding a point needs
 ENABLE_SPEED = 0.5  # rad/s of a joint, at which a robot is still taken for one at rest
 FIRST_PERIOD = 1e-3  # s taken for the first sample
@@ -44,24 +48,35 @@ class ControlLoop:
     Args:
         robot: the controller's model of it.
         settings: gains and limits.
-        assembly_mode: sign of s where the robot stands at the first sample, the same of all blocks of A_r.
-        enabled: whether the first sample is held; otherwise the loop idles until ``enable``.
-        near: (n,) m, about where the robot stands at the first sample, for a mechanism without a direct geometric model in
-            closed form; the origin when None.
+        assembly_mode: sign of s where the robot stands at the first sample, the same of
+            all blocks of A_r.
+        enabled: whether the first sample is held; otherwise the loop idles until
+            ``enable``.
+        near: (n,) m, about where the robot stands at the first sample, for a mechanism
+            without a direct geometric model in closed form; the origin when None.
 
     Attributes:
-        lacking: largest torque that the model lacks at a joint, N m, up to ``watch_torque``, when a crossing trajectory's torque
-            was at its limit last with the side known: the limit leaves it beside the law's.
+        lacking: largest torque that the model lacks at a joint, N m, up to
+            ``watch_torque``, when a crossing trajectory's torque was at its limit last
+            with the side known: the limit leaves it beside the law's.
 
     Raises:
         ParameterError: assembly_mode is neither +1 nor -1.
     """
 
     def __init__(
-        self, robot: AnyRobot, settings: Settings, assembly_mode: int, *, enabled: bool = True, near: Array | None = None
+        self,
+        robot: AnyRobot,
+        settings: Settings,
+        assembly_mode: int,
+        *,
+        enabled: bool = True,
+        near: Array | None = None,
     ) -> None:
         if assembly_mode not in (-1, 1):
-            raise ParameterError(f"assembly_mode = {assembly_mode}; it must be +1 or -1")
+            raise ParameterError(
+                f"assembly_mode = {assembly_mode}; it must be +1 or -1"
+            )
         self.robot = robot
         self.model = Model.of(robot)
         n = self.model.n
@@ -74,17 +89,34 @@ class ControlLoop:
         self.completed = 0
         self.tick: Tick | None = None
         self._frame = Frame(n)
-        self._reference, self._estimate, self._output = self._frame.reference, self._frame.estimate, self._frame.output
-        self.estimator = make_estimator(self.model, settings, robot.min_type1_distance, self._estimate)
+        self._reference, self._estimate, self._output = (
+            self._frame.reference,
+            self._frame.estimate,
+            self._frame.output,
+        )
+        self.estimator = make_estimator(
+            self.model, settings, robot.min_type1_distance, self._estimate
+        )
         self.supervisor = Supervisor(robot, self.model)
         self._assembly_mode, self._near = assembly_mode, near
         self._judge = CrossingJudge(self.model)
         self._stop = SafeStop(self.model)
         self._planned = PlannedReference(self.model, self._reference)
         self._gains: Record = Layout("gains", n, GAINS).make()
-        self._offset = np.array(robot.encoder_offset) if any(robot.encoder_offset) else None
-        self._answer, self._integral, self._q_a = self._output.tau, np.zeros(n), np.zeros(n)
-        self._given = {"dt": np.zeros(1), "limit": np.zeros(1), "crossing": np.zeros(1), "q_meas": self._q_a}
+        self._offset = (
+            np.array(robot.encoder_offset) if any(robot.encoder_offset) else None
+        )
+        self._answer, self._integral, self._q_a = (
+            self._output.tau,
+            np.zeros(n),
+            np.zeros(n),
+        )
+        self._given = {
+            "dt": np.zeros(1),
+            "limit": np.zeros(1),
+            "crossing": np.zeros(1),
+            "q_meas": self._q_a,
+        }
         self._acts: dict[Law, Fast] = {}
         self._time = math.nan
         self._start = 0.0
@@ -98,24 +130,33 @@ class ControlLoop:
         """Take gains and limits, also while running; the estimator's kind stays.
 
         Raises:
-            ParameterError: the law's transition would reach the locus itself, or the zones of the test of
-                crossed against bounced are not in order.
+            ParameterError: the law's transition would reach the locus itself, or the
+                zones of the test of crossed against bounced are not in order.
         """
         if settings.zone < 0.5 * settings.zone_width:
             raise ParameterError(
-                f"zone = {settings.zone} with zone_width = {settings.zone_width}: the transition would reach the locus;"
-                f" zone must be >= {0.5 * settings.zone_width}"
+                f"zone = {settings.zone} with zone_width = {settings.zone_width}: the"
+                " transition would reach the locus; zone must be >="
+                f" {0.5 * settings.zone_width}"
             )
         if not settings.passage_armed < settings.passage_begin:
             raise ParameterError(
-                f"passage_armed = {settings.passage_armed} with passage_begin = {settings.passage_begin}; it must be smaller"
+                f"passage_armed = {settings.passage_armed} with passage_begin ="
+                f" {settings.passage_begin}; it must be smaller"
             )
         self.settings, self._held = settings, (settings.hold_zone, settings.hold_width)
         if settings.law not in self._acts:
             self._acts[settings.law] = acts_of(self.model.mechanism).fast(
-                f"act_{settings.law.name.lower()}", p=self.model.p, gains=self._gains.numbers,
-                reference=self._reference.numbers, estimate=self._estimate.numbers, output=self._output.numbers,
-                integral=self._integral, integral_next=self._integral, **self._given, **self.supervisor.places,
+                f"act_{settings.law.name.lower()}",
+                p=self.model.p,
+                gains=self._gains.numbers,
+                reference=self._reference.numbers,
+                estimate=self._estimate.numbers,
+                output=self._output.numbers,
+                integral=self._integral,
+                integral_next=self._integral,
+                **self._given,
+                **self.supervisor.places,
             )
         self._act = self._acts[settings.law]
         self._places = self._act.views()
@@ -123,8 +164,15 @@ class ControlLoop:
         gains.K_p = settings.natural_frequency**2
         gains.K_d = 2.0 * settings.damping_ratio * settings.natural_frequency
         gains.K_i = settings.integral_frequency * gains.K_p
-        gains.zone = settings.band if settings.law in (Law.PROJECTED, Law.MULTI_MODEL) else settings.zone
-        gains.zone_width, gains.friction_compensation = settings.zone_width, settings.friction_compensation
+        gains.zone = (
+            settings.band
+            if settings.law in (Law.PROJECTED, Law.MULTI_MODEL)
+            else settings.zone
+        )
+        gains.zone_width, gains.friction_compensation = (
+            settings.zone_width,
+            settings.friction_compensation,
+        )
         gains.disturbance_compensation = settings.disturbance_compensation
         self.estimator.configure(settings)
         self.supervisor.configure(settings)
@@ -133,12 +181,16 @@ class ControlLoop:
 
     @property
     def passed(self) -> list[Passed]:
-        """The planned crossings of the last trajectory and what the estimator made of them."""
+        """The planned crossings of the last trajectory and what the estimator made of
+        them.
+        """
         return self._judge.passed
 
     @property
     def watches(self) -> dict[str, tuple[float, float]]:
-        """What is watched (``supervisor.WATCHES``) and its limit, at the last sample under a law."""
+        """What is watched (``supervisor.WATCHES``) and its limit, at the last sample
+        under a law.
+        """
         return self.supervisor.watches
 
     @property
@@ -153,30 +205,41 @@ class ControlLoop:
 
     @property
     def hold_s(self) -> float:
-        """|s| of the locus from which on a point is held: clear of where the side is not known and of the watch."""
-        return max(REST_ZONE + REST_WIDTH, self.estimator.unknown_s, self.settings.locus_s) + HOLD_MARGIN
+        """|s| of the locus from which on a point is held: clear of where the side is
+        not known and of the watch.
+        """
+        return (
+            max(REST_ZONE + REST_WIDTH, self.estimator.unknown_s, self.settings.locus_s)
+            + HOLD_MARGIN
+        )
 
     @property
     def mode_known(self) -> bool:
-        """Whether the side of the locus on which the robot stands is known well enough to begin a motion."""
+        """Whether the side of the locus on which the robot stands is known well enough
+        to begin a motion.
+        """
         return self.estimator.mode_known
 
     def check(self, trajectory: Trajectory) -> Certificate:
-        """What ``accept`` checks of a trajectory by itself; may run beside the loop, in another thread.
+        """What ``accept`` checks of a trajectory by itself; may run beside the loop, in
+        another thread.
 
         Raises:
-            TrajectoryError: it breaks the criterion, the workspace or a limit, or does not rest at its
-                ends clear of the locus; names the value and the limit.
+            TrajectoryError: it breaks the criterion, the workspace or a limit, or does
+                not rest at its ends clear of the locus; names the value and the limit.
         """
         check_rest(trajectory)
-        certificate = certify(self.robot, trajectory, max_residual=self.settings.max_residual)
+        certificate = certify(
+            self.robot, trajectory, max_residual=self.settings.max_residual
+        )
         least = self.settings.hold_zone + self.settings.hold_width
         for name, row in (("starts", 0), ("ends", -1)):
             s = abs(float(certificate.profile.s[row]))
             if s < least:
                 raise TrajectoryError(
-                    f"the trajectory {name} at |s| = {s:.3f} of the Type 2 locus; the limit is {least:.3g}:"
-                    " serve one that starts and ends farther from it (task.start, task.goal)"
+                    f"the trajectory {name} at |s| = {s:.3f} of the Type 2 locus; the"
+                    f" limit is {least:.3g}: serve one that starts and ends farther"
+                    " from it (task.start, task.goal)"
                 )
         return certificate
 
@@ -187,48 +250,62 @@ class ControlLoop:
             start: in the time of the samples, s; the next sample when None.
 
         Raises:
-            TrajectoryError: as ``check``, or it does not start at the robot, or in the past, or the
-                loop is not holding.
+            TrajectoryError: as ``check``, or it does not start at the robot, or in the
+                past, or the loop is not holding.
         """
         certificate = self.check(trajectory)
         self.schedule(trajectory, certificate, start)
         return certificate
 
-    def schedule(self, trajectory: Trajectory, certificate: Certificate, start: float | None = None) -> None:
+    def schedule(
+        self,
+        trajectory: Trajectory,
+        certificate: Certificate,
+        start: float | None = None,
+    ) -> None:
         """Track a checked trajectory from its start time on; see ``accept``.
 
-        What can only be seen when it begins (where the robot stands at the first sample, a start that
-        has passed) is refused then, in ``refusal``.
+        What can only be seen when it begins (where the robot stands at the first
+        sample, a start that has passed) is refused then, in ``refusal``.
         """
         if self.phase != Phase.HOLD:
-            raise TrajectoryError(f"a trajectory is taken in phase HOLD only; the controller is in {self.phase.name}")
+            raise TrajectoryError(
+                "a trajectory is taken in phase HOLD only; the controller is in"
+                f" {self.phase.name}"
+            )
         if not math.isnan(self._time):
             self._check_start(trajectory, start, self._time)
         self.refusal = ""
         self._pending = (trajectory, certificate, start)
 
-    def _check_start(self, trajectory: Trajectory, start: float | None, time: float) -> None:
+    def _check_start(
+        self, trajectory: Trajectory, start: float | None, time: float
+    ) -> None:
         if not self.mode_known:
-            raise TrajectoryError(f"{UNKNOWN_SIDE} disable, set assembly_mode to the side where it stands, enable")
+            raise TrajectoryError(
+                f"{UNKNOWN_SIDE} disable, set assembly_mode to the side where it"
+                " stands, enable"
+            )
         first, held = trajectory.at(0.0).x, self.trajectory.at(0.0).x
         distance = float(np.linalg.norm(first - held))
         if not distance <= self.settings.max_start_distance:
             raise TrajectoryError(
-                f"the trajectory starts in {in_words(first)}, {distance:.4f} m from the robot;"
-                f" the limit is {self.settings.max_start_distance} m: serve one that starts where the robot stands"
+                f"the trajectory starts in {in_words(first)}, {distance:.4f} m from the"
+                f" robot; the limit is {self.settings.max_start_distance} m: serve one"
+                " that starts where the robot stands"
             )
         if start is not None and time - start > START_MARGIN:
             raise TrajectoryError(
-                f"the trajectory starts at {start:.6f} s; the last state is of {time:.6f} s:"
-                " serve it with a later start, or with 0"
+                f"the trajectory starts at {start:.6f} s; the last state is of"
+                f" {time:.6f} s: serve it with a later start, or with 0"
             )
 
     def enable(self) -> None:
         """Leave IDLE and hold the present point.
 
         Raises:
-            StateError: the robot stands too near to the locus to be held, or on a side that is not known, or it
-                moves; says what to do.
+            StateError: the robot stands too near to the locus to be held, or on a side
+                that is not known, or it moves; says what to do.
         """
         if self.phase != Phase.IDLE:
             return
@@ -237,17 +314,21 @@ class ControlLoop:
             s, speed = self._standing()
             if not s >= self.hold_s:
                 raise StateError(
-                    f"the robot stands at |s| = {s:.3f} of the locus: move it by hand to |s| >= {self.hold_s:.2f}, then enable"
+                    f"the robot stands at |s| = {s:.3f} of the locus: move it by hand"
+                    f" to |s| >= {self.hold_s:.2f}, then enable"
                 )
             if not speed <= ENABLE_SPEED:
                 raise StateError(
-                    f"a joint moves at {speed:.2f} rad/s; the limit is {ENABLE_SPEED} rad/s: bring it to rest, then enable"
+                    f"a joint moves at {speed:.2f} rad/s; the limit is {ENABLE_SPEED}"
+                    " rad/s: bring it to rest, then enable"
                 )
             self._hold_at(self.tick.x_hat)
         self.phase, self.reason, self.tripped = Phase.HOLD, "", ""
 
     def disable(self) -> None:
-        """No torque from the next sample on, whatever goes on; a safe stop stays latched, but brakes no longer."""
+        """No torque from the next sample on, whatever goes on; a safe stop stays
+        latched, but brakes no longer.
+        """
         if self.phase is Phase.SAFE_STOP:
             if self._stop.stage is not Stage.OVER:
                 self._stop.abandon()
@@ -256,10 +337,12 @@ class ControlLoop:
             self._go_limp(Phase.IDLE, "disabled on request")
 
     def stop(self, reason: str = "stop requested") -> None:
-        """A safe stop as soon as the robot comes to rest clear of the locus: mostly at once.
+        """A safe stop as soon as the robot comes to rest clear of the locus: mostly at
+        once.
 
-        A robot in good order that cannot (it is crossing, or too fast before the locus) goes on with its crossing
-        first. Holding goes on; a trajectory that waits for its start is dropped.
+        A robot in good order that cannot (it is crossing, or too fast before the locus)
+        goes on with its crossing first. Holding goes on; a trajectory that waits for
+        its start is dropped.
         """
         self._pending = None
         if self.phase in MOVING and not self._stop_wanted:
@@ -275,14 +358,22 @@ class ControlLoop:
         """Tell on which side of the locus the robot stands; only without torque.
 
         Raises:
-            StateError: the loop is holding or moving, or the robot stands where the estimator would not keep it.
+            StateError: the loop is holding or moving, or the robot stands where the
+                estimator would not keep it.
         """
         if self.phase not in LIMP:
             raise StateError(
-                f"the assembly mode can be told in IDLE, SAFE_STOP or FAULT; the phase is {self.phase.name}: disable first"
+                "the assembly mode can be told in IDLE, SAFE_STOP or FAULT; the phase"
+                f" is {self.phase.name}: disable first"
             )
-        if not math.isnan(self._time) and not self._standing()[0] >= self.estimator.unknown_s:
-            raise StateError(f"{self._too_near()} move it by hand to |s| >= {self.hold_s:.2f}, then set assembly_mode")
+        if (
+            not math.isnan(self._time)
+            and not self._standing()[0] >= self.estimator.unknown_s
+        ):
+            raise StateError(
+                f"{self._too_near()} move it by hand to |s| >= {self.hold_s:.2f}, then"
+                " set assembly_mode"
+            )
         self._assembly_mode = assembly_mode
         self._judge.close()
         if not math.isnan(self._time):
@@ -292,11 +383,15 @@ class ControlLoop:
         """From SAFE_STOP or FAULT to IDLE.
 
         Raises:
-            StateError: the safe stop is not over, or the robot was near the locus without control, so that its
-                assembly mode is not known; says what to do.
+            StateError: the safe stop is not over, or the robot was near the locus
+                without control, so that its assembly mode is not known; says what to
+                do.
         """
         if self.phase is Phase.SAFE_STOP and self._stop.stage is not Stage.OVER:
-            raise StateError(f"the safe stop is not over ({self._stop.stage.name.lower()}): wait until it is, then reset")
+            raise StateError(
+                f"the safe stop is not over ({self._stop.stage.name.lower()}): wait"
+                " until it is, then reset"
+            )
         if self.phase in (Phase.SAFE_STOP, Phase.FAULT):
             self._need_side("reset")
             self.phase, self.reason = Phase.IDLE, ""
@@ -305,25 +400,35 @@ class ControlLoop:
     def _standing(self) -> tuple[float, float]:
         """|s| by the joints alone, and the larger joint speed, rad/s."""
         estimate = self._estimate
-        now = self._stop.braking(self._q_a, estimate.q_a_dot, estimate.x, 0.0, self.robot.max_torque)
+        now = self._stop.braking(
+            self._q_a, estimate.q_a_dot, estimate.x, 0.0, self.robot.max_torque
+        )
         return now.s, now.speed
 
     def _too_near(self) -> str:
-        return f"the robot stands at |s| = {self._standing()[0]:.3f} of the locus, where its side cannot be kept:"
+        return (
+            f"the robot stands at |s| = {self._standing()[0]:.3f} of the locus, where"
+            " its side cannot be kept:"
+        )
 
     def _need_side(self, then: str) -> None:
-        """Raise StateError, with what to do before ``then``, unless the side of the locus is known."""
+        """Raise StateError, with what to do before ``then``, unless the side of the
+        locus is known.
+        """
         if self.mode_known:
             return
         if not self._standing()[0] >= self.hold_s:
             raise StateError(
-                f"{self._too_near()} move it by hand to |s| >= {self.hold_s:.2f}, set assembly_mode to the side where it"
-                f" stands, then {then}"
+                f"{self._too_near()} move it by hand to |s| >= {self.hold_s:.2f}, set"
+                f" assembly_mode to the side where it stands, then {then}"
             )
-        raise StateError(f"{UNKNOWN_SIDE} set assembly_mode to the side where it stands, then {then}")
+        raise StateError(
+            f"{UNKNOWN_SIDE} set assembly_mode to the side where it stands, then {then}"
+        )
 
     def _go_limp(self, phase: Phase, reason: str, *, trusted: bool = True) -> None:
-        """Leave the reference: from now on the robot is only watched, and stopped in SAFE_STOP.
+        """Leave the reference: from now on the robot is only watched, and stopped in
+        SAFE_STOP.
 
         Args:
             trusted: the estimate still tells on which side the robot is.
@@ -334,16 +439,30 @@ class ControlLoop:
             self._judge.close()
         self.estimator.release(self.phase == Phase.CROSSING)
         self.supervisor.forget()
-        self.phase, self.reason, self._pending, self._stop_wanted = phase, reason, None, False
-        self._stop.begin(self._time, self._crossing_limit, trusted=trusted, over=phase is not Phase.SAFE_STOP)
+        self.phase, self.reason, self._pending, self._stop_wanted = (
+            phase,
+            reason,
+            None,
+            False,
+        )
+        self._stop.begin(
+            self._time,
+            self._crossing_limit,
+            trusted=trusted,
+            over=phase is not Phase.SAFE_STOP,
+        )
 
     def _hold_at(self, x: Array) -> None:
         x = np.array(x)
-        self._set_trajectory(hold(x, 1.0), np.array([0.0, 1.0]), np.zeros((2, self.model.n)))
+        self._set_trajectory(
+            hold(x, 1.0), np.array([0.0, 1.0]), np.zeros((2, self.model.n))
+        )
         self.estimator.rebase(self.model.inverse_geometric_model(x))
         self._integral[:] = 0.0
 
-    def _set_trajectory(self, trajectory: Trajectory, times: Array, multipliers: Array) -> None:
+    def _set_trajectory(
+        self, trajectory: Trajectory, times: Array, multipliers: Array
+    ) -> None:
         self.trajectory = trajectory
         self._duration = trajectory.duration
         self._planned.set(trajectory, times, multipliers)
@@ -351,34 +470,49 @@ class ControlLoop:
     def _first(self, q_a: Array) -> None:
         x = self.model.close(q_a, self._assembly_mode, self._near)
         implied = self.model.inverse_geometric_model(x)
-        if not max(abs(math.remainder(angle, 2.0 * math.pi)) for angle in implied - q_a) < SAME_JOINTS:
+        if (
+            not max(
+                abs(math.remainder(angle, 2.0 * math.pi)) for angle in implied - q_a
+            )
+            < SAME_JOINTS
+        ):
             angles = ", ".join(f"{angle:.4f}" for angle in q_a)
             raise StateError(
-                f"active joints ({angles}) rad with assembly mode {self._assembly_mode:+d} are not in"
-                f" working mode {self.robot.working_mode}: check offset and sign of the encoders, assembly_mode, working_mode"
+                f"active joints ({angles}) rad with assembly mode"
+                f" {self._assembly_mode:+d} are not in working mode"
+                f" {self.robot.working_mode}: check offset and sign of the encoders,"
+                " assembly_mode, working_mode"
             )
         s = abs(float(self.model.state(implied, x, np.zeros(self.model.n)).s[0]))
         if self.phase == Phase.HOLD and s < self.hold_s:
-            raise StateError(f"the robot stands at |s| = {s:.3f} of the locus; holding needs {self.hold_s:.2f}")
+            raise StateError(
+                f"the robot stands at |s| = {s:.3f} of the locus; holding needs"
+                f" {self.hold_s:.2f}"
+            )
         self.estimator.start(x, q_a, self._assembly_mode)
         self._hold_at(x)
 
     def step(self, time: float, q_a: Array, pose: Pose | None = None) -> Array:
-        """Torque (n,), N m, that answers the active joints q_a (n,), rad, sampled at ``time``, s.
+        """Torque (n,), N m, that answers the active joints q_a (n,), rad, sampled at
+        ``time``, s.
 
         Args:
             q_a: as the encoders read them: the robot's offsets are taken off here.
-            pose: an external measurement that has arrived since the last sample; for the estimator ``external``.
+            pose: an external measurement that has arrived since the last sample; for
+                the estimator ``external``.
 
         Raises:
-            StateError: a number is not finite, time does not advance, or (first sample) the joints
-                belong to another working mode or stand on the locus. Nothing is changed then.
+            StateError: a number is not finite, time does not advance, or (first sample)
+                the joints belong to another working mode or stand on the locus. Nothing
+                is changed then.
             GeometryError: first sample: the distal links cannot meet.
         """
         time, q_a = float(time), np.asarray(q_a, dtype=np.float64)
         if q_a.shape != self._q_a.shape or not math.isfinite(time + sum(q_a.tolist())):
             count = COUNTS.get(self.model.n, self.model.n)
-            raise StateError(f"state at {time} s: active joints {q_a} are not {count} finite numbers")
+            raise StateError(
+                f"state at {time} s: active joints {q_a} are not {count} finite numbers"
+            )
         if self._offset is not None:
             q_a = q_a - self._offset
         if math.isnan(self._time):
@@ -387,9 +521,14 @@ class ControlLoop:
         else:
             dt = time - self._time
             if not dt > 0.0:
-                raise StateError(f"state at {time:.6f} s is not after the last one at {self._time:.6f} s")
+                raise StateError(
+                    f"state at {time:.6f} s is not after the last one at"
+                    f" {self._time:.6f} s"
+                )
         self._time, self._places.q_meas[:] = time, q_a
-        if self._pending is not None and (self._pending[2] is None or time >= self._pending[2]):
+        if self._pending is not None and (
+            self._pending[2] is None or time >= self._pending[2]
+        ):
             self._begin(time, *self._pending)
         reference_time = 0.0
         if self.phase in MOVING:
@@ -407,7 +546,13 @@ class ControlLoop:
         self.tick = Tick(time, reference_time, self.phase, self._frame)
         return self._answer.copy()
 
-    def _begin(self, time: float, trajectory: Trajectory, certificate: Certificate, start: float | None) -> None:
+    def _begin(
+        self,
+        time: float,
+        trajectory: Trajectory,
+        certificate: Certificate,
+        start: float | None,
+    ) -> None:
         self._pending = None
         try:
             self._check_start(trajectory, start, time)
@@ -416,23 +561,34 @@ class ControlLoop:
             return
         self.certificate = certificate
         crossing = len(certificate.crossing_times) > 0
-        self._crossing_limit = self._limit_crossing(certificate) if crossing else self.robot.max_torque
+        self._crossing_limit = (
+            self._limit_crossing(certificate) if crossing else self.robot.max_torque
+        )
         self._start = time if start is None else start
         self._judge.begin(certificate, self._start)
         self.supervisor.begin()
-        self._set_trajectory(trajectory, certificate.profile.time, certificate.profile.multipliers)
+        self._set_trajectory(
+            trajectory, certificate.profile.time, certificate.profile.multipliers
+        )
         self._integral[:] = 0.0
         self._stop_wanted = False
         self.saturated_ticks, self.lacking = 0, 0.0
         self.phase = Phase.TRACK if crossing else Phase.APPROACH
 
     def _limit_crossing(self, certificate: Certificate) -> float:
-        """Torque limit of a crossing trajectory, N m: what bounds a robot that bounced and is not yet known to have."""
-        watched = max(self.settings.watch_ratio * certificate.peak_torque, self.settings.watch_torque)
+        """Torque limit of a crossing trajectory, N m: what bounds a robot that bounced
+        and is not yet known to have.
+        """
+        watched = max(
+            self.settings.watch_ratio * certificate.peak_torque,
+            self.settings.watch_torque,
+        )
         return min(self.robot.max_torque, watched)
 
     def _end(self) -> float:
-        """The trajectory is over: hold its end, or stop where that was asked for during the crossing."""
+        """The trajectory is over: hold its end, or stop where that was asked for during
+        the crossing.
+        """
         self.completed += 1
         self.phase = Phase.HOLD
         self._hold_at(self.trajectory.at(self._duration).x)
@@ -450,27 +606,46 @@ class ControlLoop:
         limit = self.robot.max_torque
         if crossing:
             self.phase = Phase.CROSSING if abs(s_ref) < zone + width else Phase.TRACK
-            if self.supervisor.saturated and self.mode_known:  # on the other side d would be another
-                self.lacking = min(float(abs(self._estimate.d).max()), self.settings.watch_torque)
+            if (
+                self.supervisor.saturated and self.mode_known
+            ):  # on the other side d would be another
+                self.lacking = min(
+                    float(abs(self._estimate.d).max()), self.settings.watch_torque
+                )
             limit = min(limit, self._crossing_limit + self.lacking)
-        given.dt[0], given.limit[0], given.crossing[0] = dt, limit, self.phase is Phase.CROSSING
+        given.dt[0], given.limit[0], given.crossing[0] = (
+            dt,
+            limit,
+            self.phase is Phase.CROSSING,
+        )
         self._act.run()
         self._supervise(dt)
         if self.phase in LIMP:
             self._limp(dt)
 
     def _supervise(self, dt: float) -> None:
-        """Whether the law may go on, by the table of watches and by the estimator's opinion of the side."""
+        """Whether the law may go on, by the table of watches and by the estimator's
+        opinion of the side.
+        """
         problem = self.supervisor.check(self._q_a, dt, self.estimator)
         self.saturated_ticks += self.supervisor.saturated
         if self._stop_wanted and not problem and self._comes_to_rest():
             self._go_limp(Phase.SAFE_STOP, self.reason)
             return
-        side = self._judge.compare(self._time, self._planned.s_blocks.tolist(), self.estimator, self.phase in MOVING,
-                                   self.supervisor)
+        side = self._judge.compare(
+            self._time,
+            self._planned.s_blocks.tolist(),
+            self.estimator,
+            self.phase in MOVING,
+            self.supervisor,
+        )
         if side or problem:
             self.tripped = "side" if side else self.supervisor.tripped
-            self._go_limp(Phase.SAFE_STOP, side or problem, trusted=not self.supervisor.estimate_lost)
+            self._go_limp(
+                Phase.SAFE_STOP,
+                side or problem,
+                trusted=not self.supervisor.estimate_lost,
+            )
 
     def _comes_to_rest(self) -> bool:
         """Whether a robot that is braked from now on stops clear of the locus."""
@@ -478,7 +653,9 @@ class ControlLoop:
         return self._stop.comes_to_rest(self._estimate, mode, self._crossing_limit)
 
     def _follow(self) -> None:
-        """The side on which a robot ends that was let go during a crossing, while it may still be told."""
+        """The side on which a robot ends that was let go during a crossing, while it
+        may still be told.
+        """
         if self._time - self._stop.began > self.settings.brake_time:
             self._judge.close()
         news = self._judge.compare_afterwards(self._time, self.estimator)
@@ -487,9 +664,10 @@ class ControlLoop:
 
     def _limp(self, dt: float) -> None:
         """One sample without the law: a safe stop, or no torque."""
-        ended = self._stop.step(self._time, dt, self._estimate, self.estimator.mode_known, self._output)
+        ended = self._stop.step(
+            self._time, dt, self._estimate, self.estimator.mode_known, self._output
+        )
         if ended:
             self.reason = f"{self.reason}; {ended}"
         self._reference.numbers[:] = 0.0
         self._reference.x, self._reference.s = self._estimate.x, self._estimate.s
-

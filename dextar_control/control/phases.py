@@ -32,9 +32,15 @@ MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
 @lru_cache
 def frame_of(n: int) -> dict[str, tuple[slice, Layout]]:
-    """Where reference, estimate and output of one sample lie beside each other, for n degrees of freedom."""
+    """Where reference, estimate and output of one sample lie beside each other, for n
+    degrees of freedom.
+    """
     places, start = {}, 0
-    for name, fields in (("reference", REFERENCE), ("estimate", ESTIMATE), ("output", OUTPUT)):
+    for name, fields in (
+        ("reference", REFERENCE),
+        ("estimate", ESTIMATE),
+        ("output", OUTPUT),
+    ):
         layout = Layout(name, n, fields)
         places[name] = slice(start, start + layout.size), layout
         start += layout.size
@@ -58,15 +64,27 @@ class Frame:
 
     def __init__(self, n: int, numbers: Array | None = None) -> None:
         self.n = n
-        self.numbers = np.zeros(max(place.stop for place, _ in frame_of(n).values())) if numbers is None else numbers
+        self.numbers = (
+            np.zeros(max(place.stop for place, _ in frame_of(n).values()))
+            if numbers is None
+            else numbers
+        )
 
     def _part(self, name: str) -> Record:
         place, layout = frame_of(self.n)[name]
         return layout.of(self.numbers[place])
 
-    reference = property(lambda self: self._part("reference"), doc="Record of ``estimation.records.REFERENCE``.")
-    estimate = property(lambda self: self._part("estimate"), doc="Record of ``estimation.records.ESTIMATE``.")
-    output = property(lambda self: self._part("output"), doc="Record of ``control.law.OUTPUT``.")
+    reference = property(
+        lambda self: self._part("reference"),
+        doc="Record of ``estimation.records.REFERENCE``.",
+    )
+    estimate = property(
+        lambda self: self._part("estimate"),
+        doc="Record of ``estimation.records.ESTIMATE``.",
+    )
+    output = property(
+        lambda self: self._part("output"), doc="Record of ``control.law.OUTPUT``."
+    )
 
 
 @lru_cache
@@ -74,13 +92,21 @@ def _place(n: int, part: str, field: str) -> slice | int:
     """Of one field in a frame."""
     within, layout = frame_of(n)[part]
     place, shape = layout.places[field]
-    return within.start + place if shape is None else slice(within.start + place.start, within.start + place.stop)
+    return (
+        within.start + place
+        if shape is None
+        else slice(within.start + place.start, within.start + place.stop)
+    )
 
 
 def indices_of(n: int, *fields: str) -> NDArray[np.int64]:
-    """Where the numbers of these fields, each PART.NAME, lie in a frame, in this order."""
+    """Where the numbers of these fields, each PART.NAME, lie in a frame, in this
+    order.
+    """
     every = np.arange(max(place.stop for place, _ in frame_of(n).values()))
-    return np.concatenate([np.atleast_1d(every[_place(n, *field.split("."))]) for field in fields])
+    return np.concatenate(
+        [np.atleast_1d(every[_place(n, *field.split("."))]) for field in fields]
+    )
 
 
 def _field(part: str, name: str, doc: str) -> property:
@@ -98,7 +124,9 @@ class Tick(Frame):
 
     __slots__ = ("phase", "reference_time", "time")
 
-    def __init__(self, time: float, reference_time: float, phase: Phase, frame: Frame) -> None:
+    def __init__(
+        self, time: float, reference_time: float, phase: Phase, frame: Frame
+    ) -> None:
         self.time, self.reference_time, self.phase = time, reference_time, phase
         self.n, self.numbers = frame.n, frame.numbers.copy()
 
@@ -110,4 +138,6 @@ class Tick(Frame):
     s = _field("output", "s", "Singularity measure at the model's state.")
     residual = _field("output", "residual", "t_s.w_d that u asks for, N.")
     confidence = _field("estimate", "confidence", "In the assembly mode, 0.5 to 1.")
-    assembly_mode = property(lambda self: int(self.estimate.assembly_mode), doc="Believed sign of s.")
+    assembly_mode = property(
+        lambda self: int(self.estimate.assembly_mode), doc="Believed sign of s."
+    )

@@ -1,4 +1,6 @@
-"""Have everything compiled that a controller and a planner call: ``python -m dextar_control.control.prepare``."""
+"""Have everything compiled that a controller and a planner call: ``python -m
+dextar_control.control.prepare``.
+"""
 
 from __future__ import annotations
 
@@ -21,22 +23,45 @@ from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.model import Model, library_of
 from dextar_control.planning.model import planning_library, states_library
 
-ALWAYS = library_of, acts_of, filters_of, direct_of, joint_filter_of, stops_of, references_of
-WHERE_PLANNED = planning_library, states_library  # what plans a trajectory, and what checks one
+ALWAYS = (
+    library_of,
+    acts_of,
+    filters_of,
+    direct_of,
+    joint_filter_of,
+    stops_of,
+    references_of,
+)
+WHERE_PLANNED = (
+    planning_library,
+    states_library,
+)  # what plans a trajectory, and what checks one
 
 
 def prepare(mechanism: Mechanism) -> bool:
-    """Compile, side by side, and load the functions of a mechanism, or find them in the cache; whether they are compiled."""
+    """Compile, side by side, and load the functions of a mechanism, or find them in the
+    cache; whether they are compiled.
+    """
     makers = (*WHERE_PLANNED, *ALWAYS) if isinstance(mechanism, FiveBar) else ALWAYS
     with ThreadPoolExecutor() as pool:
-        return all([library.compiled for library in pool.map(lambda make: make(mechanism), makers)])
+        return all(
+            [
+                library.compiled
+                for library in pool.map(lambda make: make(mechanism), makers)
+            ]
+        )
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Console entry: prepare, say how long it took; interrupted, 128 + the signal's number."""
+    """Console entry: prepare, say how long it took; interrupted, 128 + the signal's
+    number.
+    """
     parser = argparse.ArgumentParser(
         prog="warmup",
-        description="Compile the equations of the model, so that the nodes start at once. No topics, services or parameters.",
+        description=(
+            "Compile the equations of the model, so that the nodes start at once. No"
+            " topics, services or parameters."
+        ),
     )
     parser.parse_args(arguments)
     return run_command("warmup", _prepare)
@@ -45,7 +70,11 @@ def main(arguments: list[str] | None = None) -> int:
 def _prepare() -> int:
     begin = time.perf_counter()
     compiled = prepare(Model.of(load_robot(config_file(ROBOT_FILE))).mechanism)
-    tell(f"equations {'compiled' if compiled else 'interpreted'}, ready in {time.perf_counter() - begin:.1f} s", sys.stdout)
+    tell(
+        f"equations {'compiled' if compiled else 'interpreted'}, ready in"
+        f" {time.perf_counter() - begin:.1f} s",
+        sys.stdout,
+    )
     return 0
 
 

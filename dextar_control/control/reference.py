@@ -1,4 +1,6 @@
-"""The plan's reference at a time: a piecewise polynomial's segment, and what the robot needs for it."""
+"""The plan's reference at a time: a piecewise polynomial's segment, and what the robot
+needs for it.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,8 @@ def references_of(mechanism: Mechanism) -> Library:
     n = mechanism.n
     vector, p = mechanism.symbols()
     (segment_vector, segment), (pair_vector, pair) = (
-        Layout(name, n, fields).symbols() for name, fields in (("segment", SEGMENT), ("pair", PAIR))
+        Layout(name, n, fields).symbols()
+        for name, fields in (("segment", SEGMENT), ("pair", PAIR))
     )
     time, since, table = ca.SX.sym("time"), ca.SX.sym("since"), segment["coefficients"]
     x = table[:, ROWS - 1]
@@ -49,12 +52,31 @@ def references_of(mechanism: Mechanism) -> Library:
     x_ddot = ca.jacobian(x_dot, since)
     held = ca.fmin(ca.fmax(time, segment["first"]), segment["last"]) - segment["origin"]
     x, x_dot, x_ddot = ca.substitute([x, x_dot, x_ddot], [since], [held])
-    e = equations_of(mechanism).at(vector, mechanism.inverse_geometric_model(x, p), x, x_dot)
-    share = ca.fmin(ca.fmax((time - pair["begin"]) / (pair["end"] - pair["begin"]), 0.0), 1.0)
-    found = {"x": x, "x_dot": x_dot, "x_ddot": x_ddot, "q_a": e.q_a, "q_a_dot": e.q_a_dot,
-             "multipliers": pair["before"] + share * (pair["after"] - pair["before"]), "s": e.s}
-    arguments = {"p": vector, "segment": segment_vector, "pair": pair_vector, "time": time}
-    results = {"reference": Layout("reference", n, REFERENCE).join(found), "s_blocks": e.s_blocks}
+    e = equations_of(mechanism).at(
+        vector, mechanism.inverse_geometric_model(x, p), x, x_dot
+    )
+    share = ca.fmin(
+        ca.fmax((time - pair["begin"]) / (pair["end"] - pair["begin"]), 0.0), 1.0
+    )
+    found = {
+        "x": x,
+        "x_dot": x_dot,
+        "x_ddot": x_ddot,
+        "q_a": e.q_a,
+        "q_a_dot": e.q_a_dot,
+        "multipliers": pair["before"] + share * (pair["after"] - pair["before"]),
+        "s": e.s,
+    }
+    arguments = {
+        "p": vector,
+        "segment": segment_vector,
+        "pair": pair_vector,
+        "time": time,
+    }
+    results = {
+        "reference": Layout("reference", n, REFERENCE).join(found),
+        "s_blocks": e.s_blocks,
+    }
     return Library([named("refer", arguments, results)], cache_folder())
 
 
@@ -73,7 +95,9 @@ class PlannedReference:
         n = model.n
         self.now = now or Layout("reference", n, REFERENCE).make()
         self._layouts = Layout("segment", n, SEGMENT), Layout("pair", n, PAIR)
-        self._refer = references_of(model.mechanism).fast("refer", p=model.p, reference=self.now.numbers)
+        self._refer = references_of(model.mechanism).fast(
+            "refer", p=model.p, reference=self.now.numbers
+        )
         self.s_blocks: Array = self._refer.results.s_blocks
 
     def set(self, trajectory: Trajectory, times: Array, multipliers: Array) -> None:
@@ -89,25 +113,40 @@ class PlannedReference:
         """
         rows = trajectory.coefficients.shape[1]
         if rows > ROWS:
-            raise TrajectoryError(f"the trajectory's segments have {rows} coefficients; the limit is {ROWS}")
+            raise TrajectoryError(
+                f"the trajectory's segments have {rows} coefficients; the limit is"
+                f" {ROWS}"
+            )
         count, n = len(trajectory.origins), len(self.now.x)
         padded = np.zeros((count, ROWS, n))
         padded[:, :rows] = trajectory.coefficients
         (segment, pair), knots = self._layouts, trajectory.knots
         self._segments = segment.rows(
-            coefficients=padded.reshape(count, -1), origin=trajectory.origins, first=knots[0], last=knots[-1]
+            coefficients=padded.reshape(count, -1),
+            origin=trajectory.origins,
+            first=knots[0],
+            last=knots[-1],
         )
-        self._pairs = pair.rows(begin=times[:-1], end=times[1:], before=multipliers[:-1], after=multipliers[1:])
+        self._pairs = pair.rows(
+            begin=times[:-1],
+            end=times[1:],
+            before=multipliers[:-1],
+            after=multipliers[1:],
+        )
         self._begins, self._times = knots[:-1].tolist(), times[:-1].tolist()
         self._row, self._from, self._until = -1, math.nan, math.nan
 
     def at(self, time: float) -> float:
-        """Make ``now`` the reference at a time since the trajectory's start, s, held at both ends; its s."""
+        """Make ``now`` the reference at a time since the trajectory's start, s, held at
+        both ends; its s.
+        """
         given = self._refer.arguments
         if not self._from <= time < self._until:
             segment = max(bisect.bisect_right(self._begins, time) - 1, 0)
             given.segment[:] = self._segments[segment]
-            self._from, self._until = [-math.inf, *self._begins[1:], math.inf][segment : segment + 2]
+            self._from, self._until = [-math.inf, *self._begins[1:], math.inf][
+                segment : segment + 2
+            ]
         row = max(bisect.bisect_right(self._times, time) - 1, 0)
         if row != self._row:
             self._row = row

@@ -1,24 +1,27 @@
 """The safe stop: what becomes of a robot that a watch, or somebody, has stopped.
 
-It rests on the measured joints, whatever the estimate is: |s| follows from the joints alone where the mechanism can tell, the
-same on both sides of the locus, and a torque -K q_a_dot with a positive definite K takes energy from the robot on either side.
+It rests on the measured joints, whatever the estimate is: |s| follows from the joints
+alone where the mechanism can tell, the same on both sides of the locus, and a torque -K
+q_a_dot with a positive definite K takes energy from the robot on either side.
 
-    where the robot is                          torque
-    ------------------------------------------  ------------------------------------------------------------------------
-    |s| < coast_s                               none, it coasts through: no torque acts along t_s there, and slowed in
-                                                the other direction alone it might be left standing on the locus
-    farther, but braked from now on it would    none: it coasts through, or farther away, with all its speed
-    come to rest at |s| < stop_s
-    elsewhere, side known                       braking, every direction alike: -M_q q_a_dot / brake_constant with
-                                                M_q = J_inv^-T M J_inv^-1, scaled into the limit
-    elsewhere, side not known                   braking, damping in the joints: -brake_gain q_a_dot, scaled into the limit
-    at rest for rest_time, or after coast_time  none, for good
-    of coasting, or brake_time after the begin
+Where the robot is decides which torque acts:
 
-The limit is the one that the law had when the stop began. A stop that somebody asks for finishes a crossing first, under
-the law, as far as it could not come to rest before it; a watch that trips lets go at once, and where it says that the
-estimate is not the robot's (not finite, a joint that jumped, joints beside the estimate) the side counts as not known.
-A fault gives no torque at all. A robot that weighs something in its plane sinks once its torque is gone: it needs a brake.
+- |s| < coast_s, or farther, but braked from now on it would come to rest at |s| <
+  stop_s: none; it coasts on with all its speed. No torque acts along t_s
+  there, and slowed in the other direction alone it might be left standing on the locus.
+- Elsewhere, with a known side: braking, every direction alike, -M_q q_a_dot /
+  brake_constant with M_q = J_inv^-T M J_inv^-1, scaled into the limit.
+- Elsewhere, on a side not known: braking, damping in the joints, -brake_gain q_a_dot,
+  scaled into the limit.
+- At rest for rest_time, or after coast_time of coasting, or brake_time after the begin:
+  none, for good.
+
+The limit is the one that the law had when the stop began. A stop that somebody asks for
+finishes a crossing first, under the law, as far as it could not come to rest before it;
+a watch that trips lets go at once, and where it says that the estimate is not the
+robot's (not finite, a joint that jumped, joints beside the estimate) the side counts as
+not known. A fault gives no torque at all. A robot that weighs something in its plane
+sinks once its torque is gone: it needs a brake.
 """
 
 from __future__ import annotations
@@ -38,8 +41,14 @@ from dextar_control.symbols.record import Field, Layout, Record
 from dextar_control.symbols.smooth import HUGE, smooth_step
 from dextar_control.symbols.types import Array, Symbol
 
-REST_SPEED = 0.1  # rad/s of each joint, below which the robot counts as at rest: 9 mm/s at an elbow
-FADE = 0.006, 0.02  # rad/s of the faster joint, between which braking fades: an encoder of 2^17 at rest shows the lower one
+# rad/s of each joint, below which the robot counts as at rest: 9 mm/s at an elbow
+REST_SPEED = 0.1
+FADE = (
+    0.006,
+    0.02,
+    # rad/s of the faster joint, between which braking fades: an encoder of 2^17 at rest
+    # shows the lower one
+)
 
 BRAKE = (
     Field("gain", "N m s/rad", "of damping in the joints"),
@@ -51,9 +60,15 @@ STOP = (
     Field("s", "1", "|s| by the joints"),
     Field("rate", "1/s", "of it"),
     Field("tau", "N m", "braking torques", "n"),
-    Field("lasting", "s", "for which the present velocity would have to last to lead as far as rest"),
+    Field(
+        "lasting",
+        "s",
+        "for which the present velocity would have to last to lead as far as rest",
+    ),
     Field("force", "N", "J_inv^T tau", "n"),
-    Field("sigma_min", "1", "smallest singular value of A_r over the mean length behind s"),
+    Field(
+        "sigma_min", "1", "smallest singular value of A_r over the mean length behind s"
+    ),
     Field("speed", "rad/s", "of the faster joint"),
 )
 
@@ -79,7 +94,9 @@ class Stopped(NamedTuple):
 
 @lru_cache
 def stops_of(mechanism: Mechanism) -> Library:
-    """``stop``: (p, brake, q_a, q_a_dot, x_hat, mode, limit) -> stop, what braking would do now."""
+    """``stop``: (p, brake, q_a, q_a_dot, x_hat, mode, limit) -> stop, what braking
+    would do now.
+    """
     n = mechanism.n
     vector, p = mechanism.symbols()
     brake_vector, brake = Layout("brake", n, BRAKE).symbols()
@@ -88,32 +105,70 @@ def stops_of(mechanism: Mechanism) -> Library:
     equations = equations_of(mechanism)
     known = mode != 0.0
     x = mechanism.direct_geometric_model(q_a, ca.if_else(known, mode, 1.0), p)
-    x = x_hat if x is None or equations.s_blocks.numel() > 1 else x  # several blocks may be on different sides
+    x = (
+        x_hat if x is None or equations.s_blocks.numel() > 1 else x
+    )  # several blocks may be on different sides
     J = ca.inv(equations.at(vector, q_a, x, ca.SX.zeros(n)).J_inv)
     e = equations.at(vector, q_a, x, J @ q_a_dot)
     s = mechanism.singularity_of_joints(q_a, p)
     if s is None:  # by the estimate
-        s, rate = ca.fabs(e.s), ca.sign(e.s) * _rate(mechanism, vector, q_a, x, q_a_dot, e.x_dot)
+        s, rate = (
+            ca.fabs(e.s),
+            ca.sign(e.s) * _rate(mechanism, vector, q_a, x, q_a_dot, e.x_dot),
+        )
     else:
         rate = ca.if_else(s > 0.0, ca.jtimes(s, q_a, q_a_dot), 0.0)
     momentum = J.T @ (e.M @ e.x_dot)
     damping = -brake["gain"] * q_a_dot
     size = ca.norm_2(damping)
-    constant = ca.if_else(known, brake["constant"], ca.norm_2(momentum) / ca.fmax(size, 1e-12))
+    constant = ca.if_else(
+        known, brake["constant"], ca.norm_2(momentum) / ca.fmax(size, 1e-12)
+    )
     speed = ca.mmax(ca.fabs(q_a_dot))
-    tau = ca.if_else(known, -momentum / brake["constant"], damping) * smooth_step(speed, *FADE)
+    tau = ca.if_else(known, -momentum / brake["constant"], damping) * smooth_step(
+        speed, *FADE
+    )
     peak = ca.mmax(ca.fabs(tau))
     share = ca.if_else(peak > limit, limit / ca.if_else(peak > 0.0, peak, 1.0), 1.0)
-    lasting = ca.if_else(share > 0.0, 0.5 * constant * (share + 1.0 / ca.if_else(share > 0.0, share, 1.0)), HUGE)
+    lasting = ca.if_else(
+        share > 0.0,
+        0.5 * constant * (share + 1.0 / ca.if_else(share > 0.0, share, 1.0)),
+        HUGE,
+    )
     found = {
-        "s": s, "rate": rate, "tau": share * tau, "lasting": lasting, "force": e.J_inv.T @ (share * tau),
-        "sigma_min": ca.mmin(ca.fabs(e.singular.sigma_weak)) / mechanism.singularity_length(p), "speed": speed,
+        "s": s,
+        "rate": rate,
+        "tau": share * tau,
+        "lasting": lasting,
+        "force": e.J_inv.T @ (share * tau),
+        "sigma_min": (
+            ca.mmin(ca.fabs(e.singular.sigma_weak)) / mechanism.singularity_length(p)
+        ),
+        "speed": speed,
     }
-    arguments = {"p": vector, "brake": brake_vector, "q_a": q_a, "q_a_dot": q_a_dot, "x_hat": x_hat, "mode": mode, "limit": limit}
-    return Library([named("stop", arguments, {"stop": Layout("stop", n, STOP).join(found)})], cache_folder())
+    arguments = {
+        "p": vector,
+        "brake": brake_vector,
+        "q_a": q_a,
+        "q_a_dot": q_a_dot,
+        "x_hat": x_hat,
+        "mode": mode,
+        "limit": limit,
+    }
+    return Library(
+        [named("stop", arguments, {"stop": Layout("stop", n, STOP).join(found)})],
+        cache_folder(),
+    )
 
 
-def _rate(mechanism: Mechanism, p: Symbol, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol) -> Symbol:
+def _rate(
+    mechanism: Mechanism,
+    p: Symbol,
+    q_a: Symbol,
+    x: Symbol,
+    q_a_dot: Symbol,
+    x_dot: Symbol,
+) -> Symbol:
     """Of s, 1/s."""
     e = equations_of(mechanism)
     rate = ca.jtimes(e.s, ca.vertcat(e.q_a, e.x), ca.vertcat(q_a_dot, x_dot))
@@ -138,7 +193,9 @@ class SafeStop:
         self.ended: Stopped | None = None
         self._brake = Layout("brake", model.n, BRAKE).make()
         self._now = Layout("stop", model.n, STOP).make()
-        self._braking = stops_of(model.mechanism).fast("stop", p=model.p, brake=self._brake.numbers, stop=self._now.numbers)
+        self._braking = stops_of(model.mechanism).fast(
+            "stop", p=model.p, brake=self._brake.numbers, stop=self._now.numbers
+        )
         self._limit = 0.0
         self._trusted = True
         self._coasted = self._rested = self._peak = 0.0
@@ -148,7 +205,11 @@ class SafeStop:
         brake = self._brake
         brake.gain, brake.constant = settings.brake_gain, settings.brake_constant
         brake.coast_s, brake.stop_s = settings.coast_s, settings.stop_s
-        self._time, self._coast_time, self._rest_time = settings.brake_time, settings.coast_time, settings.rest_time
+        self._time, self._coast_time, self._rest_time = (
+            settings.brake_time,
+            settings.coast_time,
+            settings.rest_time,
+        )
 
     def begin(self, time: float, limit: float, *, trusted: bool, over: bool) -> None:
         """The robot is let go.
@@ -167,12 +228,15 @@ class SafeStop:
         """No torque any more, wherever the robot is."""
         self.stage = Stage.OVER
 
-    def braking(self, q_a: Array, q_a_dot: Array, x_hat: Array, mode: float, limit: float) -> Record:
+    def braking(
+        self, q_a: Array, q_a_dot: Array, x_hat: Array, mode: float, limit: float
+    ) -> Record:
         """What braking would do now: a record of STOP, which the next call overwrites.
 
         Args:
             q_a, q_a_dot: (n,) filtered, rad and rad/s.
-            x_hat: (n,) estimate, for mechanisms whose joints alone do not tell the place, m.
+            x_hat: (n,) estimate, for mechanisms whose joints alone do not tell the
+                place, m.
             mode: sign of s; 0 where it is not known.
             limit: of each torque, N m.
         """
@@ -183,15 +247,24 @@ class SafeStop:
         return self._now
 
     def comes_to_rest(self, estimate: Record, mode: float, limit: float) -> bool:
-        """Whether a robot that brakes from now on comes to rest clear of the locus; arguments as ``braking``."""
-        return self._clear(self.braking(estimate.q_a, estimate.q_a_dot, estimate.x, mode, limit))
+        """Whether a robot that brakes from now on comes to rest clear of the locus;
+        arguments as ``braking``.
+        """
+        return self._clear(
+            self.braking(estimate.q_a, estimate.q_a_dot, estimate.x, mode, limit)
+        )
 
     def _clear(self, now: Record) -> bool:
         brake = self._brake
-        return bool(now.s >= brake.coast_s and now.s + now.rate * now.lasting >= brake.stop_s)
+        return bool(
+            now.s >= brake.coast_s and now.s + now.rate * now.lasting >= brake.stop_s
+        )
 
-    def step(self, time: float, dt: float, estimate: Record, mode_known: bool, out: Record) -> str:
-        """One sample, its torque written into ``out``; how the stop ended, in words, at the sample where it does.
+    def step(
+        self, time: float, dt: float, estimate: Record, mode_known: bool, out: Record
+    ) -> str:
+        """One sample, its torque written into ``out``; how the stop ended, in words, at
+        the sample where it does.
 
         Args:
             time: of the sample, s.
@@ -202,25 +275,45 @@ class SafeStop:
         """
         mode = estimate.assembly_mode if mode_known and self._trusted else 0.0
         over = self.stage is Stage.OVER
-        now = self.braking(estimate.q_a, estimate.q_a_dot, estimate.x, mode, self._limit)
+        now = self.braking(
+            estimate.q_a, estimate.q_a_dot, estimate.x, mode, self._limit
+        )
         out.numbers[:] = 0.0
-        out.finite, out.s, out.sigma_min = 1.0, -now.s if mode < 0.0 else now.s, now.sigma_min
+        out.finite, out.s, out.sigma_min = (
+            1.0,
+            -now.s if mode < 0.0 else now.s,
+            now.sigma_min,
+        )
         if over:
             return ""
         peak = float(abs(now.tau).max())
-        self.stage = Stage.BRAKE if self._clear(now) and math.isfinite(peak) else Stage.COAST
+        self.stage = (
+            Stage.BRAKE if self._clear(now) and math.isfinite(peak) else Stage.COAST
+        )
         if self.stage is Stage.BRAKE:
             out.tau, out.force = now.tau, now.force
             self._peak = max(self._peak, peak)
         else:
             self._coasted += dt
-        self._rested = self._rested + dt if now.speed < REST_SPEED and now.s >= self._brake.stop_s else 0.0
+        self._rested = (
+            self._rested + dt
+            if now.speed < REST_SPEED and now.s >= self._brake.stop_s
+            else 0.0
+        )
         at_rest = self._rested >= self._rest_time
         lasted = time - self.began
         if not (at_rest or lasted >= self._time or self._coasted >= self._coast_time):
             return ""
         self.stage = Stage.OVER
         out.tau, out.force = 0.0, 0.0
-        self.ended = Stopped(lasted, at_rest, now.s, now.speed, self._peak, self._coasted)
-        how = f"at rest after {lasted:.2f} s" if at_rest else f"let go after {lasted:.2f} s at {now.speed:.2f} rad/s"
-        return f"{how}, |s| = {now.s:.2f}, side {'known' if mode_known else 'not known'}"
+        self.ended = Stopped(
+            lasted, at_rest, now.s, now.speed, self._peak, self._coasted
+        )
+        how = (
+            f"at rest after {lasted:.2f} s"
+            if at_rest
+            else f"let go after {lasted:.2f} s at {now.speed:.2f} rad/s"
+        )
+        return (
+            f"{how}, |s| = {now.s:.2f}, side {'known' if mode_known else 'not known'}"
+        )

@@ -1,4 +1,6 @@
-"""Whether joint states come as they should, for how long they have, and whether one publisher alone sends them."""
+"""Whether joint states come as they should, for how long they have, and whether one
+publisher alone sends them.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +12,18 @@ NANOSECONDS = 1_000_000_000
 UNNUMBERED = (0, 2**64 - 1)
 """What stands for a message's number where the middleware does not count them."""
 MIXED = 2.0
-"""s for which a number that steps back says that a second publisher speaks; a plant in lockstep repeats each 0.5 s."""
+"""s for which a number that steps back says that a second publisher speaks; a plant in
+lockstep repeats each 0.5 s.
+"""
 
 
 class StateStream:
-    """Counts healthy time: since the last gap, refusal, repetition or step back of the states.
+    """Counts healthy time: since the last gap, refusal, repetition or step back of the
+    states.
 
-    It counts by their stamps. Where arrivals are told, on a steady clock, it counts the shorter of the two spans:
-    states that arrive in a burst prove no more than the burst lasted.
+    It counts by their stamps. Where arrivals are told, on a steady clock, it counts the
+    shorter of the two spans: states that arrive in a burst prove no more than the burst
+    lasted.
 
     Attributes:
         trouble: what ended the healthy time last; empty when nothing did.
@@ -31,7 +37,8 @@ class StateStream:
         self._stepped_back = -math.inf  # s
 
     def hear(self, number: int | None, now: float) -> None:
-        """A state has come, used or not; each publisher numbers its own, so a number that does not rise is another's.
+        """A state has come, used or not; each publisher numbers its own, so a number
+        that does not rise is another's.
 
         Args:
             number: None or one of ``UNNUMBERED`` where there is none.
@@ -44,7 +51,9 @@ class StateStream:
         self._number = number
 
     def mixed(self, now: float) -> bool:
-        """Whether another publisher's state came within the last ``MIXED``: a second one, or one that was started again."""
+        """Whether another publisher's state came within the last ``MIXED``: a second
+        one, or one that was started again.
+        """
         return now - self._stepped_back <= MIXED
 
     def take(self, stamp: int, limit: float, arrival: float | None = None) -> None:
@@ -61,7 +70,10 @@ class StateStream:
             if gap <= 0.0:
                 self.spoil(f"a state of {stamp} ns after one of {self._last} ns")
             elif gap > limit or late > limit:
-                self.spoil(f"no state for {1e3 * (gap if gap > limit else late):.1f} ms; the limit is {1e3 * limit:.1f} ms")
+                self.spoil(
+                    f"no state for {1e3 * (gap if gap > limit else late):.1f} ms; the"
+                    f" limit is {1e3 * limit:.1f} ms"
+                )
         if self._first < 0:
             self._first = stamp
             self._first_arrival = math.nan if arrival is None else arrival
@@ -74,7 +86,9 @@ class StateStream:
         self._first = self._last = -1
 
     def healthy_for(self, limit: float, now: float | None = None) -> float:
-        """Healthy time, s; none where the last state is older than ``limit``, s, on the steady clock ``now``."""
+        """Healthy time, s; none where the last state is older than ``limit``, s, on the
+        steady clock ``now``.
+        """
         if self._first < 0:
             return 0.0
         span = (self._last - self._first) / NANOSECONDS
@@ -93,7 +107,8 @@ class StateStream:
             now: on the steady clock, s; None where states may come at any pace.
 
         Raises:
-            StateError: they have not; says for how long they have, how long is needed and what went wrong last.
+            StateError: they have not; says for how long they have, how long is needed
+                and what went wrong last.
         """
         age = math.nan if now is None or self._last < 0 else now - self._last_arrival
         if age > limit:
@@ -102,4 +117,6 @@ class StateStream:
         healthy = self.healthy_for(limit, now)
         if healthy < needed:
             cause = f" (last: {self.trouble})" if self.trouble else ""
-            raise StateError(f"healthy states for {healthy:.2f} s; {needed:g} s are needed{cause}")
+            raise StateError(
+                f"healthy states for {healthy:.2f} s; {needed:g} s are needed{cause}"
+            )

@@ -1,11 +1,14 @@
-"""What is watched at every sample while a law acts, and why at that limit: the table ``WATCHES``.
+"""What is watched at every sample while a law acts, and why at that limit: the table
+``WATCHES``.
 
-A watch compares a number with its limit. One that has a time lets the number pass the limit for that long: the time counts
-up while it does and down at RECOVERY of that pace else, so that what swings about a limit is seen too. The first watch of
-the table that trips ends the motion in a safe stop (``control.safe_stop``) and says so in one sentence.
+A watch compares a number with its limit. One that has a time lets the number pass the
+limit for that long: the time counts up while it does and down at RECOVERY of that pace
+else, so that what swings about a limit is seen too. The first watch of the table that
+trips ends the motion in a safe stop (``control.safe_stop``) and says so in one
+sentence.
 
-The estimator's opinion of the assembly mode is watched by ``control.verdicts``; what needs a clock or the network (age of the
-states, a second commander) by who has them.
+The estimator's opinion of the assembly mode is watched by ``control.verdicts``; what
+needs a clock or the network (age of the states, a second commander) by who has them.
 """
 
 from __future__ import annotations
@@ -31,7 +34,8 @@ from dextar_control.symbols.smooth import is_finite
 from dextar_control.symbols.types import Array, Symbol
 
 RECOVERY = 0.25  # of the pace at which a watch's time counts up, down again
-LONG_STEP = 5e-3  # s since the last sample, over which its estimate does not say where the joints are now
+# s since the last sample, over which its estimate does not say where the joints are now
+LONG_STEP = 5e-3
 
 
 class Watch(NamedTuple):
@@ -41,40 +45,112 @@ class Watch(NamedTuple):
     value: str  # what it is
     unit: str
     limit: str  # what makes its limit: a parameter, or one of the robot's with one
-    time: str  # the parameter that says how long it may pass the limit; empty: not at all
+    time: (
+        str  # the parameter that says how long it may pass the limit; empty: not at all
+    )
     reason: str  # of the defaults; "good runs" are those of the campaign that succeed
 
 
 WATCHES = (
-    Watch("joint_jump", "a joint beside where the last sample expected it", "rad", "max_joint_jump", "",
-          "0.0012 in good runs, 0.015 when struck at the locus; an encoder that slips by more is seen at once"),
-    Watch("finite", "numbers of estimate and law that are not finite", "", "none", "",
-          "such a number is never commanded"),
-    Watch("tracking_error", "distance between reference and estimate", "m", "max_tracking_error", "",
-          "2.4 mm in good runs with consistent and observer, 5 mm is a failure; at 20 mm the plan is over"),
-    Watch("joint_speed", "a joint from one sample to the next, over the time between", "rad/s",
-          "robot.max_joint_speed x speed_margin", "speed_time",
-          "a plan may use all of the robot's limit, and an error adds to it"),
-    Watch("platform_speed", "speed of the estimate", "m/s", "robot.max_platform_speed x speed_margin", "speed_time",
-          "as the joints'; the time is for the direct model, whose speed is without bound for a sample on the locus"),
-    Watch("joint_range", "a joint's way out of its range", "rad", "joint_margin", "",
-          "a plan may go to the end of the range; an error of 5 mm is 0.05 rad"),
-    Watch("estimator", "a joint beside that of the estimated platform", "rad", "max_joint_misfit", "misfit_time",
-          "0.0048 in good runs with a geometry 0.2 mm off, 0.03 with 0.5 mm; an estimate that has lost the robot passes 0.06"),
-    Watch("locus", "|s| of the estimate outside of phase CROSSING", "", "locus_s (at least)", "",
-          "plans keep 0.4 there, approaches 0.2; the robots of good runs kept 0.36. Who comes nearer was pushed or is lost"),
-    Watch("saturation", "the larger torque, but where the side is known and the error shrinks", "N m", "what it is cut at",
-          "watch_time", "42 ms in runs that recover from a push of 0.5 N; who is on the other side or at a stop stays there"),
-    Watch("torque_rate", "change of a torque since the last sample, over the time between", "N m/s",
-          "robot.max_torque x max_torque_rate", "torque_rate_time",
-          "65 N m/s for 3 ms in good runs; a loop that swings between its limits does so at each sample"),
+    Watch(
+        "joint_jump",
+        "a joint beside where the last sample expected it",
+        "rad",
+        "max_joint_jump",
+        "",
+        "0.0012 in good runs, 0.015 when struck at the locus; an encoder that slips by"
+        " more is seen at once",
+    ),
+    Watch(
+        "finite",
+        "numbers of estimate and law that are not finite",
+        "",
+        "none",
+        "",
+        "such a number is never commanded",
+    ),
+    Watch(
+        "tracking_error",
+        "distance between reference and estimate",
+        "m",
+        "max_tracking_error",
+        "",
+        "2.4 mm in good runs with consistent and observer, 5 mm is a failure; at 20 mm"
+        " the plan is over",
+    ),
+    Watch(
+        "joint_speed",
+        "a joint from one sample to the next, over the time between",
+        "rad/s",
+        "robot.max_joint_speed x speed_margin",
+        "speed_time",
+        "a plan may use all of the robot's limit, and an error adds to it",
+    ),
+    Watch(
+        "platform_speed",
+        "speed of the estimate",
+        "m/s",
+        "robot.max_platform_speed x speed_margin",
+        "speed_time",
+        "as the joints'; the time is for the direct model, whose speed is without bound"
+        " for a sample on the locus",
+    ),
+    Watch(
+        "joint_range",
+        "a joint's way out of its range",
+        "rad",
+        "joint_margin",
+        "",
+        "a plan may go to the end of the range; an error of 5 mm is 0.05 rad",
+    ),
+    Watch(
+        "estimator",
+        "a joint beside that of the estimated platform",
+        "rad",
+        "max_joint_misfit",
+        "misfit_time",
+        "0.0048 in good runs with a geometry 0.2 mm off, 0.03 with 0.5 mm; an estimate"
+        " that has lost the robot passes 0.06",
+    ),
+    Watch(
+        "locus",
+        "|s| of the estimate outside of phase CROSSING",
+        "",
+        "locus_s (at least)",
+        "",
+        "plans keep 0.4 there, approaches 0.2; the robots of good runs kept 0.36. Who"
+        " comes nearer was pushed or is lost",
+    ),
+    Watch(
+        "saturation",
+        "the larger torque, but where the side is known and the error shrinks",
+        "N m",
+        "what it is cut at",
+        "watch_time",
+        "42 ms in runs that recover from a push of 0.5 N; who is on the other side or"
+        " at a stop stays there",
+    ),
+    Watch(
+        "torque_rate",
+        "change of a torque since the last sample, over the time between",
+        "N m/s",
+        "robot.max_torque x max_torque_rate",
+        "torque_rate_time",
+        "65 N m/s for 3 ms in good runs; a loop that swings between its limits does so"
+        " at each sample",
+    ),
 )
 NAMES = [watch.name for watch in WATCHES]
 VALUES = tuple(Field(watch.name, watch.unit or "1", watch.value) for watch in WATCHES)
 BOUNDS = (
     Field("middle", "rad", "of the joints' ranges", "n"),
     Field("half", "rad", "of their widths", "n"),
-    Field("limits", "SI", "of the watches; that of saturation comes with the sample", len(WATCHES)),
+    Field(
+        "limits",
+        "SI",
+        "of the watches; that of saturation comes with the sample",
+        len(WATCHES),
+    ),
 )
 LAST = (
     Field("known", "1", "1 where there was a sample before"),
@@ -82,56 +158,126 @@ LAST = (
     Field("q_a", "rad", "joints that its estimate had", "n"),
     Field("q_a_dot", "rad/s", "and their velocities", "n"),
     Field("tau", "N m", "torques that answered it", "n"),
-    Field("type1", "1", "least distance of a leg to Type 1, of the last estimate that was finite"),
+    Field(
+        "type1",
+        "1",
+        "least distance of a leg to Type 1, of the last estimate that was finite",
+    ),
 )
-ESTIMATE_LOST = ("finite", "joint_jump", "estimator")  # watches that say that the estimate is not the robot's
+ESTIMATE_LOST = (
+    "finite",
+    "joint_jump",
+    "estimator",
+)  # watches that say that the estimate is not the robot's
 
 
 def watch_of(mechanism: Mechanism) -> ca.Function:
-    """(p, bounds, last, estimate, output, q_meas, dt, limit, crossing) -> values, limits, passed, told, last_next."""
+    """(p, bounds, last, estimate, output, q_meas, dt, limit, crossing) -> values,
+    limits, passed, told, last_next.
+    """
     n, watched = mechanism.n, Layout("watched", mechanism.n, VALUES)
     vector, p = mechanism.symbols()
-    (bounds_vector, bounds), (last_vector, last), (hat_vector, hat), (out_vector, out) = (
+    (
+        (bounds_vector, bounds),
+        (last_vector, last),
+        (hat_vector, hat),
+        (out_vector, out),
+    ) = (
         Layout(name, n, fields).symbols()
-        for name, fields in (("bounds", BOUNDS), ("last", LAST), ("estimate", ESTIMATE), ("output", OUTPUT))
+        for name, fields in (
+            ("bounds", BOUNDS),
+            ("last", LAST),
+            ("estimate", ESTIMATE),
+            ("output", OUTPUT),
+        )
     )
     q_meas = ca.SX.sym("q_meas", n)
-    turns = ca.DM([joint.unit == "rad" for joint in mechanism.joints])  # of angles a range is one on any turn
+    turns = ca.DM(
+        [joint.unit == "rad" for joint in mechanism.joints]
+    )  # of angles a range is one on any turn
     dt, limit, crossing = (ca.SX.sym(name) for name in ("dt", "limit", "crossing"))
-    known, finite = last["known"] > 0.0, ca.if_else(is_finite(hat_vector) * out["finite"] > 0.0, 1.0, 0.0)
+    known, finite = (
+        last["known"] > 0.0,
+        ca.if_else(is_finite(hat_vector) * out["finite"] > 0.0, 1.0, 0.0),
+    )
 
     def largest(values: Symbol, when: Symbol) -> Symbol:
-        return ca.if_else(when, ca.fmax(ca.mmax(ca.fabs(values)), 0.0), 0.0)  # a number that is not finite is told by "finite"
+        return ca.if_else(
+            when, ca.fmax(ca.mmax(ca.fabs(values)), 0.0), 0.0
+        )  # a number that is not finite is told by "finite"
 
     q_hat = mechanism.inverse_geometric_model(hat["x"], p)
     type1 = ca.mmin(ca.fabs(mechanism.type1_sines(q_hat, hat["x"], p)))
     expected = last["q_a"] + dt * last["q_a_dot"]
     values = {
-        "joint_jump": largest(wrapped(q_meas - expected), ca.logic_and(known, dt <= LONG_STEP)),
+        "joint_jump": largest(
+            wrapped(q_meas - expected), ca.logic_and(known, dt <= LONG_STEP)
+        ),
         "finite": 1.0 - finite,
         "tracking_error": ca.if_else(finite, ca.norm_2(out["error"]), 0.0),
         "joint_speed": largest(wrapped(q_meas - last["q_meas"]), known) / dt,
         "platform_speed": ca.if_else(finite, ca.norm_2(hat["x_dot"]), 0.0),
-        "joint_range": ca.mmax(ca.fabs(ca.if_else(turns, wrapped(q_meas - bounds["middle"]), q_meas - bounds["middle"]))
-                               - bounds["half"]),
+        "joint_range": ca.mmax(
+            ca.fabs(
+                ca.if_else(
+                    turns, wrapped(q_meas - bounds["middle"]), q_meas - bounds["middle"]
+                )
+            )
+            - bounds["half"]
+        ),
         "estimator": largest(wrapped(q_meas - q_hat), finite),
         "locus": ca.if_else(finite, ca.fabs(out["s"]), 0.0),
         "saturation": largest(out["tau"], finite),
-        "torque_rate": largest(out["tau"] - last["tau"], ca.logic_and(known, finite)) / dt,
+        "torque_rate": (
+            largest(out["tau"] - last["tau"], ca.logic_and(known, finite)) / dt
+        ),
     }
     limits = watched.split(bounds["limits"])
-    limits |= {"locus": ca.if_else(crossing > 0.0, 0.0, limits["locus"]), "saturation": limit}
-    passed = {name: ca.logic_not(value <= limits[name]) for name, value in values.items()}
-    passed |= {"locus": values["locus"] < limits["locus"], "saturation": values["saturation"] >= limit}
-    now = {"known": ca.SX(1.0), "q_meas": q_meas, "q_a": hat["q_a"], "q_a_dot": hat["q_a_dot"], "tau": out["tau"],
-           "type1": ca.if_else(is_finite(q_hat) > 0.0, type1, ca.if_else(known, last["type1"], 1.0))}
-    arguments = {"p": vector, "bounds": bounds_vector, "last": last_vector, "estimate": hat_vector, "output": out_vector,
-                 "q_meas": q_meas, "dt": dt, "limit": limit, "crossing": crossing}
-    return named("watch", arguments, {
-        "values": watched.join(values), "limits": watched.join(limits), "passed": watched.join(passed),
-        "told": ca.vertcat(ca.mmax(ca.vertcat(*passed.values())), passed["saturation"]),
-        "last_next": Layout("last", n, LAST).join(now),
-    })
+    limits |= {
+        "locus": ca.if_else(crossing > 0.0, 0.0, limits["locus"]),
+        "saturation": limit,
+    }
+    passed = {
+        name: ca.logic_not(value <= limits[name]) for name, value in values.items()
+    }
+    passed |= {
+        "locus": values["locus"] < limits["locus"],
+        "saturation": values["saturation"] >= limit,
+    }
+    now = {
+        "known": ca.SX(1.0),
+        "q_meas": q_meas,
+        "q_a": hat["q_a"],
+        "q_a_dot": hat["q_a_dot"],
+        "tau": out["tau"],
+        "type1": ca.if_else(
+            is_finite(q_hat) > 0.0, type1, ca.if_else(known, last["type1"], 1.0)
+        ),
+    }
+    arguments = {
+        "p": vector,
+        "bounds": bounds_vector,
+        "last": last_vector,
+        "estimate": hat_vector,
+        "output": out_vector,
+        "q_meas": q_meas,
+        "dt": dt,
+        "limit": limit,
+        "crossing": crossing,
+    }
+    return named(
+        "watch",
+        arguments,
+        {
+            "values": watched.join(values),
+            "limits": watched.join(limits),
+            "passed": watched.join(passed),
+            "told": ca.vertcat(
+                ca.mmax(ca.vertcat(*passed.values())), passed["saturation"]
+            ),
+            "last_next": Layout("last", n, LAST).join(now),
+        },
+    )
 
 
 def timer_after(timer: float, dt: float, passed: bool) -> float:
@@ -141,16 +287,35 @@ def timer_after(timer: float, dt: float, passed: bool) -> float:
 
 @lru_cache
 def acts_of(mechanism: Mechanism) -> Library:
-    """``act_NAME`` of each law: its tick, and the watches on what it answers; what is between the two is its output."""
+    """``act_NAME`` of each law: its tick, and the watches on what it answers; what is
+    between the two is its output.
+    """
     watch, acts = watch_of(mechanism), []
     for law in Law:
         tick = law_of(mechanism, law)
-        sizes = {name: function.size1_in(name) for function in (tick, watch) for name in function.name_in() if name != "output"}
+        sizes = {
+            name: function.size1_in(name)
+            for function in (tick, watch)
+            for name in function.name_in()
+            if name != "output"
+        }
         given = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
-        answered = tick.call({name: given[name] for name in tick.name_in()}, False, True)
+        answered = tick.call(
+            {name: given[name] for name in tick.name_in()}, False, True
+        )
         known = given | answered
-        found = answered | watch.call({name: known[name] for name in watch.name_in()}, False, True)
-        acts.append(ca.Function(f"act_{law.name.lower()}", list(given.values()), list(found.values()), list(given), list(found)))
+        found = answered | watch.call(
+            {name: known[name] for name in watch.name_in()}, False, True
+        )
+        acts.append(
+            ca.Function(
+                f"act_{law.name.lower()}",
+                list(given.values()),
+                list(found.values()),
+                list(given),
+                list(found),
+            )
+        )
     return Library(acts, cache_folder())
 
 
@@ -170,13 +335,22 @@ class Supervisor:
         self._robot, self._joint = robot, model.mechanism.joints[0]
         low, high = (np.array(bounds) for bounds in robot.joint_range)
         watched = Layout("watched", model.n, VALUES)
-        self._values, self._limits, self._passed, self._allowed = (watched.make() for _ in range(4))
+        self._values, self._limits, self._passed, self._allowed = (
+            watched.make() for _ in range(4)
+        )
         self._last = Layout("last", model.n, LAST).make()
-        self._bounds = Layout("bounds", model.n, BOUNDS).make(middle=0.5 * (low + high), half=0.5 * (high - low))
+        self._bounds = Layout("bounds", model.n, BOUNDS).make(
+            middle=0.5 * (low + high), half=0.5 * (high - low)
+        )
         self._told = np.zeros(2)
         self.places = {
-            "bounds": self._bounds.numbers, "last": self._last.numbers, "last_next": self._last.numbers, "told": self._told,
-            "values": self._values.numbers, "limits": self._limits.numbers, "passed": self._passed.numbers,
+            "bounds": self._bounds.numbers,
+            "last": self._last.numbers,
+            "last_next": self._last.numbers,
+            "told": self._told,
+            "values": self._values.numbers,
+            "limits": self._limits.numbers,
+            "passed": self._passed.numbers,
         }
         self.times = dict.fromkeys(NAMES, -1.0)
         self._timers = dict.fromkeys(NAMES, 0.0)
@@ -191,12 +365,18 @@ class Supervisor:
         limits.tracking_error = settings.max_tracking_error
         limits.joint_speed = settings.speed_margin * self._robot.max_joint_speed
         limits.platform_speed = settings.speed_margin * self._robot.max_platform_speed
-        limits.joint_range, limits.joint_jump = settings.joint_margin, settings.max_joint_jump
+        limits.joint_range, limits.joint_jump = (
+            settings.joint_margin,
+            settings.max_joint_jump,
+        )
         limits.estimator = settings.max_joint_misfit
         limits.torque_rate = settings.max_torque_rate * self._robot.max_torque
         self.times |= {
-            "joint_speed": settings.speed_time, "platform_speed": settings.speed_time, "estimator": settings.misfit_time,
-            "torque_rate": settings.torque_rate_time, "saturation": settings.watch_time,
+            "joint_speed": settings.speed_time,
+            "platform_speed": settings.speed_time,
+            "estimator": settings.misfit_time,
+            "torque_rate": settings.torque_rate_time,
+            "saturation": settings.watch_time,
         }
         limits.locus = settings.locus_s
         self._bounds.limits = limits.numbers
@@ -207,13 +387,16 @@ class Supervisor:
         self._counting = False
 
     def forget(self) -> None:
-        """The robot was left to itself: what follows is not compared with what was before."""
+        """The robot was left to itself: what follows is not compared with what was
+        before.
+        """
         self.begin()
         self._values.numbers[:] = 0.0
         self._last.numbers[:] = 0.0
 
     def check(self, q_a: Array, dt: float, estimator: Estimator) -> str:
-        """What is wrong with the sample that was just answered, in a sentence with value and limit; empty for nothing.
+        """What is wrong with the sample that was just answered, in a sentence with
+        value and limit; empty for nothing.
 
         Args:
             q_a: (n,) measured, rad.
@@ -224,14 +407,23 @@ class Supervisor:
         self.saturated, self.tripped = saturated > 0.0, ""
         if self._counting or trips > 0.0:
             before, self._error = self._error, self.error
-            self._count(self._passed.numbers.tolist(), dt, estimator.mode_known and self._error < before)
+            self._count(
+                self._passed.numbers.tolist(),
+                dt,
+                estimator.mode_known and self._error < before,
+            )
         return self._sentence(self.tripped, q_a) if self.tripped else ""
 
     def _count(self, passed: list[float], dt: float, recovers: bool) -> None:
-        """Count the times of watches that may be passed for a while, and find the first one that trips."""
+        """Count the times of watches that may be passed for a while, and find the first
+        one that trips.
+        """
         self._counting = False
         for name, over in zip(NAMES, passed, strict=True):
-            trips, time = over > 0.0 and not (recovers and name == "saturation"), self.times[name]
+            trips, time = (
+                over > 0.0 and not (recovers and name == "saturation"),
+                self.times[name],
+            )
             if time >= 0.0:
                 self._timers[name] = timer = timer_after(self._timers[name], dt, trips)
                 trips = timer > time
@@ -246,13 +438,17 @@ class Supervisor:
 
     @property
     def estimate_lost(self) -> bool:
-        """Whether what tripped at the last sample says that the estimate is not the robot's."""
+        """Whether what tripped at the last sample says that the estimate is not the
+        robot's.
+        """
         return self.tripped in ESTIMATE_LOST
 
     @property
     def watches(self) -> dict[str, tuple[float, float]]:
         """Each watch's last value and its limit, by name; zero limits do not bind."""
-        pairs = zip(self._values.numbers.tolist(), self._limits.numbers.tolist(), strict=True)
+        pairs = zip(
+            self._values.numbers.tolist(), self._limits.numbers.tolist(), strict=True
+        )
         return dict(zip(NAMES, pairs, strict=True))
 
     def _sentence(self, name: str, q_a: Array) -> str:
@@ -260,31 +456,51 @@ class Supervisor:
         joint, effort = self._joint.unit, self._joint.effort_unit
         if name == "finite":
             return (
-                "the estimate or the law gave a number that is not finite; at the sample before it a leg was"
-                f" {self._last.type1:.3f} from Type 1, where its reach ends (a plan keeps {self._robot.min_type1_distance:g})"
+                "the estimate or the law gave a number that is not finite; at the"
+                f" sample before it a leg was {self._last.type1:.3f} from Type 1, where"
+                f" its reach ends (a plan keeps {self._robot.min_type1_distance:g})"
             )
         if name == "tracking_error":
             return f"tracking error {value:.4f} m; the limit is {limit} m"
         if name == "joint_range":
             lows, highs = self._robot.joint_range
-            off = [abs(math.remainder(q - 0.5 * (low + high), 2.0 * math.pi)) - 0.5 * (high - low)
-                   for q, low, high in zip(q_a.tolist(), lows, highs, strict=True)]
+            off = [
+                abs(math.remainder(q - 0.5 * (low + high), 2.0 * math.pi))
+                - 0.5 * (high - low)
+                for q, low, high in zip(q_a.tolist(), lows, highs, strict=True)
+            ]
             leg = int(np.argmax(off))
             return (
-                f"the {self._robot.sides[leg]} joint is {value:.3f} {joint} outside its range of {lows[leg]:.4g} to"
-                f" {highs[leg]:.4g} {joint}; the limit is {limit:.4g} {joint}"
+                f"the {self._robot.sides[leg]} joint is {value:.3f} {joint} outside its"
+                f" range of {lows[leg]:.4g} to {highs[leg]:.4g} {joint}; the limit is"
+                f" {limit:.4g} {joint}"
             )
         if name == "joint_jump":
-            return f"a joint jumped by {value:.4f} {joint} in one sample; the limit is {limit:.4g} {joint}"
+            return (
+                f"a joint jumped by {value:.4f} {joint} in one sample; the limit is"
+                f" {limit:.4g} {joint}"
+            )
         if name == "locus":
-            return f"the robot is at |s| = {value:.3f} of the locus without a planned crossing; the limit is {limit:.4g}"
+            return (
+                f"the robot is at |s| = {value:.3f} of the locus without a planned"
+                f" crossing; the limit is {limit:.4g}"
+            )
         what, unit = {
             "joint_speed": (f"joint speed {{:.1f}} {joint}/s", f"{joint}/s"),
             "platform_speed": ("platform speed {:.2f} m/s", "m/s"),
-            "estimator": (f"the joints are {{:.4f}} {joint} from the estimate's", joint),
+            "estimator": (
+                f"the joints are {{:.4f}} {joint} from the estimate's",
+                joint,
+            ),
             "saturation": (f"torque {{:.3f}} {effort}", effort),
-            "torque_rate": (f"the torque changes by {{:.0f}} {effort}/s", f"{effort}/s"),
+            "torque_rate": (
+                f"the torque changes by {{:.0f}} {effort}/s",
+                f"{effort}/s",
+            ),
         }[name]
         shown = f"{limit:.3f}" if name == "saturation" else f"{limit:.4g}"
         lasted, allowed = 1e3 * self._timers[name], 1e3 * self.times[name]
-        return f"{what.format(value)} for {lasted:.0f} ms; the limit is {shown} {unit} for {allowed:.0f} ms"
+        return (
+            f"{what.format(value)} for {lasted:.0f} ms; the limit is {shown} {unit} for"
+            f" {allowed:.0f} ms"
+        )

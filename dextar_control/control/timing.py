@@ -1,4 +1,6 @@
-"""How regularly something comes: mean rate, jitter and the tail of its intervals over a sliding window."""
+"""How regularly something comes: mean rate, jitter and the tail of its intervals over a
+sliding window.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,11 @@ class Window:
 
     def percentiles(self, *percents: float) -> list[float]:
         """Nan without numbers."""
-        return np.percentile(self.numbers, percents).tolist() if self._count else [math.nan] * len(percents)
+        return (
+            np.percentile(self.numbers, percents).tolist()
+            if self._count
+            else [math.nan] * len(percents)
+        )
 
     def regularity(self) -> Regularity:
         """Of intervals, s; computed once for the same ones."""
@@ -57,5 +63,8 @@ class Window:
             mean = float(numbers.mean())
             rate = 1.0 / mean if mean > 0.0 else math.nan
             p99 = self.percentiles(99.0)[0]
-            self._found = self._count, Regularity(rate, float(numbers.std()), p99, float(numbers.max()))
+            self._found = (
+                self._count,
+                Regularity(rate, float(numbers.std()), p99, float(numbers.max())),
+            )
         return self._found[1]

@@ -1,4 +1,6 @@
-"""Crossed or bounced: what became of each planned crossing, as the estimator sees it."""
+"""Crossed or bounced: what became of each planned crossing, as the estimator sees
+it.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from dextar_control.model.model import Model
 from dextar_control.planning.certificate import Certificate
 
 OPEN_BEFORE = 0.02  # s before a planned crossing from which on it counts as begun
-TYPE1_END = 0.1  # distance to Type 1 at which a robot without control is followed no further
+TYPE1_END = (
+    0.1  # distance to Type 1 at which a robot without control is followed no further
+)
 
 
 class Verdict(IntEnum):
@@ -37,7 +41,8 @@ class Passed(NamedTuple):
 
 
 class CrossingJudge:
-    """Compares the believed assembly mode with the plan's, while a trajectory is tracked and after the robot was let go.
+    """Compares the believed assembly mode with the plan's, while a trajectory is
+    tracked and after the robot was let go.
 
     Attributes:
         passed: the planned crossings of the last trajectory, in their order.
@@ -45,14 +50,18 @@ class CrossingJudge:
 
     def __init__(self, model: Model) -> None:
         self.passed: list[Passed] = []
-        self._unsure: list[tuple[float, float] | None] = [None] * len(model.blocks)  # since when clear of the locus, s, and the
+        self._unsure: list[tuple[float, float] | None] = [None] * len(
+            model.blocks
+        )  # since when clear of the locus, s, and the
         # largest error since the side was known, m
         self._model = model
         self._times: list[float] = []
         self._signs: list[float] = []
         self._blocks: list[int] = []
         self._start = 0.0
-        self._settled = [-math.inf] * len(model.blocks)  # s; until then what was said of a block stands while its side is kept
+        self._settled = [-math.inf] * len(
+            model.blocks
+        )  # s; until then what was said of a block stands while its side is kept
         self._open: list[int] = []
 
     def configure(self, settings: Settings) -> None:
@@ -62,15 +71,23 @@ class CrossingJudge:
 
     def begin(self, certificate: Certificate, start: float) -> None:
         """A checked trajectory is tracked from ``start`` on, s."""
-        self.passed = [Passed(float(time), Verdict.UNDECIDED, 0.5, math.nan) for time in certificate.crossing_times]
-        self._times, self._signs = certificate.crossing_times.tolist(), certificate.crossing_signs.tolist()
+        self.passed = [
+            Passed(float(time), Verdict.UNDECIDED, 0.5, math.nan)
+            for time in certificate.crossing_times
+        ]
+        self._times, self._signs = (
+            certificate.crossing_times.tolist(),
+            certificate.crossing_signs.tolist(),
+        )
         self._blocks = certificate.crossing_blocks.tolist()
         self._start, self._settled = start, [-math.inf] * len(self._model.blocks)
 
     def let_go(self, time: float) -> None:
-        """The robot is let go while it moves: the crossing of each block that has begun is still to be judged.
+        """The robot is let go while it moves: the crossing of each block that has begun
+        is still to be judged.
 
-        But for one that it has crossed where it is nearer to the next one: it may coast through that.
+        But for one that it has crossed where it is nearer to the next one: it may coast
+            through that.
         """
         self._unsure, self._open = [None] * len(self._model.blocks), []
         for block in range(len(self._model.blocks)):
@@ -78,18 +95,30 @@ class CrossingJudge:
             if current < 0:
                 continue
             halfway = 0.5 * (self._times[current] + self._next(current, block))
-            if not (self.passed[current].verdict is Verdict.CROSSED and time - self._start > halfway):
+            if not (
+                self.passed[current].verdict is Verdict.CROSSED
+                and time - self._start > halfway
+            ):
                 self._open.append(current)
 
     def close(self) -> None:
         """What the robot does from now on is no part of a crossing."""
         self._open = []
 
-    def compare(self, time: float, s_ref: list[float], estimator: Estimator, moving: bool, watched: Supervisor) -> str:
-        """Away from the locus: a verdict where the estimator is sure. What is wrong, or nothing.
+    def compare(
+        self,
+        time: float,
+        s_ref: list[float],
+        estimator: Estimator,
+        moving: bool,
+        watched: Supervisor,
+    ) -> str:
+        """Away from the locus: a verdict where the estimator is sure. What is wrong, or
+        nothing.
 
-        An estimator that tells the side and stays unsure of it for too long is wrong too where the robot has not followed the
-        plan since: it may be on the other side. Who was sent back at the locus did not follow it, and who did was not.
+        An estimator that tells the side and stays unsure of it for too long is wrong
+        too where the robot has not followed the plan since: it may be on the other
+        side. Who was sent back at the locus did not follow it, and who did was not.
 
         Args:
             time: of the sample, s.
@@ -103,43 +132,67 @@ class CrossingJudge:
             mode, confidence = modes[block]
             if not confidence >= self._sure:
                 clear = abs(s) >= self._clear_s and estimator.tells_side
-                problem = self._doubted(block, time, clear, confidence, watched) or problem
+                problem = (
+                    self._doubted(block, time, clear, confidence, watched) or problem
+                )
                 continue
             if self._unsure[block]:
                 self._unsure[block] = None
-            if abs(s) < self._clear_s or (mode * s >= 0.0 and time < self._settled[block]):
+            if abs(s) < self._clear_s or (
+                mode * s >= 0.0 and time < self._settled[block]
+            ):
                 continue
             current = self._current(time, block)
             if mode * s < 0.0:
                 self._judge(time, current, Verdict.BOUNCED, confidence)
                 problem = (
-                    f"bounced: the robot is at s = {estimator.estimate.s:+.2f}, the reference at {s:+.2f}"
-                    f" (confidence {confidence:.3f})"
+                    f"bounced: the robot is at s = {estimator.estimate.s:+.2f}, the"
+                    f" reference at {s:+.2f} (confidence {confidence:.3f})"
                 )
                 continue
             if moving and current >= 0:
-                if not (s * self._signs[current] > 0.0 and abs(estimator.estimate.s) >= self._clear_s):
+                if not (
+                    s * self._signs[current] > 0.0
+                    and abs(estimator.estimate.s) >= self._clear_s
+                ):
                     continue
                 self._judge(time, current, Verdict.CROSSED, confidence)
-            self._settled[block] = self._start + self._next(current, block) - OPEN_BEFORE
+            self._settled[block] = (
+                self._start + self._next(current, block) - OPEN_BEFORE
+            )
         return problem
 
-    def _doubted(self, block: int, time: float, clear: bool, confidence: float, watched: Supervisor) -> str:
-        """One more sample with a side that is not known, clear of the locus or not: what is wrong, or nothing."""
+    def _doubted(
+        self,
+        block: int,
+        time: float,
+        clear: bool,
+        confidence: float,
+        watched: Supervisor,
+    ) -> str:
+        """One more sample with a side that is not known, clear of the locus or not:
+        what is wrong, or nothing.
+        """
         since, error = self._unsure[block] or (math.nan, 0.0)
-        since, error = (time if math.isnan(since) else since) if clear else math.nan, max(error, watched.error)
+        since, error = (
+            (time if math.isnan(since) else since) if clear else math.nan,
+            max(error, watched.error),
+        )
         self._unsure[block] = since, error
         if not (time - since > self._patience and error > self._suspect):
             return ""
         return (
-            f"the side of the locus is not known for {time - since:.2f} s clear of it (confidence {confidence:.3f}) after an"
-            f" error of {error:.4f} m; the limits are {self._patience:g} s and {self._suspect:g} m"
+            f"the side of the locus is not known for {time - since:.2f} s clear of it"
+            f" (confidence {confidence:.3f}) after an error of {error:.4f} m; the"
+            f" limits are {self._patience:g} s and {self._suspect:g} m"
         )
 
     def compare_afterwards(self, time: float, estimator: Estimator) -> str:
-        """The side on which a robot ends that was let go during a crossing: it may change as it coasts.
+        """The side on which a robot ends that was let go during a crossing: it may
+        change as it coasts.
 
-        Until it comes near Type 1: behind that lies another working mode, which the model does not follow.
+        Until it comes near Type 1: behind that lies another working mode, which the
+            model does not follow.
 
         Returns:
             That it bounced, where that is news; else nothing.
@@ -159,20 +212,30 @@ class CrossingJudge:
         return news
 
     def _current(self, time: float, block: int) -> int:
-        """Index of a block's last planned crossing that has begun; -1 before the first and without a trajectory."""
+        """Index of a block's last planned crossing that has begun; -1 before the first
+        and without a trajectory.
+        """
         current = bisect.bisect_right(self._times, time - self._start + OPEN_BEFORE) - 1
         while current >= 0 and self._blocks[current] != block:
             current -= 1
         return current
 
     def _next(self, current: int, block: int) -> float:
-        """When a block's next planned crossing is, since the trajectory's start, s; inf without."""
-        coming = zip(self._times[current + 1 :], self._blocks[current + 1 :], strict=True)
+        """When a block's next planned crossing is, since the trajectory's start, s; inf
+        without.
+        """
+        coming = zip(
+            self._times[current + 1 :], self._blocks[current + 1 :], strict=True
+        )
         return next((at for at, of in coming if of == block), math.inf)
 
-    def _judge(self, time: float, index: int, verdict: Verdict, confidence: float) -> bool:
+    def _judge(
+        self, time: float, index: int, verdict: Verdict, confidence: float
+    ) -> bool:
         """Whether the verdict is another one than before."""
         if index < 0 or self.passed[index].verdict is verdict:
             return False
-        self.passed[index] = self.passed[index]._replace(verdict=verdict, confidence=confidence, time=time - self._start)
+        self.passed[index] = self.passed[index]._replace(
+            verdict=verdict, confidence=confidence, time=time - self._start
+        )
         return True

@@ -1,15 +1,17 @@
-"""Platform state by the direct geometric model, the paper's estimator, with its precautions (section 4.2).
+"""Platform state by the direct geometric model, the paper's estimator, with its
+precautions (section 4.2).
 
-Away from the locus the direct model gives the platform. Near it that amplifies any joint error along
-t_s and, at folded points, does not exist. The precautions:
+Away from the locus the direct model gives the platform. Near it that amplifies any
+joint error along t_s and, at folded points, does not exist. The precautions:
 
-- the joint angles are filtered about the reference's own motion, which gives a velocity usable with a
-  quantised encoder without the lag of a plain filter;
-- inside the zone the direct model is not called: the strong directions of J_inv are corrected from the
-  joints, the weak one follows the reference;
-- after the zone the direct model takes over again over a time, on the assembly mode behind the crossing;
-- the direct model's root is clamped at zero, its branch is chosen by the assembly mode, which changes
-  only where the reference crosses: noise can flip neither.
+- the joint angles are filtered about the reference's own motion, which gives a velocity
+  usable with a quantised encoder without the lag of a plain filter;
+- inside the zone the direct model is not called: the strong directions of J_inv are
+  corrected from the joints, the weak one follows the reference;
+- after the zone the direct model takes over again over a time, on the assembly mode
+  behind the crossing;
+- the direct model's root is clamped at zero, its branch is chosen by the assembly mode,
+  which changes only where the reference crosses: noise can flip neither.
 """
 
 from __future__ import annotations
@@ -35,6 +37,8 @@ from dextar_control.symbols.smooth import smooth_step
 from dextar_control.symbols.types import Array, Symbol
 
 REFINEMENTS = 2  # Newton steps of the strong directions inside the zone
+
+
 @lru_cache
 def direct_of(mechanism: Mechanism) -> Library:
     """The direct estimators' steps as functions.
@@ -45,11 +49,23 @@ def direct_of(mechanism: Mechanism) -> Library:
     n = mechanism.n
     vector, p = mechanism.symbols()
     joints, estimates = Layout("joints", n, JOINTS), Layout("estimate", n, ESTIMATE)
-    (memory_vector, memory), (before_vector, before) = joints.symbols("memory"), estimates.symbols()
+    (memory_vector, memory), (before_vector, before) = (
+        joints.symbols("memory"),
+        estimates.symbols(),
+    )
     ref_vector, ref = Layout("reference", n, REFERENCE).symbols()
     q_meas = ca.SX.sym("q_meas", n)
     dt, bandwidth, mode, zone, width, outside, returning = (
-        ca.SX.sym(name) for name in ("dt", "bandwidth", "assembly_mode", "zone", "width", "time_outside", "time_return")
+        ca.SX.sym(name)
+        for name in (
+            "dt",
+            "bandwidth",
+            "assembly_mode",
+            "zone",
+            "width",
+            "time_outside",
+            "time_return",
+        )
     )
     equations = equations_of(mechanism)
     resting = ca.SX.zeros(n)
@@ -58,60 +74,131 @@ def direct_of(mechanism: Mechanism) -> Library:
         """The direct model and its velocity, x_dot = J_inv^-1 q_a_dot."""
         x = mechanism.direct_geometric_model(joint["q"], mode, p)
         if x is None:
-            raise ParameterError(f"estimator plain or dgm needs a direct model in closed form; {mechanism.name} has none")
-        return x, ca.solve(equations.at(vector, joint["q"], x, resting).J_inv, joint["q_dot"])
+            raise ParameterError(
+                "estimator plain or dgm needs a direct model in closed form;"
+                f" {mechanism.name} has none"
+            )
+        return x, ca.solve(
+            equations.at(vector, joint["q"], x, resting).J_inv, joint["q_dot"]
+        )
 
     def held(joint: dict[str, Symbol]) -> tuple[Symbol, Symbol]:
-        """The reference, corrected along the strong directions of J_inv so that the joints agree there."""
+        """The reference, corrected along the strong directions of J_inv so that the
+        joints agree there.
+        """
         x = ref["x"]
         J = singular_vectors(equations.at(vector, ref["q_a"], x, ref["x_dot"]).J_inv)
         for _ in range(REFINEMENTS):
             missing = wrapped(joint["q"] - mechanism.inverse_geometric_model(x, p))
             x = x + J.v_strong @ ((J.u_strong.T @ missing) / J.sigma_strong)
-        e = equations.at(vector, mechanism.inverse_geometric_model(x, p), x, ref["x_dot"])
+        e = equations.at(
+            vector, mechanism.inverse_geometric_model(x, p), x, ref["x_dot"]
+        )
         J = singular_vectors(e.J_inv)
         slow = joint["q_dot"] - e.q_a_dot
         return x, ref["x_dot"] + J.v_strong @ ((J.u_strong.T @ slow) / J.sigma_strong)
 
     def estimate(joint: dict[str, Symbol], x: Symbol, x_dot: Symbol) -> Symbol:
         s = equations.at(vector, joint["q"], x, x_dot).s
-        return estimates.join({"x": x, "x_dot": x_dot, "q_a": joint["q"], "q_a_dot": joint["q_dot"], "assembly_mode": mode,
-                               "confidence": before["confidence"], "s": s, "d": resting, "b": resting, "twist_dot": resting,
-                               "innovation": resting, "innovation_square": ca.SX(0.0)})
+        return estimates.join(
+            {
+                "x": x,
+                "x_dot": x_dot,
+                "q_a": joint["q"],
+                "q_a_dot": joint["q_dot"],
+                "assembly_mode": mode,
+                "confidence": before["confidence"],
+                "s": s,
+                "d": resting,
+                "b": resting,
+                "twist_dot": resting,
+                "innovation": resting,
+                "innovation_square": ca.SX(0.0),
+            }
+        )
 
     followed = track_joints(memory, q_meas, ref["q_a"], ref["q_a_dot"], dt, bandwidth)
-    trust = smooth_step(ca.fabs(ref["s"]), zone, zone + width) * smooth_step(outside, 0.0, returning)
+    trust = smooth_step(ca.fabs(ref["s"]), zone, zone + width) * smooth_step(
+        outside, 0.0, returning
+    )
     trust = ca.if_else(zone <= 0.0, 1.0, trust)
     (x_direct, v_direct), (x_held, v_held) = direct(followed), held(followed)
 
     def blend(one: Symbol, other: Symbol) -> Symbol:
-        return ca.if_else(trust <= 0.0, one, ca.if_else(trust >= 1.0, other, one + trust * (other - one)))
+        return ca.if_else(
+            trust <= 0.0,
+            one,
+            ca.if_else(trust >= 1.0, other, one + trust * (other - one)),
+        )
 
     coasting = track_joints(memory, q_meas, memory["q_ref"], resting, dt, bandwidth)
     alone = {**coasting, "q_ref": coasting["q"]}
     known = {"p": vector, "memory": memory_vector, "estimate": before_vector}
     given = {"dt": dt, "bandwidth": bandwidth, "q_meas": q_meas}
-    return Library([
-        in_place(named("follow", known | given | {"reference": ref_vector, "zone": zone, "width": width, "time_outside": outside,
-                                         "time_return": returning, "assembly_mode": mode},
-              {"memory_next": joints.join(followed),
-               "estimate_next": estimate(followed, blend(x_held, x_direct), blend(v_held, v_direct))})),
-        in_place(named("coast", known | given | {"assembly_mode": mode},
-                       {"memory_next": joints.join(alone), "estimate_next": estimate(alone, *direct(alone))})),
-    ], cache_folder())
+    return Library(
+        [
+            in_place(
+                named(
+                    "follow",
+                    known
+                    | given
+                    | {
+                        "reference": ref_vector,
+                        "zone": zone,
+                        "width": width,
+                        "time_outside": outside,
+                        "time_return": returning,
+                        "assembly_mode": mode,
+                    },
+                    {
+                        "memory_next": joints.join(followed),
+                        "estimate_next": estimate(
+                            followed, blend(x_held, x_direct), blend(v_held, v_direct)
+                        ),
+                    },
+                )
+            ),
+            in_place(
+                named(
+                    "coast",
+                    known | given | {"assembly_mode": mode},
+                    {
+                        "memory_next": joints.join(alone),
+                        "estimate_next": estimate(alone, *direct(alone)),
+                    },
+                )
+            ),
+        ],
+        cache_folder(),
+    )
 
 
 class DirectEstimator:
     """``dgm`` and, with ``held`` false, ``plain``."""
 
-    def __init__(self, model: Model, settings: Settings, estimate: Record | None, *, held: bool) -> None:
+    def __init__(
+        self, model: Model, settings: Settings, estimate: Record | None, *, held: bool
+    ) -> None:
         self._held, self._blocks = held, len(model.blocks)
         self._memory = Layout("joints", model.n, JOINTS).make()
         self.estimate = estimate or Layout("estimate", model.n, ESTIMATE).make()
         self.estimate.s = np.nan
-        library, memory, shown = direct_of(model.mechanism), self._memory.numbers, self.estimate.numbers
-        shared = {"p": model.p, "memory": memory, "memory_next": memory, "estimate": shown, "estimate_next": shown}
-        self._follow, self._coast = library.fast("follow", **shared), library.fast("coast", **shared)
+        library, memory, shown = (
+            direct_of(model.mechanism),
+            self._memory.numbers,
+            self.estimate.numbers,
+        )
+        shared = {
+            "p": model.p,
+            "memory": memory,
+            "memory_next": memory,
+            "estimate": shown,
+            "estimate_next": shown,
+        }
+        self._follow, self._coast = (
+            library.fast("follow", **shared),
+            library.fast("coast", **shared),
+        )
         self._mode = 1.0
         self._outside = np.inf
         self.mode_known = True
@@ -120,7 +207,10 @@ class DirectEstimator:
 
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
-        self._bandwidth, self._return_time = settings.filter_bandwidth, settings.return_time
+        self._bandwidth, self._return_time = (
+            settings.filter_bandwidth,
+            settings.return_time,
+        )
         self.unknown_s = settings.hold_zone
 
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
@@ -153,19 +243,36 @@ class DirectEstimator:
     def _take(self, step: Any, dt: float, q_a: Array) -> None:
         given = step.arguments
         given.q_meas[:] = q_a
-        given.dt[0], given.bandwidth[0], given.assembly_mode[0] = dt, self._bandwidth, self._mode
+        given.dt[0], given.bandwidth[0], given.assembly_mode[0] = (
+            dt,
+            self._bandwidth,
+            self._mode,
+        )
         step.run()
 
-    def track(self, dt: float, q_a: Array, tau: Array, reference: Record, zone: float, width: float) -> None:
+    def track(
+        self,
+        dt: float,
+        q_a: Array,
+        tau: Array,
+        reference: Record,
+        zone: float,
+        width: float,
+    ) -> None:
         """See ``Estimator``."""
         s_ref = reference.s
-        if s_ref * self._mode < 0.0:  # the reference has crossed: the direct model's branch changes with it
+        if (
+            s_ref * self._mode < 0.0
+        ):  # the reference has crossed: the direct model's branch changes with it
             self._mode = -self._mode
             self.estimate.confidence = 0.5
         given = self._follow.arguments
         given.reference[:] = reference.numbers
         given.zone[0], given.width[0] = zone if self._held else 0.0, width
-        given.time_outside[0], given.time_return[0] = min(self._outside, 1e9), self._return_time
+        given.time_outside[0], given.time_return[0] = (
+            min(self._outside, 1e9),
+            self._return_time,
+        )
         self._take(self._follow, dt, q_a)
         self._outside = self._outside + dt if abs(s_ref) > zone else 0.0
 

@@ -1,4 +1,6 @@
-"""What the loop asks of an estimator: where the platform is, in which assembly mode, and how sure that is."""
+"""What the loop asks of an estimator: where the platform is, in which assembly mode,
+and how sure that is.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,10 @@ class Estimator(Protocol):
 
     Attributes:
         estimate: of the last sample, a record of ``estimation.records.ESTIMATE``.
-        tells_side: whether it can tell on which side a robot is that has passed the locus.
-        note: what there is to say of the external measurements; empty when they are taken as they come.
+        tells_side: whether it can tell on which side a robot is that has passed the
+            locus.
+        note: what there is to say of the external measurements; empty when they are
+            taken as they come.
     """
 
     estimate: Record
@@ -31,7 +35,9 @@ class Estimator(Protocol):
 
     @property
     def modes(self) -> list[tuple[float, float]]:
-        """(assembly mode, confidence in it, 0.5 to 1) of each block of A_r; the estimate has the least sure one's."""
+        """(assembly mode, confidence in it, 0.5 to 1) of each block of A_r; the
+        estimate has the least sure one's.
+        """
 
     @property
     def mode_known(self) -> bool:
@@ -39,7 +45,9 @@ class Estimator(Protocol):
 
     @property
     def unknown_s(self) -> float:
-        """|s| of the locus within which a robot at rest is on no known side, whatever was told."""
+        """|s| of the locus within which a robot at rest is on no known side, whatever
+        was told.
+        """
 
     def configure(self, settings: Settings) -> None:
         """Take the settings that concern it, also while running."""
@@ -48,19 +56,35 @@ class Estimator(Protocol):
         """The robot rests at x (n,) with joints q_a (n,), in a known assembly mode."""
 
     def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
-        """Somebody looked: the robot is in this assembly mode, with joints q_a (n,); it may move."""
+        """Somebody looked: the robot is in this assembly mode, with joints q_a (n,); it
+        may move.
+        """
 
     def rebase(self, q_a: Array) -> None:
-        """The reference is at rest at q_a (n,) from now on, without the robot having moved."""
+        """The reference is at rest at q_a (n,) from now on, without the robot having
+        moved.
+        """
 
     def release(self, crossing: bool) -> None:
         """There is no reference from now on; it ends while crossing or not."""
 
-    def track(self, dt: float, q_a: Array, tau: Array, reference: Record, zone: float, width: float) -> None:
-        """One sample while a law acts: joints q_a measured, tau acted since the last one, dt ago."""
+    def track(
+        self,
+        dt: float,
+        q_a: Array,
+        tau: Array,
+        reference: Record,
+        zone: float,
+        width: float,
+    ) -> None:
+        """One sample while a law acts: joints q_a measured, tau acted since the last
+        one, dt ago.
+        """
 
     def coast(self, dt: float, q_a: Array, tau: Array) -> None:
         """One sample without a reference."""
 
     def take_pose(self, pose: Pose, time: float) -> None:
-        """An external measurement that has arrived at ``time``; ignored by estimators without use for it."""
+        """An external measurement that has arrived at ``time``; ignored by estimators
+        without use for it.
+        """

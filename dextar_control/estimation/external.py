@@ -1,6 +1,8 @@
-"""``external``: the observer fused with positions that a camera measures, which arrive late, or wrong, or not at all.
+"""``external``: the observer fused with positions that a camera measures, which arrive
+late, or wrong, or not at all.
 
-Between the positions, and when they stop, it is the observer. What it does with one: ``estimation.out_of_sequence``.
+Between the positions, and when they stop, it is the observer. What it does with one:
+``estimation.out_of_sequence``.
 """
 
 from __future__ import annotations
@@ -13,7 +15,13 @@ from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.settings import Settings
 from dextar_control.estimation.estimate import Pose
 from dextar_control.estimation.observing import ObserverEstimator
-from dextar_control.estimation.out_of_sequence import SAME_TIME, USED, Fate, History, Sight
+from dextar_control.estimation.out_of_sequence import (
+    SAME_TIME,
+    USED,
+    Fate,
+    History,
+    Sight,
+)
 from dextar_control.model.model import Model
 from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
@@ -27,9 +35,18 @@ class ExternalEstimator(ObserverEstimator):
         outages: how often the positions stopped.
     """
 
-    def __init__(self, model: Model, settings: Settings, min_type1: float, estimate: Record | None = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        settings: Settings,
+        min_type1: float,
+        estimate: Record | None = None,
+    ) -> None:
         if (count := len(model.blocks)) > 1:
-            raise ParameterError(f"estimator external needs an A_r of one block; that of {model.mechanism.name} has {count}")
+            raise ParameterError(
+                "estimator external needs an A_r of one block; that of"
+                f" {model.mechanism.name} has {count}"
+            )
         self.fates: Counter[Fate] = Counter()
         self.outages = 0
         self._forget()
@@ -44,7 +61,9 @@ class ExternalEstimator(ObserverEstimator):
         """
         for name in ("pose_deviation", "pose_gate", "pose_timeout"):
             if not getattr(settings, name) > 0.0:
-                raise ParameterError(f"{name} = {getattr(settings, name)}; it must be > 0")
+                raise ParameterError(
+                    f"{name} = {getattr(settings, name)}; it must be > 0"
+                )
         super().configure(settings)
         self._sight = Sight(settings.pose_deviation, settings.pose_gate**2)
         self._gate, self._timeout = settings.pose_gate, settings.pose_timeout
@@ -64,21 +83,29 @@ class ExternalEstimator(ObserverEstimator):
         self._history.begin()
 
     def take_pose(self, pose: Pose, time: float) -> None:
-        """See ``Estimator``; it is used with the sample of that time, which has to follow."""
+        """See ``Estimator``; it is used with the sample of that time, which has to
+        follow.
+        """
         age = time - pose.time
         if self._silent:
             self._absence, self._silent = self._silence, False
         self._silence = 0.0
         if not np.isfinite([age, *pose.x]).all():
-            self._refuse(Fate.NOT_FINITE, f"external position {tuple(pose.x)} m at {pose.time} s is not finite")
+            self._refuse(
+                Fate.NOT_FINITE,
+                f"external position {tuple(pose.x)} m at {pose.time} s is not finite",
+            )
         elif age < -SAME_TIME:
             self._refuse(
-                Fate.FUTURE, f"external position of {pose.time:.6f} s is {-1e3 * age:.3f} ms ahead of the state at {time:.6f} s"
+                Fate.FUTURE,
+                f"external position of {pose.time:.6f} s is {-1e3 * age:.3f} ms ahead"
+                f" of the state at {time:.6f} s",
             )
         elif not pose.time > self._last_stamp:
             self._refuse(
                 Fate.OUT_OF_ORDER,
-                f"external position of {pose.time:.6f} s is not after the last one, of {self._last_stamp:.6f} s",
+                f"external position of {pose.time:.6f} s is not after the last one, of"
+                f" {self._last_stamp:.6f} s",
             )
         else:
             self._last_stamp = pose.time
@@ -94,21 +121,32 @@ class ExternalEstimator(ObserverEstimator):
             self._silent = True
             self.outages += 1
             self._last_fate = Fate.TAKEN
-            self.note = f"no external position for {self._silence:.3f} s (limit {self._timeout} s): the encoders serve alone"
+            self.note = (
+                f"no external position for {self._silence:.3f} s (limit {self._timeout}"
+                " s): the encoders serve alone"
+            )
         self.observer.tell_side()
 
     def _take(self, pose: Pose, age: float) -> None:
         x = np.array(pose.x, dtype=np.float64)
         fate = self._history.take_position(self._sight, age, x, self._last_fate in USED)
-        where = f"external position ({pose.x[0]:.4f}, {pose.x[1]:.4f}) m of {pose.time:.6f} s"
+        where = (
+            f"external position ({pose.x[0]:.4f}, {pose.x[1]:.4f}) m of"
+            f" {pose.time:.6f} s"
+        )
         if fate is Fate.TOO_OLD:
-            self._refuse(fate, f"{where} is {1e3 * age:.1f} ms old; the last {1e3 * self._history.reach:.1f} ms are kept")
+            self._refuse(
+                fate,
+                f"{where} is {1e3 * age:.1f} ms old; the last"
+                f" {1e3 * self._history.reach:.1f} ms are kept",
+            )
         elif fate is Fate.JUMP:
             off = self._history.distances
             self._refuse(
                 fate,
-                f"{where} is {1e3 * off.length:.1f} mm from the estimate, {off.estimate:.1f} deviations, and {off.image:.1f} from"
-                f" its mirror image; the limit is {self._gate:g}",
+                f"{where} is {1e3 * off.length:.1f} mm from the estimate,"
+                f" {off.estimate:.1f} deviations, and {off.image:.1f} from its mirror"
+                f" image; the limit is {self._gate:g}",
             )
         elif fate in USED:
             self._use(fate, where)
@@ -123,8 +161,9 @@ class ExternalEstimator(ObserverEstimator):
             self.note = f"external positions are back after {self._absence:.3f} s"
         elif fate is Fate.SWAPPED:
             self.note = (
-                f"{where} fits the mirror image of the estimate, {1e3 * self._history.distances.length:.1f} mm away:"
-                f" the assembly mode is {self.observer.belief.mode:+.0f}"
+                f"{where} fits the mirror image of the estimate,"
+                f" {1e3 * self._history.distances.length:.1f} mm away: the assembly"
+                f" mode is {self.observer.belief.mode:+.0f}"
             )
         self._absence = 0.0
 

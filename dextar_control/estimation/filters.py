@@ -1,13 +1,16 @@
-"""The Kalman filter over the Cartesian dynamics, on symbols: regular on the Type 2 locus, no direct model.
+"""The Kalman filter over the Cartesian dynamics, on symbols: regular on the Type 2
+locus, no direct model.
 
-State (x, x_dot, b, d). Process: x_ddot by the forward dynamics under the torque that was commanded and d, which is
-regular on the locus; near it the input torques do not act along t_s, so the filter coasts there.
-Measurement: q_a = inverse geometric model(x) + b, regular as well; along t_s it says nothing on the locus. Where the transmission
-is compliant its twist comes to it, which follows from the torque (``estimation.transmission``).
-b (n,) is what a wrong geometry adds to the joint angles: without it a tenth of a millimetre is taken for
-motion along t_s, amplified by 1/s. Where the weak direction of J_inv does not see x it sees b.
-d (n,) is what acts on the joints and the model lacks: friction, tilt, a payload, wrong masses. Friction turns round with
-its joint.
+State (x, x_dot, b, d). Process: x_ddot by the forward dynamics under the torque that
+was commanded and d, which is regular on the locus; near it the input torques do not act
+along t_s, so the filter coasts there. Measurement: q_a = inverse geometric model(x) +
+b, regular as well; along t_s it says nothing on the locus. Where the transmission is
+compliant its twist comes to it, which follows from the torque
+(``estimation.transmission``). b (n,) is what a wrong geometry adds to the joint angles:
+without it a tenth of a millimetre is taken for motion along t_s, amplified by 1/s.
+Where the weak direction of J_inv does not see x it sees b. d (n,) is what acts on the
+joints and the model lacks: friction, tilt, a payload, wrong masses. Friction turns
+round with its joint.
 """
 
 from __future__ import annotations
@@ -31,31 +34,57 @@ from dextar_control.symbols.smooth import is_finite, smooth_step
 from dextar_control.symbols.types import Symbol
 
 TURN = 0.05  # rad/s of a joint over which its friction turns round
-UNSURE_SPEED = 0.5  # m/s, standard deviation of x_dot beside the filter's own, of a state that may be on the wrong side
+# m/s, standard deviation of x_dot beside the filter's own, of a state that may be on
+# the wrong side
+UNSURE_SPEED = 0.5
 UNSURE_BIAS = 2.0  # of its b, that x makes up for in the joints, over that of the start
 KEPT = 0.05, 0.3  # |s| between which what is seen begins to correct d
 CLEAR = 0.2, 0.4  # |s| between which the scatter of the samples begins to count
-JUMP = 4.0  # times the variance of a sample as it was known, beyond which one jump of the innovation counts for no more
-TWISTED = 3.0  # times the twist by the torque of the process noise, that counts as noise of a sample
-SCATTER = 0.02, 0.3  # s over which the scatter of the samples is averaged, where it rises and where it falls
-BLIND = 0.02  # s before a position in which at most a blow near the locus may have gone unseen
+# times the variance of a sample as it was known, beyond which one jump of the
+# innovation counts for no more
+JUMP = 4.0
+# times the twist by the torque of the process noise, that counts as noise of a sample
+TWISTED = 3.0
+SCATTER = (
+    0.02,
+    0.3,
+    # s over which the scatter of the samples is averaged, where it rises and where it
+    # falls
+)
+# s before a position in which at most a blow near the locus may have gone unseen
+BLIND = 0.02
 
 FILTER = (
     Field("x", "m", "mean of the platform", "n"),
     Field("x_dot", "m/s", "mean of its velocity", "n"),
     Field("b", "rad", "mean of what a wrong geometry adds to the joints", "n"),
-    Field("d", "N m", "mean of the torques that act on the joints and that the model lacks", "n"),
+    Field(
+        "d",
+        "N m",
+        "mean of the torques that act on the joints and that the model lacks",
+        "n",
+    ),
     Field("x_ddot", "m/s^2", "acceleration of the last prediction", "n"),
     Field("innovation", "rad", "of the last sample", "n"),
     Field("innovation_square", "1", "of the last sample, normalised by its covariance"),
-    Field("scatter", "rad^2", "of the samples about a smooth motion: mean squared step of the innovation, halved", "n"),
+    Field(
+        "scatter",
+        "rad^2",
+        "of the samples about a smooth motion: mean squared step of the innovation,"
+        " halved",
+        "n",
+    ),
     Field("twist", "rad", "of the transmissions: motors less joints", "n"),
     Field("twist_dot", "rad/s", "its rate", "n"),
     Field("covariance", "SI", "of (x, x_dot, b, d)", "4n", "4n"),
 )
 NOISE = (
     Field("encoder", "rad", "least standard deviation of a sample"),
-    Field("scatter_gain", "1", "of the scatter that is seen in the samples, in their variance"),
+    Field(
+        "scatter_gain",
+        "1",
+        "of the scatter that is seen in the samples, in their variance",
+    ),
     Field("bias", "rad", "of b at the start"),
     Field("bias_walk", "rad/sqrt(rad)", "of b's random walk as the joints move"),
     Field("torque", "N m", "of a sample's torque: friction and motors"),
@@ -70,8 +99,15 @@ TOLD = (  # of one block of A_r
     Field("s", "1", "its singularity measure"),
     Field("s_variance", "1", "of s, by the covariance"),
     Field("type1", "1", "least distance of a leg to Type 1"),
-    Field("folded", "1", "positive where the mirror image is far away even near the locus"),
-    Field("square", "1", "normalised, of the innovation of the filter that tells how well the model fits; nan without a sample"),
+    Field(
+        "folded", "1", "positive where the mirror image is far away even near the locus"
+    ),
+    Field(
+        "square",
+        "1",
+        "normalised, of the innovation of the filter that tells how well the model"
+        " fits; nan without a sample",
+    ),
     Field("spread", "1", "ln det of its covariance"),
 )
 
@@ -83,7 +119,12 @@ class _Filters:
         self.mechanism, self.n = mechanism, mechanism.n
         self.filter, self.noise, self.estimate, self.told = (
             Layout(name, self.n, fields)
-            for name, fields in (("filter", FILTER), ("noise", NOISE), ("estimate", ESTIMATE), ("told", TOLD))
+            for name, fields in (
+                ("filter", FILTER),
+                ("noise", NOISE),
+                ("estimate", ESTIMATE),
+                ("told", TOLD),
+            )
         )
         self._equations = equations_of(mechanism)
         self.blocks = blocks(self._equations.J_inv)  # of joints and coordinates
@@ -93,9 +134,17 @@ class _Filters:
         q_a = self.mechanism.inverse_geometric_model(x, self.p)
         return self._equations.at(self.vector, q_a, x, x_dot, 0.0, tau)
 
-    def begin(self, noise: dict[str, Symbol], x: Symbol, speed: Symbol) -> dict[str, Symbol]:
-        """A robot at x (n,), known from its joints: what b may be, x may be off by J_inv^-1 b."""
-        J, one, zero = ca.inv(self.at(x, ca.SX.zeros(self.n)).J_inv), ca.SX.eye(self.n), ca.SX.zeros(self.n, self.n)
+    def begin(
+        self, noise: dict[str, Symbol], x: Symbol, speed: Symbol
+    ) -> dict[str, Symbol]:
+        """A robot at x (n,), known from its joints: what b may be, x may be off by
+        J_inv^-1 b.
+        """
+        J, one, zero = (
+            ca.inv(self.at(x, ca.SX.zeros(self.n)).J_inv),
+            ca.SX.eye(self.n),
+            ca.SX.zeros(self.n, self.n),
+        )
         bias, encoder = noise["bias"] ** 2, noise["encoder"] ** 2
         covariance = ca.vertcat(
             ca.horzcat((bias + encoder) * J @ J.T, zero, -bias * J, zero),
@@ -104,121 +153,249 @@ class _Filters:
             ca.horzcat(zero, zero, zero, noise["disturbance"] ** 2 * one),
         )
         rest = ca.SX.zeros(self.n)
-        return {"x": x, "x_dot": rest, "b": rest, "d": rest, "x_ddot": rest, "innovation": rest, "innovation_square": ca.SX(0.0),
-                "scatter": rest, "twist": rest, "twist_dot": rest, "covariance": covariance}
+        return {
+            "x": x,
+            "x_dot": rest,
+            "b": rest,
+            "d": rest,
+            "x_ddot": rest,
+            "innovation": rest,
+            "innovation_square": ca.SX(0.0),
+            "scatter": rest,
+            "twist": rest,
+            "twist_dot": rest,
+            "covariance": covariance,
+        }
 
     def predict(
-        self, noise: dict[str, Symbol], state: dict[str, Symbol], tau: Symbol, dt: Symbol, *, test: bool = False
+        self,
+        noise: dict[str, Symbol],
+        state: dict[str, Symbol],
+        tau: Symbol,
+        dt: Symbol,
+        *,
+        test: bool = False,
     ) -> dict[str, Symbol]:
-        """One step under tau (n,), N m: x_ddot by the forward dynamics in its middle, and the covariance with it.
+        """One step under tau (n,), N m: x_ddot by the forward dynamics in its middle,
+        and the covariance with it.
 
-        b changes with the configuration: it walks as the joints move and stands still with them. A walk in time would let a
-        robot that is held drift away, for at rest the joints cannot tell x from b. The covariance takes x_ddot for
-        independent of the state but d, which over a sample it nearly is. d moves rotors and links as one: what shakes it would
-        else shake the twist, which shakes d. The torque's noise acts through M^-1 J_inv^T: not along t_s on the locus. The d of a
-        filter of the test may turn round with its joint, as friction does.
+        b changes with the configuration: it walks as the joints move and stands still
+            with them. A walk in time would let a
+        robot that is held drift away, for at rest the joints cannot tell x from b. The
+        covariance takes x_ddot for independent of the state but d, which over a sample
+        it nearly is. d moves rotors and links as one: what shakes it would else shake
+        the twist, which shakes d. The torque's noise acts through M^-1 J_inv^T: not
+        along t_s on the locus. The d of a filter of the test may turn round with its
+        joint, as friction does.
         """
         n, x, x_dot = self.n, state["x"], state["x_dot"]
-        e = self.at(x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * state["x_ddot"], tau + state["d"])
+        e = self.at(
+            x + 0.5 * dt * x_dot, x_dot + 0.5 * dt * state["x_ddot"], tau + state["d"]
+        )
         G = ca.solve(e.M, e.J_inv.T)  # x_ddot per torque
-        x_ddot, twist, twist_dot = e.forward_dynamics, state["twist"], state["twist_dot"]
+        x_ddot, twist, twist_dot = (
+            e.forward_dynamics,
+            state["twist"],
+            state["twist_dot"],
+        )
         if transmission := transmission_over(self.mechanism.transmission(self.p), dt):
             held_back, rotors = transmission.held_back(twist, twist_dot, tau)
             links = e.M - e.J_inv.T @ ca.diag(rotors) @ e.J_inv
-            x_ddot = ca.solve(links, e.J_inv.T @ (tau - e.friction - held_back + rotors * e.drift) - e.h)
-            twist, twist_dot = transmission.after(twist, twist_dot, tau, e.J_inv @ x_ddot + e.drift)
+            x_ddot = ca.solve(
+                links,
+                e.J_inv.T @ (tau - e.friction - held_back + rotors * e.drift) - e.h,
+            )
+            twist, twist_dot = transmission.after(
+                twist, twist_dot, tau, e.J_inv @ x_ddot + e.drift
+            )
             x_ddot += G @ state["d"]
         F = ca.SX.eye(4 * n)
         F[:n, n : 2 * n] = dt * ca.SX.eye(n)
         F[:n, 3 * n :], F[n : 2 * n, 3 * n :] = 0.5 * dt**2 * G, dt * G
         P = F @ state["covariance"] @ F.T
-        P[n : 2 * n, n : 2 * n] += (dt * noise["torque"]) ** 2 * G @ G.T + (dt * noise["acceleration"]) ** 2 * ca.SX.eye(n)
-        P[2 * n : 3 * n, 2 * n : 3 * n] += ca.diag(dt * ca.fabs(e.q_a_dot) * noise["bias_walk"] ** 2)
+        P[n : 2 * n, n : 2 * n] += (dt * noise["torque"]) ** 2 * G @ G.T + (
+            dt * noise["acceleration"]
+        ) ** 2 * ca.SX.eye(n)
+        P[2 * n : 3 * n, 2 * n : 3 * n] += ca.diag(
+            dt * ca.fabs(e.q_a_dot) * noise["bias_walk"] ** 2
+        )
         walk = dt * noise["disturbance_walk"] ** 2 * ca.SX.ones(n)
         if test:
-            turned = ca.fabs(ca.tanh(e.J_inv @ (x_dot + dt * x_ddot) / TURN) - ca.tanh(e.J_inv @ x_dot / TURN))
+            turned = ca.fabs(
+                ca.tanh(e.J_inv @ (x_dot + dt * x_ddot) / TURN)
+                - ca.tanh(e.J_inv @ x_dot / TURN)
+            )
             walk += 2.0 * turned * noise["disturbance_turn"] ** 2
         P[3 * n :, 3 * n :] += ca.diag(walk)
-        return state | {"x": x + dt * (x_dot + 0.5 * dt * x_ddot), "x_dot": x_dot + dt * x_ddot, "x_ddot": x_ddot,
-                        "twist": twist, "twist_dot": twist_dot, "covariance": _symmetric(P)}
+        return state | {
+            "x": x + dt * (x_dot + 0.5 * dt * x_ddot),
+            "x_dot": x_dot + dt * x_ddot,
+            "x_ddot": x_ddot,
+            "twist": twist,
+            "twist_dot": twist_dot,
+            "covariance": _symmetric(P),
+        }
 
-    def shocked(self, noise: dict[str, Symbol], state: dict[str, Symbol], dt: Symbol, struck: Symbol) -> dict[str, Symbol]:
-        """Where ``struck`` is 1, a blow somewhere in the last dt: x_dot is up to shock_speed off, and x what came of it."""
+    def shocked(
+        self,
+        noise: dict[str, Symbol],
+        state: dict[str, Symbol],
+        dt: Symbol,
+        struck: Symbol,
+    ) -> dict[str, Symbol]:
+        """Where ``struck`` is 1, a blow somewhere in the last dt: x_dot is up to
+        shock_speed off, and x what came of it.
+        """
         n = self.n
         reach = ca.vertcat(dt * ca.SX.eye(n), ca.SX.eye(n), ca.SX.zeros(2 * n, n))
-        return state | {"covariance": state["covariance"] + struck * noise["shock_speed"] ** 2 * reach @ reach.T}
+        return state | {
+            "covariance": (
+                state["covariance"]
+                + struck * noise["shock_speed"] ** 2 * reach @ reach.T
+            )
+        }
 
-    def innovation(self, state: dict[str, Symbol], q_meas: Symbol) -> tuple[Symbol, Symbol]:
-        """(innovation (n,), rad, of the active joints on any turn, and their Jacobian (n, 4n))."""
+    def innovation(
+        self, state: dict[str, Symbol], q_meas: Symbol
+    ) -> tuple[Symbol, Symbol]:
+        """(innovation (n,), rad, of the active joints on any turn, and their Jacobian
+        (n, 4n)).
+        """
         e = self.at(state["x"], ca.SX.zeros(self.n))
-        H = ca.horzcat(e.J_inv, ca.SX(self.n, self.n), ca.SX.eye(self.n), ca.SX(self.n, self.n))
+        H = ca.horzcat(
+            e.J_inv, ca.SX(self.n, self.n), ca.SX.eye(self.n), ca.SX(self.n, self.n)
+        )
         return wrapped(q_meas - e.q_a - state["b"] - state["twist"]), H
 
     def update(
-        self, state: dict[str, Symbol], innovation: Symbol, H: Symbol, variance: Symbol, parts: Sequence[Sequence[int]],
+        self,
+        state: dict[str, Symbol],
+        innovation: Symbol,
+        H: Symbol,
+        variance: Symbol,
+        parts: Sequence[Sequence[int]],
         taken: Symbol | float = 1.0,
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """Kalman update: the state, and of each part of the innovation its normalised square and ln det of its covariance.
+        """Kalman update: the state, and of each part of the innovation its normalised
+        square and ln det of its covariance.
 
         Args:
-            taken: share of the gain with which d is corrected; what is not taken of d stays in the covariance (Schmidt's filter).
+            taken: share of the gain with which d is corrected; what is not taken of d
+                stays in the covariance (Schmidt's filter).
         """
         n, P = self.n, state["covariance"]
         PH, S = _gain_parts(P, H, variance)
         K = PH @ ca.inv(S)
         step, less = K @ innovation, K @ PH.T
         less[3 * n :, 3 * n :] *= taken * (2.0 - taken)
-        changed = {"x": state["x"] + step[:n], "x_dot": state["x_dot"] + step[n : 2 * n], "b": state["b"] + step[2 * n : 3 * n],
-                   "d": state["d"] + taken * step[3 * n :], "covariance": _symmetric(P - less)}
-        squares = [ca.dot(innovation[rows], ca.solve(S[rows, rows], innovation[rows])) for rows in parts]
-        return state | changed, ca.vertcat(*squares), ca.vertcat(*(ca.log(ca.det(S[rows, rows])) for rows in parts))
+        changed = {
+            "x": state["x"] + step[:n],
+            "x_dot": state["x_dot"] + step[n : 2 * n],
+            "b": state["b"] + step[2 * n : 3 * n],
+            "d": state["d"] + taken * step[3 * n :],
+            "covariance": _symmetric(P - less),
+        }
+        squares = [
+            ca.dot(innovation[rows], ca.solve(S[rows, rows], innovation[rows]))
+            for rows in parts
+        ]
+        return (
+            state | changed,
+            ca.vertcat(*squares),
+            ca.vertcat(*(ca.log(ca.det(S[rows, rows])) for rows in parts)),
+        )
 
     def correct(
-        self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol, dt: Symbol
+        self,
+        noise: dict[str, Symbol],
+        state: dict[str, Symbol],
+        q_meas: Symbol,
+        dt: Symbol,
     ) -> tuple[dict[str, Symbol], Symbol]:
-        """Take the active joints (n,), rad, and see whether the robot was struck in the last dt.
+        """Take the active joints (n,), rad, and see whether the robot was struck in the
+        last dt.
 
-        The samples count as the worse the more the innovation jumps from one to the next: so it does under wrong stamps, a
-        coarse encoder, and where this filter and the law shake a soft transmission, which then finds less to answer it.
-        What is slow to come, an acceleration that the model has wrong, does not count.
+        The samples count as the worse the more the innovation jumps from one to the
+            next: so it does under wrong stamps, a
+        coarse encoder, and where this filter and the law shake a soft transmission,
+        which then finds less to answer it. What is slow to come, an acceleration that
+        the model has wrong, does not count.
 
-        Near the locus d stays as it is: a force along t_s would take a torque there that grows as 1/s, of the other sign behind
+        Near the locus d stays as it is: a force along t_s would take a torque there
+            that grows as 1/s, of the other sign behind
         the locus.
         """
         innovation, H = self.innovation(state, q_meas)
         least = self.least_variance(noise)
         variance = least + noise["scatter_gain"] * state["scatter"]
         _, S = _gain_parts(state["covariance"], H, least + state["scatter"])
-        struck = ca.if_else(ca.dot(innovation, ca.solve(S, innovation)) > noise["shock_gate"], 1.0, 0.0)
+        struck = ca.if_else(
+            ca.dot(innovation, ca.solve(S, innovation)) > noise["shock_gate"], 1.0, 0.0
+        )
         near = ca.fabs(self.at(state["x"], ca.SX.zeros(self.n)).s)
         counts = smooth_step(near, *CLEAR) * (1.0 - struck)
         most = JUMP * (noise["encoder"] ** 2 + state["scatter"])
-        more = ca.fmin(0.5 * (innovation - state["innovation"]) ** 2, most) - state["scatter"]
+        more = (
+            ca.fmin(0.5 * (innovation - state["innovation"]) ** 2, most)
+            - state["scatter"]
+        )
         rise, fall = (ca.fmin(dt / time, 1.0) for time in SCATTER)
-        memory = {"innovation": (1.0 - struck) * innovation,
-                  "scatter": state["scatter"] + counts * ca.if_else(more > 0.0, rise, fall) * more}
+        memory = {
+            "innovation": (1.0 - struck) * innovation,
+            "scatter": (
+                state["scatter"] + counts * ca.if_else(more > 0.0, rise, fall) * more
+            ),
+        }
         taken, parts = smooth_step(near, *KEPT), [range(self.n)]
-        moved, square, _ = self.update(self.shocked(noise, state, dt, struck), innovation, H, variance, parts, taken)
+        moved, square, _ = self.update(
+            self.shocked(noise, state, dt, struck),
+            innovation,
+            H,
+            variance,
+            parts,
+            taken,
+        )
         return moved | memory | {"innovation_square": square}, struck
 
     def innovate(
         self, noise: dict[str, Symbol], state: dict[str, Symbol], q_meas: Symbol
     ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """Take the active joints (n,), rad; see ``update`` for what is returned, with a part for each block."""
-        return self.update(state, *self.innovation(state, q_meas), self.least_variance(noise), [rows for rows, _ in self.blocks])
+        """Take the active joints (n,), rad; see ``update`` for what is returned, with a
+        part for each block.
+        """
+        return self.update(
+            state,
+            *self.innovation(state, q_meas),
+            self.least_variance(noise),
+            [rows for rows, _ in self.blocks],
+        )
 
     def least_variance(self, noise: dict[str, Symbol]) -> Symbol:
-        """Of the samples (n,), rad^2: of the encoder, and of a twist by torques that are not known."""
+        """Of the samples (n,), rad^2: of the encoder, and of a twist by torques that
+        are not known.
+        """
         numbers = self.mechanism.transmission(self.p)
-        softness = 0.0 if numbers is None else (numbers[1] > 0.0) / ca.fmax(numbers[1], LEAST_STIFFNESS)
+        softness = (
+            0.0
+            if numbers is None
+            else (numbers[1] > 0.0) / ca.fmax(numbers[1], LEAST_STIFFNESS)
+        )
         return noise["encoder"] ** 2 + (TWISTED * noise["torque"] * softness) ** 2
 
-    def position(self, state: dict[str, Symbol], x_meas: Symbol) -> tuple[Symbol, Symbol]:
+    def position(
+        self, state: dict[str, Symbol], x_meas: Symbol
+    ) -> tuple[Symbol, Symbol]:
         """(innovation (n,), m, of an external position, and its Jacobian (n, 4n))."""
-        return x_meas - state["x"], ca.horzcat(ca.SX.eye(self.n), ca.SX(self.n, 3 * self.n))
+        return x_meas - state["x"], ca.horzcat(
+            ca.SX.eye(self.n), ca.SX(self.n, 3 * self.n)
+        )
 
-    def unseen_blow(self, noise: dict[str, Symbol], state: dict[str, Symbol]) -> dict[str, Symbol]:
-        """A blow along t_s at any time in the last BLIND, which b may have been taken for."""
+    def unseen_blow(
+        self, noise: dict[str, Symbol], state: dict[str, Symbol]
+    ) -> dict[str, Symbol]:
+        """A blow along t_s at any time in the last BLIND, which b may have been taken
+        for.
+        """
         n = self.n
         t_s = self.at(state["x"], ca.SX.zeros(n)).singular.v_weak
         variance = noise["shock_speed"] ** 2 * t_s @ t_s.T
@@ -229,8 +406,11 @@ class _Filters:
         added[2 * n : 3 * n, 2 * n : 3 * n] = noise["bias"] ** 2 * ca.SX.eye(n)
         return state | {"covariance": state["covariance"] + added}
 
-    def unsure(self, noise: dict[str, Symbol], state: dict[str, Symbol]) -> dict[str, Symbol]:
-        """A state with which a test begins: followed on the wrong side it had x_dot, b and d wrong, in accord with the joints.
+    def unsure(
+        self, noise: dict[str, Symbol], state: dict[str, Symbol]
+    ) -> dict[str, Symbol]:
+        """A state with which a test begins: followed on the wrong side it had x_dot, b
+        and d wrong, in accord with the joints.
 
         The same is added for it and for its image, so that neither has an advantage.
         """
@@ -244,47 +424,96 @@ class _Filters:
         P += (UNSURE_BIAS * noise["bias"]) ** 2 * apart @ apart.T
         return state | {"d": ca.SX.zeros(n), "covariance": P}
 
-    def mirror(self, state: dict[str, Symbol], columns: Sequence[int]) -> tuple[dict[str, Symbol], Symbol, Symbol]:
-        """The same joints and velocities in a block's other assembly mode, with its covariance.
+    def mirror(
+        self, state: dict[str, Symbol], columns: Sequence[int]
+    ) -> tuple[dict[str, Symbol], Symbol, Symbol]:
+        """The same joints and velocities in a block's other assembly mode, with its
+        covariance.
 
         Returns:
-            The image, the parameters of its working mode, which may be another one, and its distance to Type 1, 0 where
-            there is no image.
+            The image, the parameters of its working mode, which may be another one, and
+            its distance to Type 1, 0 where there is no image.
         """
         n, mechanism = self.n, self.mechanism
         e = self.at(state["x"], state["x_dot"])
         other = ca.SX(state["x"])
-        other[columns] = mirror_image(self.mechanism, e.q_a, state["x"], self.p)[columns]
+        other[columns] = mirror_image(self.mechanism, e.q_a, state["x"], self.p)[
+            columns
+        ]
         J = ca.inv(self._equations.at(self.vector, e.q_a, other, ca.SX.zeros(n)).J_inv)
         T = ca.SX.eye(4 * n)
         T[:n, :n] = T[n : 2 * n, n : 2 * n] = J @ e.J_inv
-        sines, sines_here = (mechanism.type1_sines(e.q_a, place, self.p) for place in (other, state["x"]))
+        sines, sines_here = (
+            mechanism.type1_sines(e.q_a, place, self.p) for place in (other, state["x"])
+        )
         p, rows = ca.SX(self.vector), mechanism.rows_of("working_mode")
         if rows is not None:
             p[rows] *= ca.if_else(sines * sines_here < 0.0, -1.0, 1.0)
-        off = ca.norm_1(mechanism.inverse_geometric_model(other, mechanism.named(p)) - e.q_a)
-        image = state | {"x": other, "x_dot": J @ e.q_a_dot, "x_ddot": ca.SX.zeros(n),
-                 "covariance": _symmetric(T @ state["covariance"] @ T.T)}
+        off = ca.norm_1(
+            mechanism.inverse_geometric_model(other, mechanism.named(p)) - e.q_a
+        )
+        image = state | {
+            "x": other,
+            "x_dot": J @ e.q_a_dot,
+            "x_ddot": ca.SX.zeros(n),
+            "covariance": _symmetric(T @ state["covariance"] @ T.T),
+        }
         return image, p, ca.if_else(off < 1e-6, ca.mmin(ca.fabs(sines)), 0.0)
 
-    def look(self, state: dict[str, Symbol], estimate: dict[str, Symbol], *sample: Symbol) -> dict[str, Symbol]:
-        """Where the mean is with respect to the locus of each block, beside what the sample told of it; and the estimate.
+    def look(
+        self, state: dict[str, Symbol], estimate: dict[str, Symbol], *sample: Symbol
+    ) -> dict[str, Symbol]:
+        """Where the mean is with respect to the locus of each block, beside what the
+        sample told of it; and the estimate.
 
         The side in the estimate stays.
         """
         n, x = self.n, ca.SX.sym("x", self.n)
-        slopes = ca.substitute(ca.jacobian(self.at(x, ca.SX.zeros(n)).s_blocks, x), x, state["x"])
+        slopes = ca.substitute(
+            ca.jacobian(self.at(x, ca.SX.zeros(n)).s_blocks, x), x, state["x"]
+        )
         e = self.at(state["x"], state["x_dot"])
-        folded = self.mechanism.folded(e.q_a, state["x"], self.p) * ca.SX.ones(len(self.blocks))
-        square, spread = sample or (ca.SX.nan(len(self.blocks)), ca.SX.nan(len(self.blocks)))
+        folded = self.mechanism.folded(e.q_a, state["x"], self.p) * ca.SX.ones(
+            len(self.blocks)
+        )
+        square, spread = sample or (
+            ca.SX.nan(len(self.blocks)),
+            ca.SX.nan(len(self.blocks)),
+        )
         told = [
-            self.told.join({"s": e.s_blocks[block], "s_variance": slope @ state["covariance"][:n, :n] @ slope.T, "type1": e.type1,
-                            "folded": folded[block], "square": square[block], "spread": spread[block]})
+            self.told.join(
+                {
+                    "s": e.s_blocks[block],
+                    "s_variance": slope @ state["covariance"][:n, :n] @ slope.T,
+                    "type1": e.type1,
+                    "folded": folded[block],
+                    "square": square[block],
+                    "spread": spread[block],
+                }
+            )
             for block, slope in enumerate(ca.vertsplit(slopes))
         ]
-        now = {name: state[name] for name in ("x", "x_dot", "d", "b", "twist_dot", "innovation", "innovation_square")}
-        now |= {"q_a": e.q_a + state["b"] + state["twist"], "q_a_dot": e.q_a_dot, "s": e.s}
-        return {"told": ca.vertcat(*told), "estimate_next": self.estimate.join(estimate | now)}
+        now = {
+            name: state[name]
+            for name in (
+                "x",
+                "x_dot",
+                "d",
+                "b",
+                "twist_dot",
+                "innovation",
+                "innovation_square",
+            )
+        }
+        now |= {
+            "q_a": e.q_a + state["b"] + state["twist"],
+            "q_a_dot": e.q_a_dot,
+            "s": e.s,
+        }
+        return {
+            "told": ca.vertcat(*told),
+            "estimate_next": self.estimate.join(estimate | now),
+        }
 
 
 def _gain_parts(P: Symbol, H: Symbol, variance: Symbol) -> tuple[Symbol, Symbol]:
@@ -305,46 +534,141 @@ def filters_of(mechanism: Mechanism) -> Library:
     state_vector, state = f.filter.symbols()
     noise_vector, noise = f.noise.symbols()
     tau, q_meas, x_meas = (ca.SX.sym(name, n) for name in ("tau", "q_meas", "x_meas"))
-    dt, gap, speed, deviation = (ca.SX.sym(name) for name in ("dt", "gap", "speed", "deviation"))
+    dt, gap, speed, deviation = (
+        ca.SX.sym(name) for name in ("dt", "gap", "speed", "deviation")
+    )
     estimate_vector, estimate = f.estimate.symbols()
-    p, whole, told, shown = {"p": f.vector}, {"filter": state_vector}, {"noise": noise_vector}, {"estimate": estimate_vector}
+    p, whole, told, shown = (
+        {"p": f.vector},
+        {"filter": state_vector},
+        {"noise": noise_vector},
+        {"estimate": estimate_vector},
+    )
 
     images = [f.mirror(state, columns) for _, columns in f.blocks]
     corrected, struck = f.correct(noise, state, q_meas, dt)
     innovated, square, spread = f.innovate(noise, state, q_meas)
-    followed, square_f, spread_f = f.innovate(noise, f.predict(noise, state, tau, dt, test=True), q_meas)
+    followed, square_f, spread_f = f.innovate(
+        noise, f.predict(noise, state, tau, dt, test=True), q_meas
+    )
     type1_f = f.at(followed["x"], ca.SX.zeros(n)).type1
-    moved, square_x, spread_x = f.update(state, *f.position(state, x_meas), deviation**2, [range(n)])
+    moved, square_x, spread_x = f.update(
+        state, *f.position(state, x_meas), deviation**2, [range(n)]
+    )
 
-    # One sample of the filter that serves and of the one that tells how well the model fits.
+    # One sample of the filter that serves and of the one that tells how well the model
+    # fits.
     same_vector, same = f.filter.symbols("same")
     test_vector, test = f.noise.symbols("test_noise")
     main, hit = f.correct(noise, f.predict(noise, state, tau, dt), q_meas, gap)
-    same, fit, fit_spread = f.innovate(test, f.predict(test, same, tau, dt, test=True), q_meas)
+    same, fit, fit_spread = f.innovate(
+        test, f.predict(test, same, tau, dt, test=True), q_meas
+    )
     x = ca.SX.sym("x", n)
-    return Library([
-        named("begin", p | told | {"x": x, "speed": speed}, {"filter": f.filter.join(f.begin(noise, x, speed))}),
-        *(named(name, p | told | whole | {"tau": tau, "dt": dt},
-                {"filter_next": f.filter.join(f.predict(noise, state, tau, dt, test=test))})
-          for name, test in (("predict", False), ("predict_test", True))),
-        named("correct", p | told | whole | {"q_meas": q_meas, "dt": dt},
-              {"filter_next": f.filter.join(corrected), "struck": struck}),
-        named("innovate", p | told | whole | {"q_meas": q_meas},
-              {"filter_next": f.filter.join(innovated), "square": square, "spread": spread}),
-        named("correct_position", whole | {"x_meas": x_meas, "deviation": deviation},
-              {"filter_next": f.filter.join(moved), "square": square_x, "spread": spread_x,
-               "distance": ca.norm_2(x_meas - state["x"])}),
-        named("unseen_blow", p | told | whole, {"filter_next": f.filter.join(f.unseen_blow(noise, state))}),
-        named("unsure", p | told | whole, {"filter_next": f.filter.join(f.unsure(noise, state))}),
-        *(named(f"mirror_{block}", p | whole, {"image": f.filter.join(image), "p_image": p_image, "type1": type1})
-          for block, (image, p_image, type1) in enumerate(images)),
-        in_place(named("follow", p | told | whole | {"tau": tau, "dt": dt, "q_meas": q_meas},
-                       {"filter_next": f.filter.join(followed), "fit": ca.vertcat(square_f, spread_f), "type1": type1_f})),
-        in_place(named("look", p | whole | shown, f.look(state, estimate))),
-        in_place(named("advance", p | told | {"test_noise": test_vector} | whole | shown | {
-            "same": same_vector, "tau": tau, "dt": dt, "gap": gap, "q_meas": q_meas,
-        }, {
-            "filter_next": f.filter.join(main), "same_next": f.filter.join(same), **f.look(main, estimate, fit, fit_spread),
-            "sample": ca.vertcat(is_finite(ca.vertcat(main["x"], main["x_dot"], main["b"], main["d"])), hit, is_finite(fit)),
-        })),
-    ], cache_folder())
+    return Library(
+        [
+            named(
+                "begin",
+                p | told | {"x": x, "speed": speed},
+                {"filter": f.filter.join(f.begin(noise, x, speed))},
+            ),
+            *(
+                named(
+                    name,
+                    p | told | whole | {"tau": tau, "dt": dt},
+                    {
+                        "filter_next": f.filter.join(
+                            f.predict(noise, state, tau, dt, test=test)
+                        )
+                    },
+                )
+                for name, test in (("predict", False), ("predict_test", True))
+            ),
+            named(
+                "correct",
+                p | told | whole | {"q_meas": q_meas, "dt": dt},
+                {"filter_next": f.filter.join(corrected), "struck": struck},
+            ),
+            named(
+                "innovate",
+                p | told | whole | {"q_meas": q_meas},
+                {
+                    "filter_next": f.filter.join(innovated),
+                    "square": square,
+                    "spread": spread,
+                },
+            ),
+            named(
+                "correct_position",
+                whole | {"x_meas": x_meas, "deviation": deviation},
+                {
+                    "filter_next": f.filter.join(moved),
+                    "square": square_x,
+                    "spread": spread_x,
+                    "distance": ca.norm_2(x_meas - state["x"]),
+                },
+            ),
+            named(
+                "unseen_blow",
+                p | told | whole,
+                {"filter_next": f.filter.join(f.unseen_blow(noise, state))},
+            ),
+            named(
+                "unsure",
+                p | told | whole,
+                {"filter_next": f.filter.join(f.unsure(noise, state))},
+            ),
+            *(
+                named(
+                    f"mirror_{block}",
+                    p | whole,
+                    {"image": f.filter.join(image), "p_image": p_image, "type1": type1},
+                )
+                for block, (image, p_image, type1) in enumerate(images)
+            ),
+            in_place(
+                named(
+                    "follow",
+                    p | told | whole | {"tau": tau, "dt": dt, "q_meas": q_meas},
+                    {
+                        "filter_next": f.filter.join(followed),
+                        "fit": ca.vertcat(square_f, spread_f),
+                        "type1": type1_f,
+                    },
+                )
+            ),
+            in_place(named("look", p | whole | shown, f.look(state, estimate))),
+            in_place(
+                named(
+                    "advance",
+                    p
+                    | told
+                    | {"test_noise": test_vector}
+                    | whole
+                    | shown
+                    | {
+                        "same": same_vector,
+                        "tau": tau,
+                        "dt": dt,
+                        "gap": gap,
+                        "q_meas": q_meas,
+                    },
+                    {
+                        "filter_next": f.filter.join(main),
+                        "same_next": f.filter.join(same),
+                        **f.look(main, estimate, fit, fit_spread),
+                        "sample": ca.vertcat(
+                            is_finite(
+                                ca.vertcat(
+                                    main["x"], main["x_dot"], main["b"], main["d"]
+                                )
+                            ),
+                            hit,
+                            is_finite(fit),
+                        ),
+                    },
+                )
+            ),
+        ],
+        cache_folder(),
+    )

@@ -1,4 +1,6 @@
-"""Velocities of the joints from their angles: a tracker about a reference's own motion."""
+"""Velocities of the joints from their angles: a tracker about a reference's own
+motion.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,12 @@ JOINTS = (
 
 
 def track_joints(
-    memory: dict[str, Symbol], q_meas: Symbol, q_ref: Symbol, q_ref_dot: Symbol, dt: Symbol, bandwidth: Symbol
+    memory: dict[str, Symbol],
+    q_meas: Symbol,
+    q_ref: Symbol,
+    q_ref_dot: Symbol,
+    dt: Symbol,
+    bandwidth: Symbol,
 ) -> dict[str, Symbol]:
     """One step of a critically damped second-order tracker of q_meas - q_ref.
 
@@ -40,7 +47,8 @@ def track_joints(
     return {
         "q": predicted + (1.0 - decay * decay) * innovation,
         "q_dot": q_ref_dot + error_dot + (1.0 - decay) ** 2 / dt * innovation,
-        "q_ref": q_ref, "q_ref_dot": q_ref_dot,
+        "q_ref": q_ref,
+        "q_ref_dot": q_ref_dot,
     }
 
 
@@ -50,10 +58,19 @@ def joint_filter_of(mechanism: Mechanism) -> Library:
     n = mechanism.n
     layout = Layout("joints", n, JOINTS)
     vector, memory = layout.symbols("memory")
-    q_meas, dt, bandwidth = ca.SX.sym("q_meas", n), ca.SX.sym("dt"), ca.SX.sym("bandwidth")
-    coasting = track_joints(memory, q_meas, memory["q_ref"], ca.SX.zeros(n), dt, bandwidth)
+    q_meas, dt, bandwidth = (
+        ca.SX.sym("q_meas", n),
+        ca.SX.sym("dt"),
+        ca.SX.sym("bandwidth"),
+    )
+    coasting = track_joints(
+        memory, q_meas, memory["q_ref"], ca.SX.zeros(n), dt, bandwidth
+    )
     arguments = {"memory": vector, "dt": dt, "bandwidth": bandwidth, "q_meas": q_meas}
-    return Library([in_place(named("joints", arguments, {"memory_next": layout.join(coasting)}))], cache_folder())
+    return Library(
+        [in_place(named("joints", arguments, {"memory_next": layout.join(coasting)}))],
+        cache_folder(),
+    )
 
 
 class JointFilter:

@@ -1,4 +1,6 @@
-"""The observer: the filter that serves, the two of the test of crossed against bounced, and the belief about the side."""
+"""The observer: the filter that serves, the two of the test of crossed against bounced,
+and the belief about the side.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +20,19 @@ from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
 REST_SPEED = 1e-3  # m/s, standard deviation of a robot at rest
-MAX_STEP = 1e-3 * (1.0 + 1e-6)  # s of one prediction; a longer gap is predicted in several
+MAX_STEP = 1e-3 * (
+    1.0 + 1e-6
+)  # s of one prediction; a longer gap is predicted in several
 LONG = 0.1  # s of a gap over which nothing is predicted any more
 UNKNOWN = math.nan, math.nan
-LEAST_LACKING = 5e-4  # N m at a joint that a test allows for, however well the model has fitted
+LEAST_LACKING = (
+    5e-4  # N m at a joint that a test allows for, however well the model has fitted
+)
 WALK = 0.5  # 1/sqrt(s), of such a torque's random walk over itself
-MOVING = 5e-3  # m/s of the platform on either side, from which on a sample tells something of the side
-LOST = 0.5  # of the least distance to Type 1, below which the working mode is no longer sure
+# m/s of the platform on either side, from which on a sample tells something of the side
+MOVING = 5e-3
+# of the least distance to Type 1, below which the working mode is no longer sure
+LOST = 0.5
 
 
 class Passage(NamedTuple):
@@ -41,8 +49,10 @@ class Side:
 
     Attributes:
         belief: about the block's assembly mode.
-        told: where the main filter's mean is with respect to the block's locus, and what the last sample told of it.
-        image: filter from the main one's mirror image in this block, told of less noise.
+        told: where the main filter's mean is with respect to the block's locus, and
+            what the last sample told of it.
+        image: filter from the main one's mirror image in this block, told of less
+            noise.
         p: the robot's parameters in the image's working mode, which may be another one.
         mirror: what makes that.
         follow: what takes a sample into it.
@@ -68,16 +78,23 @@ class Observer:
 
     Attributes:
         main: the filter that serves.
-        same: from the main one's state, told of less noise; while there is no test it tells how well the model fits.
+        same: from the main one's state, told of less noise; while there is no test it
+            tells how well the model fits.
         noise: that the main filter is told of; test_noise: that the others are.
-        test_encoder: standard deviation of a sample that those are told of where the model fits, rad.
-        most_lacking: torque at a joint that the model may lack, N m; a test allows for what it lacked while the side was known.
-        sides: of the blocks of A_r, mostly one, whose belief, told and image are the observer's.
-        modes: (assembly mode, confidence in it) of each block as ``tell_side`` was last called.
+        test_encoder: standard deviation of a sample that those are told of where the
+            model fits, rad.
+        most_lacking: torque at a joint that the model may lack, N m; a test allows for
+            what it lacked while the side was known.
+        sides: of the blocks of A_r, mostly one, whose belief, told and image are the
+            observer's.
+        modes: (assembly mode, confidence in it) of each block as ``tell_side`` was last
+            called.
         estimate: what the main filter makes, with the least sure of them.
     """
 
-    def __init__(self, model: Model, min_type1: float, estimate: Record | None = None) -> None:
+    def __init__(
+        self, model: Model, min_type1: float, estimate: Record | None = None
+    ) -> None:
         self.n, self._sure_type1 = model.n, LOST * min_type1
         self.layout = Layout("filter", model.n, FILTER)
         noise = Layout("noise", model.n, NOISE)
@@ -94,10 +111,21 @@ class Observer:
         told = Layout("told", model.n, TOLD)
         every = np.zeros(len(model.blocks) * told.size)
         main, shown = self.main.numbers, self.estimate.numbers
-        places = {"p": model.p, "filter": main, "estimate": shown, "estimate_next": shown, "told": every}
+        places = {
+            "p": model.p,
+            "filter": main,
+            "estimate": shown,
+            "estimate_next": shown,
+            "told": every,
+        }
         self._advance = self._library.fast(
-            "advance", **places, filter_next=main, same=self.same.numbers, same_next=self.same.numbers,
-            noise=self.noise.numbers, test_noise=self.test_noise.numbers,
+            "advance",
+            **places,
+            filter_next=main,
+            same=self.same.numbers,
+            same_next=self.same.numbers,
+            noise=self.noise.numbers,
+            test_noise=self.test_noise.numbers,
         )
         self._given, given = self._advance.views(), self._advance.arguments
         self._look = self._library.fast("look", **places)
@@ -105,10 +133,25 @@ class Observer:
         for block, numbers in enumerate(every.reshape(-1, told.size)):
             image, p = self.layout.make(), np.array(model.p)
             follow = self._library.fast(
-                "follow", p=p, noise=self.test_noise.numbers, filter=image.numbers, filter_next=image.numbers,
-                tau=given.tau, dt=given.dt, q_meas=given.q_meas,
+                "follow",
+                p=p,
+                noise=self.test_noise.numbers,
+                filter=image.numbers,
+                filter_next=image.numbers,
+                tau=given.tau,
+                dt=given.dt,
+                q_meas=given.q_meas,
             )
-            self.sides.append(Side(Belief(), told.of(numbers), image, p, self._library.fast(f"mirror_{block}"), follow))
+            self.sides.append(
+                Side(
+                    Belief(),
+                    told.of(numbers),
+                    image,
+                    p,
+                    self._library.fast(f"mirror_{block}"),
+                    follow,
+                )
+            )
         self.modes: list[tuple[float, float]] = []
         self._steps = {name: self._library.fast(name) for name in _OWN}
 
@@ -124,7 +167,14 @@ class Observer:
     def belief(self, belief: Belief) -> None:
         self.sides[0].belief = belief
 
-    def _step(self, name: str, state: Record, *arguments: Any, noise: Record | None = None, p: Array | None = None) -> Any:
+    def _step(
+        self,
+        name: str,
+        state: Record,
+        *arguments: Any,
+        noise: Record | None = None,
+        p: Array | None = None,
+    ) -> Any:
         """One of the filter's steps on a state, which is changed; its other results."""
         fast = self._steps[name]
         given = fast.arguments
@@ -133,7 +183,9 @@ class Observer:
         if hasattr(given, "p"):
             given.p[:] = self._p if p is None else p
         given.filter[:] = state.numbers
-        for place, argument in zip((getattr(given, key) for key in _OWN[name]), arguments, strict=True):
+        for place, argument in zip(
+            (getattr(given, key) for key in _OWN[name]), arguments, strict=True
+        ):
             place[:] = argument
         fast.run()
         results = fast.results
@@ -145,16 +197,26 @@ class Observer:
         self._step("predict", state, tau, dt, noise=noise)
 
     def correct(self, state: Record, noise: Record, q_meas: Array, dt: float) -> bool:
-        """Take the active joints (n,), rad; whether the robot was struck in the last dt, s."""
+        """Take the active joints (n,), rad; whether the robot was struck in the last
+        dt, s.
+        """
         return bool(self._step("correct", state, q_meas, dt, noise=noise).struck[0])
 
-    def innovate(self, state: Record, noise: Record, q_meas: Array, block: int = 0) -> tuple[float, float]:
-        """Take the active joints (n,), rad: the normalised square of the block's innovation and ln det of its covariance."""
+    def innovate(
+        self, state: Record, noise: Record, q_meas: Array, block: int = 0
+    ) -> tuple[float, float]:
+        """Take the active joints (n,), rad: the normalised square of the block's
+        innovation and ln det of its covariance.
+        """
         found = self._step("innovate", state, q_meas, noise=noise)
         return found.square.item(block), found.spread.item(block)
 
-    def correct_position(self, state: Record, x_meas: Array, deviation: float) -> tuple[float, float, float]:
-        """Take an external position (n,), m: squared normalised distance, ln det of its covariance, distance, m."""
+    def correct_position(
+        self, state: Record, x_meas: Array, deviation: float
+    ) -> tuple[float, float, float]:
+        """Take an external position (n,), m: squared normalised distance, ln det of its
+        covariance, distance, m.
+        """
         found = self._step("correct_position", state, x_meas, deviation)
         return found.square.item(), found.spread.item(), found.distance.item()
 
@@ -163,27 +225,42 @@ class Observer:
         self._step("unseen_blow", state, noise=self.noise)
 
     def mirror(self, state: Record, image: Record, block: int = 0) -> bool:
-        """Make the image the mirror image of a state in a block; false where that is not in this working mode."""
-        return self._mirror(state, image, block) and bool((self.sides[block].mirror.results.p_image == self._p).all())
+        """Make the image the mirror image of a state in a block; false where that is
+        not in this working mode.
+        """
+        return self._mirror(state, image, block) and bool(
+            (self.sides[block].mirror.results.p_image == self._p).all()
+        )
 
     def _mirror(self, state: Record, image: Record, block: int) -> bool:
-        """The same in any working mode; false where a leg of the image is too near to Type 1."""
+        """The same in any working mode; false where a leg of the image is too near to
+        Type 1.
+        """
         found = self.sides[block].mirror(self._p, state.numbers)
         image.numbers[:] = found.image
         mean = 4 * self.n
-        return bool(found.type1[0] >= self._sure_type1 and np.isfinite(image.numbers[:mean]).all())
+        return bool(
+            found.type1[0] >= self._sure_type1
+            and np.isfinite(image.numbers[:mean]).all()
+        )
 
     def look_again(self) -> None:
         """After the main filter was changed."""
         self._look.run()
 
     def direct_model(self, q_a: Array, assembly_mode: float | Array) -> Array:
-        """Platform (n,) of the joints (n,), rad, with sign(s) = assembly_mode; the nearest to the last one where it is solved."""
+        """Platform (n,) of the joints (n,), rad, with sign(s) = assembly_mode; the
+        nearest to the last one where it is solved.
+        """
         return self._model.direct_geometric_model(q_a, assembly_mode, self.main.x)
 
     def begin(self, x: Array, speed: float) -> None:
-        """A robot at x (n,), m, known from its joints; speed: standard deviation of its velocity about zero, m/s."""
-        self.main.numbers[:] = self._steps["begin"](self._p, self.noise.numbers, x, speed).filter
+        """A robot at x (n,), m, known from its joints; speed: standard deviation of its
+        velocity about zero, m/s.
+        """
+        self.main.numbers[:] = self._steps["begin"](
+            self._p, self.noise.numbers, x, speed
+        ).filter
         self._compare_with_main()
         self._finite = True
         for side in self.sides:
@@ -191,7 +268,9 @@ class Observer:
         self.look_again()
 
     def begin_again(self, q_meas: Array) -> None:
-        """The joints (n,) are all that is known: they are taken in the mode believed so far, unsure of it."""
+        """The joints (n,) are all that is known: they are taken in the mode believed so
+        far, unsure of it.
+        """
         modes = np.array([side.belief.mode or 1.0 for side in self.sides])
         self.begin(self.direct_model(q_meas, modes), self.noise.shock_speed)
         for side in self.sides:
@@ -209,10 +288,18 @@ class Observer:
             self._step("predict_test", self.same, tau, step, noise=self.test_noise)
             for side in self.sides:
                 if side.belief.testing:
-                    self._step("predict_test", side.image, tau, step, noise=self.test_noise, p=side.p)
+                    self._step(
+                        "predict_test",
+                        side.image,
+                        tau,
+                        step,
+                        noise=self.test_noise,
+                        p=side.p,
+                    )
 
     def observe(self, tau: Array, dt: float, q_meas: Array) -> bool:
-        """One sample: the filters and the belief; whether the side has to be told anew (``tell_side``).
+        """One sample: the filters and the belief; whether the side has to be told anew
+        (``tell_side``).
 
         Args:
             tau: (n,) commanded since the last sample, N m.
@@ -242,18 +329,26 @@ class Observer:
         if struck or not fits:
             self._compare_with_main()
         for block, side in enumerate(self.sides):
-            s, s_variance, type1, folded, square, _ = side.told.numbers.tolist()  # in the order of TOLD
+            s, s_variance, type1, folded, square, _ = (
+                side.told.numbers.tolist()
+            )  # in the order of TOLD
             if quiet:
                 belief = side.belief
                 belief.fit(square, dt)
-                if s * belief.mode >= armed and type1 >= self._sure_type1 and not (belief.doubtful or belief.strayed):
+                if (
+                    s * belief.mode >= armed
+                    and type1 >= self._sure_type1
+                    and not (belief.doubtful or belief.strayed)
+                ):
                     continue  # clear of the locus on the side where it was
             self._judge_passage(block, side, s, s_variance, type1, folded >= 0.0)
             anew = True
         return anew
 
     def _weigh(self, block: int, side: Side, struck: bool) -> None:
-        """Take the sample into a block's test; the filters of the test know nothing of a blow, which ends it."""
+        """Take the sample into a block's test; the filters of the test know nothing of
+        a blow, which ends it.
+        """
         belief, told = side.belief, side.told
         if struck:
             belief.unsure()
@@ -261,23 +356,32 @@ class Observer:
             return
         side.follow.run()
         found = side.follow.results
-        if not found.type1.item() >= self._sure_type1:  # on its way into another working mode: the test goes on there
+        if (
+            not found.type1.item() >= self._sure_type1
+        ):  # on its way into another working mode: the test goes on there
             belief.pause()
             return
-        if max(abs(self.main.x_dot).max(), abs(side.image.x_dot).max()) < MOVING:  # at rest every sample is the same one
+        if (
+            max(abs(self.main.x_dot).max(), abs(side.image.x_dot).max()) < MOVING
+        ):  # at rest every sample is the same one
             return
         image, spread_image = found.fit.reshape(2, -1)[:, block].tolist()
         if math.isfinite(told.square + image):
-            belief.weigh(told.square, told.spread, image, spread_image, self._rows[block])
+            belief.weigh(
+                told.square, told.spread, image, spread_image, self._rows[block]
+            )
 
     def _compare_with_main(self) -> None:
         """The filter that tells how well the model fits starts from the main one.
 
-        In a test it and the image allow for as much torque as the model lacked while the side was known, and take the samples for
-        as much worse as they fitted the model worse then (backlash, a belt that is not in the robot's file).
+        In a test it and the image allow for as much torque as the model lacked while
+        the side was known, and take the samples for as much worse as they fitted the
+        model worse then (backlash, a belt that is not in the robot's file).
         """
         noise, lacking, misfit = self.test_noise, self.most_lacking, 1.0
-        if known := [side.belief.misfit_known for side in self.sides if side.belief.testing]:
+        if known := [
+            side.belief.misfit_known for side in self.sides if side.belief.testing
+        ]:
             lacking = min(max(LEAST_LACKING, *map(abs, self._lacking)), lacking)
             misfit = max(misfit, *known)
         noise.encoder = self.test_encoder * math.sqrt(misfit)
@@ -287,8 +391,12 @@ class Observer:
         self._step("unsure", self.same, noise=noise)
 
     def _begin_test(self, block: int, side: Side) -> bool:
-        """From the main filter's state and its image, unsure of both alike; false where there is no image."""
-        side.belief.armed = not self._mirror(self.main, side.image, block)  # as soon as there is an image
+        """From the main filter's state and its image, unsure of both alike; false where
+        there is no image.
+        """
+        side.belief.armed = not self._mirror(
+            self.main, side.image, block
+        )  # as soon as there is an image
         if side.belief.armed:
             return False
         side.p[:] = side.mirror.results.p_image
@@ -298,19 +406,31 @@ class Observer:
         return True
 
     def _test_from_main(self, side: Side) -> None:
-        """The test of this side begins or ends: those of others go on from the main filter's state, as this one does."""
+        """The test of this side begins or ends: those of others go on from the main
+        filter's state, as this one does.
+        """
         self._compare_with_main()
         for block, other in enumerate(self.sides):
             if other is not side and other.belief.testing:
                 other.belief.pause()
                 self._begin_test(block, other)
 
-    def _judge_passage(self, block: int, side: Side, s: float, s_variance: float, type1: float, folded: bool) -> None:
+    def _judge_passage(
+        self,
+        block: int,
+        side: Side,
+        s: float,
+        s_variance: float,
+        type1: float,
+        folded: bool,
+    ) -> None:
         """Begin, go on with or end a block's test of crossed against bounced.
 
-        Where the distal links are folded there is nothing to test: the image is a whole turn of them away, and the
-        joints tell the side as well as they tell s. Where a leg stretches or folds the robot may be on its way into another
-        working mode, of which nothing is known here: the belief is unsure until it is told. So it is, until the next passage,
+        Where the distal links are folded there is nothing to test: the image is a whole
+            turn of them away, and the
+        joints tell the side as well as they tell s. Where a leg stretches or folds the
+        robot may be on its way into another working mode, of which nothing is known
+        here: the belief is unsure until it is told. So it is, until the next passage,
         where the state is suddenly on the other side.
         """
         belief, passage = side.belief, self.passage
@@ -326,7 +446,9 @@ class Observer:
             belief.mode = mode
             return
         if near < passage.armed:
-            if not any(other.belief.armed or other.belief.testing for other in self.sides):
+            if not any(
+                other.belief.armed or other.belief.testing for other in self.sides
+            ):
                 self._lacking = self.same.d.tolist()
             belief.end_test()
             belief.armed = True
@@ -362,19 +484,34 @@ class Observer:
     def tell_side(self) -> None:
         """Into the estimate."""
         for side in self.sides:
-            if side.belief.mode != side.shown[0] or side.belief.log_odds != side.shown[1]:
+            if (
+                side.belief.mode != side.shown[0]
+                or side.belief.log_odds != side.shown[1]
+            ):
                 break
         else:
             return
         for side in self.sides:
             side.shown = side.belief.mode, side.belief.log_odds
         modes = self.modes = [side.belief.as_seen() for side in self.sides]
-        self.estimate.assembly_mode, self.estimate.confidence = modes[0] if len(modes) == 1 else min(modes, key=itemgetter(1))
+        self.estimate.assembly_mode, self.estimate.confidence = (
+            modes[0] if len(modes) == 1 else min(modes, key=itemgetter(1))
+        )
 
     def is_folded(self) -> bool:
-        """Whether the main filter's distal links are nearer to folded than to stretched."""
+        """Whether the main filter's distal links are nearer to folded than to
+        stretched.
+        """
         return bool(self.told.folded >= 0.0)
 
 
-_OWN = {"predict": ("tau", "dt"), "predict_test": ("tau", "dt"), "correct": ("q_meas", "dt"), "innovate": ("q_meas",),
-        "correct_position": ("x_meas", "deviation"), "unseen_blow": (), "unsure": (), "begin": ("x", "speed")}
+_OWN = {
+    "predict": ("tau", "dt"),
+    "predict_test": ("tau", "dt"),
+    "correct": ("q_meas", "dt"),
+    "innovate": ("q_meas",),
+    "correct_position": ("x_meas", "deviation"),
+    "unseen_blow": (),
+    "unsure": (),
+    "begin": ("x", "speed"),
+}

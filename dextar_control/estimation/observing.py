@@ -24,7 +24,13 @@ class ObserverEstimator:
         estimate: the record that it keeps; one of its own when None.
     """
 
-    def __init__(self, model: Model, settings: Settings, min_type1: float, estimate: Record | None = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        settings: Settings,
+        min_type1: float,
+        estimate: Record | None = None,
+    ) -> None:
         self.observer = Observer(model, min_type1, estimate)
         self._joints = JointFilter(model.mechanism)
         self.estimate = self.observer.estimate
@@ -34,23 +40,52 @@ class ObserverEstimator:
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
         noise, test = self.observer.noise, self.observer.test_noise
-        noise.encoder, noise.bias, noise.bias_walk = settings.encoder_deviation, settings.bias_deviation, settings.bias_walk
-        noise.torque, noise.acceleration = settings.torque_deviation, settings.acceleration_deviation
+        noise.encoder, noise.bias, noise.bias_walk = (
+            settings.encoder_deviation,
+            settings.bias_deviation,
+            settings.bias_walk,
+        )
+        noise.torque, noise.acceleration = (
+            settings.torque_deviation,
+            settings.acceleration_deviation,
+        )
         noise.scatter_gain = settings.scatter_gain
-        noise.disturbance, noise.disturbance_walk = settings.disturbance_deviation, settings.disturbance_walk
-        noise.shock_gate, noise.shock_speed = settings.shock_gate**2, settings.shock_speed
-        allowed = test.disturbance, test.disturbance_turn, test.disturbance_walk  # of a test that may be going on
-        worse = test.encoder / self.observer.test_encoder if self.observer.test_encoder else 1.0
+        noise.disturbance, noise.disturbance_walk = (
+            settings.disturbance_deviation,
+            settings.disturbance_walk,
+        )
+        noise.shock_gate, noise.shock_speed = (
+            settings.shock_gate**2,
+            settings.shock_speed,
+        )
+        allowed = (
+            test.disturbance,
+            test.disturbance_turn,
+            test.disturbance_walk,
+        )  # of a test that may be going on
+        worse = (
+            test.encoder / self.observer.test_encoder
+            if self.observer.test_encoder
+            else 1.0
+        )
         test.take(noise)
         test.disturbance, test.disturbance_turn, test.disturbance_walk = allowed
         test.encoder = settings.passage_encoder_deviation * worse
         self.observer.test_encoder = settings.passage_encoder_deviation
-        test.torque, test.bias = settings.passage_torque_deviation, settings.passage_bias_deviation
+        test.torque, test.bias = (
+            settings.passage_torque_deviation,
+            settings.passage_bias_deviation,
+        )
         test.acceleration = settings.passage_acceleration_deviation
         self.observer.most_lacking = settings.passage_disturbance
-        self.observer.passage = Passage(settings.passage_armed, settings.passage_begin, settings.passage_log_odds)
+        self.observer.passage = Passage(
+            settings.passage_armed, settings.passage_begin, settings.passage_log_odds
+        )
         self.unknown_s = settings.passage_armed
-        self._sure, self._bandwidth = settings.verdict_confidence, settings.filter_bandwidth
+        self._sure, self._bandwidth = (
+            settings.verdict_confidence,
+            settings.filter_bandwidth,
+        )
 
     @property
     def mode_known(self) -> bool:
@@ -85,7 +120,12 @@ class ObserverEstimator:
 
     def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
         """See ``Estimator``."""
-        self._begin(self.observer.direct_model(q_a, assembly_mode), q_a, assembly_mode, self.observer.noise.shock_speed)
+        self._begin(
+            self.observer.direct_model(q_a, assembly_mode),
+            q_a,
+            assembly_mode,
+            self.observer.noise.shock_speed,
+        )
 
     def rebase(self, q_a: Array) -> None:
         """See ``Estimator``."""
@@ -98,15 +138,28 @@ class ObserverEstimator:
         if self.observer.observe(tau, dt, q_a):
             self.observer.tell_side()
 
-    def track(self, dt: float, q_a: Array, tau: Array, reference: Record, zone: float, width: float) -> None:
+    def track(
+        self,
+        dt: float,
+        q_a: Array,
+        tau: Array,
+        reference: Record,
+        zone: float,
+        width: float,
+    ) -> None:
         """See ``Estimator``."""
         self._advance(dt, q_a, tau)
 
     def coast(self, dt: float, q_a: Array, tau: Array) -> None:
-        """See ``Estimator``: what brakes are the joints themselves, wherever the platform is thought to be."""
+        """See ``Estimator``: what brakes are the joints themselves, wherever the
+        platform is thought to be.
+        """
         self._advance(dt, q_a, tau)
         self._joints.take(q_a, dt, self._bandwidth)
-        self.estimate.q_a, self.estimate.q_a_dot = self._joints.memory.q, self._joints.memory.q_dot
+        self.estimate.q_a, self.estimate.q_a_dot = (
+            self._joints.memory.q,
+            self._joints.memory.q_dot,
+        )
 
     def take_pose(self, pose: Pose, time: float) -> None:
         """See ``Estimator``."""

@@ -1,18 +1,22 @@
-"""A position that was true a while ago, taken as if it had arrived in time: an out-of-sequence measurement.
+"""A position that was true a while ago, taken as if it had arrived in time: an
+out-of-sequence measurement.
 
-The past samples are kept in a ring, each with the filters' state after it. A position is taken where
-its stamp lies: the filters go back to the sample at or before it, are predicted up to the stamp,
-corrected there, and take all later samples again. What comes out is what a filter would have that got the
-position without delay. The cost is one sample's for each sample of the delay.
+The past samples are kept in a ring, each with the filters' state after it. A position
+is taken where its stamp lies: the filters go back to the sample at or before it, are
+predicted up to the stamp, corrected there, and take all later samples again. What comes
+out is what a filter would have that got the position without delay. The cost is one
+sample's for each sample of the delay.
 
-**Which assembly mode.** The joints leave two places for the end effector, mirror images about the line of the
-elbows. A position that fits neither is no place of the robot's at all, so it is refused, however often it is
-repeated: a blow shows in the joints, a bumped camera does not. The exception is a blow along t_s near the
-locus, which hardly shows there: of a camera that was believed until then a position that is off along t_s
-alone is taken for one. One that fits only the image counts against the
-estimate by the ratio of the two likelihoods, bounded by SIGHT, as one position may always be a blunder;
-when enough has been counted (``Passage.log_odds``) the estimate moves to the image. Near the locus, where the
-assembly mode counts as unknown anyway, it does so at once; and what was seen there does not count for later.
+**Which assembly mode.** The joints leave two places for the end effector, mirror images
+about the line of the elbows. A position that fits neither is no place of the robot's at
+all, so it is refused, however often it is repeated: a blow shows in the joints, a
+bumped camera does not. The exception is a blow along t_s near the locus, which hardly
+shows there: of a camera that was believed until then a position that is off along t_s
+alone is taken for one. One that fits only the image counts against the estimate by the
+ratio of the two likelihoods, bounded by SIGHT, as one position may always be a blunder;
+when enough has been counted (``Passage.log_odds``) the estimate moves to the image.
+Near the locus, where the assembly mode counts as unknown anyway, it does so at once;
+and what was seen there does not count for later.
 """
 
 from __future__ import annotations
@@ -29,9 +33,13 @@ from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
 
 LENGTH = 160  # samples and positions that are kept
-SAME_TIME = 1e-6  # s within which two stamps are one: a double holds the seconds since 1970 to a quarter of it
+# s within which two stamps are one: a double holds the seconds since 1970 to a quarter
+# of it
+SAME_TIME = 1e-6
 SIGHT = 6.0  # log-odds that one position can give: one in four hundred may be a blunder
-SURPRISE = 13.8  # squared normalised distance that one good position in a thousand exceeds
+SURPRISE = (
+    13.8  # squared normalised distance that one good position in a thousand exceeds
+)
 
 
 class Fate(IntEnum):
@@ -39,8 +47,11 @@ class Fate(IntEnum):
 
     TAKEN = 0
     STRUCK = 1  # shows a blow along t_s near the locus
-    AGAINST = 2  # fits the mirror image of the estimate alone: counts against its assembly mode
-    SWAPPED = 3  # did so often enough, or near the locus: the estimate has moved to the image
+    # fits the mirror image of the estimate alone: counts against its assembly mode
+    AGAINST = 2
+    SWAPPED = (
+        3  # did so often enough, or near the locus: the estimate has moved to the image
+    )
     EARLY = 4  # from before the first sample, or before a long gap
     TOO_OLD = 5  # from before the samples that are kept
     JUMP = 6  # fits neither
@@ -72,18 +83,26 @@ class _Entry:
 
     __slots__ = ("belief", "dt", "filters", "q_meas", "tau", "time")
 
-    def __init__(self, time: float, dt: float, tau: Array, q_meas: Array, observer: Observer) -> None:
+    def __init__(
+        self, time: float, dt: float, tau: Array, q_meas: Array, observer: Observer
+    ) -> None:
         self.time, self.dt, self.tau, self.q_meas = time, dt, tau, q_meas
         self.keep(observer)
 
     def keep(self, observer: Observer) -> None:
         """The filters as they are now."""
-        self.filters = (observer.main.numbers.copy(), observer.same.numbers.copy(), observer.image.numbers.copy())
+        self.filters = (
+            observer.main.numbers.copy(),
+            observer.same.numbers.copy(),
+            observer.image.numbers.copy(),
+        )
         self.belief = observer.belief.copy()
 
     def give(self, observer: Observer) -> None:
         """Make the filters what they were."""
-        for record, numbers in zip((observer.main, observer.same, observer.image), self.filters, strict=True):
+        for record, numbers in zip(
+            (observer.main, observer.same, observer.image), self.filters, strict=True
+        ):
             record.numbers[:] = numbers
         observer.belief = self.belief.copy()
         observer.look_again()
@@ -115,16 +134,26 @@ class History:
     def take_sample(self, tau: Array, dt: float, q_meas: Array) -> None:
         """One sample of the joints; see ``Observer.observe``."""
         self._observe(tau, dt, q_meas)
-        self._append(_Entry(self._entries[-1].time + dt, dt, tau.copy(), q_meas.copy(), self._observer))
+        self._append(
+            _Entry(
+                self._entries[-1].time + dt,
+                dt,
+                tau.copy(),
+                q_meas.copy(),
+                self._observer,
+            )
+        )
 
     def _append(self, entry: _Entry) -> None:
         self._entries.append(entry)
         del self._entries[:-LENGTH]
 
     def _observe(self, tau: Array, dt: float, q_meas: Array) -> None:
-        """``Observer.observe``, and what was seen is worth no more than the certainty of the side on which main is.
+        """``Observer.observe``, and what was seen is worth no more than the certainty
+        of the side on which main is.
 
-        Nothing where the robot may turn round without a trace in the joints: where it was seen says little about later.
+        Nothing where the robot may turn round without a trace in the joints: where it
+            was seen says little about later.
         """
         observer = self._observer
         swaps = observer.belief.swaps
@@ -140,8 +169,11 @@ class History:
         if belief.armed and not folded:
             belief.log_odds = belief.seen
 
-    def take_position(self, sight: Sight, age: float, x_meas: Array, trusted: bool) -> Fate:
-        """A position that was true ``age`` before the newest sample; the later samples are taken again.
+    def take_position(
+        self, sight: Sight, age: float, x_meas: Array, trusted: bool
+    ) -> Fate:
+        """A position that was true ``age`` before the newest sample; the later samples
+        are taken again.
 
         Args:
             sight: what is told of the positions.
@@ -173,7 +205,9 @@ class History:
             entries[-1].give(observer)
             return fate
         del entries[row + 1 :]
-        self._append(_Entry(entries[row].time + gap, gap, np.zeros(observer.n), x_meas, observer))
+        self._append(
+            _Entry(entries[row].time + gap, gap, np.zeros(observer.n), x_meas, observer)
+        )
         for step, entry in enumerate(later):
             if step == 0:
                 entry.dt -= gap
@@ -188,15 +222,25 @@ class History:
         main, belief = observer.main, observer.belief
         square, spread, length = self._distance(main, x_meas, sight)
         has_image = observer.mirror(main, spare)
-        square_image, spread_image, _ = self._distance(spare, x_meas, sight) if has_image else (math.inf, 0.0, 0.0)
+        square_image, spread_image, _ = (
+            self._distance(spare, x_meas, sight) if has_image else (math.inf, 0.0, 0.0)
+        )
         self.distances = Distances(math.sqrt(square), math.sqrt(square_image), length)
         surprising = square > SURPRISE and not square_image <= SURPRISE
-        if belief.armed and not observer.is_folded() and trusted and surprising and self._seen_as_blow(sight, x_meas):
+        if (
+            belief.armed
+            and not observer.is_folded()
+            and trusted
+            and surprising
+            and self._seen_as_blow(sight, x_meas)
+        ):
             return Fate.STRUCK
         fits = square <= sight.gate
         if not fits and not square_image <= sight.gate:
             return Fate.JUMP
-        told = min(max(0.5 * (square_image + spread_image - square - spread), -SIGHT), SIGHT)
+        told = min(
+            max(0.5 * (square_image + spread_image - square - spread), -SIGHT), SIGHT
+        )
         decisive = observer.passage.log_odds
         seen = min(max(belief.seen + told, -decisive), decisive)
         if belief.testing:
@@ -215,8 +259,12 @@ class History:
         self._move_to_image(belief, seen, x_meas, sight)
         return Fate.SWAPPED
 
-    def _distance(self, state: Record, x_meas: Array, sight: Sight) -> tuple[float, float, float]:
-        """Squared normalised distance of a position from a filter's, ln det of its covariance, and the distance, m."""
+    def _distance(
+        self, state: Record, x_meas: Array, sight: Sight
+    ) -> tuple[float, float, float]:
+        """Squared normalised distance of a position from a filter's, ln det of its
+        covariance, and the distance, m.
+        """
         return self._observer.correct_position(state.copy(), x_meas, sight.deviation)
 
     def _seen_as_blow(self, sight: Sight, x_meas: Array) -> bool:
@@ -231,7 +279,9 @@ class History:
         observer.belief.seen = observer.belief.log_odds = 0.0
         return True
 
-    def _move_to_image(self, belief: Belief, seen: float, x_meas: Array, sight: Sight) -> None:
+    def _move_to_image(
+        self, belief: Belief, seen: float, x_meas: Array, sight: Sight
+    ) -> None:
         """The robot is the mirror image of what was believed."""
         observer, spare = self._observer, self._spare
         observer.mirror(observer.main, spare)

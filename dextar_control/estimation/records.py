@@ -24,6 +24,15 @@ ESTIMATE = (
     Field("d", "N m", "torques that act on the joints and that the model lacks", "n"),
     Field("b", "rad", "what a wrong geometry adds to the joints", "n"),
     Field("twist_dot", "rad/s", "of the transmissions: motors less joints", "n"),
-    Field("innovation", "rad", "of the sample: the joints less those that were expected", "n"),
-    Field("innovation_square", "1", "of the same over its covariance: n on average where the filter is right"),
+    Field(
+        "innovation",
+        "rad",
+        "of the sample: the joints less those that were expected",
+        "n",
+    ),
+    Field(
+        "innovation_square",
+        "1",
+        "of the same over its covariance: n on average where the filter is right",
+    ),
 )

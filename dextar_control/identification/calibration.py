@@ -1,4 +1,6 @@
-"""From recordings to a robot's own geometry: what they tell of it, what they do not, and whether they explain each other."""
+"""From recordings to a robot's own geometry: what they tell of it, what they do not,
+and whether they explain each other.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +15,33 @@ from scipy.signal import butter, sosfiltfilt
 from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.identification.fit import EVERY, Direction, Fit, Places, directions_of, fit
+from dextar_control.identification.fit import (
+    EVERY,
+    Direction,
+    Fit,
+    Places,
+    directions_of,
+    fit,
+)
 from dextar_control.identification.folds import Fold, find_folds, touch
-from dextar_control.identification.linkage import COMPLIANCE, NAMES, PER_TURN, Linkage, described, numbers_of
+from dextar_control.identification.linkage import (
+    COMPLIANCE,
+    NAMES,
+    PER_TURN,
+    Linkage,
+    described,
+    numbers_of,
+)
 from dextar_control.identification.motion import CUTOFF
-from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, contradicts, in_words, rms_of
+from dextar_control.identification.quantities import (
+    UNITS,
+    Progress,
+    Quantity,
+    common_robot,
+    contradicts,
+    in_words,
+    rms_of,
+)
 from dextar_control.identification.recorded import Recorded, recorded_of
 from dextar_control.identification.transmission import SURE
 from dextar_control.mechanisms.five_bar_locus import SIDES
@@ -25,19 +49,36 @@ from dextar_control.symbols.types import Array
 
 SPARE = 2  # folds beyond the number of quantities that they are to tell
 LEAST_SPAN = 0.05  # rad, that each joint has to move
-WIDEST = {"m": 3e-4, "rad": 3e-3}  # standard deviation of a quantity beyond which a recording does not tell it
-MOST_MOVED = {"m": 5e-3, "rad": 0.1}  # from the description, beyond which the two contradict each other
-MOST_GAP = 1.5e-4  # m, RMS of the folds' gaps, without errors of the encoders, beyond which the numbers do not explain them
-MOST_APART = 3e-5  # m, of gaps, by which recordings may be explained worse together than alone
+WIDEST = {
+    "m": 3e-4,
+    "rad": 3e-3,
+}  # standard deviation of a quantity beyond which a recording does not tell it
+MOST_MOVED = {
+    "m": 5e-3,
+    "rad": 0.1,
+}  # from the description, beyond which the two contradict each other
+# m, RMS of the folds' gaps, without errors of the encoders, beyond which the numbers do
+# not explain them
+MOST_GAP = 1.5e-4
+MOST_APART = (
+    3e-5  # m, of gaps, by which recordings may be explained worse together than alone
+)
 MOST_PLACE_NOISE = 5e-3  # m, of a seen coordinate, likewise
-SUSPICIOUS = 1e-3  # rad, of an encoder's error once a turn that is said where nothing else is told
+# rad, of an encoder's error once a turn that is said where nothing else is told
+SUSPICIOUS = 1e-3
 LEAST_USED = 2.0 / 3.0  # of the folds
-POSE_GAP = 5e-3  # s between two joint states, beyond which no reading is known between them
+POSE_GAP = (
+    5e-3  # s between two joint states, beyond which no reading is known between them
+)
 FEWEST_PLACES = 50
-UNLIKE = "turns before the locus, encoders that slip, play, links that bend, or a bag of another robot look like this"
+UNLIKE = (
+    "turns before the locus, encoders that slip, play, links that bend, or a bag of"
+    " another robot look like this"
+)
 RECORD = (
-    "record crossings spread over the locus: dextar demo --lockstep --tour 12 (on a rig the task tour:=12), also in other"
-    " working modes, and where a tour ends early the other way round (--tour -12); several bags are taken together"
+    "record crossings spread over the locus: dextar demo --lockstep --tour 12 (on a rig"
+    " the task tour:=12), also in other working modes, and where a tour ends early the"
+    " other way round (--tour -12); several bags are taken together"
 )
 
 
@@ -65,8 +106,10 @@ class Prediction(NamedTuple):
     Attributes:
         path: of the bag.
         folds: how many there are.
-        before, after: RMS of the folds' gaps by the description and by what was found, m; of those that count.
-        places_before, places_after: RMS of the closures' gaps at the places of the end effector, m; nan without.
+        before, after: RMS of the folds' gaps by the description and by what was found,
+            m; of those that count.
+        places_before, places_after: RMS of the closures' gaps at the places of the end
+            effector, m; nan without.
     """
 
     path: Path
@@ -105,37 +148,59 @@ class Calibration:
         before, after = numbers_of(self.before), self.fit.numbers
         deviations = np.sqrt(np.maximum(np.diag(self.fit.covariance), 0.0))
         geometry = [
-            Quantity(one.name, one.unit, float(before[row]), float(after[row]), float(deviations[row]))
-            for one in EVERY for row in [NAMES.index(one.name)]
+            Quantity(
+                one.name,
+                one.unit,
+                float(before[row]),
+                float(after[row]),
+                float(deviations[row]),
+            )
+            for one in EVERY
+            for row in [NAMES.index(one.name)]
         ]
         pairs = zip(SIDES, self.before.legs, self.after.legs, strict=True)
         return geometry + [
-            Quantity(f"{side}.transmission_stiffness", "N m/rad", was.transmission_stiffness, value,
-                     float(deviations[NAMES.index(f"{side}.{COMPLIANCE}")]) * value**2)
-            for side, was, now in pairs for value in [now.transmission_stiffness] if value != was.transmission_stiffness
+            Quantity(
+                f"{side}.transmission_stiffness",
+                "N m/rad",
+                was.transmission_stiffness,
+                value,
+                float(deviations[NAMES.index(f"{side}.{COMPLIANCE}")]) * value**2,
+            )
+            for side, was, now in pairs
+            for value in [now.transmission_stiffness]
+            if value != was.transmission_stiffness
         ]
 
     @property
     def folded_told(self) -> bool:
         """The difference of the distal lengths is told."""
-        return any(one.name.endswith("left.distal_length") for one in self.fit.directions)
+        return any(
+            one.name.endswith("left.distal_length") for one in self.fit.directions
+        )
 
 
 def passed_on(robot: RobotParameters, recorded: Recorded) -> Array:
-    """(m, 2) torque that the transmissions pass on to the links, N m: the motors' less what turns their rotors.
+    """(m, 2) torque that the transmissions pass on to the links, N m: the motors' less
+    what turns their rotors.
 
     Friction of the motors is not taken off; where no torque is known it is 0.
     """
     period = float(np.median(np.diff(recorded.time)))
     smooth = butter(2, min(CUTOFF, 0.4 / period), fs=1.0 / period, output="sos")
-    readings, torque = (sosfiltfilt(smooth, rows, axis=0) for rows in (recorded.readings, np.nan_to_num(recorded.torque)))
+    readings, torque = (
+        sosfiltfilt(smooth, rows, axis=0)
+        for rows in (recorded.readings, np.nan_to_num(recorded.torque))
+    )
     rates = np.gradient(readings, recorded.time, axis=0)
     inertia = np.array([leg.rotor_inertia for leg in robot.legs])
     passed = torque - inertia * np.gradient(rates, recorded.time, axis=0)
     return np.where(np.isfinite(recorded.torque), passed, 0.0)
 
 
-def recording_of(linkage: Linkage, robot: RobotParameters, recorded: Recorded, bag: int = 0) -> Recording:
+def recording_of(
+    linkage: Linkage, robot: RobotParameters, recorded: Recorded, bag: int = 0
+) -> Recording:
     """What a motion says by its encoders, and by a camera if there was one."""
     time, readings, numbers = recorded.time, recorded.readings, numbers_of(robot)
     passed = passed_on(robot, recorded)
@@ -144,17 +209,36 @@ def recording_of(linkage: Linkage, robot: RobotParameters, recorded: Recorded, b
     if recorded.poses is not None:
         seen, x = recorded.poses
         after = np.clip(np.searchsorted(time, seen), 1, len(time) - 1)
-        good = (time[after] - time[after - 1] <= POSE_GAP) & (seen >= time[0]) & (seen <= time[-1])
+        good = (
+            (time[after] - time[after - 1] <= POSE_GAP)
+            & (seen >= time[0])
+            & (seen <= time[-1])
+        )
         if good.sum() >= FEWEST_PLACES:
-            columns = np.column_stack([np.interp(seen[good], time, column) for column in np.hstack([readings, passed]).T])
+            columns = np.column_stack(
+                [
+                    np.interp(seen[good], time, column)
+                    for column in np.hstack([readings, passed]).T
+                ]
+            )
             places = Places(columns[:, :2], columns[:, 2:], x[good])
-    stayed = recorded.believed and bool(recorded.side[0]) and not np.ptp(recorded.side)  # on one side, known all along
-    folds = [] if stayed else find_folds(linkage, numbers, recorded.working_mode, time, readings, bag, passed)
+    stayed = (
+        recorded.believed and bool(recorded.side[0]) and not np.ptp(recorded.side)
+    )  # on one side, known all along
+    folds = (
+        []
+        if stayed
+        else find_folds(
+            linkage, numbers, recorded.working_mode, time, readings, bag, passed
+        )
+    )
     extremes = np.array([distance.min(), distance.max()])
     return Recording(recorded.path, folds, places, extremes, np.ptp(readings, axis=0))
 
 
-def calibrate(runs: Sequence[Run], *, poses: bool = True, progress: Progress = lambda stage: None) -> Calibration:
+def calibrate(
+    runs: Sequence[Run], *, poses: bool = True, progress: Progress = lambda stage: None
+) -> Calibration:
     """A robot's geometry from recorded runs of it.
 
     Args:
@@ -163,14 +247,24 @@ def calibrate(runs: Sequence[Run], *, poses: bool = True, progress: Progress = l
         progress: told what is being done.
 
     Raises:
-        CalibrationError: the recordings cannot tell what is looked for, contradict each other or the description.
+        CalibrationError: the recordings cannot tell what is looked for, contradict each
+            other or the description.
     """
     robot = common_robot(runs, numbers_of, "geometry")
-    return calibrate_recorded(robot, [recorded_of(run, robot, RECORD) for run in runs], poses=poses, progress=progress)
+    return calibrate_recorded(
+        robot,
+        [recorded_of(run, robot, RECORD) for run in runs],
+        poses=poses,
+        progress=progress,
+    )
 
 
 def calibrate_recorded(
-    robot: RobotParameters, motions: Sequence[Recorded], *, poses: bool = True, progress: Progress = lambda stage: None
+    robot: RobotParameters,
+    motions: Sequence[Recorded],
+    *,
+    poses: bool = True,
+    progress: Progress = lambda stage: None,
 ) -> Calibration:
     """The same of what was recorded, wherever it comes from.
 
@@ -179,22 +273,44 @@ def calibrate_recorded(
     """
     linkage, numbers = Linkage(), numbers_of(robot)
     progress("looking for folds of the joints' motion")
-    recordings = [recording_of(linkage, robot, motion, bag) for bag, motion in enumerate(motions)]
+    recordings = [
+        recording_of(linkage, robot, motion, bag) for bag, motion in enumerate(motions)
+    ]
     folds = [fold for recording in recordings for fold in recording.folds]
-    seen = [recording.places for recording in recordings if recording.places is not None] if poses else []
-    places = Places(*(np.concatenate(parts) for parts in zip(*seen, strict=True))) if seen else None
+    seen = (
+        [recording.places for recording in recordings if recording.places is not None]
+        if poses
+        else []
+    )
+    places = (
+        Places(*(np.concatenate(parts) for parts in zip(*seen, strict=True)))
+        if seen
+        else None
+    )
     wanted = directions_of(folds, places)
     _check_enough(recordings, folds, wanted, places)
     progress(f"fitting {len(wanted)} quantities to {len(folds)} folds")
     found = fit(linkage, numbers, folds, places, wanted)
     _check_agree(linkage, numbers, recordings, found)
     plain = _plain(numbers, found)
-    before, after = (np.array([touch(linkage, row, fold).gap for fold in folds]) for row in (numbers, plain))
+    before, after = (
+        np.array([touch(linkage, row, fold).gap for fold in folds])
+        for row in (numbers, plain)
+    )
     _check_places(found, places)
     _check_explained(found, after)
     _check_told(found)
     _check_bounds(robot, found)
-    return Calibration(robot, described(robot, plain), recordings, folds, before, after, found, _kept(numbers, wanted))
+    return Calibration(
+        robot,
+        described(robot, plain),
+        recordings,
+        folds,
+        before,
+        after,
+        found,
+        _kept(numbers, wanted),
+    )
 
 
 def predict(calibration: Calibration, run: Run) -> Prediction:
@@ -204,44 +320,72 @@ def predict(calibration: Calibration, run: Run) -> Prediction:
         CalibrationError: it has no fold.
     """
     linkage = Linkage()
-    recording = recording_of(linkage, calibration.before, recorded_of(run, calibration.before, RECORD))
+    recording = recording_of(
+        linkage, calibration.before, recorded_of(run, calibration.before, RECORD)
+    )
     if not recording.folds:
-        raise CalibrationError(f"{run.path} cannot check: {_no_fold(calibration.before, recording)}")
+        raise CalibrationError(
+            f"{run.path} cannot check: {_no_fold(calibration.before, recording)}"
+        )
     numbers = numbers_of(calibration.before), numbers_of(calibration.after)
-    gaps = np.array([[touch(linkage, row, fold).gap for fold in recording.folds] for row in numbers])
-    counts = np.abs(gaps[1]) <= np.maximum(MOST_GAP * 3.0, 3.0 * np.nanmedian(np.abs(gaps[1])))
-    places = [rms_of(linkage.closures(row, *recording.places).gaps) if recording.places else np.nan for row in numbers]
-    return Prediction(run.path, len(recording.folds), *(rms_of(row[counts]) for row in gaps), *places)
+    gaps = np.array(
+        [[touch(linkage, row, fold).gap for fold in recording.folds] for row in numbers]
+    )
+    counts = np.abs(gaps[1]) <= np.maximum(
+        MOST_GAP * 3.0, 3.0 * np.nanmedian(np.abs(gaps[1]))
+    )
+    places = [
+        (
+            rms_of(linkage.closures(row, *recording.places).gaps)
+            if recording.places
+            else np.nan
+        )
+        for row in numbers
+    ]
+    return Prediction(
+        run.path, len(recording.folds), *(rms_of(row[counts]) for row in gaps), *places
+    )
 
 
 def robot_lines(calibration: Calibration) -> list[str]:
     """What is known of the description's numbers."""
     return [
-        f"The robot '{calibration.after.name}', its geometry calibrated by {int(calibration.fit.used.sum())} crossings of"
-        f" {', '.join(str(recording.path) for recording in calibration.recordings)}.",
+        (
+            f"The robot '{calibration.after.name}', its geometry calibrated by"
+            f" {int(calibration.fit.used.sum())} crossings of"
+            f" {', '.join(str(one.path) for one in calibration.recordings)}."
+        ),
         *map(in_words, calibration.quantities),
         *calibration.kept,
     ]
 
 
 def _no_fold(robot: RobotParameters, recording: Recording) -> str:
-    total, least = robot.left.distal_length + robot.right.distal_length, robot.left.distal_length - robot.right.distal_length
+    total, least = (
+        robot.left.distal_length + robot.right.distal_length,
+        robot.left.distal_length - robot.right.distal_length,
+    )
     low, high = 1e3 * recording.extremes
     return (
-        f"no crossing: the elbows, by the description, come {low:.2f} to {high:.2f} mm near each other and nowhere turn back from"
-        f" {1e3 * total:.2f} mm (stretched distal links) or {1e3 * abs(least):.2f} mm (folded ones); {RECORD}"
+        f"no crossing: the elbows, by the description, come {low:.2f} to {high:.2f} mm"
+        f" near each other and nowhere turn back from {1e3 * total:.2f} mm (stretched"
+        f" distal links) or {1e3 * abs(least):.2f} mm (folded ones); {RECORD}"
     )
 
 
 def _check_enough(
-    recordings: Sequence[Recording], folds: Sequence[Fold], wanted: Sequence[Direction], places: Places | None
+    recordings: Sequence[Recording],
+    folds: Sequence[Fold],
+    wanted: Sequence[Direction],
+    places: Places | None,
 ) -> None:
     names = ", ".join(str(recording.path) for recording in recordings)
     spans = np.max([recording.spans for recording in recordings], axis=0)
     if spans.min() < LEAST_SPAN:
         joint = int(spans.argmin())
         raise CalibrationError(
-            f"{names}: too little motion: the {SIDES[joint]} encoder moves by {spans[joint]:.4f} rad; for its offset and"
+            f"{names}: too little motion: the {SIDES[joint]} encoder moves by"
+            f" {spans[joint]:.4f} rad; for its offset and"
             f" {SIDES[joint]}.proximal_length {LEAST_SPAN} rad are the least; {RECORD}"
         )
     if not folds and places is None:
@@ -249,8 +393,9 @@ def _check_enough(
     lacking = len(wanted) + SPARE - len(folds)
     if places is None and lacking > 0:
         raise CalibrationError(
-            f"{names}: too few crossings: {len(folds)} for {len(wanted)} quantities ({', '.join(one.name for one in wanted)});"
-            f" {lacking} more are needed; {RECORD}"
+            f"{names}: too few crossings: {len(folds)} for {len(wanted)} quantities"
+            f" ({', '.join(one.name for one in wanted)}); {lacking} more are needed;"
+            f" {RECORD}"
         )
 
 
@@ -258,12 +403,15 @@ def _no_fold_of_all(recordings: Sequence[Recording]) -> str:
     low = 1e3 * min(recording.extremes[0] for recording in recordings)
     high = 1e3 * max(recording.extremes[1] for recording in recordings)
     return (
-        f"no crossing: the elbows' distance by the description, {low:.2f} to {high:.2f} mm, nowhere turns back from that of"
-        f" stretched or folded distal links, so that no length can be told; {RECORD}"
+        f"no crossing: the elbows' distance by the description, {low:.2f} to {high:.2f}"
+        " mm, nowhere turns back from that of stretched or folded distal links, so"
+        f" that no length can be told; {RECORD}"
     )
 
 
-def _check_agree(linkage: Linkage, numbers: Array, recordings: Sequence[Recording], found: Fit) -> None:
+def _check_agree(
+    linkage: Linkage, numbers: Array, recordings: Sequence[Recording], found: Fit
+) -> None:
     """Several recordings are of one robot.
 
     Raises:
@@ -273,8 +421,18 @@ def _check_agree(linkage: Linkage, numbers: Array, recordings: Sequence[Recordin
     for bag, recording in enumerate(recordings if len(recordings) > 1 else []):
         wanted = directions_of(recording.folds, None)
         if len(recording.folds) >= len(wanted) + SPARE:
-            alone = float(np.nanmedian(np.abs(fit(linkage, numbers, recording.folds, None, wanted).gaps)))
-            contradicts(recording.path, alone, float(np.nanmedian(np.abs(found.gaps[which == bag]))), MOST_APART, "m")
+            alone = float(
+                np.nanmedian(
+                    np.abs(fit(linkage, numbers, recording.folds, None, wanted).gaps)
+                )
+            )
+            contradicts(
+                recording.path,
+                alone,
+                float(np.nanmedian(np.abs(found.gaps[which == bag]))),
+                MOST_APART,
+                "m",
+            )
 
 
 def _check_places(found: Fit, places: Places | None) -> None:
@@ -286,13 +444,18 @@ def _check_places(found: Fit, places: Places | None) -> None:
     count = 0 if places is None else len(places.x)
     if found.place_noise > MOST_PLACE_NOISE or found.places < LEAST_USED * count:
         told = (
-            f"{found.places} of {count} external poses agree with any one geometry, {LEAST_USED:.0%} have to"
+            f"{found.places} of {count} external poses agree with any one geometry,"
+            f" {LEAST_USED:.0%} have to"
             if not found.place_noise > MOST_PLACE_NOISE
-            else f"the external poses scatter by {1e3 * found.place_noise:.1f} mm (standard deviation) about any geometry's end"
-            f" effector; {1e3 * MOST_PLACE_NOISE:g} mm is the most"
+            else (
+                f"the external poses scatter by {1e3 * found.place_noise:.1f} mm"
+                " (standard deviation) about any geometry's end effector;"
+                f" {1e3 * MOST_PLACE_NOISE:g} mm is the most"
+            )
         )
         raise CalibrationError(
-            f"{told}: check their frame, unit and stamps, or leave them out (--no-pose). Nothing was written"
+            f"{told}: check their frame, unit and stamps, or leave them out"
+            " (--no-pose). Nothing was written"
         )
 
 
@@ -303,19 +466,38 @@ def _check_told(found: Fit) -> None:
         CalibrationError: one is not.
     """
     vague = [
-        f"{direction.name} to +-{1e3 * deviation:.2g} {UNITS[direction.unit][0]}" if deviation < 100.0 * WIDEST[direction.unit]
-        else f"{direction.name} not at all"
+        (
+            f"{direction.name} to +-{1e3 * deviation:.2g} {UNITS[direction.unit][0]}"
+            if deviation < 100.0 * WIDEST[direction.unit]
+            else f"{direction.name} not at all"
+        )
         for direction, deviation in zip(found.directions, found.deviations, strict=True)
         if not deviation <= WIDEST[direction.unit]
     ]
     if vague:
-        x = np.array([one.x for one, used in zip(found.touches, found.used, strict=True) if used and np.isfinite(one.gap)])
-        low, high = 1e3 * np.array([x.min(axis=0), x.max(axis=0)]) if len(x) else np.zeros((2, 2))
-        where = f", at x = {low[0]:.0f} to {high[0]:.0f} mm, y = {low[1]:.0f} to {high[1]:.0f} mm," if len(x) else ""
+        x = np.array(
+            [
+                one.x
+                for one, used in zip(found.touches, found.used, strict=True)
+                if used and np.isfinite(one.gap)
+            ]
+        )
+        low, high = (
+            1e3 * np.array([x.min(axis=0), x.max(axis=0)])
+            if len(x)
+            else np.zeros((2, 2))
+        )
+        where = (
+            f", at x = {low[0]:.0f} to {high[0]:.0f} mm, y = {low[1]:.0f} to"
+            f" {high[1]:.0f} mm,"
+            if len(x)
+            else ""
+        )
         raise CalibrationError(
-            f"{len(x)} crossings{where} tell"
-            f" {'; '.join(vague)}; {1e3 * WIDEST['m']:g} mm and {1e3 * WIDEST['rad']:g} mrad are needed:"
-            f" {_encoders(found) or 'they lie too close together, or all on one side'}; {RECORD}"
+            f"{len(x)} crossings{where} tell {'; '.join(vague)}; {1e3 * WIDEST['m']:g}"
+            f" mm and {1e3 * WIDEST['rad']:g} mrad are needed:"
+            f" {_encoders(found) or 'they lie too close together, or all on one side'};"
+            f" {RECORD}"
         )
 
 
@@ -324,8 +506,9 @@ def _encoders(found: Fit) -> str:
     if found.encoder_error < SUSPICIOUS:
         return ""
     return (
-        f"the encoders seem to err by some {1e3 * found.encoder_error:g} mrad once a turn, as where a disc is off its centre;"
-        " correct them, or record external poses too"
+        f"the encoders seem to err by some {1e3 * found.encoder_error:g} mrad once a"
+        " turn, as where a disc is off its centre; correct them, or record external"
+        " poses too"
     )
 
 
@@ -340,10 +523,11 @@ def _check_explained(found: Fit, gaps: Array) -> None:
     none_spare = not found.places and used <= len(found.directions)
     if count and (used < LEAST_USED * count or rms > MOST_GAP or none_spare):
         raise CalibrationError(
-            f"no geometry explains the recordings: {used} of {count} crossings agree"
-            f"{f', with gaps of {1e6 * rms:.0f} um RMS' if used else ''}; {LEAST_USED:.0%} have to, with {1e6 * MOST_GAP:.0f} um"
-            f" at most: {_encoders(found) or UNLIKE}."
-            f" Nothing was written{f'; {RECORD}' if not used else ''}"
+            f"no geometry explains the recordings: {used} of {count} crossings"
+            f" agree{f', with gaps of {1e6 * rms:.0f} um RMS' if used else ''};"
+            f" {LEAST_USED:.0%} have to, with {1e6 * MOST_GAP:.0f} um at most:"
+            f" {_encoders(found) or UNLIKE}. Nothing was"
+            f" written{f'; {RECORD}' if not used else ''}"
         )
 
 
@@ -359,19 +543,24 @@ def _check_bounds(robot: RobotParameters, found: Fit) -> None:
         unit, scale = UNITS[direction.unit]
         if not abs(change) <= MOST_MOVED[direction.unit]:
             raise CalibrationError(
-                f"the recordings put {direction.name} {scale * change:+.2f} {unit} from the description; within"
-                f" {scale * MOST_MOVED[direction.unit]:g} {unit} it can be this robot: correct the description first. Nothing was"
-                " written"
+                f"the recordings put {direction.name} {scale * change:+.2f} {unit} from"
+                f" the description; within {scale * MOST_MOVED[direction.unit]:g}"
+                f" {unit} it can be this robot: correct the description first. Nothing"
+                " was written"
             )
 
 
 def _plain(numbers: Array, found: Fit) -> Array:
-    """(16,) as a description has them: encoders without an error once a turn, transmissions' compliances where they are told."""
+    """(16,) as a description has them: encoders without an error once a turn,
+    transmissions' compliances where they are told.
+    """
     deviations, plain = np.sqrt(np.diag(found.covariance)), found.numbers.copy()
     for row, name in enumerate(NAMES):
         if name.endswith(PER_TURN):
             plain[row] = 0.0
-        elif name.endswith(COMPLIANCE) and not plain[row] > SURE * deviations[row] > 0.0:
+        elif (
+            name.endswith(COMPLIANCE) and not plain[row] > SURE * deviations[row] > 0.0
+        ):
             plain[row] = numbers[row]
     return plain
 
@@ -381,21 +570,42 @@ def _kept(numbers: Array, wanted: Sequence[Direction]) -> list[str]:
     if len(wanted) == len(EVERY):
         return []
     value = dict(zip(NAMES, numbers, strict=True))
-    middle = [500.0 * (value[f"left.axis.{axis}"] + value[f"right.axis.{axis}"]) for axis in "xy"]
+    middle = [
+        500.0 * (value[f"left.axis.{axis}"] + value[f"right.axis.{axis}"])
+        for axis in "xy"
+    ]
     lengths = [1e3 * value[f"{side}.distal_length"] for side in SIDES]
-    stiffness = " and ".join(f"{1.0 / c:g} N m/rad" if (c := value[f"{side}.{COMPLIANCE}"]) else "rigid" for side in SIDES)
+    stiffness = " and ".join(
+        f"{1.0 / c:g} N m/rad" if (c := value[f"{side}.{COMPLIANCE}"]) else "rigid"
+        for side in SIDES
+    )
     kept = [
-        f"The scale is not seen without an external pose: the distal lengths' sum was kept at {sum(lengths):.4f} mm.",
-        f"Where the robot stands is not seen: the middle of its motor axes was kept at ({middle[0]:.4f}, {middle[1]:.4f}) mm.",
-        "How it is turned is not seen: the mean of the encoder offsets was kept at"
-        f" {500.0 * sum(value[f'{side}.encoder_offset'] for side in SIDES):.4f} mrad.",
-        f"How far links lag behind their motors is not seen without an external pose: the transmissions were kept as {stiffness}."
-        " If encoders sit at the motors, before belts, the robot file needs their stiffness, or these numbers bear its lag.",
+        (
+            "The scale is not seen without an external pose: the distal lengths' sum"
+            f" was kept at {sum(lengths):.4f} mm."
+        ),
+        (
+            "Where the robot stands is not seen: the middle of its motor axes was kept"
+            f" at ({middle[0]:.4f}, {middle[1]:.4f}) mm."
+        ),
+        (
+            "How it is turned is not seen: the mean of the encoder offsets was kept at"
+            f" {500.0 * sum(value[f'{side}.encoder_offset'] for side in SIDES):.4f}"
+            " mrad."
+        ),
+        (
+            "How far links lag behind their motors is not seen without an external"
+            f" pose: the transmissions were kept as {stiffness}. If encoders sit at the"
+            " motors, before belts, the robot file needs their stiffness, or these"
+            " numbers bear its lag."
+        ),
     ]
     if not any(direction.name.endswith("left.distal_length") for direction in wanted):
         kept.append(
-            "How the distal lengths share their sum is not seen without two crossings of folded links: they were kept at"
-            f" {lengths[0]:.4f} and {lengths[1]:.4f} mm, and near folded links the robot stays as wrong as that. Record some with"
-            " this file as the robot (four of --tour 12 are such), and calibrate by that bag."
+            "How the distal lengths share their sum is not seen without two crossings"
+            f" of folded links: they were kept at {lengths[0]:.4f} and {lengths[1]:.4f}"
+            " mm, and near folded links the robot stays as wrong as that. Record some"
+            " with this file as the robot (four of --tour 12 are such), and calibrate"
+            " by that bag."
         )
     return kept

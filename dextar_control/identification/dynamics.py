@@ -1,7 +1,9 @@
-"""Weighted least squares for masses, inertias, friction and gravity by recorded motions.
+"""Weighted least squares for masses, inertias, friction and gravity by recorded
+motions.
 
-The equation is that of ``model.regressor``, on the platform: regular on the locus. Each instant counts by what is known of its
-torques and accelerations, so that where the encoders do not tell the platform's acceleration nothing is learnt from it. What no
+The equation is that of ``model.regressor``, on the platform: regular on the locus. Each
+instant counts by what is known of its torques and accelerations, so that where the
+encoders do not tell the platform's acceleration nothing is learnt from it. What no
 motion tells stays as described: each number is held to its description, loosely.
 """
 
@@ -24,17 +26,26 @@ from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.regressor import Unknown, regressors, sizes_of, unknowns_of
 from dextar_control.symbols.types import Array
 
-PRIOR, PRIOR_BODY = 5.0, 0.5  # sizes of a number, and of a mass or inertia, by which it may differ from the description untold
+PRIOR, PRIOR_BODY = (
+    5.0,
+    0.5,
+    # sizes of a number, and of a mass or inertia, by which it may differ from the
+    # description untold
+)
 DELAY = 5e-3  # s, likewise, of the time from command to drive
 ROUNDS, CONVERGED = 10, 1e-4  # of the prior deviations, of a step
 LARGEST = 4.0  # standard deviations, beyond which an instant is an outlier
 TOLD = 0.25  # of that prior deviation, below which a combination of numbers is told
 ALONE = 0.25  # likewise of a number by itself
-LEAST_BODY = 0.02  # of a described mass or inertia, that is left of it at least: no body is without
-SHARP = 0.01  # rad/s over which friction turns round at most: it sticks, whatever the description smooths it over
+# of a described mass or inertia, that is left of it at least: no body is without
+LEAST_BODY = 0.02
+# rad/s over which friction turns round at most: it sticks, whatever the description
+# smooths it over
+SHARP = 0.01
 NOTHING = 5e-4  # N m, of the rest, that makes no outlier
 LEAST_TORQUE = 2e-4  # N m, of the rest, that is no sign of anything
-NEGLIGIBLE = 1e-3  # of a combination's own size, below which another number does not belong to it
+# of a combination's own size, below which another number does not belong to it
+NEGLIGIBLE = 1e-3
 
 
 class Combination(NamedTuple):
@@ -70,7 +81,8 @@ class DynamicFit:
         time: (m,) s of the instants, of motion ``which`` (m,).
         torque: (m, n) commanded then, N m.
         rates: (m, n) of the joints, rad/s.
-        rest_before, rest: (m, n) of the torques, by the description and by what was found.
+        rest_before, rest: (m, n) of the torques, by the description and by what was
+            found.
         used: (m,) whether an instant counts.
     """
 
@@ -98,7 +110,9 @@ class DynamicFit:
 
 
 class _Rows(NamedTuple):
-    """The filtered equation: gap (m, n), slopes (m, n, k), J_inv (m, n, n), inertia (m, n, n), late (m, n) of J_inv^T tau_dot."""
+    """The filtered equation: gap (m, n), slopes (m, n, k), J_inv (m, n, n), inertia (m,
+    n, n), late (m, n) of J_inv^T tau_dot.
+    """
 
     gap: Array
     slopes: Array
@@ -109,7 +123,9 @@ class _Rows(NamedTuple):
 
 def rows_of(p: Array, motion: Motion) -> _Rows:
     """The equation along a motion for some numbers."""
-    found = regressors(DETAILED_FIVE_BAR).batch("gap")(p, motion.q_a, motion.x, motion.x_dot, motion.x_ddot, motion.tau)
+    found = regressors(DETAILED_FIVE_BAR).batch("gap")(
+        p, motion.q_a, motion.x, motion.x_dot, motion.x_ddot, motion.tau
+    )
     late = np.einsum("mji,mj->mi", found.J_inv, motion.tau_dot)
     parts = (found.gap, found.slopes, found.J_inv, found.inertia, late)
     return _Rows(*(motion.filtered(part) for part in parts))
@@ -117,7 +133,9 @@ def rows_of(p: Array, motion: Motion) -> _Rows:
 
 def rest_of(rows: _Rows, gap: Array) -> Array:
     """Torques (m, n), N m, that a gap (m, n), N on the platform, stands for."""
-    return np.asarray(np.linalg.solve(rows.J_inv.transpose(0, 2, 1), gap[:, :, None])[:, :, 0])
+    return np.asarray(
+        np.linalg.solve(rows.J_inv.transpose(0, 2, 1), gap[:, :, None])[:, :, 0]
+    )
 
 
 def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFit:
@@ -131,13 +149,28 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFi
     unknowns, sizes = unknowns_of(DETAILED_FIVE_BAR), sizes_of(DETAILED_FIVE_BAR, p)
     columns, k, count = [one.row for one in unknowns], len(unknowns), len(motions)
     before, turn_over = p[columns], DETAILED_FIVE_BAR.rows_of("coulomb_speed")
-    which = np.concatenate([np.full(len(motion.tells), row) for row, motion in enumerate(motions)])
+    which = np.concatenate(
+        [np.full(len(motion.tells), row) for row, motion in enumerate(motions)]
+    )
     time = np.concatenate([motion.time[motion.tells] for motion in motions])
-    blocks = np.unique(np.stack([which, np.floor(time / BLOCK).astype(np.int64)]), axis=1, return_inverse=True)[1].ravel()
-    jitter = np.concatenate([np.tile(motion.jitter, (len(motion.tells), 1)) for motion in motions])
+    blocks = np.unique(
+        np.stack([which, np.floor(time / BLOCK).astype(np.int64)]),
+        axis=1,
+        return_inverse=True,
+    )[1].ravel()
+    jitter = np.concatenate(
+        [np.tile(motion.jitter, (len(motion.tells), 1)) for motion in motions]
+    )
     loose = [PRIOR_BODY if one.unit.startswith("kg") else PRIOR for one in unknowns]
     prior = np.concatenate([loose * sizes, np.full(count, DELAY)])
-    least = [max(one.minimum, LEAST_BODY * float(p[one.row])) if one.unit.startswith("kg") else one.minimum for one in unknowns]
+    least = [
+        (
+            max(one.minimum, LEAST_BODY * float(p[one.row]))
+            if one.unit.startswith("kg")
+            else one.minimum
+        )
+        for one in unknowns
+    ]
     low = np.concatenate([least, np.full(count, -np.inf)])
     numbers, delay, spread = before.copy(), np.zeros(count), np.full(2, 0.02)
     used, rest_before = np.ones(len(which), dtype=bool), np.zeros(0)
@@ -151,13 +184,17 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFi
         if turn == 0:
             rest_before = rest
         else:
-            spread = np.maximum(MEDIAN * np.median(np.abs(rest[used]), axis=0), LEAST_TORQUE)
+            spread = np.maximum(
+                MEDIAN * np.median(np.abs(rest[used]), axis=0), LEAST_TORQUE
+            )
         whiten = _whitening(rows, spread, jitter)
         misfit = np.einsum("mij,mj->mi", whiten, gap)
         scale = max(MEDIAN * float(np.median(np.abs(misfit[used]))), 1e-9)
         whiten, misfit = whiten / scale, misfit / scale
         if turn > 1:
-            used = (np.abs(misfit).max(axis=1) <= LARGEST) | (np.abs(rest).max(axis=1) <= NOTHING)
+            used = (np.abs(misfit).max(axis=1) <= LARGEST) | (
+                np.abs(rest).max(axis=1) <= NOTHING
+            )
         slopes = np.zeros((*gap.shape, k + count))
         slopes[:, :, :k] = rows.slopes
         slopes[np.arange(len(which)), :, k + which] = -rows.late
@@ -165,11 +202,18 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFi
         flat = scaled[used].reshape(-1, k + count)
         now = np.concatenate([numbers, delay])
         away = (np.concatenate([before, np.zeros(count)]) - now) / prior
-        A, b = np.vstack([flat, np.eye(k + count)]), np.concatenate([-misfit[used].ravel(), away])
+        A, b = (
+            np.vstack([flat, np.eye(k + count)]),
+            np.concatenate([-misfit[used].ravel(), away]),
+        )
         small = np.asarray(qr(np.column_stack([A, b]), mode="r")[0])[: k + count + 1]
         A, b = small[:, :-1], small[:, -1]
         free = np.linalg.lstsq(A, b, rcond=None)[0]
-        step = lsq_linear(A, b, ((low - now) / prior - 1e-12, np.inf), method="bvls").x if turn else free
+        step = (
+            lsq_linear(A, b, ((low - now) / prior - 1e-12, np.inf), method="bvls").x
+            if turn
+            else free
+        )
         wanted = now + prior * free
         now = np.maximum(now + prior * step, low)
         numbers, delay = now[:k], now[k:]
@@ -177,48 +221,97 @@ def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFi
             break
     posterior = np.linalg.inv(flat.T @ flat + np.eye(k + count))
     scores = np.zeros((blocks.max() + 1, k + count))
-    np.add.at(scores, blocks, np.einsum("mik,mi->mk", scaled, np.clip(misfit, -LARGEST, LARGEST)))  # outliers widen them
+    np.add.at(
+        scores,
+        blocks,
+        np.einsum("mik,mi->mk", scaled, np.clip(misfit, -LARGEST, LARGEST)),
+    )  # outliers widen them
     covariance = posterior @ (scores.T @ scores + np.eye(k + count)) @ posterior
     deviations = np.sqrt(np.diag(covariance)) * prior
     held = now[:k] <= low[:k] + 1e-12
     beyond = held & (wanted[:k] < low[:k] - 2.0 * deviations[:k])
     return DynamicFit(
-        unknowns=unknowns, before=before, numbers=numbers, deviations=deviations[:k], prior=prior[:k],
-        combinations=_combinations(unknowns, flat[:, :k], prior[:k], before, numbers, covariance[:k, :k]),
-        bound=tuple(one.name for one, is_beyond in zip(unknowns, beyond, strict=True) if is_beyond),
-        delay=delay, delay_deviation=deviations[k:], time=time, which=which,
+        unknowns=unknowns,
+        before=before,
+        numbers=numbers,
+        deviations=deviations[:k],
+        prior=prior[:k],
+        combinations=_combinations(
+            unknowns, flat[:, :k], prior[:k], before, numbers, covariance[:k, :k]
+        ),
+        bound=tuple(
+            one.name
+            for one, is_beyond in zip(unknowns, beyond, strict=True)
+            if is_beyond
+        ),
+        delay=delay,
+        delay_deviation=deviations[k:],
+        time=time,
+        which=which,
         torque=np.concatenate([motion.filtered(motion.tau) for motion in motions]),
-        rates=np.concatenate([motion.rates for motion in motions]), rest_before=rest_before, rest=rest, used=used,
+        rates=np.concatenate([motion.rates for motion in motions]),
+        rest_before=rest_before,
+        rest=rest,
+        used=used,
     )
 
 
 def _whitening(rows: _Rows, spread: Array, jitter: Array) -> Array:
-    """(m, n, n) that make a gap's errors one: those of the torques, spread (n,), and of the accelerations, jitter (m, n)."""
-    by_torque, by_motion = rows.J_inv.transpose(0, 2, 1) * spread, rows.inertia * jitter[:, None, :]
-    errors = by_torque @ by_torque.transpose(0, 2, 1) + by_motion @ by_motion.transpose(0, 2, 1)
+    """(m, n, n) that make a gap's errors one: those of the torques, spread (n,), and of
+    the accelerations, jitter (m, n).
+    """
+    by_torque, by_motion = (
+        rows.J_inv.transpose(0, 2, 1) * spread,
+        rows.inertia * jitter[:, None, :],
+    )
+    errors = by_torque @ by_torque.transpose(0, 2, 1) + by_motion @ by_motion.transpose(
+        0, 2, 1
+    )
     return np.asarray(np.linalg.inv(np.linalg.cholesky(errors)))
 
 
 def _combinations(
-    unknowns: Sequence[Unknown], flat: Array, prior: Array, before: Array, numbers: Array, covariance: Array
+    unknowns: Sequence[Unknown],
+    flat: Array,
+    prior: Array,
+    before: Array,
+    numbers: Array,
+    covariance: Array,
 ) -> tuple[Combination, ...]:
-    """The base parameters: the numbers whose torques are told apart, the last first, each with its share of the others'."""
+    """The base parameters: the numbers whose torques are told apart, the last first,
+    each with its share of the others'.
+    """
     R = np.asarray(qr(flat, mode="r")[0])[: flat.shape[1]]
     base, across = list[int](), np.zeros((len(R), 0))
     for column in reversed(range(len(prior))):
         own = R[:, column] - across @ (across.T @ R[:, column])
         if np.linalg.norm(own) >= 1.0 / TOLD:
-            base, across = [column, *base], np.column_stack([across, own / np.linalg.norm(own)])
+            base, across = (
+                [column, *base],
+                np.column_stack([across, own / np.linalg.norm(own)]),
+            )
     shares = np.linalg.lstsq(R[:, base], R, rcond=None)[0]
     found = []
     for first, own_shares in zip(base, shares, strict=True):
         factors = own_shares * prior[first] / prior
         factors[np.abs(own_shares) < NEGLIGIBLE] = 0.0
-        shown = factors * [UNITS[unknowns[first].unit][1] / UNITS[one.unit][1] for one in unknowns]
-        others = [f"{shown[i]:+.3g} {unknowns[i].name}" for i in np.flatnonzero(factors).tolist() if i != first]
+        shown = factors * [
+            UNITS[unknowns[first].unit][1] / UNITS[one.unit][1] for one in unknowns
+        ]
+        others = [
+            f"{shown[i]:+.3g} {unknowns[i].name}"
+            for i in np.flatnonzero(factors).tolist()
+            if i != first
+        ]
         scale = factors * prior
-        found.append(Combination(
-            " ".join([unknowns[first].name, *others]), unknowns[first].unit, factors, float(factors @ before),
-            float(factors @ numbers), float(np.sqrt(scale @ covariance @ scale)),
-        ))
+        found.append(
+            Combination(
+                " ".join([unknowns[first].name, *others]),
+                unknowns[first].unit,
+                factors,
+                float(factors @ before),
+                float(factors @ numbers),
+                float(np.sqrt(scale @ covariance @ scale)),
+            )
+        )
     return tuple(found)

@@ -1,7 +1,9 @@
-"""Nonlinear least squares for a five-bar's geometry by folds of the joints' motion, and by places of the end effector, if seen.
+"""Nonlinear least squares for a five-bar's geometry by folds of the joints' motion, and
+by places of the end effector, if seen.
 
-Folds alone tell nothing of where the robot stands (the motors' midpoint is kept) and how it is turned (the mean of the encoder
-offsets), of its scale (the distal lengths' sum), and without folded links nothing of the distal lengths' difference.
+Folds alone tell nothing of where the robot stands (the motors' midpoint is kept) and
+how it is turned (the mean of the encoder offsets), of its scale (the distal lengths'
+sum), and without folded links nothing of the distal lengths' difference.
 """
 
 from __future__ import annotations
@@ -25,14 +27,37 @@ CONVERGED = 1e-7  # of one, of a step
 NEARBY = 10.0  # of one, how far from the description the numbers are looked for first
 PLACE_NOISE = 2e-4  # m, of a coordinate, until the places' own scatter tells it
 PLACE_FLOOR = 5e-6  # m, of a place beside its noise: clocks, interpolation
-MEDIAN = 1.4826  # standard deviations of a normal distribution in the median of its absolute values
-FEWEST_FOLDED = 2  # folds with folded links that tell the difference of the distal lengths
-ENCODER_ERRORS = (0.0, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3)  # rad, of the errors once a turn among which the likeliest is taken
-SEEN_ERROR = 3e-4  # rad, of such errors that is looked for where places of the end effector tell them
-UNMODELLED = (0.0, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4)  # m, beside the samples' scatter, likewise
-BOUND = 1e-9  # of the largest singular value, below which a direction is not seen at all
+# standard deviations of a normal distribution in the median of its absolute values
+MEDIAN = 1.4826
+FEWEST_FOLDED = (
+    2  # folds with folded links that tell the difference of the distal lengths
+)
+ENCODER_ERRORS = (
+    0.0,
+    3e-5,
+    1e-4,
+    3e-4,
+    1e-3,
+    3e-3,
+)  # rad, of the errors once a turn among which the likeliest is taken
+# rad, of such errors that is looked for where places of the end effector tell them
+SEEN_ERROR = 3e-4
+UNMODELLED = (
+    0.0,
+    1e-6,
+    3e-6,
+    1e-5,
+    3e-5,
+    1e-4,
+    3e-4,
+)  # m, beside the samples' scatter, likewise
+BOUND = (
+    1e-9  # of the largest singular value, below which a direction is not seen at all
+)
 ONE = {"m": 1e-4, "rad": 1e-3, "rad/(N m)": 1e-2}  # that counts as one of each unit
-SEEN_COMPLIANCE = 3e-2  # rad/(N m), standard deviation of a transmission's that is looked for where places tell it
+# rad/(N m), standard deviation of a transmission's that is looked for where places tell
+# it
+SEEN_COMPLIANCE = 3e-2
 
 
 class Direction(NamedTuple):
@@ -50,11 +75,19 @@ class Direction(NamedTuple):
 
 
 def _direction(name: str, unit: str, changes: dict[str, float]) -> Direction:
-    return Direction(name, unit, np.array([changes.get(number, 0.0) for number in NAMES]))
+    return Direction(
+        name, unit, np.array([changes.get(number, 0.0) for number in NAMES])
+    )
 
 
 def _single(name: str) -> Direction:
-    unit = "rad/(N m)" if name.endswith(COMPLIANCE) else "rad" if "encoder" in name else "m"
+    unit = (
+        "rad/(N m)"
+        if name.endswith(COMPLIANCE)
+        else "rad"
+        if "encoder" in name
+        else "m"
+    )
     return _direction(name, unit, {name: 1.0})
 
 
@@ -62,14 +95,23 @@ def _difference(name: str, unit: str, quantity: str) -> Direction:
     return _direction(name, unit, {f"left.{quantity}": -0.5, f"right.{quantity}": 0.5})
 
 
-ENCODERS = tuple(_single(name) for name in NAMES if name.endswith((*PER_TURN, COMPLIANCE)))
-EVERY = tuple(_single(name) for name in NAMES if not name.endswith((*PER_TURN, COMPLIANCE)))
+ENCODERS = tuple(
+    _single(name) for name in NAMES if name.endswith((*PER_TURN, COMPLIANCE))
+)
+EVERY = tuple(
+    _single(name) for name in NAMES if not name.endswith((*PER_TURN, COMPLIANCE))
+)
 BY_STRETCHED = (
     *(_single(f"{side}.proximal_length") for side in SIDES),
-    *(_difference(f"right.axis - left.axis, {axis}", "m", f"axis.{axis}") for axis in "xy"),
+    *(
+        _difference(f"right.axis - left.axis, {axis}", "m", f"axis.{axis}")
+        for axis in "xy"
+    ),
     _difference("right.encoder_offset - left.encoder_offset", "rad", "encoder_offset"),
 )
-BY_FOLDED = _difference("right.distal_length - left.distal_length", "m", "distal_length")
+BY_FOLDED = _difference(
+    "right.distal_length - left.distal_length", "m", "distal_length"
+)
 
 
 class Places(NamedTuple):
@@ -96,11 +138,13 @@ class Fit:
         directions: that were looked for.
         deviations: per direction, standard; inf where the recordings do not tell it.
         touches: of the folds.
-        spreads: per fold, standard deviation of its gap with all that is not modelled, m.
+        spreads: per fold, standard deviation of its gap with all that is not modelled,
+            m.
         used: per fold, whether it counts.
-        encoder_error: standard deviation of the encoders' error once a turn, or by a tenth of a N m passed on, that was allowed
-            for, rad.
-        unmodelled: standard deviation of the folds' gaps beside it and their samples' scatter, m.
+        encoder_error: standard deviation of the encoders' error once a turn, or by a
+            tenth of a N m passed on, that was allowed for, rad.
+        unmodelled: standard deviation of the folds' gaps beside it and their samples'
+            scatter, m.
         place_noise: standard deviation of a seen coordinate, m; nan without places.
         places: how many count.
     """
@@ -123,7 +167,9 @@ class Fit:
         return np.array([one.gap for one in self.touches])
 
 
-def directions_of(folds: Sequence[Fold], places: Places | None) -> tuple[Direction, ...]:
+def directions_of(
+    folds: Sequence[Fold], places: Places | None
+) -> tuple[Direction, ...]:
     """What can be looked for."""
     if places is not None:
         return EVERY
@@ -134,36 +180,67 @@ def directions_of(folds: Sequence[Fold], places: Places | None) -> tuple[Directi
 class _Problem:
     """Folds and places, linear about some numbers."""
 
-    def __init__(self, linkage: Linkage, folds: Sequence[Fold], places: Places | None, wanted: tuple[Direction, ...]) -> None:
+    def __init__(
+        self,
+        linkage: Linkage,
+        folds: Sequence[Fold],
+        places: Places | None,
+        wanted: tuple[Direction, ...],
+    ) -> None:
         self.linkage, self.folds, self.places = linkage, folds, places
-        self.scales = np.array([ONE[direction.unit] for direction in (*wanted, *ENCODERS)])
-        self.along = np.column_stack([direction.change for direction in (*wanted, *ENCODERS)]) * self.scales
+        self.scales = np.array(
+            [ONE[direction.unit] for direction in (*wanted, *ENCODERS)]
+        )
+        self.along = (
+            np.column_stack([direction.change for direction in (*wanted, *ENCODERS)])
+            * self.scales
+        )
         self.place_noise, self.count = PLACE_NOISE, len(wanted)
 
     def at(self, numbers: Array) -> None:
         """Compute anew there."""
         self.touches = [touch(self.linkage, numbers, fold) for fold in self.folds]
-        self.valid = np.array([np.isfinite(one.gap) for one in self.touches], dtype=bool)
-        self.gaps = np.array([one.gap if np.isfinite(one.gap) else 0.0 for one in self.touches])
-        self.deviations = np.array([one.deviation if np.isfinite(one.gap) else 1.0 for one in self.touches])
-        self.slopes = np.array([one.gradient for one in self.touches]).reshape(-1, len(NAMES)) @ self.along
+        self.valid = np.array(
+            [np.isfinite(one.gap) for one in self.touches], dtype=bool
+        )
+        self.gaps = np.array(
+            [one.gap if np.isfinite(one.gap) else 0.0 for one in self.touches]
+        )
+        self.deviations = np.array(
+            [one.deviation if np.isfinite(one.gap) else 1.0 for one in self.touches]
+        )
+        self.slopes = (
+            np.array([one.gradient for one in self.touches]).reshape(-1, len(NAMES))
+            @ self.along
+        )
         self.seen, self.seen_slopes = np.zeros(0), np.zeros((0, self.along.shape[1]))
         self.kept = np.zeros(0, dtype=bool)
         if self.places is None:
             return
         found = self.linkage.closures(numbers, *self.places)
-        noise = self.place_noise**2 * found.rods @ found.rods.transpose(0, 2, 1) + PLACE_FLOOR**2 * np.eye(2)
+        noise = self.place_noise**2 * found.rods @ found.rods.transpose(
+            0, 2, 1
+        ) + PLACE_FLOOR**2 * np.eye(2)
         whiten = np.linalg.inv(np.linalg.cholesky(noise))
         residuals = np.einsum("mij,mj->mi", whiten, found.gaps)
         scale = MEDIAN * float(np.median(np.abs(residuals)))
         self.kept = np.abs(residuals).max(axis=1) <= LARGEST * max(scale, 1.0)
         self.place_noise = max(self.place_noise * scale, PLACE_FLOOR)
         self.seen = residuals[self.kept].ravel()
-        self.seen_slopes = (whiten @ found.slopes @ self.along)[self.kept].reshape(-1, self.along.shape[1])
+        self.seen_slopes = (whiten @ found.slopes @ self.along)[self.kept].reshape(
+            -1, self.along.shape[1]
+        )
 
     def size(self) -> float:
         """Standard deviation of most gaps, m."""
-        return max(MEDIAN * float(np.median(np.abs(self.gaps[self.valid]))) if self.valid.any() else 0.0, LEAST_SIZE)
+        return max(
+            (
+                MEDIAN * float(np.median(np.abs(self.gaps[self.valid])))
+                if self.valid.any()
+                else 0.0
+            ),
+            LEAST_SIZE,
+        )
 
     def step(self, weights: Array, moved: Array, hold: Array) -> tuple[Array, Array]:
         """(step along the directions, their covariance), in their scales.
@@ -171,16 +248,27 @@ class _Problem:
         Args:
             weights: (k,) of the folds, 1/m.
             moved: along the directions until now.
-            hold: how tightly each of the first of them is held to where it began, one over its standard deviation; 0 is free.
-                What is beyond them does not move.
+            hold: how tightly each of the first of them is held to where it began, one
+                over its standard deviation; 0 is free. What is beyond them does not
+                move.
         """
         free = len(hold)
-        A = np.vstack([np.vstack([self.slopes * weights[:, None], self.seen_slopes])[:, :free], np.diag(hold)])
+        A = np.vstack(
+            [
+                np.vstack([self.slopes * weights[:, None], self.seen_slopes])[:, :free],
+                np.diag(hold),
+            ]
+        )
         b = np.concatenate([self.gaps * weights, self.seen, hold * moved[:free]])
-        small: Any = np.linalg.qr(np.column_stack([A, b]), mode="r")  # says of both what the many rows do
+        small: Any = np.linalg.qr(
+            np.column_stack([A, b]), mode="r"
+        )  # says of both what the many rows do
         A, b = small[:, :free], small[:, free]
         _, values, V = np.linalg.svd(A)
-        values = np.maximum(np.pad(values, (0, free - len(values))), BOUND * max(float(values.max(initial=0.0)), 1e-100))
+        values = np.maximum(
+            np.pad(values, (0, free - len(values))),
+            BOUND * max(float(values.max(initial=0.0)), 1e-100),
+        )
         covariance = np.zeros((self.along.shape[1],) * 2)
         covariance[:free, :free] = (V.T / values**2) @ V
         step = np.zeros(self.along.shape[1])
@@ -188,31 +276,53 @@ class _Problem:
         return step, covariance
 
     def variances(self, used: NDArray[np.bool_], moved: Array) -> tuple[float, float]:
-        """The likeliest (error of the encoders, rad, unmodelled, m) by the folds that count, whatever the numbers are."""
+        """The likeliest (error of the encoders, rad, unmodelled, m) by the folds that
+        count, whatever the numbers are.
+        """
         J, G = self.slopes[used, : self.count], self.slopes[used, self.count :]
-        free = np.linalg.svd(J, full_matrices=True)[0][:, np.linalg.matrix_rank(J) :].T  # of all that the numbers can explain
-        gaps, G = free @ (self.gaps[used] - G @ moved[self.count :]), free @ G / ONE["rad"]
+        free = np.linalg.svd(J, full_matrices=True)[0][
+            :, np.linalg.matrix_rank(J) :
+        ].T  # of all that the numbers can explain
+        gaps, G = (
+            free @ (self.gaps[used] - G @ moved[self.count :]),
+            free @ G / ONE["rad"],
+        )
         best = -np.inf, 0.0, 0.0
         for encoder_error in ENCODER_ERRORS:
             for unmodelled in UNMODELLED:
-                noise = free * (self.deviations[used] ** 2 + unmodelled**2) @ free.T + encoder_error**2 * G @ G.T
-                likelihood = -0.5 * (np.linalg.slogdet(noise)[1] + gaps @ np.linalg.solve(noise, gaps)) if len(gaps) else 0.0
+                noise = (
+                    free * (self.deviations[used] ** 2 + unmodelled**2) @ free.T
+                    + encoder_error**2 * G @ G.T
+                )
+                likelihood = (
+                    -0.5
+                    * (
+                        np.linalg.slogdet(noise)[1]
+                        + gaps @ np.linalg.solve(noise, gaps)
+                    )
+                    if len(gaps)
+                    else 0.0
+                )
                 best = max(best, (float(likelihood), -encoder_error, -unmodelled))
         return -best[1], -best[2]
 
 
 def fit(
-    linkage: Linkage, numbers: Array, folds: Sequence[Fold], places: Places | None = None,
+    linkage: Linkage,
+    numbers: Array,
+    folds: Sequence[Fold],
+    places: Places | None = None,
     directions: Sequence[Direction] | None = None,
-) -> Fit:  # fmt: skip
+) -> Fit:
     """The numbers that explain the folds, and the places, best.
 
-    Where a robot bounced off, or turned before it touched the locus, its fold is known by its own gap and left out, as are places
-    that jump.
+    Where a robot bounced off, or turned before it touched the locus, its fold is known
+    by its own gap and left out, as are places that jump.
 
     Args:
         linkage: its functions.
-        numbers: (16,) of the description, where the search begins; what is not looked for stays.
+        numbers: (16,) of the description, where the search begins; what is not looked
+            for stays.
         folds: of the recordings.
         places: of the end effector.
         directions: to look for; ``directions_of`` when None.
@@ -225,22 +335,45 @@ def fit(
     for turn in range(2 * ROUNDS):
         size = problem.size()
         if turn < ROUNDS:
-            weights = problem.valid / (size * np.sqrt(1.0 + np.square(problem.gaps / size)))
-            hold = np.full(len(wanted), 1.0 / NEARBY)  # so that outliers carry nothing far away
+            weights = problem.valid / (
+                size * np.sqrt(1.0 + np.square(problem.gaps / size))
+            )
+            hold = np.full(
+                len(wanted), 1.0 / NEARBY
+            )  # so that outliers carry nothing far away
         else:
             if turn > ROUNDS:
                 encoder_error, unmodelled = problem.variances(used, moved)
             else:
-                unmodelled = size * np.sqrt(len(folds) / max(len(folds) - len(wanted), 1))
-            by_encoders = encoder_error / ONE["rad"] * np.linalg.norm(problem.slopes[:, problem.count :], axis=1)
-            spreads = np.sqrt(problem.deviations**2 + max(unmodelled, size) ** 2 + by_encoders**2)  # most always count
+                unmodelled = size * np.sqrt(
+                    len(folds) / max(len(folds) - len(wanted), 1)
+                )
+            by_encoders = (
+                encoder_error
+                / ONE["rad"]
+                * np.linalg.norm(problem.slopes[:, problem.count :], axis=1)
+            )
+            spreads = np.sqrt(
+                problem.deviations**2 + max(unmodelled, size) ** 2 + by_encoders**2
+            )  # most always count
             used = problem.valid & (np.abs(problem.gaps) <= LARGEST * spreads)
             weights = used / np.hypot(problem.deviations, unmodelled)
             hold = np.zeros(len(wanted))
-            allowed = encoder_error if places is None else max(encoder_error, SEEN_ERROR)
+            allowed = (
+                encoder_error if places is None else max(encoder_error, SEEN_ERROR)
+            )
             if allowed:
-                loose = allowed / ONE["rad"], (SEEN_COMPLIANCE / ONE["rad/(N m)"] if places else allowed / ONE["rad"])
-                hold = np.concatenate([hold, [1.0 / loose[one.unit != "rad"] for one in ENCODERS]])
+                loose = (
+                    allowed / ONE["rad"],
+                    (
+                        SEEN_COMPLIANCE / ONE["rad/(N m)"]
+                        if places
+                        else allowed / ONE["rad"]
+                    ),
+                )
+                hold = np.concatenate(
+                    [hold, [1.0 / loose[one.unit != "rad"] for one in ENCODERS]]
+                )
         step, covariance = problem.step(weights, moved, hold)
         moved = moved + step
         problem.at(numbers + problem.along @ moved)
@@ -250,7 +383,8 @@ def fit(
         numbers=numbers + problem.along @ moved,
         covariance=problem.along @ covariance @ problem.along.T,
         directions=wanted,
-        deviations=np.sqrt(np.diag(covariance)[: len(wanted)]) * problem.scales[: len(wanted)],
+        deviations=np.sqrt(np.diag(covariance)[: len(wanted)])
+        * problem.scales[: len(wanted)],
         touches=problem.touches,
         spreads=spreads,
         used=used,

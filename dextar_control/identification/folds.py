@@ -1,7 +1,9 @@
-"""Where a five-bar's distal links align: folds of the joints' motion, which tell lengths.
+"""Where a five-bar's distal links align: folds of the joints' motion, which tell
+lengths.
 
-With aligned links the elbows are l2_left + l2_right apart (stretched), or l2_left - l2_right along the links (folded). The joints
-touch that distance and turn back from it, whether the platform crosses there or bounces off.
+With aligned links the elbows are l2_left + l2_right apart (stretched), or l2_left -
+l2_right along the links (folded). The joints touch that distance and turn back from it,
+whether the platform crosses there or bounces off.
 """
 
 from __future__ import annotations
@@ -15,8 +17,13 @@ from dextar_control.identification.linkage import DISTAL, NAMES, Linkage
 from dextar_control.mechanisms.five_bar_locus import Family
 from dextar_control.symbols.types import Array
 
-NEAR = 0.02  # of the distal lengths' sum: how far from touching an extreme of the elbows' distance, by the description, may be
-DROP = {Family.STRETCHED: 0.006, Family.FOLDED: 0.03}  # of that sum: change of the distance over either half of a window
+# of the distal lengths' sum: how far from touching an extreme of the elbows' distance,
+# by the description, may be
+NEAR = 0.02
+DROP = {
+    Family.STRETCHED: 0.006,
+    Family.FOLDED: 0.03,
+}  # of that sum: change of the distance over either half of a window
 LONGEST = 0.15  # s, of either half
 FEWEST = 9  # samples in either half
 GAP = 0.01  # s between samples at which a window ends
@@ -53,7 +60,8 @@ class Touch(NamedTuple):
     """What a fold says of some numbers.
 
     Attributes:
-        gap: the elbows' distance along the links less that of aligned links, m; nan where the joints do not turn back.
+        gap: the elbows' distance along the links less that of aligned links, m; nan
+            where the joints do not turn back.
         gradient: (16,) of the gap by the numbers.
         deviation: standard, of the gap by the samples' own scatter, m.
         x: (2,) of the end effector, m.
@@ -69,9 +77,14 @@ NONE = Touch(np.nan, np.zeros(len(NAMES)), np.nan, np.full(2, np.nan))
 
 
 def find_folds(
-    linkage: Linkage, numbers: Array, working_mode: tuple[int, int], time: Array, readings: Array, bag: int = 0,
+    linkage: Linkage,
+    numbers: Array,
+    working_mode: tuple[int, int],
+    time: Array,
+    readings: Array,
+    bag: int = 0,
     passed: Array | None = None,
-) -> list[Fold]:  # fmt: skip
+) -> list[Fold]:
     """The folds of a recording, in order of time.
 
     Args:
@@ -96,18 +109,38 @@ def find_folds(
             if first is None or last is None:
                 continue
             rows = slice(first, last + 1)
-            middle, half = 0.5 * (time[last] + time[first]), 0.5 * (time[last] - time[first])
+            middle, half = (
+                0.5 * (time[last] + time[first]),
+                0.5 * (time[last] - time[first]),
+            )
             instants = (time[rows] - middle) / half
             smoother = np.asarray(np.linalg.pinv(_powers(instants)), dtype=np.float64)
-            found.append(Fold(bag, family, float(middle), instants, readings[rows], passed[rows], smoother, working_mode))
+            found.append(
+                Fold(
+                    bag,
+                    family,
+                    float(middle),
+                    instants,
+                    readings[rows],
+                    passed[rows],
+                    smoother,
+                    working_mode,
+                )
+            )
     return sorted(found, key=lambda fold: fold.time)
 
 
 def _end(curve: Array, peak: int, step: int, drop: float, time: Array) -> int | None:
-    """The row on one side of a peak where the curve has dropped enough; None where it does not, or samples are missing."""
+    """The row on one side of a peak where the curve has dropped enough; None where it
+    does not, or samples are missing.
+    """
     row = peak
     while abs(row - peak) < FEWEST or curve[peak] - curve[row] < drop:
-        if not 0 <= row + step < len(curve) or abs(time[row + step] - time[row]) > GAP or abs(time[row] - time[peak]) > LONGEST:
+        if (
+            not 0 <= row + step < len(curve)
+            or abs(time[row + step] - time[row]) > GAP
+            or abs(time[row] - time[peak]) > LONGEST
+        ):
             return None
         row += step
     return row
@@ -126,9 +159,18 @@ def touch(linkage: Linkage, numbers: Array, fold: Fold) -> Touch:
     instant = 0.0
     for _ in range(STEPS):
         powers = _powers(np.array([instant]))[0]
-        E, E_dot, E_ddot = powers @ coefficients, powers[:-1] @ slopes, powers[:-2] @ bends
+        E, E_dot, E_ddot = (
+            powers @ coefficients,
+            powers[:-1] @ slopes,
+            powers[:-2] @ bends,
+        )
         bend = float(E_dot @ E_dot + E @ E_ddot)
-        if bend * fold.family.value >= 0.0:  # the distance is largest where the links are stretched, least where they are folded
+        if (
+            bend * fold.family.value >= 0.0
+            # the distance is largest where the links are stretched, least where they
+            # are
+            # folded
+        ):
             return NONE
         instant -= float(E @ E_dot) / bend
         if not abs(instant) <= 1.0:
@@ -136,18 +178,29 @@ def touch(linkage: Linkage, numbers: Array, fold: Fold) -> Touch:
     powers = _powers(np.array([instant]))[0]
     E, E_dot = powers @ coefficients, powers[:-1] @ slopes
     nearest = int(np.abs(fold.instants - instant).argmin())
-    d = E / np.hypot(*E) if fold.family is Family.STRETCHED else _across(E_dot, elbows.u[nearest], fold.working_mode[0])
+    d = (
+        E / np.hypot(*E)
+        if fold.family is Family.STRETCHED
+        else _across(E_dot, elbows.u[nearest], fold.working_mode[0])
+    )
     weights = powers @ fold.smoother
     gradient = np.einsum("n,nij,i->j", weights, elbows.slopes, d)
     gradient[list(DISTAL)] -= 1.0, fold.family.value
     scatter = (elbows.between - _powers(fold.instants) @ coefficients) @ d
     variance = float(scatter @ scatter) / (len(scatter) - DEGREE - 1)
     repeated = float(scatter[1:] @ scatter[:-1]) / max(float(scatter @ scatter), 1e-30)
-    repeated = min(max(repeated, 0.0), 0.9)  # the error of a count that lasts for some samples is not a new one each time
+    repeated = min(
+        max(repeated, 0.0), 0.9
+    )  # the error of a count that lasts for some samples is not a new one each time
     return Touch(
         gap=float(E @ d - numbers[DISTAL[0]] - fold.family.value * numbers[DISTAL[1]]),
         gradient=gradient,
-        deviation=float(np.sqrt(variance * (weights @ weights) * (1.0 + repeated) / (1.0 - repeated) + SMOOTHING**2)),
+        deviation=float(
+            np.sqrt(
+                variance * (weights @ weights) * (1.0 + repeated) / (1.0 - repeated)
+                + SMOOTHING**2
+            )
+        ),
         x=elbows.left[nearest] + numbers[DISTAL[0]] * d,
     )
 
@@ -155,8 +208,9 @@ def touch(linkage: Linkage, numbers: Array, fold: Fold) -> Touch:
 def _across(E_dot: Array, u: Array, working_mode: int) -> Array:
     """Direction (2,) of folded links, from the elbows to the end effector.
 
-    Where the elbows' distance is least, the links lie across the elbows' motion E_dot; which way the working mode tells: the
-    distal link bends to the right of the proximal one, along u, where the elbow is on the left.
+    Where the elbows' distance is least, the links lie across the elbows' motion E_dot;
+    which way the working mode tells: the distal link bends to the right of the proximal
+    one, along u, where the elbow is on the left.
     """
     normal = np.array([-E_dot[1], E_dot[0]]) / np.hypot(*E_dot)
     return -working_mode * np.sign(u[0] * normal[1] - u[1] * normal[0]) * normal

@@ -1,4 +1,6 @@
-"""From recordings to a robot's own masses and friction: what they tell, what they do not, and whether one robot explains them."""
+"""From recordings to a robot's own masses and friction: what they tell, what they do
+not, and whether one robot explains them.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +14,30 @@ import numpy as np
 from dextar_control.analysis.run import Run
 from dextar_control.contract.errors import CalibrationError, ParameterError
 from dextar_control.contract.robot import RobotParameters, flatten
-from dextar_control.identification.dynamics import ALONE, DynamicFit, fit_dynamics, rest_of, rows_of
-from dextar_control.identification.motion import EXCITE, LEAST_RATE, LEAST_S, SHORTEST, Motion, motion_of
-from dextar_control.identification.quantities import UNITS, Progress, Quantity, common_robot, contradicts, in_words, rms_of
+from dextar_control.identification.dynamics import (
+    ALONE,
+    DynamicFit,
+    fit_dynamics,
+    rest_of,
+    rows_of,
+)
+from dextar_control.identification.motion import (
+    EXCITE,
+    LEAST_RATE,
+    LEAST_S,
+    SHORTEST,
+    Motion,
+    motion_of,
+)
+from dextar_control.identification.quantities import (
+    UNITS,
+    Progress,
+    Quantity,
+    common_robot,
+    contradicts,
+    in_words,
+    rms_of,
+)
 from dextar_control.identification.recorded import Recorded, recorded_of
 from dextar_control.identification.transmission import Stiffness, stiffnesses_of
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
@@ -23,15 +46,28 @@ from dextar_control.mechanisms.five_bar_locus import SIDES
 LEAST_SPAN = 0.05  # rad, that each joint has to move
 LEAST_INSTANTS = 50  # that tell something
 LEAST_TURNING = 0.05  # share of them at which a joint turns one way
-BODIES = 5  # combinations of masses and inertias that a five-bar's torques see without gravity
-WIDEST = {"coulomb_friction": 5e-3, "viscous_friction": 5e-3}  # N m, N m s/rad of a motor: deviation beyond which it is not told
+# combinations of masses and inertias that a five-bar's torques see without gravity
+BODIES = 5
+WIDEST = {
+    "coulomb_friction": 5e-3,
+    "viscous_friction": 5e-3,
+}  # N m, N m s/rad of a motor: deviation beyond which it is not told
 WIDEST_GRAVITY = 1.0  # m/s^2
 MOST_REST = 0.35  # of a joint's torque, RMS, that may stay unexplained
-MOST_APART = 0.05  # of it, by which recordings may be explained worse together than alone
-LEAST_USED = 0.25  # of the instants: where friction turns round, or a belt rings, the others scatter more
-MOST_FACTOR = 3.0  # of a combination of masses or inertias, over and under the description
+MOST_APART = (
+    0.05  # of it, by which recordings may be explained worse together than alone
+)
+# of the instants: where friction turns round, or a belt rings, the others scatter more
+LEAST_USED = 0.25
+MOST_FACTOR = (
+    3.0  # of a combination of masses or inertias, over and under the description
+)
 WEIGHT = 9.81  # m/s^2
-STRIBECK_SPEED, STRIBECK_SURE, STRIBECK_LEAST = 0.3, 5.0, 2e-3  # rad/s; standard deviations and N m from which on it shows
+STRIBECK_SPEED, STRIBECK_SURE, STRIBECK_LEAST = (
+    0.3,
+    5.0,
+    2e-3,
+)  # rad/s; standard deviations and N m from which on it shows
 
 
 class TorquePrediction(NamedTuple):
@@ -77,19 +113,47 @@ class Identification:
         """The description's masses and friction, number by number."""
         fit, found = self.fit, []
         for one, before, after, deviation, prior in zip(
-            fit.unknowns, fit.before, fit.numbers, fit.deviations, fit.prior, strict=True
+            fit.unknowns,
+            fit.before,
+            fit.numbers,
+            fit.deviations,
+            fit.prior,
+            strict=True,
         ):
             alone = deviation <= ALONE * prior
-            kept = not alone and not any(term.factors[fit.unknowns.index(one)] for term in fit.combinations)
+            kept = not alone and not any(
+                term.factors[fit.unknowns.index(one)] for term in fit.combinations
+            )
             note = "" if alone or kept else "in combination"
-            found.append(Quantity(one.name, one.unit, float(before), float(after), 0.0 if kept else float(deviation), note))
-        for side, leg, told in zip(SIDES, self.before.legs, self.stiffnesses, strict=True):
+            found.append(
+                Quantity(
+                    one.name,
+                    one.unit,
+                    float(before),
+                    float(after),
+                    0.0 if kept else float(deviation),
+                    note,
+                )
+            )
+        for side, leg, told in zip(
+            SIDES, self.before.legs, self.stiffnesses, strict=True
+        ):
             value, sure = (leg.transmission_stiffness, 0.0) if told is None else told
-            found.append(Quantity(f"{side}.transmission_stiffness", "N m/rad", leg.transmission_stiffness, value, sure))
+            found.append(
+                Quantity(
+                    f"{side}.transmission_stiffness",
+                    "N m/rad",
+                    leg.transmission_stiffness,
+                    value,
+                    sure,
+                )
+            )
         return found
 
 
-def identify(runs: Sequence[Run], *, progress: Progress = lambda stage: None) -> Identification:
+def identify(
+    runs: Sequence[Run], *, progress: Progress = lambda stage: None
+) -> Identification:
     """A robot's masses, friction and gravity from recorded runs of it.
 
     Args:
@@ -97,14 +161,22 @@ def identify(runs: Sequence[Run], *, progress: Progress = lambda stage: None) ->
         progress: told what is being done.
 
     Raises:
-        CalibrationError: the recordings cannot tell what is looked for, contradict each other or the description.
+        CalibrationError: the recordings cannot tell what is looked for, contradict each
+            other or the description.
     """
-    robot = common_robot(runs, lambda one: DETAILED_FIVE_BAR.values(flatten(one)), "description")
-    return identify_recorded(robot, [recorded_of(run, robot, EXCITE) for run in runs], progress=progress)
+    robot = common_robot(
+        runs, lambda one: DETAILED_FIVE_BAR.values(flatten(one)), "description"
+    )
+    return identify_recorded(
+        robot, [recorded_of(run, robot, EXCITE) for run in runs], progress=progress
+    )
 
 
 def identify_recorded(
-    robot: RobotParameters, recordings: Sequence[Recorded], *, progress: Progress = lambda stage: None
+    robot: RobotParameters,
+    recordings: Sequence[Recorded],
+    *,
+    progress: Progress = lambda stage: None,
 ) -> Identification:
     """The same of what was recorded, wherever it comes from.
 
@@ -112,11 +184,16 @@ def identify_recorded(
         CalibrationError: as ``identify``.
     """
     for recorded in recordings:
-        idle = [side for side, torque in zip(SIDES, recorded.torque.T, strict=True) if not np.nan_to_num(torque).any()]
+        idle = [
+            side
+            for side, torque in zip(SIDES, recorded.torque.T, strict=True)
+            if not np.nan_to_num(torque).any()
+        ]
         if idle:
             raise CalibrationError(
-                f"{recorded.path} has no torque of the {' and the '.join(idle)} motor: no joint_commands with an effort"
-                f" other than 0, which tells masses and friction; {EXCITE}"
+                f"{recorded.path} has no torque of the {' and the '.join(idle)} motor:"
+                " no joint_commands with an effort other than 0, which tells masses"
+                f" and friction; {EXCITE}"
             )
     progress("looking for stretches that tell something")
     motions = [motion_of(robot, recorded) for recorded in recordings]
@@ -128,15 +205,31 @@ def identify_recorded(
     _check_told(motions, found)
     _check_bounds(robot, found)
     stiffnesses = stiffnesses_of(robot, motions)
-    changes: dict[str, Any] = {one.name: float(value) for one, value in zip(found.unknowns, found.numbers, strict=True)}
+    changes: dict[str, Any] = {
+        one.name: float(value)
+        for one, value in zip(found.unknowns, found.numbers, strict=True)
+    }
     changes["gravity"] = changes.pop("gravity.x"), changes.pop("gravity.y")
-    changes |= {f"{side}.transmission_stiffness": told.value
-                for side, told in zip(SIDES, stiffnesses, strict=True) if told is not None}  # fmt: skip
+    changes |= {
+        f"{side}.transmission_stiffness": told.value
+        for side, told in zip(SIDES, stiffnesses, strict=True)
+        if told is not None
+    }
     try:
         after = robot.replace(**changes)
     except ParameterError as error:
-        raise CalibrationError(f"{_names(motions)} lead to no robot: {error}. Nothing was written") from error
-    return Identification(robot, after, motions, found, stiffnesses, _kept(robot, found, stiffnesses), _told(found))
+        raise CalibrationError(
+            f"{_names(motions)} lead to no robot: {error}. Nothing was written"
+        ) from error
+    return Identification(
+        robot,
+        after,
+        motions,
+        found,
+        stiffnesses,
+        _kept(robot, found, stiffnesses),
+        _told(found),
+    )
 
 
 def predict_torques(identification: Identification, run: Run) -> TorquePrediction:
@@ -145,23 +238,33 @@ def predict_torques(identification: Identification, run: Run) -> TorquePredictio
     Raises:
         CalibrationError: it tells nothing.
     """
-    motion = motion_of(identification.before, recorded_of(run, identification.before, EXCITE))
+    motion = motion_of(
+        identification.before, recorded_of(run, identification.before, EXCITE)
+    )
     if not len(motion.tells):
         raise CalibrationError(f"{run.path} cannot check: {_too_little([motion])}")
     rests = []
     for robot in (identification.before, identification.after):
         rows = rows_of(DETAILED_FIVE_BAR.values(flatten(robot)), motion)
         rests.append(rest_of(rows, rows.gap))
-    counts = np.abs(rests[1]).max(axis=1) <= 5.0 * np.median(np.abs(rests[1]).max(axis=1))
+    counts = np.abs(rests[1]).max(axis=1) <= 5.0 * np.median(
+        np.abs(rests[1]).max(axis=1)
+    )
     return TorquePrediction(
-        run.path, int(counts.sum()), rms_of(motion.filtered(motion.tau)[counts]), *(rms_of(rest[counts]) for rest in rests)
+        run.path,
+        int(counts.sum()),
+        rms_of(motion.filtered(motion.tau)[counts]),
+        *(rms_of(rest[counts]) for rest in rests),
     )
 
 
 def identified_lines(identification: Identification) -> list[str]:
     """What is known of the description's numbers, for its file."""
     return [
-        f"The robot '{identification.after.name}', its masses and friction identified by {_names(identification.motions)}.",
+        (
+            f"The robot '{identification.after.name}', its masses and friction"
+            f" identified by {_names(identification.motions)}."
+        ),
         *map(in_words, identification.quantities),
         *identification.told,
         *identification.kept,
@@ -175,9 +278,10 @@ def _names(motions: Sequence[Motion]) -> str:
 def _too_little(motions: Sequence[Motion]) -> str:
     count = sum(len(motion.tells) for motion in motions)
     return (
-        f"too little motion: {count} instants tell something of masses and friction, {LEAST_INSTANTS} are the least (each joint"
-        f" faster than {LEAST_RATE} rad/s, |s| above {LEAST_S}, its side known, under a torque, states without a gap for"
-        f" {SHORTEST} s around); {EXCITE}"
+        f"too little motion: {count} instants tell something of masses and friction,"
+        f" {LEAST_INSTANTS} are the least (each joint faster than {LEAST_RATE} rad/s,"
+        f" |s| above {LEAST_S}, its side known, under a torque, states without a gap"
+        f" for {SHORTEST} s around); {EXCITE}"
     )
 
 
@@ -191,8 +295,9 @@ def _check_motion(motions: Sequence[Motion]) -> None:
     joint = int(spans.argmin())
     if spans[joint] < LEAST_SPAN:
         raise CalibrationError(
-            f"{_names(motions)}: too little motion: the {SIDES[joint]} encoder moves by {spans[joint]:.4f} rad; for"
-            f" {SIDES[joint]}.coulomb_friction and {SIDES[joint]}.rotor_inertia {LEAST_SPAN} rad are the least; {EXCITE}"
+            f"{_names(motions)}: too little motion: the {SIDES[joint]} encoder moves by"
+            f" {spans[joint]:.4f} rad; for {SIDES[joint]}.coulomb_friction and"
+            f" {SIDES[joint]}.rotor_inertia {LEAST_SPAN} rad are the least; {EXCITE}"
         )
     rates = np.concatenate([motion.rates for motion in motions])
     if len(rates) < LEAST_INSTANTS:
@@ -201,12 +306,16 @@ def _check_motion(motions: Sequence[Motion]) -> None:
         share = float(np.mean(own > 0.0))
         if not LEAST_TURNING <= share <= 1.0 - LEAST_TURNING:
             raise CalibrationError(
-                f"{_names(motions)}: one direction only: the {side} joint turns {'forwards' if share > 0.5 else 'backwards'} in"
-                f" {max(share, 1.0 - share):.0%} of the motion, so that gravity hides {side}.coulomb_friction; {EXCITE}"
+                f"{_names(motions)}: one direction only: the {side} joint turns"
+                f" {'forwards' if share > 0.5 else 'backwards'} in"
+                f" {max(share, 1.0 - share):.0%} of the motion, so that gravity hides"
+                f" {side}.coulomb_friction; {EXCITE}"
             )
 
 
-def _check_agree(robot: RobotParameters, motions: Sequence[Motion], found: DynamicFit) -> None:
+def _check_agree(
+    robot: RobotParameters, motions: Sequence[Motion], found: DynamicFit
+) -> None:
     """Several recordings are of one robot.
 
     Raises:
@@ -216,9 +325,18 @@ def _check_agree(robot: RobotParameters, motions: Sequence[Motion], found: Dynam
         if len(motion.tells) >= LEAST_INSTANTS:
             alone = np.median(np.abs(fit_dynamics(robot, [motion]).rest), axis=0)
             rows = found.which == row
-            together, torque = np.median(np.abs(found.rest[rows]), axis=0), rms_of(found.torque[rows])
+            together, torque = (
+                np.median(np.abs(found.rest[rows]), axis=0),
+                rms_of(found.torque[rows]),
+            )
             joint = int(np.argmax(together))
-            contradicts(motion.recorded.path, float(alone[joint]), float(together[joint]), MOST_APART * torque, "N m")
+            contradicts(
+                motion.recorded.path,
+                float(alone[joint]),
+                float(together[joint]),
+                MOST_APART * torque,
+                "N m",
+            )
 
 
 def _check_told(motions: Sequence[Motion], found: DynamicFit) -> None:
@@ -227,22 +345,32 @@ def _check_told(motions: Sequence[Motion], found: DynamicFit) -> None:
     Raises:
         CalibrationError: they do not; says which number lacks what.
     """
-    limits = {f"{side}.{name}": widest for side in SIDES for name, widest in WIDEST.items()}
+    limits = {
+        f"{side}.{name}": widest for side in SIDES for name, widest in WIDEST.items()
+    }
     limits |= {"gravity.x": WIDEST_GRAVITY, "gravity.y": WIDEST_GRAVITY}
     units = {one.name: UNITS[one.unit] for one in found.unknowns}
     vague = []
     for name, widest in limits.items():
         (unit, scale), deviation = units[name], found.value(name)[1]
         if not deviation <= widest:
-            vague.append(f"{name} to +-{scale * deviation:.2g} {unit} ({scale * widest:g} {unit} are needed)")
+            vague.append(
+                f"{name} to +-{scale * deviation:.2g} {unit} ({scale * widest:g} {unit}"
+                " are needed)"
+            )
     bodies = sum(one.unit.startswith("kg") for one in found.combinations)
     if bodies < BODIES:
-        vague.append(f"{bodies} combinations of masses and inertias ({BODIES} are needed)")
+        vague.append(
+            f"{bodies} combinations of masses and inertias ({BODIES} are needed)"
+        )
     if vague:
-        rest = rms_of(found.rest[found.used]) / max(rms_of(found.torque[found.used]), 1e-9)
+        rest = rms_of(found.rest[found.used]) / max(
+            rms_of(found.torque[found.used]), 1e-9
+        )
         raise CalibrationError(
-            f"{_names(motions)}: the motion tells {'; '.join(vague)}: it is too slow, too short or always the same, or what acts"
-            f" besides hides it ({rest:.0%} of the torques that count are left over); {EXCITE}"
+            f"{_names(motions)}: the motion tells {'; '.join(vague)}: it is too slow,"
+            f" too short or always the same, or what acts besides hides it ({rest:.0%}"
+            f" of the torques that count are left over); {EXCITE}"
         )
 
 
@@ -253,14 +381,18 @@ def _check_explained(motions: Sequence[Motion], found: DynamicFit) -> None:
         CalibrationError: they do not.
     """
     used = float(found.used.mean())
-    shares = [rms_of(rest) / max(rms_of(torque), 1e-9)
-              for rest, torque in zip(found.rest.T, found.torque.T, strict=True)]  # fmt: skip
+    shares = [
+        rms_of(rest) / max(rms_of(torque), 1e-9)
+        for rest, torque in zip(found.rest.T, found.torque.T, strict=True)
+    ]
     if max(shares) > MOST_REST or used < LEAST_USED:
         joint = int(np.argmax(shares))
         raise CalibrationError(
-            f"no masses and friction explain {_names(motions)}: {max(shares):.0%} of the {SIDES[joint]} torque are left over"
-            f" ({MOST_REST:.0%} at most) and {used:.0%} of the instants agree ({LEAST_USED:.0%} at least): torques that are not"
-            " those of the motors, another geometry (dextar calibrate) or pushes look like this. Nothing was written"
+            f"no masses and friction explain {_names(motions)}: {max(shares):.0%} of"
+            f" the {SIDES[joint]} torque are left over ({MOST_REST:.0%} at most) and"
+            f" {used:.0%} of the instants agree ({LEAST_USED:.0%} at least): torques"
+            " that are not those of the motors, another geometry (dextar calibrate) or"
+            " pushes look like this. Nothing was written"
         )
 
 
@@ -272,18 +404,29 @@ def _check_bounds(robot: RobotParameters, found: DynamicFit) -> None:
     """
 
     def fail(what: str, limit: str) -> CalibrationError:
-        return CalibrationError(f"the recordings put {what}; {limit}: correct the description first. Nothing was written")
+        return CalibrationError(
+            f"the recordings put {what}; {limit}: correct the description first."
+            " Nothing was written"
+        )
 
     for sum_of in found.combinations:
         unit, scale = UNITS[sum_of.unit]
         size = float(np.abs(sum_of.factors) @ found.before) * (MOST_FACTOR - 1.0)
         most = size / MOST_FACTOR if sum_of.after < sum_of.before else size
-        if sum_of.unit.startswith("kg") and not abs(sum_of.after - sum_of.before) <= max(most, 3.0 * sum_of.deviation):
-            raise fail(f"{sum_of.name} at {scale * sum_of.after:.4g} {unit}, described as {scale * sum_of.before:.4g}",
-                       f"within a factor of {MOST_FACTOR:g} it can be this robot")  # fmt: skip
+        if sum_of.unit.startswith("kg") and not abs(
+            sum_of.after - sum_of.before
+        ) <= max(most, 3.0 * sum_of.deviation):
+            raise fail(
+                f"{sum_of.name} at {scale * sum_of.after:.4g} {unit}, described as"
+                f" {scale * sum_of.before:.4g}",
+                f"within a factor of {MOST_FACTOR:g} it can be this robot",
+            )
     for one, value in zip(found.unknowns, found.numbers, strict=True):
         if one.unit == "N m" and value > robot.max_torque:
-            raise fail(f"{one.name} at {value:.3g} N m", f"the motors give {robot.max_torque:g} N m")
+            raise fail(
+                f"{one.name} at {value:.3g} N m",
+                f"the motors give {robot.max_torque:g} N m",
+            )
     pull = float(np.hypot(found.value("gravity.x")[0], found.value("gravity.y")[0]))
     if pull > 1.05 * WEIGHT:
         raise fail(f"gravity at {pull:.2f} m/s^2", f"{WEIGHT} m/s^2 is the most")
@@ -295,21 +438,28 @@ def _told(found: DynamicFit) -> list[str]:
     for one in found.combinations:
         unit, scale = UNITS[one.unit]
         if np.count_nonzero(one.factors) > 1:
-            now, wide, was = (f"{scale * number:.4f}" for number in (one.after, one.deviation, one.before))
+            now, wide, was = (
+                f"{scale * number:.4f}"
+                for number in (one.after, one.deviation, one.before)
+            )
             lines.append(f"{one.name}: {now} +- {wide} {unit}, was {was}")
     (x, x_sure), (y, y_sure) = found.value("gravity.x"), found.value("gravity.y")
     pull, pull_sure = float(np.hypot(x, y)), max(x_sure, y_sure)
     if pull > 3.0 * pull_sure:
         tilt = np.degrees(np.arcsin(min(pull / WEIGHT, 1.0)))
         lines.append(
-            f"The robot is tilted by {tilt:.2f} deg +- {np.degrees(pull_sure / WEIGHT):.2f}, downhill at"
+            f"The robot is tilted by {tilt:.2f} deg +-"
+            f" {np.degrees(pull_sure / WEIGHT):.2f}, downhill at"
             f" {np.degrees(np.arctan2(y, x)):.0f} deg of its frame."
         )
     late = [
         f"{round(1e3 * value, 2) + 0.0:.2f} +- {1e3 * sure:.2f}"  # 0.00 without a sign
         for value, sure in zip(found.delay, found.delay_deviation, strict=True)
     ]
-    lines.append(f"The drives answer {', '.join(late)} ms late, which is allowed for; no robot file says it.")
+    lines.append(
+        f"The drives answer {', '.join(late)} ms late, which is allowed for; no robot"
+        " file says it."
+    )
     for side, rates, rest in zip(SIDES, found.rates.T, found.rest.T, strict=True):
         shape = np.sign(rates) * np.exp(-np.abs(rates) / STRIBECK_SPEED)
         shape, left = shape[found.used], rest[found.used]
@@ -317,15 +467,21 @@ def _told(found: DynamicFit) -> list[str]:
         sure = float((left - size * shape).std() / np.sqrt(shape @ shape))
         if size > max(STRIBECK_SURE * sure, STRIBECK_LEAST):
             lines.append(
-                f"The {side} joint rubs more when slow, by {1e3 * size:.1f} +- {1e3 * sure:.1f} mN m at rest (Stribeck, over"
-                f" {STRIBECK_SPEED:g} rad/s); no robot file says it."
+                f"The {side} joint rubs more when slow, by {1e3 * size:.1f} +-"
+                f" {1e3 * sure:.1f} mN m at rest (Stribeck, over {STRIBECK_SPEED:g}"
+                " rad/s); no robot file says it."
             )
-    lines += [f"{name} would be less than it can be, and was kept at its least: not all that acts is modelled."
-              for name in found.bound]  # fmt: skip
+    lines += [
+        f"{name} would be less than it can be, and was kept at its least: not all that"
+        " acts is modelled."
+        for name in found.bound
+    ]
     return lines
 
 
-def _kept(robot: RobotParameters, found: DynamicFit, stiffnesses: Sequence[Stiffness | None]) -> list[str]:
+def _kept(
+    robot: RobotParameters, found: DynamicFit, stiffnesses: Sequence[Stiffness | None]
+) -> list[str]:
     """What the recordings leave open, in words."""
     kept, together = [], []
     for row, one in enumerate(found.unknowns):
@@ -335,17 +491,25 @@ def _kept(robot: RobotParameters, found: DynamicFit, stiffnesses: Sequence[Stiff
         if any(combination.factors[row] for combination in found.combinations):
             together.append(one.name)
         else:
-            kept.append(f"{one.name} is not told: it was kept at {scale * found.before[row]:.4f} {unit}.")
+            kept.append(
+                f"{one.name} is not told: it was kept at"
+                f" {scale * found.before[row]:.4f} {unit}."
+            )
     if together:
         kept.append(
-            "Single masses and inertias are not told, only combinations of them; what these ask for was shared out evenly among"
-            f" {', '.join(together)}."
+            "Single masses and inertias are not told, only combinations of them; what"
+            f" these ask for was shared out evenly among {', '.join(together)}."
         )
     for side, leg, told in zip(SIDES, robot.legs, stiffnesses, strict=True):
         if told is None:
-            was = f"at {leg.transmission_stiffness:g} N m/rad" if leg.transmission_stiffness else "as rigid"
+            was = (
+                f"at {leg.transmission_stiffness:g} N m/rad"
+                if leg.transmission_stiffness
+                else "as rigid"
+            )
             kept.append(
-                f"{side}.transmission_stiffness is not told without encoders at the motor and external poses that show the link"
-                f" lag behind: it was kept {was}."
+                f"{side}.transmission_stiffness is not told without encoders at the"
+                " motor and external poses that show the link lag behind: it was kept"
+                f" {was}."
             )
     return kept

@@ -1,4 +1,6 @@
-"""A recorded motion as joints, platform and torques at the same instants, smooth and often enough, where it tells something."""
+"""A recorded motion as joints, platform and torques at the same instants, smooth and
+often enough, where it tells something.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +20,19 @@ from dextar_control.model.model import library_of
 from dextar_control.model.regressor import regressors
 from dextar_control.symbols.types import Array
 
-CUTOFF, ORDER = 80.0, 4  # Hz, of the filter that goes over the readings forwards and backwards
-PARALLEL = 20.0  # Hz, of that which goes over both sides of the equation: what of the torques is compared
+CUTOFF, ORDER = (
+    80.0,
+    4,
+)  # Hz, of the filter that goes over the readings forwards and backwards
+# Hz, of that which goes over both sides of the equation: what of the torques is
+# compared
+PARALLEL = 20.0
 SPREAD = 0.05  # s before and after an instant over which that one carries something
 EDGE = 0.06  # s at both ends of a stretch that the filters have to come in
 WINDOW = 0.02  # s between the instants of the equation that count
 BLOCK = 0.25  # s within which the rest may have one cause
-LEAST_S = 0.2  # |s| from which on encoders tell where the platform is, and how it is accelerated
+# |s| from which on encoders tell where the platform is, and how it is accelerated
+LEAST_S = 0.2
 LEAST_RATE = 0.1  # rad/s of each joint, below which friction has no sure sign
 GAP = 3.5  # periods without a state that end a stretch
 SHORTEST = 0.3  # s of a stretch
@@ -39,10 +47,14 @@ class Motion:
         recorded: where they come from.
         time: (m,) s, of each instant.
         stretches: slices of the m instants.
-        parallel: coefficients of the filter that goes over both sides of the equation, stretch by stretch.
-        tells: of the m those rows that count then: far enough apart, clear of both ends, the joints turning.
-        q_a, q_a_ddot, x, x_dot, x_ddot, tau, smooth_tau, tau_dot: (m, n); tau as commanded.
-        jitter: (n,) standard deviation of the joints' accelerations by their readings' noise, rad/s^2.
+        parallel: coefficients of the filter that goes over both sides of the equation,
+            stretch by stretch.
+        tells: of the m those rows that count then: far enough apart, clear of both
+            ends, the joints turning.
+        q_a, q_a_ddot, x, x_dot, x_ddot, tau, smooth_tau, tau_dot: (m, n); tau as
+            commanded.
+        jitter: (n,) standard deviation of the joints' accelerations by their readings'
+            noise, rad/s^2.
         spans: (n,) of the readings, rad.
         rates: (k, n) of the joints at the k instants that tell something, rad/s.
     """
@@ -74,14 +86,30 @@ class Motion:
 
 def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
     """What of a recorded motion tells something; it may be empty."""
-    p = DETAILED_FIVE_BAR.values(flatten(robot) | {"working_mode": recorded.working_mode})
+    p = DETAILED_FIVE_BAR.values(
+        flatten(robot) | {"working_mode": recorded.working_mode}
+    )
     library, made = library_of(DETAILED_FIVE_BAR), regressors(DETAILED_FIVE_BAR)
-    direct, moving = (partial(one, p) for one in (library.batch("direct_geometric_model"), made.batch("motion")))
+    direct, moving = (
+        partial(one, p)
+        for one in (library.batch("direct_geometric_model"), made.batch("motion"))
+    )
     period = float(np.median(np.diff(recorded.time)))
-    smooth, parallel = (butter(ORDER, min(cutoff, 0.4 / period), fs=1.0 / period, output="sos") for cutoff in (CUTOFF, PARALLEL))
+    smooth, parallel = (
+        butter(ORDER, min(cutoff, 0.4 / period), fs=1.0 / period, output="sos")
+        for cutoff in (CUTOFF, PARALLEL)
+    )
     usable = np.isfinite(recorded.torque).all(axis=1) & (recorded.side != 0.0)
-    breaks = (np.diff(recorded.time) > GAP * period) | np.diff(usable) | (np.diff(recorded.side) != 0.0)
-    edge, step, least = round(EDGE / period), max(round(WINDOW / period), 1), round(SHORTEST / period)
+    breaks = (
+        (np.diff(recorded.time) > GAP * period)
+        | np.diff(usable)
+        | (np.diff(recorded.side) != 0.0)
+    )
+    edge, step, least = (
+        round(EDGE / period),
+        max(round(WINDOW / period), 1),
+        round(SHORTEST / period),
+    )
     parts, stretches, end = list[dict[str, Array]](), list[slice](), 0
     tells, rates = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
     for rows in np.split(np.arange(len(recorded.time)), np.flatnonzero(breaks) + 1):
@@ -91,8 +119,15 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
         part["x"] = direct(part["q_a"], float(recorded.side[rows[0]])).x
         found = moving(part["q_a"], part["x"], part.pop("q_a_dot"), part["q_a_ddot"])
         part |= {"x_dot": found.x_dot, "x_ddot": found.x_ddot}
-        clear = (np.abs(found.s[:, 0]) >= LEAST_S) & np.isfinite(found.x_ddot).all(axis=1)
-        slow = minimum_filter1d(np.abs(found.rates).min(axis=1), 2 * round(SPREAD / period) + 1) < LEAST_RATE
+        clear = (np.abs(found.s[:, 0]) >= LEAST_S) & np.isfinite(found.x_ddot).all(
+            axis=1
+        )
+        slow = (
+            minimum_filter1d(
+                np.abs(found.rates).min(axis=1), 2 * round(SPREAD / period) + 1
+            )
+            < LEAST_RATE
+        )
         for own in np.split(np.arange(len(clear)), np.flatnonzero(np.diff(clear)) + 1):
             if not clear[own[0]] or len(own) < least:
                 continue
@@ -103,36 +138,72 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
             tells.append(end + inner)
             rates.append(found.rates[own[inner]])
             end += len(own)
-    joined = {name: np.concatenate([np.zeros((0, 2) if name != "time" else 0), *(part[name] for part in parts)])
-              for name in ("time", "q_a", "q_a_ddot", "x", "x_dot", "x_ddot", "tau", "smooth_tau", "tau_dot")}  # fmt: skip
+    joined = {
+        name: np.concatenate(
+            [np.zeros((0, 2) if name != "time" else 0), *(part[name] for part in parts)]
+        )
+        for name in (
+            "time",
+            "q_a",
+            "q_a_ddot",
+            "x",
+            "x_dot",
+            "x_ddot",
+            "tau",
+            "smooth_tau",
+            "tau_dot",
+        )
+    }
     return Motion(
-        recorded=recorded, stretches=tuple(stretches), parallel=parallel, tells=np.concatenate(tells),
-        jitter=_jitter(recorded, period, smooth, parallel), spans=np.ptp(recorded.readings, axis=0),
-        rates=np.concatenate(rates), **joined,
+        recorded=recorded,
+        stretches=tuple(stretches),
+        parallel=parallel,
+        tells=np.concatenate(tells),
+        jitter=_jitter(recorded, period, smooth, parallel),
+        spans=np.ptp(recorded.readings, axis=0),
+        rates=np.concatenate(rates),
+        **joined,
     )
 
 
-def _even(robot: RobotParameters, recorded: Recorded, rows: Any, period: float, smooth: Array) -> dict[str, Array]:
+def _even(
+    robot: RobotParameters, recorded: Recorded, rows: Any, period: float, smooth: Array
+) -> dict[str, Array]:
     """One stretch without a gap on an even grid."""
     time = recorded.time[rows]
     grid = time[0] + period * np.arange(int(np.ptp(time) / period + 1e-6) + 1)
-    readings = np.column_stack([np.interp(grid, time, column) for column in recorded.readings[rows].T])
-    held = np.clip(np.searchsorted(time, grid + 1e-6 * period, side="right") - 1, 0, len(rows) - 1)
+    readings = np.column_stack(
+        [np.interp(grid, time, column) for column in recorded.readings[rows].T]
+    )
+    held = np.clip(
+        np.searchsorted(time, grid + 1e-6 * period, side="right") - 1, 0, len(rows) - 1
+    )
     torque = recorded.torque[rows][held]
-    torque = 0.5 * (torque + np.vstack([torque[:1], torque[:-1]]))  # of a command that acts for a period, about its begin
+    torque = 0.5 * (
+        torque + np.vstack([torque[:1], torque[:-1]])
+    )  # of a command that acts for a period, about its begin
     q_a = sosfiltfilt(smooth, readings - np.array(robot.encoder_offset), axis=0)
     q_a_dot = np.gradient(q_a, period, axis=0)
     smooth_tau = sosfiltfilt(smooth, torque, axis=0)
     return {
-        "time": grid, "q_a": q_a, "q_a_dot": q_a_dot, "q_a_ddot": np.gradient(q_a_dot, period, axis=0), "tau": torque,
-        "smooth_tau": smooth_tau, "tau_dot": np.gradient(smooth_tau, period, axis=0),
-    }  # fmt: skip
+        "time": grid,
+        "q_a": q_a,
+        "q_a_dot": q_a_dot,
+        "q_a_ddot": np.gradient(q_a_dot, period, axis=0),
+        "tau": torque,
+        "smooth_tau": smooth_tau,
+        "tau_dot": np.gradient(smooth_tau, period, axis=0),
+    }
 
 
 def _jitter(recorded: Recorded, period: float, smooth: Array, parallel: Array) -> Array:
     """(n,) of the joints' accelerations, rad/s^2, by what the filter takes off."""
-    noise = (recorded.readings - sosfiltfilt(smooth, recorded.readings, axis=0)).std(axis=0)
+    noise = (recorded.readings - sosfiltfilt(smooth, recorded.readings, axis=0)).std(
+        axis=0
+    )
     impulse = np.zeros(int(1.0 / period))
     impulse[len(impulse) // 2] = 1.0
-    passed = np.gradient(np.gradient(sosfiltfilt(parallel, sosfiltfilt(smooth, impulse)), period), period)
+    passed = np.gradient(
+        np.gradient(sosfiltfilt(parallel, sosfiltfilt(smooth, impulse)), period), period
+    )
     return np.asarray(noise * np.linalg.norm(passed))

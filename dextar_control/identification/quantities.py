@@ -1,4 +1,6 @@
-"""What calibration and identification share: numbers before and after, in words and in a robot's file."""
+"""What calibration and identification share: numbers before and after, in words and in
+a robot's file.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +16,22 @@ from dextar_control.contract.robot import RobotParameters, flatten, robot_text
 from dextar_control.symbols.types import Array
 
 UNITS = {
-    "m": ("mm", 1e3), "rad": ("mrad", 1e3), "kg": ("g", 1e3), "kg m^2": ("kg mm^2", 1e6), "N m": ("mN m", 1e3),
-    "N m s/rad": ("mN m s/rad", 1e3), "m/s^2": ("m/s^2", 1.0), "N m/rad": ("N m/rad", 1.0),
-}  # fmt: skip
+    "m": ("mm", 1e3),
+    "rad": ("mrad", 1e3),
+    "kg": ("g", 1e3),
+    "kg m^2": ("kg mm^2", 1e6),
+    "N m": ("mN m", 1e3),
+    "N m s/rad": ("mN m s/rad", 1e3),
+    "m/s^2": ("m/s^2", 1.0),
+    "N m/rad": ("N m/rad", 1.0),
+}
 """In which people read them."""
 Progress = Callable[[str], None]
 
 
-WORSE = 3.0  # times what a recording alone leaves, that it may leave together with others
+WORSE = (
+    3.0  # times what a recording alone leaves, that it may leave together with others
+)
 
 
 class Quantity(NamedTuple):
@@ -46,7 +56,13 @@ class Quantity(NamedTuple):
         """Name, before, after, standard deviation and unit, as people read them."""
         unit, scale = UNITS[self.unit]
         sure = f"{scale * self.deviation:.4f}" if self.deviation else "kept"
-        return [self.name, f"{scale * self.before:.4f}", _rounded(scale * self.after), self.note or sure, unit]
+        return [
+            self.name,
+            f"{scale * self.before:.4f}",
+            _rounded(scale * self.after),
+            self.note or sure,
+            unit,
+        ]
 
 
 def _rounded(number: float) -> str:
@@ -70,11 +86,18 @@ def write_robot(robot: RobotParameters, lines: Iterable[str], file: Path) -> Non
     Raises:
         OSError: it cannot be written.
     """
-    flat = {key: value for key, value in flatten(robot).items() if key != "base_distance"}
-    file.write_text("".join(f"# {' '.join(line.split())}\n" for line in lines) + robot_text(flat), encoding="utf-8")
+    flat = {
+        key: value for key, value in flatten(robot).items() if key != "base_distance"
+    }
+    file.write_text(
+        "".join(f"# {' '.join(line.split())}\n" for line in lines) + robot_text(flat),
+        encoding="utf-8",
+    )
 
 
-def common_robot(runs: Sequence[Run], numbers_of: Callable[[RobotParameters], Array], what: str) -> RobotParameters:
+def common_robot(
+    runs: Sequence[Run], numbers_of: Callable[[RobotParameters], Array], what: str
+) -> RobotParameters:
     """The description that all runs have.
 
     Args:
@@ -87,22 +110,29 @@ def common_robot(runs: Sequence[Run], numbers_of: Callable[[RobotParameters], Ar
     robots = []
     for run in runs:
         if run.robot is None:
-            raise CalibrationError(f"{run.path} does not say which robot it is of; give its description with --robot")
+            raise CalibrationError(
+                f"{run.path} does not say which robot it is of; give its description"
+                " with --robot"
+            )
         robots.append(run.robot)
     for run, robot in zip(runs[1:], robots[1:], strict=True):
         if not np.array_equal(numbers_of(robot), numbers_of(robots[0])):
             raise CalibrationError(
-                f"{run.path} was recorded with another {what} of the robot than {runs[0].path}; take bags of one together"
+                f"{run.path} was recorded with another {what} of the robot than"
+                f" {runs[0].path}; take bags of one together"
             )
     return robots[0]
 
 
-def contradicts(path: Path, alone: float, together: float, least: float, unit: str) -> None:
+def contradicts(
+    path: Path, alone: float, together: float, least: float, unit: str
+) -> None:
     """Several recordings are explained together about as well as each of them alone.
 
     Args:
         path: of one of them.
-        alone, together: what the numbers by it alone, and those by all, leave of it, in SI units.
+        alone, together: what the numbers by it alone, and those by all, leave of it, in
+            SI units.
         least: that is no sign of anything.
         unit: m or N m.
 
@@ -112,12 +142,17 @@ def contradicts(path: Path, alone: float, together: float, least: float, unit: s
     name, scale = UNITS[unit]
     if together > max(WORSE * alone, least):
         raise CalibrationError(
-            f"the recordings contradict each other: {path} alone leaves {scale * alone:.3g} {name} unexplained, together with the"
-            f" others {scale * together:.3g} {name}, as where robots differ or one was changed in between; take them one by one."
-            " Nothing was written"
+            f"the recordings contradict each other: {path} alone leaves"
+            f" {scale * alone:.3g} {name} unexplained, together with the others"
+            f" {scale * together:.3g} {name}, as where robots differ or one was changed"
+            " in between; take them one by one. Nothing was written"
         )
 
 
 def rms_of(values: Array) -> float:
     """Root of the mean square of those that are numbers; nan of none."""
-    return float(np.sqrt(np.nanmean(np.square(values)))) if np.isfinite(values).any() else np.nan
+    return (
+        float(np.sqrt(np.nanmean(np.square(values))))
+        if np.isfinite(values).any()
+        else np.nan
+    )

@@ -1,4 +1,6 @@
-"""What calibration and identification take of a bag, or of a control loop without one."""
+"""What calibration and identification take of a bag, or of a control loop without
+one.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,10 @@ class Recorded(NamedTuple):
         readings: (m, n) of the encoders on one turn after the other, rad.
         torque: (m, n) commanded at each, until the next, N m; nan where there is none.
         side: (m,) sign of s that the controller believed; 0 where it did not know.
-        poses: times (k,), s, and positions (k, n), m, of the end effector; None where it was not seen.
-        believed: the sides are those of a controller at the time, not what is known of the start.
+        poses: times (k,), s, and positions (k, n), m, of the end effector; None where
+            it was not seen.
+        believed: the sides are those of a controller at the time, not what is known of
+            the start.
     """
 
     path: Path
@@ -53,23 +57,44 @@ def recorded_of(run: Run, robot: RobotParameters, record: str) -> Recorded:
     stamps = run.states.stamps
     known = np.isfinite(run.states.position).all(axis=1)
     if known.sum() < FEWEST:
-        raise CalibrationError(f"{run.path}: {int(known.sum())} joint states have both angles; {FEWEST} are the least; {record}")
+        raise CalibrationError(
+            f"{run.path}: {int(known.sum())} joint states have both angles; {FEWEST}"
+            f" are the least; {record}"
+        )
     given = np.isfinite(run.commands.effort).all(axis=1)
     torque = _held(run.commands.stamps[given], run.commands.effort[given], stamps)
     believed = len(run.criterion.stamps) > 0
     if believed:
-        side = np.nan_to_num(_held(run.criterion.stamps, run.criterion.assembly_mode[:, None], stamps)[:, 0])
+        side = np.nan_to_num(
+            _held(run.criterion.stamps, run.criterion.assembly_mode[:, None], stamps)[
+                :, 0
+            ]
+        )
     else:
-        side = np.full(len(stamps), float(run.parameters.get("controller", {}).get("assembly_mode", 1)))
+        side = np.full(
+            len(stamps),
+            float(run.parameters.get("controller", {}).get("assembly_mode", 1)),
+        )
     return Recorded(
-        run.path, (run.robot or robot).working_mode, ((stamps - stamps[0]) * 1e-9)[known],
-        np.unwrap(run.states.position[known], axis=0), torque[known], side[known],
-        None if run.poses is None else ((run.poses.stamps - stamps[0]) * 1e-9, run.poses.x), believed,
-    )  # fmt: skip
+        run.path,
+        (run.robot or robot).working_mode,
+        ((stamps - stamps[0]) * 1e-9)[known],
+        np.unwrap(run.states.position[known], axis=0),
+        torque[known],
+        side[known],
+        (
+            None
+            if run.poses is None
+            else ((run.poses.stamps - stamps[0]) * 1e-9, run.poses.x)
+        ),
+        believed,
+    )
 
 
 def _held(stamps: Any, values: Array, at: Any) -> Array:
-    """Values (k, c) at stamps (k,), ns, held until the next one, at other stamps (m,); nan where older than STALE."""
+    """Values (k, c) at stamps (k,), ns, held until the next one, at other stamps (m,);
+    nan where older than STALE.
+    """
     if not len(stamps):
         return np.full((len(at), values.shape[1]), np.nan)
     rows = np.searchsorted(stamps, at, side="right") - 1

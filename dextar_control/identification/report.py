@@ -1,4 +1,6 @@
-"""A calibration or an identification in files and in words: the robot's file, a page, a table for a terminal."""
+"""A calibration or an identification in files and in words: the robot's file, a page, a
+table for a terminal.
+"""
 
 from __future__ import annotations
 
@@ -14,37 +16,71 @@ from dextar_control.analysis.web_figures import residuals
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.words import counted
-from dextar_control.identification.calibration import MOST_GAP, Calibration, Prediction, robot_lines
-from dextar_control.identification.identification import Identification, TorquePrediction, identified_lines
-from dextar_control.identification.quantities import UNITS, Quantity, rms_of, write_robot
+from dextar_control.identification.calibration import (
+    MOST_GAP,
+    Calibration,
+    Prediction,
+    robot_lines,
+)
+from dextar_control.identification.identification import (
+    Identification,
+    TorquePrediction,
+    identified_lines,
+)
+from dextar_control.identification.quantities import (
+    UNITS,
+    Quantity,
+    rms_of,
+    write_robot,
+)
 from dextar_control.mechanisms.five_bar_locus import SIDES
 
 ROBOT_FILE, PAGE_FILE = "calibrated.yaml", "calibration.html"
 IDENTIFIED_FILE, IDENTIFICATION_FILE = "identified.yaml", "identification.html"
 MM, UM, MNM = 1e3, 1e6, 1e3
-UNHELD = ": the numbers do not hold there; another robot, a change in between or too short a recording look like this"
+UNHELD = (
+    ": the numbers do not hold there; another robot, a change in between or too short a"
+    " recording look like this"
+)
 TORQUES = (
-    "What of the commanded torques masses, friction and gravity do not explain, where the joints turn, clear of the locus."
-    " Crosses lie more than four deviations off and do not count."
+    "What of the commanded torques masses, friction and gravity do not explain, where"
+    " the joints turn, clear of the locus. Crosses lie more than four deviations off"
+    " and do not count."
 )
 OBSERVATION = (
-    "At a crossing the distal links are aligned: the elbows are as far apart as the distal lengths' sum (stretched) or difference"
-    " (folded). The gap is what the encoders say of that distance less what the lengths say. A crossing that does not count lies"
-    " more than four deviations off: the robot turned or bounced off before it touched the locus, or was disturbed."
+    "At a crossing the distal links are aligned: the elbows are as far apart as the"
+    " distal lengths' sum (stretched) or difference (folded). The gap is what the"
+    " encoders say of that distance less what the lengths say. A crossing that does not"
+    " count lies more than four deviations off: the robot turned or bounced off before"
+    " it touched the locus, or was disturbed."
 )
 
 
-def write_calibration(calibration: Calibration, predictions: Sequence[Prediction], folder: Path) -> None:
+def write_calibration(
+    calibration: Calibration, predictions: Sequence[Prediction], folder: Path
+) -> None:
     """Write the robot's file and the page.
 
     Raises:
         BagError: they cannot be written.
     """
     page = render_calibration(calibration, predictions)
-    write_results(calibration.after, robot_lines(calibration), page, folder / ROBOT_FILE, folder / PAGE_FILE)
+    write_results(
+        calibration.after,
+        robot_lines(calibration),
+        page,
+        folder / ROBOT_FILE,
+        folder / PAGE_FILE,
+    )
 
 
-def write_results(robot: RobotParameters, lines: Sequence[str], page: str, robot_file: Path, page_file: Path) -> None:
+def write_results(
+    robot: RobotParameters,
+    lines: Sequence[str],
+    page: str,
+    robot_file: Path,
+    page_file: Path,
+) -> None:
     """Write a description and its page.
 
     Raises:
@@ -55,7 +91,10 @@ def write_results(robot: RobotParameters, lines: Sequence[str], page: str, robot
         write_robot(robot, lines, robot_file)
         page_file.write_text(page, encoding="utf-8", errors="replace")
     except OSError as error:
-        raise BagError(f"cannot write the results to {robot_file.parent}: {error.strerror or error}") from error
+        raise BagError(
+            f"cannot write the results to {robot_file.parent}:"
+            f" {error.strerror or error}"
+        ) from error
 
 
 def short(bag: Path) -> str:
@@ -73,109 +112,200 @@ def summary(title: str, quantities: Sequence[Quantity]) -> Table:
     return table
 
 
-def quantity_table(quantities: Sequence[Quantity]) -> tuple[list[Column], list[list[Cell]]]:
+def quantity_table(
+    quantities: Sequence[Quantity],
+) -> tuple[list[Column], list[list[Cell]]]:
     """The same for the page."""
-    columns = [Column("quantity", text=True), Column("before"), Column("after"), Column("standard deviation"),
-               Column("unit", text=True)]  # fmt: skip
+    columns = [
+        Column("quantity", text=True),
+        Column("before"),
+        Column("after"),
+        Column("standard deviation"),
+        Column("unit", text=True),
+    ]
     return columns, [[Cell(text) for text in quantity.cells] for quantity in quantities]
 
 
 def predicted(prediction: Prediction) -> str:
     """What the numbers are worth on a bag that did not serve."""
     text = (
-        f"{prediction.path}, not used: gaps of {counted(prediction.folds, 'crossing')} {UM * prediction.before:.0f} um RMS"
-        f" before, {UM * prediction.after:.2f} um after"
+        f"{prediction.path}, not used: gaps of {counted(prediction.folds, 'crossing')}"
+        f" {UM * prediction.before:.0f} um RMS before, {UM * prediction.after:.2f} um"
+        " after"
     )
     if np.isfinite(prediction.places_after):
-        text += f"; at the poses {MM * prediction.places_before:.3f} mm before, {MM * prediction.places_after:.3f} mm after"
-    return text + (UNHELD if prediction.after > max(0.5 * prediction.before, MOST_GAP) else "")
+        text += (
+            f"; at the poses {MM * prediction.places_before:.3f} mm before,"
+            f" {MM * prediction.places_after:.3f} mm after"
+        )
+    return text + (
+        UNHELD if prediction.after > max(0.5 * prediction.before, MOST_GAP) else ""
+    )
 
 
 def sentence(calibration: Calibration) -> str:
     """How well the folds, and the places, are explained."""
     fit, used = calibration.fit, calibration.fit.used
-    before, after = (float(np.sqrt(np.nanmean(np.square(gaps[used])))) if used.any() else np.nan
-                     for gaps in (calibration.gaps_before, calibration.gaps_after))  # fmt: skip
+    before, after = (
+        float(np.sqrt(np.nanmean(np.square(gaps[used])))) if used.any() else np.nan
+        for gaps in (calibration.gaps_before, calibration.gaps_after)
+    )
     text = (
-        f"{counted(int(used.sum()), 'crossing')} with gaps of {number(UM * before, '.0f')} um RMS before,"
-        f" {number(UM * after, '.2f')} um after"
+        f"{counted(int(used.sum()), 'crossing')} with gaps of"
+        f" {number(UM * before, '.0f')} um RMS before, {number(UM * after, '.2f')} um"
+        " after"
     )
     if others := len(used) - int(used.sum()):
         text += f" ({others} more left out, as where a robot turns before it crosses)"
     if fit.places:
         text += f"; {fit.places} poses with {MM * fit.place_noise:.3f} mm of noise"
     if fit.encoder_error:
-        text += f"; the encoders seem to err by {1e3 * fit.encoder_error:.2g} mrad once a turn, which is allowed for"
+        text += (
+            f"; the encoders seem to err by {1e3 * fit.encoder_error:.2g} mrad once a"
+            " turn, which is allowed for"
+        )
     return text
 
 
-def render_calibration(calibration: Calibration, predictions: Sequence[Prediction]) -> str:
+def render_calibration(
+    calibration: Calibration, predictions: Sequence[Prediction]
+) -> str:
     """The page."""
     fit, folds = calibration.fit, calibration.folds
     figures = {
-        "before": residuals(UM * calibration.gaps_before, 0.0 * fit.spreads, fit.used, "gap before (µm)", "crossing"),
-        "after": residuals(UM * calibration.gaps_after, UM * fit.spreads, fit.used, "gap after (µm)", "crossing"),
+        "before": residuals(
+            UM * calibration.gaps_before,
+            0.0 * fit.spreads,
+            fit.used,
+            "gap before (µm)",
+            "crossing",
+        ),
+        "after": residuals(
+            UM * calibration.gaps_after,
+            UM * fit.spreads,
+            fit.used,
+            "gap after (µm)",
+            "crossing",
+        ),
     }
     rows: list[list[Cell]] = []
-    for index, (fold, one, used) in enumerate(zip(folds, fit.touches, fit.used, strict=True)):
-        rows.append([
-            Cell(str(index + 1)), Cell(short(calibration.recordings[fold.bag].path)), Cell(f"{fold.time:.3f}"),
-            Cell(fold.family.name.lower()), *(Cell(number(MM * value, ".2f")) for value in one.x),
-            Cell(number(UM * calibration.gaps_before[index], ".1f")), Cell(number(UM * calibration.gaps_after[index], ".2f")),
-            Cell(number(UM * fit.spreads[index], ".2f")), Cell("yes" if used else "no", not used),
-        ])  # fmt: skip
+    for index, (fold, one, used) in enumerate(
+        zip(folds, fit.touches, fit.used, strict=True)
+    ):
+        rows.append(
+            [
+                Cell(str(index + 1)),
+                Cell(short(calibration.recordings[fold.bag].path)),
+                Cell(f"{fold.time:.3f}"),
+                Cell(fold.family.name.lower()),
+                *(Cell(number(MM * value, ".2f")) for value in one.x),
+                Cell(number(UM * calibration.gaps_before[index], ".1f")),
+                Cell(number(UM * calibration.gaps_after[index], ".2f")),
+                Cell(number(UM * fit.spreads[index], ".2f")),
+                Cell("yes" if used else "no", not used),
+            ]
+        )
     checked = [
-        [Cell(str(one.path)), Cell(str(one.folds)), *(Cell(number(UM * gap, ".2f")) for gap in (one.before, one.after)),
-         *(Cell(number(MM * gap, ".3f")) for gap in (one.places_before, one.places_after))] for one in predictions
-    ]  # fmt: skip
+        [
+            Cell(str(one.path)),
+            Cell(str(one.folds)),
+            *(Cell(number(UM * gap, ".2f")) for gap in (one.before, one.after)),
+            *(
+                Cell(number(MM * gap, ".3f"))
+                for gap in (one.places_before, one.places_after)
+            ),
+        ]
+        for one in predictions
+    ]
     values: dict[str, Any] = {
         "title": f"{calibration.after.name}: geometry calibrated",
-        "heading": f"{calibration.after.name}: geometry by {', '.join(short(one.path) for one in calibration.recordings)}",
+        "heading": (
+            f"{calibration.after.name}: geometry by"
+            f" {', '.join(short(one.path) for one in calibration.recordings)}"
+        ),
         "sentence": sentence(calibration),
         "verdict": "Calibrated.",
         "quantities": quantity_table(calibration.quantities),
         "kept": calibration.kept,
-        "told": "What was looked for, with standard deviations by the scatter of the recordings.",
-        "directions": calibration.kept and [
-            f"{direction.name}: ± {UNITS[direction.unit][1] * deviation:.4f} {UNITS[direction.unit][0]}"
-            for direction, deviation in zip(fit.directions, fit.deviations, strict=True)
-        ],
+        "told": (
+            "What was looked for, with standard deviations by the scatter of the"
+            " recordings."
+        ),
+        "directions": (
+            calibration.kept
+            and [
+                f"{direction.name}: ± {UNITS[direction.unit][1] * deviation:.4f}"
+                f" {UNITS[direction.unit][0]}"
+                for direction, deviation in zip(
+                    fit.directions, fit.deviations, strict=True
+                )
+            ]
+        ),
         "observed": "Crossing by crossing",
         "observation": OBSERVATION,
         "observations": (
-            [Column("crossing"), Column("bag", text=True), Column("time", "s"), Column("links", text=True), Column("x", "mm"),
-             Column("y", "mm"), Column("gap before", "µm"), Column("gap after", "µm"), Column("its deviation", "µm"),
-             Column("counts", text=True)],
+            [
+                Column("crossing"),
+                Column("bag", text=True),
+                Column("time", "s"),
+                Column("links", text=True),
+                Column("x", "mm"),
+                Column("y", "mm"),
+                Column("gap before", "µm"),
+                Column("gap after", "µm"),
+                Column("its deviation", "µm"),
+                Column("counts", text=True),
+            ],
             rows,
         ),
         "predictions": (
-            [Column("bag", text=True), Column("crossings"), Column("RMS gap before", "µm"), Column("after", "µm"),
-             Column("RMS at the poses before", "mm"), Column("after", "mm")],
+            [
+                Column("bag", text=True),
+                Column("crossings"),
+                Column("RMS gap before", "µm"),
+                Column("after", "µm"),
+                Column("RMS at the poses before", "mm"),
+                Column("after", "mm"),
+            ],
             checked,
         ),
-        "footer": f"Made by dextar calibrate. {ROBOT_FILE} beside this page is a robot file for every node.",
-    }  # fmt: skip
+        "footer": (
+            f"Made by dextar calibrate. {ROBOT_FILE} beside this page is a robot file"
+            " for every node."
+        ),
+    }
     return render("identification.html", figures, **values)
 
 
-def write_identification(identification: Identification, predictions: Sequence[TorquePrediction], folder: Path) -> None:
+def write_identification(
+    identification: Identification,
+    predictions: Sequence[TorquePrediction],
+    folder: Path,
+) -> None:
     """Write the robot's file and the page.
 
     Raises:
         BagError: they cannot be written.
     """
     page = render_identification(identification, predictions)
-    write_results(identification.after, identified_lines(identification), page, folder / IDENTIFIED_FILE,
-                  folder / IDENTIFICATION_FILE)  # fmt: skip
+    write_results(
+        identification.after,
+        identified_lines(identification),
+        page,
+        folder / IDENTIFIED_FILE,
+        folder / IDENTIFICATION_FILE,
+    )
 
 
 def torques_predicted(prediction: TorquePrediction) -> str:
     """What the numbers are worth on a bag that did not serve."""
+    most = max(0.5 * prediction.before, 0.1 * prediction.torque)
     return (
-        f"{prediction.path}, not used: of torques of {MNM * prediction.torque:.1f} mN m RMS"
-        f" ({counted(prediction.instants, 'instant')}) {MNM * prediction.before:.2f} mN m"
-        f" were unexplained before, {MNM * prediction.after:.2f} mN m after"
-        f"{UNHELD if prediction.after > max(0.5 * prediction.before, 0.1 * prediction.torque) else ''}"
+        f"{prediction.path}, not used: of torques of {MNM * prediction.torque:.1f} mN m"
+        f" RMS ({counted(prediction.instants, 'instant')})"
+        f" {MNM * prediction.before:.2f} mN m were unexplained before,"
+        f" {MNM * prediction.after:.2f} mN m after"
+        f"{UNHELD if prediction.after > most else ''}"
     )
 
 
@@ -183,45 +313,77 @@ def torques_sentence(identification: Identification) -> str:
     """How well the torques are explained."""
     fit = identification.fit
     used = fit.used
-    before, after, torque = (MNM * rms_of(rows[used]) for rows in (fit.rest_before, fit.rest, fit.torque))
+    before, after, torque = (
+        MNM * rms_of(rows[used]) for rows in (fit.rest_before, fit.rest, fit.torque)
+    )
     text = (
-        f"{counted(int(used.sum()), 'instant')} with torques of {torque:.1f} mN m RMS, of which {before:.2f} mN m were"
-        f" unexplained before, {after:.2f} mN m after"
+        f"{counted(int(used.sum()), 'instant')} with torques of {torque:.1f} mN m RMS,"
+        f" of which {before:.2f} mN m were unexplained before, {after:.2f} mN m after"
     )
     if others := len(used) - int(used.sum()):
-        text += f" ({others} more left out, where friction turns round, a belt rings, or the robot was pushed)"
+        text += (
+            f" ({others} more left out, where friction turns round, a belt rings, or"
+            " the robot was pushed)"
+        )
     return text
 
 
-def render_identification(identification: Identification, predictions: Sequence[TorquePrediction]) -> str:
+def render_identification(
+    identification: Identification, predictions: Sequence[TorquePrediction]
+) -> str:
     """The page."""
-    fit, names = identification.fit, ", ".join(short(motion.recorded.path) for motion in identification.motions)
+    fit, names = (
+        identification.fit,
+        ", ".join(short(motion.recorded.path) for motion in identification.motions),
+    )
     none = np.zeros(len(fit.rest))
     figures = {
-        f"{side}-{when}": residuals(MNM * rest[:, joint], none, fit.used, f"{side}, {when} (mN m)", "instant")
-        for joint, side in enumerate(SIDES) for when, rest in (("before", fit.rest_before), ("after", fit.rest))
-    }  # fmt: skip
+        f"{side}-{when}": residuals(
+            MNM * rest[:, joint], none, fit.used, f"{side}, {when} (mN m)", "instant"
+        )
+        for joint, side in enumerate(SIDES)
+        for when, rest in (("before", fit.rest_before), ("after", fit.rest))
+    }
     checked = [
-        [Cell(str(one.path)), Cell(str(one.instants)),
-         *(Cell(number(MNM * value, ".2f")) for value in (one.torque, one.before, one.after))] for one in predictions
-    ]  # fmt: skip
+        [
+            Cell(str(one.path)),
+            Cell(str(one.instants)),
+            *(
+                Cell(number(MNM * value, ".2f"))
+                for value in (one.torque, one.before, one.after)
+            ),
+        ]
+        for one in predictions
+    ]
     return render(
-        "identification.html", figures,
+        "identification.html",
+        figures,
         title=f"{identification.after.name}: masses and friction identified",
         heading=f"{identification.after.name}: masses and friction by {names}",
         verdict="Identified.",
         sentence=torques_sentence(identification),
         quantities=quantity_table(identification.quantities),
         kept=identification.kept,
-        told="What the torques see together (base parameters), with standard deviations by the scatter of the recordings.",
+        told=(
+            "What the torques see together (base parameters), with standard deviations"
+            " by the scatter of the recordings."
+        ),
         directions=identification.told,
         observed="Instant by instant",
         observation=TORQUES,
         observations=None,
         predictions=(
-            [Column("bag", text=True), Column("instants"), Column("RMS torque", "mN m"), Column("unexplained before", "mN m"),
-             Column("after", "mN m")],
+            [
+                Column("bag", text=True),
+                Column("instants"),
+                Column("RMS torque", "mN m"),
+                Column("unexplained before", "mN m"),
+                Column("after", "mN m"),
+            ],
             checked,
         ),
-        footer=f"Made by dextar identify. {IDENTIFIED_FILE} beside this page is a robot file for every node.",
-    )  # fmt: skip
+        footer=(
+            f"Made by dextar identify. {IDENTIFIED_FILE} beside this page is a robot"
+            " file for every node."
+        ),
+    )

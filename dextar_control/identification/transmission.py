@@ -1,4 +1,6 @@
-"""The stiffness of the transmissions, where encoders at the motors and external poses show the links lag behind."""
+"""The stiffness of the transmissions, where encoders at the motors and external poses
+show the links lag behind.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +26,14 @@ class Stiffness(NamedTuple):
     deviation: float
 
 
-def stiffnesses_of(robot: RobotParameters, motions: Sequence[Motion]) -> list[Stiffness | None]:
+def stiffnesses_of(
+    robot: RobotParameters, motions: Sequence[Motion]
+) -> list[Stiffness | None]:
     """Of each joint's transmission; None where it is not told.
 
-    A link lags behind its motor by what the transmission passes on over its stiffness; an offset and a term once a turn allow for
-    a geometry that is not quite the described one.
+    A link lags behind its motor by what the transmission passes on over its stiffness;
+    an offset and a term once a turn allow for a geometry that is not quite the
+    described one.
     """
     model, gaps, passed, angles = Model.of(robot), [], [], []
     rotors = np.array([leg.rotor_inertia for leg in robot.legs])
@@ -37,11 +42,17 @@ def stiffnesses_of(robot: RobotParameters, motions: Sequence[Motion]) -> list[St
             continue
         times, x = motion.recorded.poses
         after = np.clip(np.searchsorted(motion.time, times), 1, len(motion.time) - 1)
-        good = motion.time[after] - motion.time[after - 1] <= 2.0 * float(np.median(np.diff(motion.time)))
+        good = motion.time[after] - motion.time[after - 1] <= 2.0 * float(
+            np.median(np.diff(motion.time))
+        )
         good &= (times >= motion.time[0]) & (times <= motion.time[-1])
 
-        def at(values: Array, own: Array = times[good], time: Array = motion.time) -> Array:
-            return np.column_stack([np.interp(own, time, column) for column in values.T])
+        def at(
+            values: Array, own: Array = times[good], time: Array = motion.time
+        ) -> Array:
+            return np.column_stack(
+                [np.interp(own, time, column) for column in values.T]
+            )
 
         q_a = at(motion.q_a)
         links = np.array([model.place(place).q_a for place in x[good]]).reshape(-1, 2)
@@ -51,7 +62,10 @@ def stiffnesses_of(robot: RobotParameters, motions: Sequence[Motion]) -> list[St
     if sum(map(len, gaps)) < FEWEST:
         return [None, None]
     every = (np.concatenate(parts) for parts in (gaps, passed, angles))
-    return [_stiffness(*(column for column in columns)) for columns in zip(*(part.T for part in every), strict=True)]
+    return [
+        _stiffness(*(column for column in columns))
+        for columns in zip(*(part.T for part in every), strict=True)
+    ]
 
 
 def _stiffness(gap: Array, passed: Array, angle: Array) -> Stiffness | None:
@@ -63,5 +77,11 @@ def _stiffness(gap: Array, passed: Array, angle: Array) -> Stiffness | None:
         spread = float(rest[used].std())
         used = np.abs(np.nan_to_num(rest, nan=np.inf)) <= OUTLIER * spread
     compliance = float(found[0])
-    deviation = spread * float(np.sqrt(np.linalg.inv(shapes[used].T @ shapes[used])[0, 0]))
-    return Stiffness(1.0 / compliance, deviation / compliance**2) if compliance > SURE * deviation else None
+    deviation = spread * float(
+        np.sqrt(np.linalg.inv(shapes[used].T @ shapes[used])[0, 0])
+    )
+    return (
+        Stiffness(1.0 / compliance, deviation / compliance**2)
+        if compliance > SURE * deviation
+        else None
+    )

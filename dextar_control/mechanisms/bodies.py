@@ -1,4 +1,6 @@
-"""What a mechanism is built of, in the plane: a tree of links on joints, and the pins that close its loops."""
+"""What a mechanism is built of, in the plane: a tree of links on joints, and the pins
+that close its loops.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ GROUND = -1
 class Link(NamedTuple):
     """A rigid body and the joint by which it moves against its parent.
 
-    Its frame lies at the joint's place. A revolute joint turns it there, a prismatic one shifts it along its x axis.
+    Its frame lies at the joint's place. A revolute joint turns it there, a prismatic
+    one shifts it along its x axis.
 
     Attributes:
         joint: its name; a motor where the mechanism has an active joint of that name.
@@ -20,7 +23,8 @@ class Link(NamedTuple):
         place: (2,) of the joint in the parent's frame, m.
         mass: kg.
         center: (2,) of mass in its own frame, m.
-        inertia: about the centre of mass, kg m^2, with the rotor's of a motor that turns it against the ground.
+        inertia: about the centre of mass, kg m^2, with the rotor's of a motor that
+            turns it against the ground.
         angle: of its frame to the parent's where the joint is at zero, rad.
         prismatic: whether the joint is.
         viscous, coulomb: friction of the joint, N m s/rad (N s/m) and N m (N).
@@ -46,7 +50,9 @@ class Pin(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """All of a mechanism: links, parents before children; pins; gravity (2,), m/s^2; speed over which Coulomb friction turns."""
+    """All of a mechanism: links, parents before children; pins; gravity (2,), m/s^2;
+    speed over which Coulomb friction turns.
+    """
 
     links: tuple[Link, ...]
     pins: tuple[Pin, ...]

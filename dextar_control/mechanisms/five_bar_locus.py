@@ -1,12 +1,14 @@
 """The five-bar's Type 2 locus in closed form: both families, in every working mode.
 
-The distal links are aligned on the locus: r_1 = l2_1 d and r_2 = -+l2_2 d with a unit vector d, so that
-P_2 - P_1 = (l2_1 +- l2_2) d. Opposite links (stretched) give the coupler curve of the four-bar e_1 P_1 P_2 e_2;
-links that point the same way (folded) give, for equal distal links, the circle about the elbows' common point,
-where the direct model is undefined, and else the coupler curve of a four-bar with a short coupler.
+The distal links are aligned on the locus: r_1 = l2_1 d and r_2 = -+l2_2 d with a unit
+vector d, so that P_2 - P_1 = (l2_1 +- l2_2) d. Opposite links (stretched) give the
+coupler curve of the four-bar e_1 P_1 P_2 e_2; links that point the same way (folded)
+give, for equal distal links, the circle about the elbows' common point, where the
+direct model is undefined, and else the coupler curve of a four-bar with a short
+coupler.
 
-At a stretched point s changes along t_s (by 2/l2 for equal links). At a folded one with equal distal links t_s is
-tangent to the locus: s changes only along v_1, radially.
+At a stretched point s changes along t_s (by 2/l2 for equal links). At a folded one with
+equal distal links t_s is tangent to the locus: s changes only along v_1, radially.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from dextar_control.mechanisms.planar import circles, direction, overlap
 from dextar_control.symbols.types import Array, Symbol
 
 SIDES = ("left", "right")
-LEAST_CHORD = 1e-24  # m^2, of half the common chord of circles that do not touch: its root has a derivative
+# m^2, of half the common chord of circles that do not touch: its root has a derivative
+LEAST_CHORD = 1e-24
 
 
 class Family(Enum):
@@ -33,10 +36,12 @@ class Family(Enum):
 
 
 class FiveBarLocus(Mechanism):
-    """What planning asks of a five-bar: its locus, its working modes and how large it is.
+    """What planning asks of a five-bar: its locus, its working modes and how large it
+    is.
 
     Attributes:
-        families: of the locus; each has two branches, +1 and -1: which of the two closures of the four-bar.
+        families: of the locus; each has two branches, +1 and -1: which of the two
+            closures of the four-bar.
         working_modes: all there are.
     """
 
@@ -47,11 +52,14 @@ class FiveBarLocus(Mechanism):
         """e_i (2,), m, a motor's axis."""
         return getattr(p, SIDES[leg]).axis
 
-    def type2_locus(self, family: Symbol, branch: Symbol, angle: Symbol, p: Any) -> tuple[Symbol, Symbol, Symbol]:
-        """(q_a (2,), x (2,), closing) of the locus at a tracing angle, rad: of the left motor (stretched) or of d (folded).
+    def type2_locus(
+        self, family: Symbol, branch: Symbol, angle: Symbol, p: Any
+    ) -> tuple[Symbol, Symbol, Symbol]:
+        """(q_a (2,), x (2,), closing) of the locus at a tracing angle, rad: of the left
+        motor (stretched) or of d (folded).
 
-        The four-bar closes where closing, over the proximal lengths' product, is not below zero; where it is, the place is the
-        nearest to closing.
+        The four-bar closes where closing, over the proximal lengths' product, is not
+        below zero; where it is, the place is the nearest to closing.
         """
         stretched = family > 0.0
         left, right = (getattr(p, side) for side in SIDES)
@@ -62,13 +70,21 @@ class FiveBarLocus(Mechanism):
         circle = center, radius, second, right.proximal_length
         P_2 = circles(*circle, branch, LEAST_CHORD)
         P_1 = ca.if_else(stretched, center, P_2 - coupler * turn)
-        d = ca.if_else(stretched, (P_2 - P_1) / (left.distal_length + right.distal_length), turn)
+        d = ca.if_else(
+            stretched, (P_2 - P_1) / (left.distal_length + right.distal_length), turn
+        )
         elbows = P_1 - first, P_2 - second
         q_a = ca.vertcat(*(ca.atan2(elbow[1], elbow[0]) for elbow in elbows))
-        return q_a, P_1 + left.distal_length * d, overlap(*circle) / (left.proximal_length * right.proximal_length)
+        return (
+            q_a,
+            P_1 + left.distal_length * d,
+            overlap(*circle) / (left.proximal_length * right.proximal_length),
+        )
 
     def family(self, A_r: Array) -> Family:
-        """The family that a place of the locus belongs to; A_r has r_1 and r_2 as rows."""
+        """The family that a place of the locus belongs to; A_r has r_1 and r_2 as
+        rows.
+        """
         return Family.STRETCHED if A_r[0] @ A_r[1] < 0.0 else Family.FOLDED
 
     def family_name(self, A_r: Array) -> str:
@@ -76,15 +92,30 @@ class FiveBarLocus(Mechanism):
         return self.family(A_r).name.lower()
 
     def modes(self, type1_sines: Array) -> Array:
-        """Working modes (..., 2): +1 where the elbow is on the left, which makes the sine of its angle negative."""
+        """Working modes (..., 2): +1 where the elbow is on the left, which makes the
+        sine of its angle negative.
+        """
         return np.where(type1_sines < 0.0, 1, -1)
 
     def workspace(self, p: Any) -> tuple[Array, Array]:
-        """Corners (2,), m, of a box that holds every place it reaches; ``p`` has numbers."""
-        reach = np.array([float((getattr(p, side).proximal_length + getattr(p, side).distal_length)[0]) for side in SIDES])
+        """Corners (2,), m, of a box that holds every place it reaches; ``p`` has
+        numbers.
+        """
+        reach = np.array(
+            [
+                float(
+                    (getattr(p, side).proximal_length + getattr(p, side).distal_length)[
+                        0
+                    ]
+                )
+                for side in SIDES
+            ]
+        )
         axes = np.array([np.array(self.base(leg, p)).ravel() for leg in range(2)])
         return (axes - reach[:, None]).max(axis=0), (axes + reach[:, None]).min(axis=0)
 
     def length(self, p: Any) -> float:
-        """The mean distal length, m, by which distances are measured; ``p`` has numbers."""
+        """The mean distal length, m, by which distances are measured; ``p`` has
+        numbers.
+        """
         return float(np.mean([getattr(p, side).distal_length[0] for side in SIDES]))

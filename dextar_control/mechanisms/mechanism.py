@@ -1,6 +1,8 @@
-"""What a mechanism is: names, parameters, loop closures, a Lagrangian and geometric models, on CasADi's symbols.
+"""What a mechanism is: names, parameters, loop closures, a Lagrangian and geometric
+models, on CasADi's symbols.
 
-All else (Eqs. 1-14 of the paper, forward dynamics, derivatives) follows from these by differentiation, in ``model.equations``.
+All else (Eqs. 1-14 of the paper, forward dynamics, derivatives) follows from these by
+differentiation, in ``model.equations``.
 """
 
 from __future__ import annotations
@@ -65,18 +67,28 @@ class Parameter:
         Raises:
             ParameterError: they are not ``size`` finite numbers within the bounds.
         """
-        numbers = list(value) if isinstance(value, (list, tuple, np.ndarray)) else [value]
+        numbers = (
+            list(value) if isinstance(value, (list, tuple, np.ndarray)) else [value]
+        )
         kinds = (int, float, np.number)
         if len(numbers) != self.size or not all(
-            isinstance(n, kinds) and not isinstance(n, bool) and math.isfinite(n) for n in numbers
+            isinstance(n, kinds) and not isinstance(n, bool) and math.isfinite(n)
+            for n in numbers
         ):
-            raise ParameterError(f"robot.{self.name} = {value!r}; it must be {self.size} finite number{'s' * (self.size > 1)}")
+            raise ParameterError(
+                f"robot.{self.name} = {value!r}; it must be {self.size} finite"
+                f" number{'s' * (self.size > 1)}"
+            )
         for number in numbers:
             if number <= self.above:
-                raise ParameterError(f"robot.{self.name} = {value}; it must be > {self.above:g} {self.unit}")
+                raise ParameterError(
+                    f"robot.{self.name} = {value}; it must be > {self.above:g}"
+                    f" {self.unit}"
+                )
             if not self.minimum <= number <= self.maximum:
                 raise ParameterError(
-                    f"robot.{self.name} = {value}; it must lie in [{self.minimum:g}, {self.maximum:g}] {self.unit}"
+                    f"robot.{self.name} = {value}; it must lie in [{self.minimum:g},"
+                    f" {self.maximum:g}] {self.unit}"
                 )
         return [float(number) for number in numbers]
 
@@ -84,8 +96,8 @@ class Parameter:
 class Mechanism(ABC):
     """A parallel mechanism with as many active joints as platform coordinates, n.
 
-    The platform's coordinates share one unit (an angle is given as a length, times a radius), so that singular values of A_r
-    and norms of wrenches have a meaning.
+    The platform's coordinates share one unit (an angle is given as a length, times a
+    radius), so that singular values of A_r and norms of wrenches have a meaning.
 
     Attributes:
         name: of the mechanism.
@@ -109,44 +121,63 @@ class Mechanism(ABC):
         """h(q_a, x) (n,): zero where the loops are closed."""
 
     @abstractmethod
-    def lagrangian(self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any) -> Symbol:
+    def lagrangian(
+        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any
+    ) -> Symbol:
         """L(q_a, x, q_a_dot, x_dot), J: kinetic less potential energy."""
 
     @abstractmethod
     def inverse_geometric_model(self, x: Symbol, p: Any) -> Symbol:
-        """q_a (n,) of a platform position in the working mode of ``p``; nan where it is not reached."""
+        """q_a (n,) of a platform position in the working mode of ``p``; nan where it is
+        not reached.
+        """
 
     def nearest_joints(self, x: Symbol, p: Any) -> tuple[Symbol, Symbol]:
-        """(q_a (n,), extension (n,)): the inverse geometric model with finite numbers and derivatives everywhere.
+        """(q_a (n,), extension (n,)): the inverse geometric model with finite numbers
+        and derivatives everywhere.
 
-        The extension of a leg is within [-1, 1] where it reaches x, +-1 at Type 1 and beyond that by how far it misses; there the
-        joint is the one that comes nearest. What optimises needs it; a mechanism for which nothing is planned does without.
+        The extension of a leg is within [-1, 1] where it reaches x, +-1 at Type 1 and
+        beyond that by how far it misses; there the joint is the one that comes nearest.
+        What optimises needs it; a mechanism for which nothing is planned does without.
         """
-        raise ParameterError(f"mechanism {self.name} has no nearest_joints, which planning needs: write that method")
+        raise ParameterError(
+            f"mechanism {self.name} has no nearest_joints, which planning needs: write"
+            " that method"
+        )
 
     def unreached(self, x: Array, q_a: Array, p: Any) -> str:
         """Why q_a is nan at x, in words; ``p`` has numbers."""
         joint = self.joints[int(np.argmin(np.isfinite(q_a)))].name
-        return f"x = {np.round(x, 6).tolist()} is out of reach: {joint} has no angle there"
+        return (
+            f"x = {np.round(x, 6).tolist()} is out of reach: {joint} has no angle there"
+        )
 
     @abstractmethod
-    def direct_geometric_model(self, q_a: Symbol, assembly_mode: Symbol, p: Any) -> Symbol | None:
-        """x (n,) of joint positions with sign(s) = assembly_mode, its root kept above zero; None where it has no closed form.
+    def direct_geometric_model(
+        self, q_a: Symbol, assembly_mode: Symbol, p: Any
+    ) -> Symbol | None:
+        """x (n,) of joint positions with sign(s) = assembly_mode, its root kept above
+        zero; None where it has no closed form.
 
-        Where A_r has k blocks the assembly mode has a sign for each (k,), or one for all.
+        Where A_r has k blocks the assembly mode has a sign for each (k,), or one for
+        all.
         """
 
     def type2_locus(
         self, family: Symbol, branch: Symbol, angle: Symbol, p: Any
     ) -> tuple[Symbol, Symbol, Symbol] | None:
-        """(q_a (n,), x (n,), closing) of the Type 2 locus at a tracing angle; None where it is not traced in closed form.
+        """(q_a (n,), x (n,), closing) of the Type 2 locus at a tracing angle; None
+        where it is not traced in closed form.
 
-        Of a mechanism without, a place of the locus is found near a given one, and planned for as it stands.
+        Of a mechanism without, a place of the locus is found near a given one, and
+        planned for as it stands.
         """
         return None
 
     def family_name(self, A_r: Array) -> str:
-        """Which family of the locus a place of it belongs to, by A_r (n, n); "" where there is one."""
+        """Which family of the locus a place of it belongs to, by A_r (n, n); "" where
+        there is one.
+        """
         return ""
 
     def length(self, p: Any) -> float:
@@ -154,37 +185,49 @@ class Mechanism(ABC):
         return float(np.ravel(self.singularity_length(p))[0])
 
     def mirror_image(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol | None:
-        """The other place (n,) of the platform that the joints q_a leave, with -sign(s); None where it has no closed form."""
+        """The other place (n,) of the platform that the joints q_a leave, with
+        -sign(s); None where it has no closed form.
+        """
         return None
 
     def why_open(self, q_a: Array, p: Any) -> str:
-        """Why no place of the platform closes the loops at joints q_a (n,), in words; "" where one does or that is not known.
+        """Why no place of the platform closes the loops at joints q_a (n,), in words;
+        "" where one does or that is not known.
 
         ``p`` has numbers.
         """
         return ""
 
     def folded(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
-        """Positive where that other place is far away even near the locus, so that joints that fit one do not fit the other.
+        """Positive where that other place is far away even near the locus, so that
+        joints that fit one do not fit the other.
 
         Of all, or (k,) of blocks of A_r.
         """
         return ca.SX(-1.0)
 
     def singularity_of_joints(self, q_a: Symbol, p: Any) -> Symbol | None:
-        """|s| from the active joints alone, the same in both assembly modes, 0 where they do not close; None where unknown."""
+        """|s| from the active joints alone, the same in both assembly modes, 0 where
+        they do not close; None where unknown.
+        """
         return None
 
     def linkage(self, q_a: Array, x: Array, p: Any) -> Array:
-        """(k, 2) places in the plane, m, whose polygon is drawn as the robot; none where there is no picture of it."""
+        """(k, 2) places in the plane, m, whose polygon is drawn as the robot; none
+        where there is no picture of it.
+        """
         return np.zeros((0, 2))
 
     def bodies(self, p: Any) -> Bodies | None:
-        """What it is built of, for who builds it; None where that is not said, and then the next two are not asked."""
+        """What it is built of, for who builds it; None where that is not said, and then
+        the next two are not asked.
+        """
         return None
 
     def tree_joints(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
-        """Positions (m,) of all joints of its bodies, rad or m, where the loops are closed."""
+        """Positions (m,) of all joints of its bodies, rad or m, where the loops are
+        closed.
+        """
         raise NotImplementedError
 
     def tree_platform(self, joints: Symbol, p: Any) -> Symbol:
@@ -193,7 +236,9 @@ class Mechanism(ABC):
 
     @abstractmethod
     def singularity_scale(self, p: Any) -> Symbol:
-        """What det(A_r) is divided by to give s, dimensionless and about 1 far from the Type 2 locus; (k,) of blocks of A_r."""
+        """What det(A_r) is divided by to give s, dimensionless and about 1 far from the
+        Type 2 locus; (k,) of blocks of A_r.
+        """
 
     @abstractmethod
     def singularity_length(self, p: Any) -> Symbol:
@@ -201,21 +246,28 @@ class Mechanism(ABC):
 
     @abstractmethod
     def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
-        """One number a leg that is zero where the leg is at a Type 1 singularity, and at most 1 in size."""
+        """One number a leg that is zero where the leg is at a Type 1 singularity, and
+        at most 1 in size.
+        """
 
     @abstractmethod
     def friction(self, q_a_dot: Symbol, p: Any) -> Symbol:
         """Friction torque of the active joints (n,), opposing q_a_dot."""
 
-    def passive_friction(self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any) -> tuple[Symbol, Symbol]:
-        """(rates (k,), rad/s, of joints without a motor, friction torques (k,), N m, that oppose them); none where there is none.
+    def passive_friction(
+        self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any
+    ) -> tuple[Symbol, Symbol]:
+        """(rates (k,), rad/s, of joints without a motor, friction torques (k,), N m,
+        that oppose them); none where there is none.
 
-        The rates depend on both velocities as if they were independent, as the Lagrangian does.
+        The rates depend on both velocities as if they were independent, as the
+        Lagrangian does.
         """
         return ca.SX(0, 1), ca.SX(0, 1)
 
     def transmission(self, p: Any) -> tuple[Symbol, Symbol, Symbol] | None:
-        """(rotor inertia, kg m^2, stiffness, N m/rad, 0 where rigid, damping, N m s/rad), (n,) each, between motors and joints.
+        """(rotor inertia, kg m^2, stiffness, N m/rad, 0 where rigid, damping, N m
+        s/rad), (n,) each, between motors and joints.
 
         None where all are rigid.
         """
@@ -227,7 +279,9 @@ class Mechanism(ABC):
         return vector, self.named(vector)
 
     def rows_of(self, name: str) -> slice | None:
-        """Where a parameter stands in the vector; None where there is none of that name."""
+        """Where a parameter stands in the vector; None where there is none of that
+        name.
+        """
         place = 0
         for parameter in self.parameters:
             if parameter.name == name:
@@ -250,12 +304,26 @@ class Mechanism(ABC):
         return named
 
     def values(self, flat: Mapping[str, Any]) -> Array:
-        """The vector of ``symbols`` for dotted names and values; others' keys are ignored.
+        """The vector of ``symbols`` for dotted names and values; others' keys are
+        ignored.
 
         Raises:
             ParameterError: one is missing or out of its bounds.
         """
-        missing = [parameter.name for parameter in self.parameters if parameter.name not in flat]
+        missing = [
+            parameter.name
+            for parameter in self.parameters
+            if parameter.name not in flat
+        ]
         if missing:
-            raise ParameterError(f"robot parameter '{missing[0]}' of the mechanism {self.name} is missing")
-        return np.array([number for parameter in self.parameters for number in parameter.check(flat[parameter.name])])
+            raise ParameterError(
+                f"robot parameter '{missing[0]}' of the mechanism {self.name} is"
+                " missing"
+            )
+        return np.array(
+            [
+                number
+                for parameter in self.parameters
+                for number in parameter.check(flat[parameter.name])
+            ]
+        )

@@ -1,1 +1,3 @@
-"""The paper's equations for any mechanism: on symbols (``equations``), and as fast functions (``functions``)."""
+"""The paper's equations for any mechanism: on symbols (``equations``), and as fast
+functions (``functions``).
+"""

@@ -1,14 +1,18 @@
-"""Eqs. (1)-(14) of the paper from a mechanism's closures and Lagrangian, for any number n of degrees of freedom.
+"""Eqs. (1)-(14) of the paper from a mechanism's closures and Lagrangian, for any number
+n of degrees of freedom.
 
-Each equation stands once, on the line that carries its number, in the paper's symbols; these lines are what runs. Three
-departures from the print, each with its reason:
+Each equation stands once, on the line that carries its number, in the paper's symbols;
+these lines are what runs. Three departures from the print, each with its reason:
 
-- Eq. (10) has cross terms: w_b depends on x_ddot as well, and w_d on q_a_ddot, by M_ax. They vanish only for links whose mass is
-  lumped at their ends; without them the criterion is false at true singular states.
-- In Eq. (14) h carries M_a B^-1 b; as printed it misses M_a, and its terms have different units.
-- The pseudo-inverse of Eqs. (9), (13), (14) is not taken: on the locus it gives the torque of least norm, which is not the
-  limit of Eq. (4) along a trajectory that meets the criterion, so that the torque would step. M and h are kept as J_inv^T times
-  the paper's, regular everywhere, and what gives the torque near the locus is the law.
+- Eq. (10) has cross terms: w_b depends on x_ddot as well, and w_d on q_a_ddot, by M_ax.
+  They vanish only for links whose mass is lumped at their ends; without them the
+  criterion is false at true singular states.
+- In Eq. (14) h carries M_a B^-1 b; as printed it misses M_a, and its terms have
+  different units.
+- The pseudo-inverse of Eqs. (9), (13), (14) is not taken: on the locus it gives the
+  torque of least norm, which is not the limit of Eq. (4) along a trajectory that meets
+  the criterion, so that the torque would step. M and h are kept as J_inv^T times the
+  paper's, regular everywhere, and what gives the torque near the locus is the law.
 """
 
 from __future__ import annotations
@@ -21,10 +25,17 @@ import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.mechanisms.mechanism import Mechanism
-from dextar_control.symbols.singular import SingularVectors, blocks, nearest, singular_vectors
+from dextar_control.symbols.singular import (
+    SingularVectors,
+    blocks,
+    nearest,
+    singular_vectors,
+)
 from dextar_control.symbols.types import Symbol
 
-TRIES = 5  # sets of numbers at which a matrix that is singular everywhere is found to be
+TRIES = (
+    5  # sets of numbers at which a matrix that is singular everywhere is found to be
+)
 
 
 @dataclass(frozen=True)
@@ -49,7 +60,8 @@ class Equations:
         inverse_dynamics: (n,), tau of x_ddot off the locus.
         friction: (n,), of the active joints.
         forward_dynamics: (n,), x_ddot of tau; regular on the locus.
-        s_blocks: (k,), determinants of A_r's blocks, dimensionless: how far each of k motions is from being uncontrollable.
+        s_blocks: (k,), determinants of A_r's blocks, dimensionless: how far each of k
+            motions is from being uncontrollable.
         s: the one of them that is least in size.
         singular: singular vectors of A_r; t_s (n, k) are the weak right ones.
         criterion: (k,), t_s . w_d.
@@ -89,38 +101,66 @@ class Equations:
     criterion: Symbol
     type1: Symbol
 
-    def at(self, p: Symbol, q_a: Symbol, x: Symbol, x_dot: Symbol, x_ddot: Any = 0.0, tau: Any = 0.0) -> Equations:
+    def at(
+        self,
+        p: Symbol,
+        q_a: Symbol,
+        x: Symbol,
+        x_dot: Symbol,
+        x_ddot: Any = 0.0,
+        tau: Any = 0.0,
+    ) -> Equations:
         """The same for other symbols or expressions."""
         names = [field.name for field in fields(self) if field.name != "singular"]
         given = [self.p, self.q_a, self.x, self.x_dot, self.x_ddot, self.tau]
-        values = ca.Function("at", given, [*(getattr(self, name) for name in names), *self.singular])(
-            p, q_a, x, x_dot, x_ddot, tau
+        values = ca.Function(
+            "at", given, [*(getattr(self, name) for name in names), *self.singular]
+        )(p, q_a, x, x_dot, x_ddot, tau)
+        return Equations(
+            **dict(zip(names, values, strict=False)),
+            singular=SingularVectors(*values[len(names) :]),
         )
-        return Equations(**dict(zip(names, values, strict=False)), singular=SingularVectors(*values[len(names) :]))
 
 
 def equations(mechanism: Mechanism) -> Equations:
     """The equations of a mechanism.
 
     Raises:
-        ParameterError: its closures and coordinates do not match in number, or B or A_r is singular everywhere.
+        ParameterError: its closures and coordinates do not match in number, or B or A_r
+            is singular everywhere.
     """
     n = mechanism.n
     vector, p = mechanism.symbols()
-    q_a, x, x_dot, x_ddot, tau = (ca.SX.sym(name, n) for name in ("q_a", "x", "x_dot", "x_ddot", "tau"))
-    v, a = ca.SX.sym("q_a_dot", n), ca.SX.sym("q_a_ddot", n)  # of the joints, where they are not yet bound to the platform's
+    q_a, x, x_dot, x_ddot, tau = (
+        ca.SX.sym(name, n) for name in ("q_a", "x", "x_dot", "x_ddot", "tau")
+    )
+    v, a = (
+        ca.SX.sym("q_a_dot", n),
+        ca.SX.sym("q_a_ddot", n),
+    )  # of the joints, where they are not yet bound to the platform's
 
     closures = mechanism.closures(q_a, x, p)
     if len(mechanism.coordinates) != n or closures.shape != (n, 1):
         raise ParameterError(
-            f"mechanism {mechanism.name} has {n} active joints, {len(mechanism.coordinates)} coordinates and"
-            f" {closures.shape[0]} closures; the three numbers must be equal"
+            f"mechanism {mechanism.name} has {n} active joints,"
+            f" {len(mechanism.coordinates)} coordinates and {closures.shape[0]}"
+            " closures; the three numbers must be equal"
         )
     A_r, B = ca.jacobian(closures, x), ca.jacobian(closures, q_a)  # Eq. 2
-    for name, matrix, why in (("B", B, "the closures do not depend on all active joints, each in its own way"),
-                              ("A_r", A_r, "a closure has no coordinate of its own")):
-        if ca.sprank(matrix) < n or _loses_rank(ca.Function(name, [vector, q_a, x], [matrix])):
-            raise ParameterError(f"{name} of mechanism {mechanism.name} is singular everywhere: {why}")
+    for name, matrix, why in (
+        (
+            "B",
+            B,
+            "the closures do not depend on all active joints, each in its own way",
+        ),
+        ("A_r", A_r, "a closure has no coordinate of its own"),
+    ):
+        if ca.sprank(matrix) < n or _loses_rank(
+            ca.Function(name, [vector, q_a, x], [matrix])
+        ):
+            raise ParameterError(
+                f"{name} of mechanism {mechanism.name} is singular everywhere: {why}"
+            )
     J_inv = -ca.solve(B, A_r)  # Eq. 8
     q_a_dot = J_inv @ x_dot  # Eq. 2
 
@@ -133,10 +173,16 @@ def equations(mechanism: Mechanism) -> Equations:
     rates, opposing = mechanism.passive_friction(q_a, x, v, x_dot, p)
 
     def euler_lagrange(position: Symbol, velocity: Symbol) -> Symbol:
-        """d/dt of dL/dvelocity, less dL/dposition, and the friction of joints without a motor, by its virtual power."""
+        """d/dt of dL/dvelocity, less dL/dposition, and the friction of joints without a
+        motor, by its virtual power.
+        """
         momentum = ca.gradient(L, velocity)
-        rate = along(momentum) + ca.jtimes(momentum, ca.vertcat(v, x_dot), ca.vertcat(a, x_ddot))
-        return rate - ca.gradient(L, position) + ca.jacobian(rates, velocity).T @ opposing
+        rate = along(momentum) + ca.jtimes(
+            momentum, ca.vertcat(v, x_dot), ca.vertcat(a, x_ddot)
+        )
+        return (
+            rate - ca.gradient(L, position) + ca.jacobian(rates, velocity).T @ opposing
+        )
 
     w_b, w_d = euler_lagrange(q_a, v), euler_lagrange(x, x_dot)  # Eq. 3
     M_a, M_x = ca.jacobian(w_b, a), ca.jacobian(w_d, x_ddot)  # Eq. 10
@@ -148,30 +194,76 @@ def equations(mechanism: Mechanism) -> Equations:
     drift = -ca.solve(B, b)  # Eq. 12
     q_a_ddot = J_inv @ x_ddot + drift  # Eq. 12
     w_b, w_d = ca.substitute([w_b, w_d], [a], [q_a_ddot])  # Eq. 10
-    force = J_inv.T @ w_b + w_d  # Eqs. 7, 8; w_b and w_d are Eq. 10's, which makes it what Eq. 13 inverts
-    M = J_inv.T @ M_a @ J_inv + J_inv.T @ M_ax + M_ax.T @ J_inv + M_x  # Eq. 14, with cross terms
-    h = J_inv.T @ (M_a @ drift + c_a) + M_ax.T @ drift + c_x  # Eq. 14, with M_a on B^-1 b
+    force = (
+        J_inv.T @ w_b + w_d
+    )  # Eqs. 7, 8; w_b and w_d are Eq. 10's, which makes it what Eq. 13 inverts
+    M = (
+        J_inv.T @ M_a @ J_inv + J_inv.T @ M_ax + M_ax.T @ J_inv + M_x
+    )  # Eq. 14, with cross terms
+    h = (
+        J_inv.T @ (M_a @ drift + c_a) + M_ax.T @ drift + c_x
+    )  # Eq. 14, with M_a on B^-1 b
     multipliers = ca.solve(A_r.T, w_d)  # Eq. 1
     inverse_dynamics = w_b - B.T @ multipliers  # Eq. 4
     singular = singular_vectors(A_r)
     t_s = singular.v_weak  # Eq. 5: spans the kernel of A_r, on the locus
     criterion = t_s.T @ w_d  # Eq. 5
-    s_blocks = ca.vertcat(*(ca.det(A_r[rows, columns]) for rows, columns in blocks(A_r))) / mechanism.singularity_scale(p)
+    s_blocks = ca.vertcat(
+        *(ca.det(A_r[rows, columns]) for rows, columns in blocks(A_r))
+    ) / mechanism.singularity_scale(p)
 
     friction = mechanism.friction(q_a_dot, p)
     forward_dynamics = ca.solve(M, J_inv.T @ (tau - friction) - h)
     return Equations(
-        vector, q_a, x, x_dot, x_ddot, tau, A_r, B, J_inv, q_a_dot, q_a_ddot, b, drift, w_b, w_d, force, M_a, M_ax, M_x, c_a, c_x,
-        M, h, multipliers, inverse_dynamics, friction, forward_dynamics, s_blocks, nearest(s_blocks, s_blocks), singular,
-        criterion, ca.mmin(ca.fabs(mechanism.type1_sines(q_a, x, p))),
+        vector,
+        q_a,
+        x,
+        x_dot,
+        x_ddot,
+        tau,
+        A_r,
+        B,
+        J_inv,
+        q_a_dot,
+        q_a_ddot,
+        b,
+        drift,
+        w_b,
+        w_d,
+        force,
+        M_a,
+        M_ax,
+        M_x,
+        c_a,
+        c_x,
+        M,
+        h,
+        multipliers,
+        inverse_dynamics,
+        friction,
+        forward_dynamics,
+        s_blocks,
+        nearest(s_blocks, s_blocks),
+        singular,
+        criterion,
+        ca.mmin(ca.fabs(mechanism.type1_sines(q_a, x, p))),
     )
 
 
 def _loses_rank(matrix: ca.Function) -> bool:
-    """Whether a matrix has less than full rank at all of some numbers that mean nothing; not where it is no number."""
+    """Whether a matrix has less than full rank at all of some numbers that mean
+    nothing; not where it is no number.
+    """
     generator = np.random.default_rng(0)
     for _ in range(TRIES):
-        found = np.array(matrix(*(generator.uniform(0.5, 1.5, matrix.size1_in(i)) for i in range(matrix.n_in()))))
+        found = np.array(
+            matrix(
+                *(
+                    generator.uniform(0.5, 1.5, matrix.size1_in(i))
+                    for i in range(matrix.n_in())
+                )
+            )
+        )
         if not np.isfinite(found).all() or np.linalg.matrix_rank(found) == len(found):
             return False
     return True

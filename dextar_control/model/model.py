@@ -1,4 +1,6 @@
-"""A mechanism with its numbers: one state's kinematics and dynamics as fast functions."""
+"""A mechanism with its numbers: one state's kinematics and dynamics as fast
+functions.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,14 @@ from dextar_control.symbols.types import Array, Symbol
 AnyModel = TypeVar("AnyModel", bound="Model")
 
 SOLVED = 1e-12  # m^2, of a closure that counts as closed
-CLEAR, RETURNED = 0.1, 1e-6  # |s| from which a direct model is asked for its place, and how near to it, of its distance
-CLOSED = 1e-9  # of the closures' own size, beyond which a geometric model does not satisfy them
+CLEAR, RETURNED = (
+    0.1,
+    1e-6,
+    # |s| from which a direct model is asked for its place, and how near to it, of its
+    # distance
+)
+# of the closures' own size, beyond which a geometric model does not satisfy them
+CLOSED = 1e-9
 
 
 class Model:
@@ -38,10 +46,14 @@ class Model:
         p: the parameters as one vector.
         n: degrees of freedom.
         blocks: of A_r; their rows are those of the multipliers.
-        place: x -> q_a, A_r, s, s_blocks, type1, t_s, gradient (of s, 1/m); nan out of reach.
-        state: (q_a, x, x_dot) -> A_r, B, J_inv, q_a_dot, b, drift, s, type1, t_s: kinematics of a closed configuration.
-        wrenches: (q_a, x, x_dot, x_ddot) -> q_a_ddot, w_b, w_d, multipliers, tau, friction, criterion, t_s.
-        platform_dynamics: (q_a, x, x_dot, tau) -> M, h, x_ddot; regular on the Type 2 locus.
+        place: x -> q_a, A_r, s, s_blocks, type1, t_s, gradient (of s, 1/m); nan out of
+            reach.
+        state: (q_a, x, x_dot) -> A_r, B, J_inv, q_a_dot, b, drift, s, type1, t_s:
+            kinematics of a closed configuration.
+        wrenches: (q_a, x, x_dot, x_ddot) -> q_a_ddot, w_b, w_d, multipliers, tau,
+            friction, criterion, t_s.
+        platform_dynamics: (q_a, x, x_dot, tau) -> M, h, x_ddot; regular on the Type 2
+            locus.
 
     Raises:
         ParameterError: a parameter is missing or out of its bounds.
@@ -50,10 +62,14 @@ class Model:
     def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
         self.mechanism, self.n = mechanism, mechanism.n
         self.p = mechanism.values(values)
-        self.library, self.blocks = library_of(mechanism), blocks(equations_of(mechanism).A_r)
+        self.library, self.blocks = (
+            library_of(mechanism),
+            blocks(equations_of(mechanism).A_r),
+        )
         self._inverse = self.library.fast("inverse_geometric_model")
         self.place, self.state, self.wrenches, self.platform_dynamics = (
-            self._bound(name) for name in ("place", "state", "wrenches", "platform_dynamics")
+            self._bound(name)
+            for name in ("place", "state", "wrenches", "platform_dynamics")
         )
 
     @classmethod
@@ -76,22 +92,36 @@ class Model:
         """
         (q_a,) = self._inverse(self.p, x)
         if not np.isfinite(q_a).all():
-            raise GeometryError(self.mechanism.unreached(np.asarray(x), q_a, self.mechanism.named(self.p)))
+            raise GeometryError(
+                self.mechanism.unreached(
+                    np.asarray(x), q_a, self.mechanism.named(self.p)
+                )
+            )
         return np.asarray(q_a)
 
     def type1_distance(self, x: Array) -> float:
-        """Least sine of a leg's angle at a platform position x (n,): zero at a Type 1 singularity; nan out of reach."""
+        """Least sine of a leg's angle at a platform position x (n,): zero at a Type 1
+        singularity; nan out of reach.
+        """
         return float(self.place(x).type1[0])
 
-    def direct_geometric_model(self, q_a: Array, assembly_mode: float | Array, near: Array) -> Array:
-        """x (n,) of joints q_a (n,) with sign(s) = assembly_mode, clamped on the locus; nan where the loops do not close.
+    def direct_geometric_model(
+        self, q_a: Array, assembly_mode: float | Array, near: Array
+    ) -> Array:
+        """x (n,) of joints q_a (n,) with sign(s) = assembly_mode, clamped on the locus;
+        nan where the loops do not close.
 
         Args:
             assembly_mode: of all blocks, or (k,).
-            near: (n,) where the search begins that a mechanism without a closed form needs.
+            near: (n,) where the search begins that a mechanism without a closed form
+                needs.
         """
         if "direct_geometric_model" in self.library.symbolic:
-            return np.asarray(self.library.fast("direct_geometric_model")(self.p, q_a, assembly_mode).x)
+            return np.asarray(
+                self.library.fast("direct_geometric_model")(
+                    self.p, q_a, assembly_mode
+                ).x
+            )
         solve = self.library.fast("closed_near")
         found = solve(self.p, q_a, near)
         if found.s[0] * assembly_mode < 0.0:
@@ -99,19 +129,28 @@ class Model:
         good = found.gap[0] < SOLVED and found.s[0] * assembly_mode > 0.0
         return np.asarray(found.x if good else np.full(self.n, np.nan))
 
-    def close(self, q_a: Array, assembly_mode: float, near: Array | None = None) -> Array:
+    def close(
+        self, q_a: Array, assembly_mode: float, near: Array | None = None
+    ) -> Array:
         """x (n,) of joints q_a (n,) with sign(s) = assembly_mode.
 
         Args:
-            near: (n,) where the search begins that a mechanism without a closed form needs; the origin when None.
+            near: (n,) where the search begins that a mechanism without a closed form
+                needs; the origin when None.
 
         Raises:
             GeometryError: the loops do not close there.
         """
         problem = self.mechanism.why_open(np.asarray(q_a), self.mechanism.named(self.p))
-        x = self.direct_geometric_model(q_a, assembly_mode, np.zeros(self.n) if near is None else near)
+        x = self.direct_geometric_model(
+            q_a, assembly_mode, np.zeros(self.n) if near is None else near
+        )
         if problem or not np.isfinite(x).all():
-            raise GeometryError(problem or f"the loops of {self.mechanism.name} do not close at joints {np.round(q_a, 6)}")
+            raise GeometryError(
+                problem
+                or f"the loops of {self.mechanism.name} do not close at joints"
+                f" {np.round(q_a, 6)}"
+            )
         return x
 
 
@@ -133,47 +172,109 @@ def library_of(mechanism: Mechanism) -> Library:
     x = ca.SX.sym("x", mechanism.n)
     closed = {"p": e.p, "q_a": e.q_a, "x": e.x, "x_dot": e.x_dot}
     functions = [
-        named("inverse_geometric_model", {"p": vector, "x": x}, {"q_a": mechanism.inverse_geometric_model(x, p)}),
-        named("state", closed, {
-            "A_r": e.A_r, "B": e.B, "J_inv": e.J_inv, "q_a_dot": e.q_a_dot, "b": e.b, "drift": e.drift, "s": e.s,
-            "type1": e.type1, "t_s": e.singular.v_weak,
-        }),
+        named(
+            "inverse_geometric_model",
+            {"p": vector, "x": x},
+            {"q_a": mechanism.inverse_geometric_model(x, p)},
+        ),
+        named(
+            "state",
+            closed,
+            {
+                "A_r": e.A_r,
+                "B": e.B,
+                "J_inv": e.J_inv,
+                "q_a_dot": e.q_a_dot,
+                "b": e.b,
+                "drift": e.drift,
+                "s": e.s,
+                "type1": e.type1,
+                "t_s": e.singular.v_weak,
+            },
+        ),
         named("place", {"p": vector, "x": x}, _place(mechanism, e, vector, x)),
-        named("wrenches", closed | {"x_ddot": e.x_ddot}, {
-            "q_a_ddot": e.q_a_ddot, "w_b": e.w_b, "w_d": e.w_d, "multipliers": e.multipliers,
-            "tau": e.inverse_dynamics + e.friction, "friction": e.friction, "criterion": e.criterion, "t_s": e.singular.v_weak,
-        }),
-        named("platform_dynamics", closed | {"tau": e.tau}, {"M": e.M, "h": e.h, "x_ddot": e.forward_dynamics}),
+        named(
+            "wrenches",
+            closed | {"x_ddot": e.x_ddot},
+            {
+                "q_a_ddot": e.q_a_ddot,
+                "w_b": e.w_b,
+                "w_d": e.w_d,
+                "multipliers": e.multipliers,
+                "tau": e.inverse_dynamics + e.friction,
+                "friction": e.friction,
+                "criterion": e.criterion,
+                "t_s": e.singular.v_weak,
+            },
+        ),
+        named(
+            "platform_dynamics",
+            closed | {"tau": e.tau},
+            {"M": e.M, "h": e.h, "x_ddot": e.forward_dynamics},
+        ),
     ]
-    q_a, mode = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("assembly_mode", e.s_blocks.numel())
+    q_a, mode = (
+        ca.SX.sym("q_a", mechanism.n),
+        ca.SX.sym("assembly_mode", e.s_blocks.numel()),
+    )
     direct = mechanism.direct_geometric_model(q_a, mode, p)
     if direct is None:
         functions.append(_closed_near(mechanism, e))
     else:
-        functions.append(named("direct_geometric_model", {"p": vector, "q_a": q_a, "assembly_mode": mode}, {"x": direct}))
+        functions.append(
+            named(
+                "direct_geometric_model",
+                {"p": vector, "q_a": q_a, "assembly_mode": mode},
+                {"x": direct},
+            )
+        )
     return Library(functions, cache_folder())
 
 
-def _place(mechanism: Mechanism, e: Equations, vector: Symbol, x: Symbol) -> dict[str, Symbol]:
+def _place(
+    mechanism: Mechanism, e: Equations, vector: Symbol, x: Symbol
+) -> dict[str, Symbol]:
     """What there is to say of a place of the platform."""
-    at = e.at(vector, mechanism.inverse_geometric_model(x, mechanism.named(vector)), x, ca.SX.zeros(mechanism.n))
-    return {"q_a": at.q_a, "A_r": at.A_r, "s": at.s, "s_blocks": at.s_blocks, "type1": at.type1, "t_s": at.singular.v_weak,
-            "gradient": ca.gradient(at.s, x)}
+    at = e.at(
+        vector,
+        mechanism.inverse_geometric_model(x, mechanism.named(vector)),
+        x,
+        ca.SX.zeros(mechanism.n),
+    )
+    return {
+        "q_a": at.q_a,
+        "A_r": at.A_r,
+        "s": at.s,
+        "s_blocks": at.s_blocks,
+        "type1": at.type1,
+        "t_s": at.singular.v_weak,
+        "gradient": ca.gradient(at.s, x),
+    }
 
 
 def _closed_near(mechanism: Mechanism, e: Equations) -> ca.Function:
-    """The platform of given joints by Newton's method from a place near it, and its mirror image."""
+    """The platform of given joints by Newton's method from a place near it, and its
+    mirror image.
+    """
     vector, p = mechanism.symbols()
     q_a, near = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("near", mechanism.n)
     x = closed_near(mechanism, q_a, near, p)
     s = e.at(vector, q_a, x, ca.SX.zeros(mechanism.n)).s
-    return named("closed_near", {"p": vector, "q_a": q_a, "near": near}, {
-        "x": x, "gap": ca.norm_inf(mechanism.closures(q_a, x, p)), "s": s, "image": mirror_image(mechanism, q_a, x, p),
-    })
+    return named(
+        "closed_near",
+        {"p": vector, "q_a": q_a, "near": near},
+        {
+            "x": x,
+            "gap": ca.norm_inf(mechanism.closures(q_a, x, p)),
+            "s": s,
+            "image": mirror_image(mechanism, q_a, x, p),
+        },
+    )
 
 
 def check_geometry(model: Model, places: Array) -> None:
-    """The geometric models satisfy the closures, the direct one on its side of the locus, and M is positive definite.
+    """The geometric models satisfy the closures, the direct one on its side of the
+    locus, and M is positive definite.
 
     Args:
         model: of the robot.
@@ -185,25 +286,48 @@ def check_geometry(model: Model, places: Array) -> None:
     mechanism = model.mechanism
     vector, p = mechanism.symbols()
     q_a, x = ca.SX.sym("q_a", model.n), ca.SX.sym("x", model.n)
-    closures = ca.Function("closures", [vector, q_a, x], [mechanism.closures(q_a, x, p)])
-    size = float(np.abs(np.array(closures(model.p, np.zeros(model.n), places[0]))).max())
+    closures = ca.Function(
+        "closures", [vector, q_a, x], [mechanism.closures(q_a, x, p)]
+    )
+    size = float(
+        np.abs(np.array(closures(model.p, np.zeros(model.n), places[0]))).max()
+    )
     for place in places:
-        gap = float(np.abs(np.array(closures(model.p, model.inverse_geometric_model(place), place))).max())
+        gap = float(
+            np.abs(
+                np.array(closures(model.p, model.inverse_geometric_model(place), place))
+            ).max()
+        )
         if not gap <= CLOSED * max(size, 1e-12):
             raise ParameterError(
-                f"the inverse geometric model of {mechanism.name} leaves its closures open by {gap:.3g} at x ="
-                f" {np.round(place, 6).tolist()}; it must satisfy them"
+                f"the inverse geometric model of {mechanism.name} leaves its closures"
+                f" open by {gap:.3g} at x = {np.round(place, 6).tolist()}; it must"
+                " satisfy them"
             )
-        joints, s, at = model.inverse_geometric_model(place), model.place(place).s.item(), np.round(place, 6).tolist()
+        joints, s, at = (
+            model.inverse_geometric_model(place),
+            model.place(place).s.item(),
+            np.round(place, 6).tolist(),
+        )
         if abs(s) > CLEAR and "direct_geometric_model" in model.library.symbolic:
             found = model.direct_geometric_model(joints, np.sign(s), place)
-            if not np.linalg.norm(found - place) <= RETURNED * max(float(np.linalg.norm(place)), 1e-3):
+            if not np.linalg.norm(found - place) <= RETURNED * max(
+                float(np.linalg.norm(place)), 1e-3
+            ):
                 raise ParameterError(
-                    f"the direct geometric model of {mechanism.name} gives {np.round(found, 6).tolist()} for the joints and the"
-                    f" side (s = {s:+.3f}) of x = {at}"
+                    f"the direct geometric model of {mechanism.name} gives"
+                    f" {np.round(found, 6).tolist()} for the joints and the side (s ="
+                    f" {s:+.3f}) of x = {at}"
                 )
-        if not np.linalg.eigvalsh(model.platform_dynamics(joints, place, np.zeros(model.n), np.zeros(model.n)).M).min() > 0.0:
+        if (
+            not np.linalg.eigvalsh(
+                model.platform_dynamics(
+                    joints, place, np.zeros(model.n), np.zeros(model.n)
+                ).M
+            ).min()
+            > 0.0
+        ):
             raise ParameterError(
-                f"the inertia of {mechanism.name} at x = {at} is not positive: its Lagrangian has to be kinetic less potential"
-                " energy"
+                f"the inertia of {mechanism.name} at x = {at} is not positive: its"
+                " Lagrangian has to be kinetic less potential energy"
             )

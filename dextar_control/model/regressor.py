@@ -1,7 +1,9 @@
-"""How the torques of a motion depend on a mechanism's masses, inertias, friction and gravity: the identification's regressor.
+"""How the torques of a motion depend on a mechanism's masses, inertias, friction and
+gravity: the identification's regressor.
 
-The equation is J_inv^T (tau - friction) = force, which is regular on the Type 2 locus, and its slopes by the numbers come from
-differentiating it: no dynamics are written for this.
+The equation is J_inv^T (tau - friction) = force, which is regular on the Type 2 locus,
+and its slopes by the numbers come from differentiating it: no dynamics are written for
+this.
 """
 
 from __future__ import annotations
@@ -19,8 +21,17 @@ from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.types import Array, Symbol
 
 AXES = "xyz"
-SIZES = {"N m": 0.02, "N m s/rad": 0.005, "N": 0.2, "N s/m": 0.05, "m/s^2": 1.0, "kg": 0.05, "kg m^2": 1e-4}
-"""By which a number of a unit is counted: what is felt beside the motion's own torques."""
+SIZES = {
+    "N m": 0.02,
+    "N m s/rad": 0.005,
+    "N": 0.2,
+    "N s/m": 0.05,
+    "m/s^2": 1.0,
+    "kg": 0.05,
+    "kg m^2": 1e-4,
+}
+"""By which a number of a unit is counted: what is felt beside the motion's own torques.
+"""
 
 
 class Unknown(NamedTuple):
@@ -48,23 +59,48 @@ def unknowns_of(mechanism: Mechanism) -> tuple[Unknown, ...]:
     for parameter in mechanism.parameters:
         for place in range(parameter.size):
             number, slope = e.p[row], ca.jacobian(gap, e.p[row])
-            if slope.nnz() and not ca.depends_on(slope, number) and not ca.depends_on(closures, number):
-                name = f"{parameter.name}.{AXES[place]}" if parameter.size > 1 else parameter.name
-                found.append(Unknown(name, parameter.unit, row, max(parameter.minimum, parameter.above)))
+            if (
+                slope.nnz()
+                and not ca.depends_on(slope, number)
+                and not ca.depends_on(closures, number)
+            ):
+                name = (
+                    f"{parameter.name}.{AXES[place]}"
+                    if parameter.size > 1
+                    else parameter.name
+                )
+                found.append(
+                    Unknown(
+                        name,
+                        parameter.unit,
+                        row,
+                        max(parameter.minimum, parameter.above),
+                    )
+                )
             row += 1
     return tuple(found)
 
 
 def sizes_of(mechanism: Mechanism, p: Array) -> Array:
-    """By which the unknown numbers are counted: masses and inertias by the largest of the description, others by ``SIZES``."""
+    """By which the unknown numbers are counted: masses and inertias by the largest of
+    the description, others by ``SIZES``.
+    """
     unknowns = unknowns_of(mechanism)
-    largest = {unit: max(float(p[one.row]) for one in unknowns if one.unit == unit) for unit in {one.unit for one in unknowns}}
-    by_unit = {unit: most if unit.startswith("kg") and most else SIZES[unit] for unit, most in largest.items()}
+    largest = {
+        unit: max(float(p[one.row]) for one in unknowns if one.unit == unit)
+        for unit in {one.unit for one in unknowns}
+    }
+    by_unit = {
+        unit: most if unit.startswith("kg") and most else SIZES[unit]
+        for unit, most in largest.items()
+    }
     return np.array([by_unit[one.unit] for one in unknowns])
 
 
 def _gap(e: Equations) -> Symbol:
-    """What motors and friction give less what the motion takes (n,), N on the platform."""
+    """What motors and friction give less what the motion takes (n,), N on the
+    platform.
+    """
     return e.J_inv.T @ (e.tau - e.friction) - e.force
 
 
@@ -72,10 +108,11 @@ def _gap(e: Equations) -> Symbol:
 def regressors(mechanism: Mechanism) -> Library:
     """The identification's functions, compiled together where that can be done.
 
-    ``motion`` of (p, q_a, x, q_a_dot, q_a_ddot): x_dot, x_ddot, s, and the rates (n,) of the joints.
-    ``gap`` of (p, q_a, x, x_dot, x_ddot, tau): J_inv, inertia (M J_inv^-1, (n, n)), gap (n,), N, slopes (n, k) of it by the
-    ``unknowns_of``.
-    ``planned`` of (p, x, x_dot, x_ddot): torque_slopes (n, k) of the torques, N m, by them, and rates (n,) of the joints.
+    ``motion`` of (p, q_a, x, q_a_dot, q_a_ddot): x_dot, x_ddot, s, and the rates (n,)
+    of the joints. ``gap`` of (p, q_a, x, x_dot, x_ddot, tau): J_inv, inertia (M
+    J_inv^-1, (n, n)), gap (n,), N, slopes (n, k) of it by the ``unknowns_of``.
+    ``planned`` of (p, x, x_dot, x_ddot): torque_slopes (n, k) of the torques, N m, by
+    them, and rates (n,) of the joints.
     """
     e = equations_of(mechanism)
     n, rows = mechanism.n, [unknown.row for unknown in unknowns_of(mechanism)]
@@ -85,17 +122,41 @@ def regressors(mechanism: Mechanism) -> Library:
     x_ddot = ca.solve(e.J_inv, q_a_ddot - moving.drift)
     gap = _gap(e)
     slopes = ca.jacobian(gap, e.p[rows])
-    placed = e.at(e.p, mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)), e.x, e.x_dot, e.x_ddot)
+    placed = e.at(
+        e.p,
+        mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)),
+        e.x,
+        e.x_dot,
+        e.x_ddot,
+    )
     needed: Any = placed.inverse_dynamics + placed.friction
     joints = {"p": e.p, "q_a": e.q_a, "x": e.x}
-    return Library([
-        named("motion", joints | {"q_a_dot": q_a_dot, "q_a_ddot": q_a_ddot}, {
-            "x_dot": x_dot, "x_ddot": x_ddot, "s": e.s, "rates": q_a_dot,
-        }),
-        named("gap", joints | {"x_dot": e.x_dot, "x_ddot": e.x_ddot, "tau": e.tau}, {
-            "J_inv": e.J_inv, "inertia": e.M @ ca.solve(e.J_inv, ca.SX.eye(n)), "gap": gap, "slopes": slopes,
-        }),
-        named("planned", {"p": e.p, "x": e.x, "x_dot": e.x_dot, "x_ddot": e.x_ddot}, {
-            "torque_slopes": ca.jacobian(needed, e.p[rows]), "rates": placed.q_a_dot,
-        }),
-    ], cache_folder(), 1)
+    return Library(
+        [
+            named(
+                "motion",
+                joints | {"q_a_dot": q_a_dot, "q_a_ddot": q_a_ddot},
+                {"x_dot": x_dot, "x_ddot": x_ddot, "s": e.s, "rates": q_a_dot},
+            ),
+            named(
+                "gap",
+                joints | {"x_dot": e.x_dot, "x_ddot": e.x_ddot, "tau": e.tau},
+                {
+                    "J_inv": e.J_inv,
+                    "inertia": e.M @ ca.solve(e.J_inv, ca.SX.eye(n)),
+                    "gap": gap,
+                    "slopes": slopes,
+                },
+            ),
+            named(
+                "planned",
+                {"p": e.p, "x": e.x, "x_dot": e.x_dot, "x_ddot": e.x_ddot},
+                {
+                    "torque_slopes": ca.jacobian(needed, e.p[rows]),
+                    "rates": placed.q_a_dot,
+                },
+            ),
+        ],
+        cache_folder(),
+        1,
+    )

@@ -1,4 +1,6 @@
-"""A robot of any mechanism: its numbers, and the limits that planner and controller keep."""
+"""A robot of any mechanism: its numbers, and the limits that planner and controller
+keep.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +17,29 @@ from dextar_control.mechanisms import mechanism_named
 from dextar_control.mechanisms.mechanism import Mechanism, Parameter
 
 LIMITS = (
-    Parameter("max_torque", "N m (N of a prismatic joint)", "of each active joint", above=0.0),
-    Parameter("max_joint_speed", "rad/s (m/s of a prismatic joint)", "of each active joint", above=0.0),
-    Parameter("max_platform_speed", "m/s", "of the platform, all coordinates together", above=0.0),
+    Parameter(
+        "max_torque", "N m (N of a prismatic joint)", "of each active joint", above=0.0
+    ),
+    Parameter(
+        "max_joint_speed",
+        "rad/s (m/s of a prismatic joint)",
+        "of each active joint",
+        above=0.0,
+    ),
+    Parameter(
+        "max_platform_speed",
+        "m/s",
+        "of the platform, all coordinates together",
+        above=0.0,
+    ),
     Parameter("min_type1_distance", "1", "least distance of a leg to Type 1", 0.0, 1.0),
 )
 
 
 @dataclass(frozen=True)
 class Robot:
-    """A mechanism with its numbers and limits; what ``RobotParameters`` is for the five-bar.
+    """A mechanism with its numbers and limits; what ``RobotParameters`` is for the
+    five-bar.
 
     Attributes:
         mechanism: the equations.
@@ -33,7 +48,8 @@ class Robot:
         max_joint_speed: of each active joint, rad/s (m/s).
         max_platform_speed: of all coordinates together, m/s.
         min_type1_distance: that each leg keeps.
-        joint_range: (least, largest) positions of the active joints; a whole turn is no bound.
+        joint_range: (least, largest) positions of the active joints; a whole turn is no
+            bound.
     """
 
     mechanism: Mechanism
@@ -46,28 +62,54 @@ class Robot:
 
     @classmethod
     def of(cls, mechanism: Mechanism, values: Mapping[str, Any]) -> Robot:
-        """From dotted names: the mechanism's parameters, LIMITS, and where there are bounds ``joint_min`` and ``joint_max``.
+        """From dotted names: the mechanism's parameters, LIMITS, and where there are
+        bounds ``joint_min`` and ``joint_max``.
 
         Raises:
             ParameterError: a number is missing or out of its bounds, or unknown.
         """
         mechanism.values(values)
-        known = {"name", "mechanism", "joint_min", "joint_max", *(number.name for number in (*LIMITS, *mechanism.parameters))}
+        known = {
+            "name",
+            "mechanism",
+            "joint_min",
+            "joint_max",
+            *(number.name for number in (*LIMITS, *mechanism.parameters)),
+        }
         if unknown := sorted({*values} - known):
-            raise ParameterError(f"unknown robot parameter '{unknown[0]}' of the mechanism {mechanism.name}")
+            raise ParameterError(
+                f"unknown robot parameter '{unknown[0]}' of the mechanism"
+                f" {mechanism.name}"
+            )
         missing = [limit.name for limit in LIMITS if limit.name not in values]
         if missing:
-            raise ParameterError(f"robot parameter '{missing[0]}' of the mechanism {mechanism.name} is missing")
+            raise ParameterError(
+                f"robot parameter '{missing[0]}' of the mechanism {mechanism.name} is"
+                " missing"
+            )
         limits = {limit.name: limit.check(values[limit.name])[0] for limit in LIMITS}
         low, high = (
-            tuple(Parameter(name, "rad or m", "of the joints", size=mechanism.n).check(values.get(name, [bound] * mechanism.n)))
+            tuple(
+                Parameter(name, "rad or m", "of the joints", size=mechanism.n).check(
+                    values.get(name, [bound] * mechanism.n)
+                )
+            )
             for name, bound in (("joint_min", -math.pi), ("joint_max", math.pi))
         )
         for joint, least, largest in zip(mechanism.joints, low, high, strict=True):
             if not least < largest:
-                raise ParameterError(f"robot.joint_min = {least} with joint_max = {largest} of {joint.name}; it must be smaller")
-        items = [(parameter.name, values[parameter.name]) for parameter in mechanism.parameters]
-        frozen = tuple((name, tuple(value) if isinstance(value, list) else value) for name, value in items)
+                raise ParameterError(
+                    f"robot.joint_min = {least} with joint_max = {largest} of"
+                    f" {joint.name}; it must be smaller"
+                )
+        items = [
+            (parameter.name, values[parameter.name])
+            for parameter in mechanism.parameters
+        ]
+        frozen = tuple(
+            (name, tuple(value) if isinstance(value, list) else value)
+            for name, value in items
+        )
         return cls(mechanism, frozen, **limits, joint_range=(low, high))
 
     @property
@@ -93,10 +135,16 @@ class Robot:
     def replace(self, **changes: Any) -> Robot:
         """A copy with numbers or limits changed, by their dotted names."""
         low, high = self.joint_range
-        now = self.numbers | {limit.name: getattr(self, limit.name) for limit in LIMITS} | {"joint_min": low, "joint_max": high}
+        now = (
+            self.numbers
+            | {limit.name: getattr(self, limit.name) for limit in LIMITS}
+            | {"joint_min": low, "joint_max": high}
+        )
         unknown = sorted(set(changes) - set(now))
         if unknown:
-            raise ParameterError(f"unknown robot parameter '{unknown[0]}'; known are: {', '.join(now)}")
+            raise ParameterError(
+                f"unknown robot parameter '{unknown[0]}'; known are: {', '.join(now)}"
+            )
         return Robot.of(self.mechanism, now | changes)
 
 
@@ -104,15 +152,23 @@ AnyRobot = RobotParameters | Robot
 
 
 def load_any_robot(path: str | Path) -> Robot:
-    """The robot of a ROS 2 parameter file that names its mechanism, such as ``config/three_rrr.yaml``.
+    """The robot of a ROS 2 parameter file that names its mechanism, such as
+    ``config/three_rrr.yaml``.
 
     Raises:
-        ParameterError: the file cannot be read, names no mechanism that there is, or a number is missing or out of its bounds.
+        ParameterError: the file cannot be read, names no mechanism that there is, or a
+            number is missing or out of its bounds.
     """
     values = load_parameters(path, what="robot file").get("/**", {})
-    flat = {key.removeprefix(PREFIX): value for key, value in values.items() if key.startswith(PREFIX)}
+    flat = {
+        key.removeprefix(PREFIX): value
+        for key, value in values.items()
+        if key.startswith(PREFIX)
+    }
     if "mechanism" not in flat:
-        raise ParameterError(f"robot file {path}: robot.mechanism is missing; it names the mechanism")
+        raise ParameterError(
+            f"robot file {path}: robot.mechanism is missing; it names the mechanism"
+        )
     try:
         return Robot.of(mechanism_named(flat["mechanism"]), flat)
     except ParameterError as error:

@@ -14,10 +14,11 @@ NEWTON_STEPS = 6  # from a guess of the second order: each doubles the digits
 
 
 def mirror_image(mechanism: Mechanism, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
-    """The other place (n,) of the platform that the joints q_a leave, with -sign(s); near the locus near to x.
+    """The other place (n,) of the platform that the joints q_a leave, with -sign(s);
+    near the locus near to x.
 
-    Where the mechanism knows no closed form it is found by Newton's method, from where the quadratic terms of the closures put it
-    along the weak direction.
+    Where the mechanism knows no closed form it is found by Newton's method, from where
+    the quadratic terms of the closures put it along the weak direction.
     """
     known = mechanism.mirror_image(q_a, x, p)
     if known is not None:
@@ -34,7 +35,9 @@ def mirror_image(mechanism: Mechanism, q_a: Symbol, x: Symbol, p: Any) -> Symbol
 
 
 def closed_near(mechanism: Mechanism, q_a: Symbol, guess: Symbol, p: Any) -> Symbol:
-    """The place (n,) of the platform that closes the loops, by Newton's method from a guess near it."""
+    """The place (n,) of the platform that closes the loops, by Newton's method from a
+    guess near it.
+    """
     place = ca.SX.sym("place", mechanism.n)
     closures = mechanism.closures(q_a, place, p)
     A_r, found = ca.jacobian(closures, place), guess

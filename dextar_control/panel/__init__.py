@@ -1,1 +1,3 @@
-"""The panel in the browser: one page, and the server that lets it watch and drive. No ROS here."""
+"""The panel in the browser: one page, and the server that lets it watch and drive. No
+ROS here.
+"""

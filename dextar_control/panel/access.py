@@ -1,4 +1,6 @@
-"""Who may see and drive: by the address that a request names, the page that it comes from, and a token."""
+"""Who may see and drive: by the address that a request names, the page that it comes
+from, and a token.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +13,9 @@ from urllib.parse import urlsplit
 class Access:
     """What a panel lets in.
 
-    Bound to this machine alone it answers requests that name this machine (a foreign name that was made to lead here, as a page
-    of the internet may try, is refused). Bound to anything else it wants its token. From a browser it wants its own page.
+    Bound to this machine alone it answers requests that name this machine (a foreign
+    name that was made to lead here, as a page of the internet may try, is refused).
+    Bound to anything else it wants its token. From a browser it wants its own page.
 
     Args:
         host: the address that it is bound to.
@@ -29,19 +32,43 @@ class Access:
 
         Args:
             host: the name and port that it asked.
-            origin: of the page that asks; None for what is no browser, or a page that is asked for itself.
+            origin: of the page that asks; None for what is no browser, or a page that
+                is asked for itself.
             token: that it carries.
         """
         try:
-            asker, name = urlsplit(origin or "").netloc, urlsplit(f"//{host}").hostname or ""
+            asker, name = (
+                urlsplit(origin or "").netloc,
+                urlsplit(f"//{host}").hostname or "",
+            )
         except ValueError:  # brackets that do not close
-            return "the request names no host and port: open the address that the panel printed"
+            return (
+                "the request names no host and port: open the address that the panel"
+                " printed"
+            )
         if origin is not None and asker.lower() != host.lower():
-            return f"a page of {origin} may not ask the panel at {host}: open the address that the panel printed"
+            return (
+                f"a page of {origin} may not ask the panel at {host}: open the address"
+                " that the panel printed"
+            )
         if self.token:
             known = hmac.compare_digest(token.encode(), self.token.encode())
-            return "" if known else "the token is missing or wrong: open the address that the panel printed, token included"
-        return "" if _is_here(name) else f"the panel is for this machine alone, not for {host}: set its parameter host to open it"
+            return (
+                ""
+                if known
+                else (
+                    "the token is missing or wrong: open the address that the panel"
+                    " printed, token included"
+                )
+            )
+        return (
+            ""
+            if _is_here(name)
+            else (
+                f"the panel is for this machine alone, not for {host}: set its"
+                " parameter host to open it"
+            )
+        )
 
 
 def _is_here(name: str) -> bool:

@@ -1,4 +1,6 @@
-"""The panel's server: the page, a stream of what is seen, and commands by one driver at a time."""
+"""The panel's server: the page, a stream of what is seen, and commands by one driver at
+a time.
+"""
 
 from __future__ import annotations
 
@@ -25,28 +27,42 @@ from dextar_control.panel.access import Access
 
 Answer = Callable[[bool, str, Mapping[str, Any]], None]
 PORTS_TRIED = 10  # from the wanted one on
-PING, PATIENCE = 6.0, 6.0  # s between questions to a page whether it is there; s until one that is silent counts as gone
+PING, PATIENCE = (
+    6.0,
+    6.0,
+    # s between questions to a page whether it is there; s until one that is silent
+    # counts
+    # as gone
+)
 LONGEST_MESSAGE = 65536  # bytes of a command
 MOST_VIEWERS = 100
 MOST_OWED = 200  # messages that a page has not taken yet
 FOR_ALL = ("stop", "drive")  # what a page may ask that does not drive
 POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; frame-ancestors 'none'"
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:;"
+    " connect-src 'self'; frame-ancestors 'none'"
 )
 HEADERS = {
-    "Content-Security-Policy": POLICY, "Cache-Control": "no-store", "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff", "X-Frame-Options": "DENY",
-}  # fmt: skip
+    "Content-Security-Policy": POLICY,
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
 
 
 class Backend(Protocol):
-    """What the server shows and asks; its methods are called in the server's thread and do not wait."""
+    """What the server shows and asks; its methods are called in the server's thread and
+    do not wait.
+    """
 
     def setup(self) -> Mapping[str, Any]:
         """What a page needs once."""
 
     def ask(self, name: str, arguments: Mapping[str, Any], answer: Answer) -> None:
-        """A command of the driver, or a stop of anybody; ``answer`` is called in the server's thread."""
+        """A command of the driver, or a stop of anybody; ``answer`` is called in the
+        server's thread.
+        """
 
     def watched(self, viewers: int) -> None:
         """How many pages look on."""
@@ -92,17 +108,30 @@ class PanelServer:
         self.backend, self.access = backend, Access(host)
         self.pages: list[Stream] = []
         self.driver: Stream | None = None
-        self.kept: dict[str, str] = {}  # the last message of each kind that a page needs which comes later
+        self.kept: dict[
+            str, str
+        ] = {}  # the last message of each kind that a page needs which comes later
         logging.getLogger("tornado.access").setLevel(logging.ERROR)
         application = Application(
-            [(r"/", Page, {"server": self, "file": "panel.html"}), (r"/(panel\.js|panel\.css)", Page, {"server": self}),
-             (r"/stream", Stream, {"server": self}), (r"/report", Report, {"server": self}), (r"/why", Why, {"server": self})],
-            websocket_ping_interval=PING, websocket_ping_timeout=PATIENCE, websocket_max_message_size=LONGEST_MESSAGE,
-        )  # fmt: skip
+            [
+                (r"/", Page, {"server": self, "file": "panel.html"}),
+                (r"/(panel\.js|panel\.css)", Page, {"server": self}),
+                (r"/stream", Stream, {"server": self}),
+                (r"/report", Report, {"server": self}),
+                (r"/why", Why, {"server": self}),
+            ],
+            websocket_ping_interval=PING,
+            websocket_ping_timeout=PATIENCE,
+            websocket_max_message_size=LONGEST_MESSAGE,
+        )
         self._sockets, self.moved = _bound(host, port)
         self._http = HTTPServer(application)
         number = self._sockets[0].getsockname()[1]
-        name = {"0.0.0.0": socket.gethostname(), "::": socket.gethostname(), "": socket.gethostname()}.get(host, host)
+        name = {
+            "0.0.0.0": socket.gethostname(),
+            "::": socket.gethostname(),
+            "": socket.gethostname(),
+        }.get(host, host)
         query = f"?token={self.access.token}" if self.access.token else ""
         self.address = f"http://{f'[{name}]' if ':' in name else name}:{number}/{query}"
 
@@ -111,7 +140,9 @@ class PanelServer:
         self._http.add_sockets(self._sockets)
 
     def send(self, kind: str, value: Mapping[str, Any], *, keep: bool = False) -> None:
-        """To every page; one that is still busy with the last message is passed over, unless this is kept for it."""
+        """To every page; one that is still busy with the last message is passed over,
+        unless this is kept for it.
+        """
         text = to_json({"kind": kind, **value})
         if keep:
             self.kept[kind] = text
@@ -128,7 +159,9 @@ class PanelServer:
         self.take_over(page if wants and self.driver is None else self.driver)
 
     def left(self, page: Stream) -> None:
-        """A page is gone: nothing is asked of the robot, which stays to the controller's own rules."""
+        """A page is gone: nothing is asked of the robot, which stays to the
+        controller's own rules.
+        """
         if page in self.pages:
             self.pages.remove(page)
             self.backend.watched(len(self.pages))
@@ -138,7 +171,13 @@ class PanelServer:
         """This page drives from now on, all others watch; None: nobody does."""
         self.driver = page
         for one in self.pages:
-            one.say("driver", {"driver": "you" if one is page else "another" if page else "nobody", "viewers": len(self.pages)})
+            one.say(
+                "driver",
+                {
+                    "driver": "you" if one is page else "another" if page else "nobody",
+                    "viewers": len(self.pages),
+                },
+            )
 
     def close(self) -> None:
         """Let go of the port and the pages."""
@@ -148,7 +187,9 @@ class PanelServer:
 
 
 def _bound(host: str, port: int) -> tuple[list[socket.socket], bool]:
-    """Sockets on the first free port, and whether that is another than the wanted one."""
+    """Sockets on the first free port, and whether that is another than the wanted
+    one.
+    """
     last = port + (PORTS_TRIED if port else 1)
     for number in range(port, min(last, 65536)):
         try:
@@ -157,13 +198,20 @@ def _bound(host: str, port: int) -> tuple[list[socket.socket], bool]:
             if error.errno == errno.EADDRINUSE:
                 continue
             why = error.strerror or error
-            raise ParameterError(f"parameter 'host' = {host!r}, port {number} cannot be bound to: {why}") from error
-        if not number and len(sockets) > 1:  # localhost is two addresses, each with a free port of its own
+            raise ParameterError(
+                f"parameter 'host' = {host!r}, port {number} cannot be bound to: {why}"
+            ) from error
+        if (
+            not number and len(sockets) > 1
+        ):  # localhost is two addresses, each with a free port of its own
             for extra in sockets[1:]:
                 extra.close()
         return sockets[:1] if not number else sockets, number != port
     others = last - port - 1
-    raise ParameterError(f"parameter 'port' = {port}; it and the {others} after it are taken on {host}: name another, 0 is any")
+    raise ParameterError(
+        f"parameter 'port' = {port}; it and the {others} after it are taken on {host}:"
+        " name another, 0 is any"
+    )
 
 
 class _Guarded(RequestHandler):
@@ -175,9 +223,13 @@ class _Guarded(RequestHandler):
         """Refuse what is not let in."""
         headers = self.request.headers
         origin = headers.get("Origin") or headers.get("Sec-Websocket-Origin")
-        why = self.server.access.refusal(self.request.host, origin, self.get_query_argument("token", ""))
+        why = self.server.access.refusal(
+            self.request.host, origin, self.get_query_argument("token", "")
+        )
         if why:
-            self.server.backend.told(f"refused a request of {self.request.remote_ip}: {why}")
+            self.server.backend.told(
+                f"refused a request of {self.request.remote_ip}: {why}"
+            )
             self.set_status(403)
             self.set_header("Content-Type", "text/plain; charset=utf-8")
             raise Finish(f"{why}\n")
@@ -197,7 +249,9 @@ class Page(_Guarded):
         self.server, self._file = server, file
 
     def prepare(self) -> None:
-        """Style and script are no secret, and carry no token; the page itself explains what is missing."""
+        """Style and script are no secret, and carry no token; the page itself explains
+        what is missing.
+        """
         if self.server.access.token:
             return
         super().prepare()
@@ -205,14 +259,26 @@ class Page(_Guarded):
     def get(self, name: str = "") -> None:
         """A file of ``static``; the style begins with the package's own."""
         name = self._file or name
-        text = files("dextar_control.panel").joinpath("static").joinpath(name).read_text(encoding="utf-8")
-        self.set_header("Content-Type", {"html": "text/html", "js": "text/javascript", "css": "text/css"}[name.rpartition(".")[2]]
-                        + "; charset=utf-8")  # fmt: skip
+        text = (
+            files("dextar_control.panel")
+            .joinpath("static")
+            .joinpath(name)
+            .read_text(encoding="utf-8")
+        )
+        self.set_header(
+            "Content-Type",
+            {"html": "text/html", "js": "text/javascript", "css": "text/css"}[
+                name.rpartition(".")[2]
+            ]
+            + "; charset=utf-8",
+        )
         self.finish(f"{style.css()}\n{text}" if name.endswith(".css") else text)
 
 
 class Why(_Guarded):
-    """Why a stream would be refused, for the page, which a browser does not tell; nothing where it would not."""
+    """Why a stream would be refused, for the page, which a browser does not tell;
+    nothing where it would not.
+    """
 
     def initialize(self, server: PanelServer) -> None:
         """Whose."""
@@ -273,7 +339,9 @@ class Stream(_Guarded, WebSocketHandler):
         self.push(f"{kind}{number}", to_json({"kind": kind, **value}), True)
 
     def push(self, kind: str, text: str, keep: bool) -> None:
-        """Send a text, unless the last one is still under way: then the newest of what is kept is sent after it."""
+        """Send a text, unless the last one is still under way: then the newest of what
+        is kept is sent after it.
+        """
         if self._flight is not None and not self._flight.done():
             if keep:
                 self._owed[kind] = text
@@ -292,12 +360,21 @@ class Stream(_Guarded, WebSocketHandler):
             self._owed = {}
 
     def on_message(self, message: str | bytes) -> None:
-        """A command: ``{"ask": name, "number": n, ...}``; each is answered with its number."""
+        """A command: ``{"ask": name, "number": n, ...}``; each is answered with its
+        number.
+        """
         try:
             asked = json.loads(message)
             name, number = str(asked["ask"]), int(asked["number"])
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
-            self.say("answer", {"number": 0, "ok": False, "text": "that is no command of this panel: load the page again"})
+            self.say(
+                "answer",
+                {
+                    "number": 0,
+                    "ok": False,
+                    "text": "that is no command of this panel: load the page again",
+                },
+            )
             return
         answer = partial(self._answer, number)
         if name == "drive":
@@ -314,5 +391,7 @@ class Stream(_Guarded, WebSocketHandler):
             except (KeyError, TypeError, ValueError, AttributeError) as error:
                 answer(False, f"'{name}' cannot be done with that: {error!r}", {})
 
-    def _answer(self, number: int, ok: bool, text: str, more: Mapping[str, Any]) -> None:
+    def _answer(
+        self, number: int, ok: bool, text: str, more: Mapping[str, Any]
+    ) -> None:
         self.say("answer", {"number": number, "ok": ok, "text": text, **more})

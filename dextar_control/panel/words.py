@@ -1,4 +1,6 @@
-"""What a page says of a robot: why it has no torque and what mends that, and how near its watches are to their limits."""
+"""What a page says of a robot: why it has no torque and what mends that, and how near
+its watches are to their limits.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,11 @@ SILENT = 2.0  # s without a joint state that are told
 WITH_TORQUE = ("APPROACH", "HOLD", "TRACK", "CROSSING")
 
 
-def mend(namespace: str, told: Mapping[str, str], nodes: Mapping[str, Any]) -> tuple[str, str]:
-    """Why there is no torque, or none that follows the robot, in a sentence, and the panel's command that mends it; else empty.
+def mend(
+    namespace: str, told: Mapping[str, str], nodes: Mapping[str, Any]
+) -> tuple[str, str]:
+    """Why there is no torque, or none that follows the robot, in a sentence, and the
+    panel's command that mends it; else empty.
 
     Args:
         namespace: of the robot.
@@ -22,39 +27,77 @@ def mend(namespace: str, told: Mapping[str, str], nodes: Mapping[str, Any]) -> t
         others = ", ".join(sorted(set(nodes) - {"panel"}))
         robot = f" in {namespace}" if namespace.strip("/") else ""
         heard = f"; heard of: {others}" if others else ""
-        return f"No controller is heard of{robot}{heard}. Start it: this page goes on by itself.", ""
-    lifecycle, phase, reason = told.get("lifecycle", ""), told.get("phase", ""), told.get("reason", "")
+        return (
+            (
+                f"No controller is heard of{robot}{heard}. Start it: this page goes on"
+                " by itself."
+            ),
+            "",
+        )
+    lifecycle, phase, reason = (
+        told.get("lifecycle", ""),
+        told.get("phase", ""),
+        told.get("reason", ""),
+    )
     if lifecycle != "active":
-        return f"The controller is {lifecycle}: it answers no joint state.", "activate" if lifecycle != "finalized" else ""
+        return (
+            f"The controller is {lifecycle}: it answers no joint state.",
+            "activate" if lifecycle != "finalized" else "",
+        )
     if phase in WITH_TORQUE:
         age = float(told.get("state_age", "nan"))
-        silent = f"No joint state has come for {age:.0f} s: the plant or the driver is paused or has ended. See that it runs."
+        silent = (
+            f"No joint state has come for {age:.0f} s: the plant or the driver is"
+            " paused or has ended. See that it runs."
+        )
         return silent if age > SILENT else "", ""
     because = f": {reason}" if reason else ""
     if phase == "SAFE_STOP":
         if told.get("stopped") != "True":
             return f"The robot is being brought to rest{because}.", ""
-        return f"Safe stop{because}. The torque is gone until it is reset and enabled.", "reset"
+        return (
+            f"Safe stop{because}. The torque is gone until it is reset and enabled.",
+            "reset",
+        )
     if phase == "FAULT":
-        return f"Fault{because}. The torque is gone until it is reset and enabled.", "reset"
+        return (
+            f"Fault{because}. The torque is gone until it is reset and enabled.",
+            "reset",
+        )
     if told.get("enabling") == "waiting":
         trouble = told.get("last_trouble", "")
-        return (f"The controller waits for joint states to be healthy, {told.get('healthy', '0')} s so far"
-                f"{f' (last trouble: {trouble})' if trouble else ''}; it gives torque by itself then."), ""  # fmt: skip
+        return (
+            (
+                "The controller waits for joint states to be healthy,"
+                f" {told.get('healthy', '0')} s so"
+                f" far{f' (last trouble: {trouble})' if trouble else ''}; it gives"
+                " torque by itself then."
+            ),
+            "",
+        )
     if told.get("enabling", "").startswith("refused"):
         return f"Torque was {told['enabling']}.", "enable"
     return f"The torque is switched off{because}.", "enable"
 
 
 def shown_margins(told: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Of each watch that the controller tells: name, value and limit as told, and what share of the limit is used up, 0 to 1."""
+    """Of each watch that the controller tells: name, value and limit as told, and what
+    share of the limit is used up, 0 to 1.
+    """
     rows = []
     for key, text in told.items():
         if not key.startswith("watch_"):
             continue
         value, _, limit = text.partition(" of ")
         name = key.removeprefix("watch_")
-        rows.append({"name": name, "value": value, "limit": limit, "used": _used(name, value, limit)})
+        rows.append(
+            {
+                "name": name,
+                "value": value,
+                "limit": limit,
+                "used": _used(name, value, limit),
+            }
+        )
     return sorted(rows, key=lambda row: -row["used"])
 
 
@@ -63,5 +106,11 @@ def _used(name: str, value: str, limit: str) -> float:
         number, bound = float(value), float(limit)
     except ValueError:
         return 0.0
-    share = bound / number if name in GREATER and number > 0.0 else number / bound if bound > 0.0 else float(number > 0.0)
+    share = (
+        bound / number
+        if name in GREATER and number > 0.0
+        else number / bound
+        if bound > 0.0
+        else float(number > 0.0)
+    )
     return min(max(share, 0.0), 1.0) if share == share else 1.0

@@ -1,4 +1,6 @@
-"""Attempts at a way: the best one so far, at another duration, and in words why there is none."""
+"""Attempts at a way: the best one so far, at another duration, and in words why there
+is none.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +12,34 @@ import numpy as np
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.model.model import Model
 from dextar_control.model.robot import AnyRobot
-from dextar_control.planning.certificate import PLAN_RESIDUAL, Certificate, Plan, measure
+from dextar_control.planning.certificate import (
+    PLAN_RESIDUAL,
+    Certificate,
+    Plan,
+    measure,
+)
 from dextar_control.planning.checks import certify
 from dextar_control.planning.locus import MIN_END_S, LocusPoint
-from dextar_control.planning.search import BENDS, GOOD, TORQUE_SHARE, Problem, Progress, descend, trajectory_of
+from dextar_control.planning.search import (
+    BENDS,
+    GOOD,
+    TORQUE_SHARE,
+    Problem,
+    Progress,
+    descend,
+    trajectory_of,
+)
 from dextar_control.planning.trajectory import Trajectory, in_words
 from dextar_control.symbols.record import Record
 
-BASE_DURATION, PACE = 0.25, 0.8  # s and m/s: duration over a way's length at which a way of open duration is searched
-RESTARTS, RESTART_SPREAD = 24, 0.15  # from the best so far where it is not good, and by how much it is shaken
+BASE_DURATION, PACE = (
+    0.25,
+    0.8,
+)  # s and m/s: duration over a way's length at which a way of open duration is searched
+RESTARTS, RESTART_SPREAD = (
+    24,
+    0.15,
+)  # from the best so far where it is not good, and by how much it is shaken
 BISECTIONS = 3  # of the nearest duration
 HEADROOM = 1.002  # of a duration over the one at which the limit is met
 LONGEST_STRETCH = 20.0  # of the duration, that is offered instead
@@ -27,7 +48,8 @@ SETTLED = 0.01  # of the duration, below which it is not stretched again
 
 
 def scale_of(duration: float | None, length: float) -> float:
-    """The duration, s, at which a way of some length, m, is searched: the one asked for, or one for its length.
+    """The duration, s, at which a way of some length, m, is searched: the one asked
+    for, or one for its length.
 
     Raises:
         TrajectoryError: the one asked for is not positive.
@@ -67,7 +89,9 @@ class Best:
         plan, error = None, None
         try:
             plan = _checked(self.robot, trajectory_of(problem, z))
-            cost += max(0.0, plan.certificate.peak_torque / problem.limits.torque - GOOD)
+            cost += max(
+                0.0, plan.certificate.peak_torque / problem.limits.torque - GOOD
+            )
         except TrajectoryError as refusal:
             error = refusal
         new, old = Attempt(problem, z, cost, plan, error), self.found
@@ -76,47 +100,77 @@ class Best:
         return self.found is not None and self.found.good
 
     def restart(self, enough: Callable[[Attempt], bool], progress: Progress) -> None:
-        """Descents from the best attempt, bends open, first as it is, then shaken, until it is enough."""
+        """Descents from the best attempt, bends open, first as it is, then shaken,
+        until it is enough.
+        """
         generator = np.random.default_rng(0)
         for row in range(RESTARTS):
             if self.found is None or enough(self.found):
                 return
             progress(row / RESTARTS, f"restart {row + 1} of {RESTARTS}")
             problem, guess = self.found.problem.opened(*BENDS), self.found.z.copy()
-            guess.numbers[problem.free] += RESTART_SPREAD * (row > 0) * generator.normal(size=len(problem.free))
+            guess.numbers[problem.free] += (
+                RESTART_SPREAD * (row > 0) * generator.normal(size=len(problem.free))
+            )
             self.offer(problem, guess)
 
-    def outcome(self, what: str, stretch: bool, other_point: Callable[[], LocusPoint | None] = lambda: None) -> Plan:
-        """The plan, at the duration at which its peak torque is TORQUE_SHARE of the limit if it is to be stretched.
+    def outcome(
+        self,
+        what: str,
+        stretch: bool,
+        other_point: Callable[[], LocusPoint | None] = lambda: None,
+    ) -> Plan:
+        """The plan, at the duration at which its peak torque is TORQUE_SHARE of the
+        limit if it is to be stretched.
 
         Raises:
-            TrajectoryError: there is none; says what stands in the way, by how much, and what would work instead.
+            TrajectoryError: there is none; says what stands in the way, by how much,
+                and what would work instead.
         """
         assert self.found is not None
         if stretch:
             return _stretched(self.robot, self.found)
         if self.found.plan is not None:
             return self.found.plan
-        text = f"no {what} within {self.found.problem.task.duration:.4g} s was found: {self.found.error}"
+        text = (
+            f"no {what} within {self.found.problem.task.duration:.4g} s was found:"
+            f" {self.found.error}"
+        )
         nearest = _nearest_duration(self.robot, self.found)
         if nearest is not None:
-            raise TrajectoryError(f"{text}; the nearest duration that works is {nearest:.4f} s", duration=nearest)
+            raise TrajectoryError(
+                f"{text}; the nearest duration that works is {nearest:.4f} s",
+                duration=nearest,
+            )
         point = other_point()
         if point is not None:
-            raise TrajectoryError(f"{text}; the nearest point that works is {in_words(point.x)}", point=point.x.tolist())
-        raise TrajectoryError(f"{text}; neither a longer duration nor a point nearby was found to work")
+            raise TrajectoryError(
+                f"{text}; the nearest point that works is {in_words(point.x)}",
+                point=point.x.tolist(),
+            )
+        raise TrajectoryError(
+            f"{text}; neither a longer duration nor a point nearby was found to work"
+        )
 
 
 def scalable(model: Model, trajectory: Trajectory) -> bool:
     """Whether a trajectory's time may be scaled, and reversed.
 
-    The robot needs no torque at rest where it starts and ends, and its passive joints do not rub.
+    The robot needs no torque at rest where it starts and ends, and its passive joints
+    do not rub.
     """
     rest, motion = np.zeros(model.n), np.ones(model.n)
     for x in (trajectory.at(0.0).x, trajectory.at(trajectory.duration).x):
         at = model.place(x).q_a, x
-        still, there, back = (model.wrenches(*at, x_dot, rest) for x_dot in (rest, motion, -motion))
-        if still.w_b.any() or still.w_d.any() or (there.w_b != back.w_b).any() or (there.w_d != back.w_d).any():
+        still, there, back = (
+            model.wrenches(*at, x_dot, rest) for x_dot in (rest, motion, -motion)
+        )
+        if (
+            still.w_b.any()
+            or still.w_d.any()
+            or (there.w_b != back.w_b).any()
+            or (there.w_d != back.w_d).any()
+        ):
             return False
     return True
 
@@ -125,12 +179,17 @@ def _checked(robot: AnyRobot, trajectory: Trajectory) -> Plan:
     certificate = certify(robot, trajectory, max_residual=PLAN_RESIDUAL, crossings=1)
     least = float(np.abs(certificate.profile.s[[0, -1]]).min())
     if not least >= MIN_END_S:
-        raise TrajectoryError(f"the way ends at |s| = {least:.3g} of the Type 2 locus; a rest needs {MIN_END_S}")
+        raise TrajectoryError(
+            f"the way ends at |s| = {least:.3g} of the Type 2 locus; a rest needs"
+            f" {MIN_END_S}"
+        )
     return Plan(trajectory, certificate)
 
 
 def _needed(robot: AnyRobot, seen: Certificate, torque: float) -> float:
-    """The share of its duration at which a way keeps this torque, N m, and the speed limits."""
+    """The share of its duration at which a way keeps this torque, N m, and the speed
+    limits.
+    """
     return max(
         float(np.sqrt(seen.peak_torque / torque)),
         HEADROOM * seen.peak_joint_speed / robot.max_joint_speed,
@@ -139,11 +198,21 @@ def _needed(robot: AnyRobot, seen: Certificate, torque: float) -> float:
 
 
 def _stretched(robot: AnyRobot, found: Attempt) -> Plan:
-    """An attempt at the duration at which its peak torque is TORQUE_SHARE of the limit."""
+    """An attempt at the duration at which its peak torque is TORQUE_SHARE of the
+    limit.
+    """
     problem, z = found.problem, found.z
     duration, trajectory = problem.task.duration, trajectory_of(problem, z)
     for _ in range(STRETCHES):
-        factor = float(np.clip(_needed(robot, measure(robot, trajectory), TORQUE_SHARE * robot.max_torque), 0.5, 2.0))
+        factor = float(
+            np.clip(
+                _needed(
+                    robot, measure(robot, trajectory), TORQUE_SHARE * robot.max_torque
+                ),
+                0.5,
+                2.0,
+            )
+        )
         if 1.0 - SETTLED < factor <= 1.0:
             break
         duration *= factor
@@ -157,7 +226,9 @@ def _stretched(robot: AnyRobot, found: Attempt) -> Plan:
 
 
 def _nearest_duration(robot: AnyRobot, found: Attempt) -> float | None:
-    """A duration, s, at which an attempt's way works, when only its torque or speed is in the way."""
+    """A duration, s, at which an attempt's way works, when only its torque or speed is
+    in the way.
+    """
     problem, z = found.problem, found.z
     seen = measure(robot, trajectory_of(problem, z))
     sound = np.isfinite(seen.profile.torque).all() and len(seen.crossing_times) == 1

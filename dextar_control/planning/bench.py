@@ -1,4 +1,6 @@
-"""How often and how fast random requests are planned: ``python -m dextar_control.planning.bench 200``."""
+"""How often and how fast random requests are planned: ``python -m
+dextar_control.planning.bench 200``.
+"""
 
 from __future__ import annotations
 
@@ -41,18 +43,26 @@ class Answer(NamedTuple):
 
 
 def random_requests(robot: RobotParameters, count: int, seed: int = 0) -> list[Request]:
-    """Places drawn evenly from the workspace until both are clear of Type 1 and Type 2 and on two sides."""
+    """Places drawn evenly from the workspace until both are clear of Type 1 and Type 2
+    and on two sides.
+    """
     generator = np.random.default_rng(seed)
     reach = planning_model(robot).workspace[1][1]
     requests: list[Request] = []
     while len(requests) < count:
-        at = robot.replace(working_mode=WORKING_MODES[generator.integers(len(WORKING_MODES))])
+        at = robot.replace(
+            working_mode=WORKING_MODES[generator.integers(len(WORKING_MODES))]
+        )
         places = generator.uniform(-reach, reach, (2, 2))
         found = planning_model(at).sides(places)
         parted = np.abs(found.s).min() >= MIN_END_S and found.s[0] * found.s[1] < 0.0
         if not (parted and found.type1.min() >= robot.min_type1_distance):
             continue
-        duration = None if generator.uniform() < OPEN_SHARE else float(generator.uniform(*DURATIONS))
+        duration = (
+            None
+            if generator.uniform() < OPEN_SHARE
+            else float(generator.uniform(*DURATIONS))
+        )
         requests.append(Request(at, places[0], places[1], duration))
     return requests
 
@@ -61,14 +71,18 @@ def answer(request: Request) -> Answer:
     """Plan a request."""
     begin, peak, refusal = time.perf_counter(), float("nan"), ""
     try:
-        peak = plan_crossing(request.robot, request.start, request.goal, request.duration).certificate.peak_torque
+        peak = plan_crossing(
+            request.robot, request.start, request.goal, request.duration
+        ).certificate.peak_torque
     except DextarError as error:
         refusal = str(error)
     return Answer(request, time.perf_counter() - begin, peak, refusal)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Console entry: plan random requests, print how many, how fast, and why not the others."""
+    """Console entry: plan random requests, print how many, how fast, and why not the
+    others.
+    """
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("count", type=int, nargs="?", default=200)
     parser.add_argument("--seed", type=int, default=0)
@@ -81,12 +95,24 @@ def _run(count: int, seed: int) -> int:
     answer(random_requests(robot, 1, seed + 1)[0])
     answers = [answer(request) for request in random_requests(robot, count, seed)]
     refused = [item for item in answers if item.refusal]
-    times, peaks = np.array([item.time for item in answers]), np.array([item.peak_torque for item in answers])
+    times, peaks = (
+        np.array([item.time for item in answers]),
+        np.array([item.peak_torque for item in answers]),
+    )
     median, longest = np.median(times), times.max()
-    print(f"planned {len(answers) - len(refused)} of {len(answers)}; median {median:.3f} s, longest {longest:.3f} s a request")
-    print(f"peak torque: median {np.nanmedian(peaks):.4f} N m, largest {np.nanmax(peaks):.3f} N m")
+    print(
+        f"planned {len(answers) - len(refused)} of {len(answers)}; median {median:.3f}"
+        f" s, longest {longest:.3f} s a request"
+    )
+    print(
+        f"peak torque: median {np.nanmedian(peaks):.4f} N m, largest"
+        f" {np.nanmax(peaks):.3f} N m"
+    )
     for item in refused:
-        print(f"refused, working mode {list(item.request.robot.working_mode)}: {item.refusal}")
+        print(
+            f"refused, working mode {list(item.request.robot.working_mode)}:"
+            f" {item.refusal}"
+        )
     return 0
 
 

@@ -1,4 +1,6 @@
-"""What a trajectory does at and between its crossings, measured against the robot's limits."""
+"""What a trajectory does at and between its crossings, measured against the robot's
+limits.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,13 @@ from dextar_control.contract.plain_data import as_plain
 from dextar_control.mechanisms.mechanism import Coordinate
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.model import states_model
-from dextar_control.planning.profile import ON_CROSSING, Profile, find_crossings, sample_profile, sample_times
+from dextar_control.planning.profile import (
+    ON_CROSSING,
+    Profile,
+    find_crossings,
+    sample_profile,
+    sample_times,
+)
 from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.types import Array
 
@@ -21,12 +29,15 @@ NEAR_LOCUS = 0.1  # |s| below which a torque counts as near the locus
 
 
 class Crossing(NamedTuple):
-    """One crossing of a checked trajectory: of one block of A_r, where it has several, and s is that one's."""
+    """One crossing of a checked trajectory: of one block of A_r, where it has several,
+    and s is that one's.
+    """
 
     time: float  # s
     x: tuple[float, ...]  # m
     x_dot: tuple[float, ...]  # m/s
-    family: str  # of the locus: "stretched" or "folded" for the five-bar; "" where there is one
+    # of the locus: "stretched" or "folded" for the five-bar; "" where there is one
+    family: str
     sign: int  # of s after the crossing; 0 when it leaves the workspace there
     rate: float  # of s, 1/s
     speed: float  # along t_s, m/s
@@ -57,12 +68,22 @@ class Certificate(NamedTuple):
     profile: Profile
     crossings: tuple[Crossing, ...] = ()
     least_s: float = float("nan")  # |s| at the start and the end
-    joint: Coordinate = Coordinate("q_a", "rad")  # an active one, whose units torques and joint speeds have
+    joint: Coordinate = Coordinate(
+        "q_a", "rad"
+    )  # an active one, whose units torques and joint speeds have
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything but the profile, in plain numbers and lists: what travels with the trajectory."""
-        numbers = {name: value for name, value in self._asdict().items() if isinstance(value, float)}
-        return numbers | {"crossings": [crossing._asdict() for crossing in self.crossings]}
+        """Everything but the profile, in plain numbers and lists: what travels with the
+        trajectory.
+        """
+        numbers = {
+            name: value
+            for name, value in self._asdict().items()
+            if isinstance(value, float)
+        }
+        return numbers | {
+            "crossings": [crossing._asdict() for crossing in self.crossings]
+        }
 
     def to_json(self) -> str:
         """``to_dict`` as JSON; a number that does not exist is null."""
@@ -71,18 +92,25 @@ class Certificate(NamedTuple):
     def lines(self) -> list[str]:
         """The certificate in words, one fact a line."""
         text = [
-            f"duration {self.duration:.3f} s, peak torque {self.peak_torque:.4f} {self.joint.effort_unit}"
-            f", peak joint speed {self.peak_joint_speed:.2f} {self.joint.unit}/s"
-            f", peak platform speed {self.peak_platform_speed:.3f} m/s, distance to Type 1 {self.least_type1:.3f}"
+            f"duration {self.duration:.3f} s, peak torque {self.peak_torque:.4f}"
+            f" {self.joint.effort_unit}, peak joint speed {self.peak_joint_speed:.2f}"
+            f" {self.joint.unit}/s, peak platform speed {self.peak_platform_speed:.3f}"
+            f" m/s, distance to Type 1 {self.least_type1:.3f}"
         ]
         for index, crossing in enumerate(self.crossings):
-            which = ", ".join(filter(None, (crossing.family, f"to s {'>' if crossing.sign > 0 else '<'} 0")))
+            which = ", ".join(
+                filter(
+                    None,
+                    (crossing.family, f"to s {'>' if crossing.sign > 0 else '<'} 0"),
+                )
+            )
             text.append(
-                f"crossing {index + 1} ({which}) at {crossing.time:.4f} s"
-                f" in {_list(crossing.x)} m, {crossing.speed:.3f} m/s along t_s"
-                f", {1e3 * crossing.near_time:.0f} ms within |s| < {NEAR_LOCUS}"
-                f", residual {crossing.residual:.1e} N, multiplier {_list(crossing.multipliers, 3)} N/m"
-                f", torque {_list(crossing.torque)} {self.joint.effort_unit}"
+                f"crossing {index + 1} ({which}) at {crossing.time:.4f} s in"
+                f" {_list(crossing.x)} m, {crossing.speed:.3f} m/s along t_s,"
+                f" {1e3 * crossing.near_time:.0f} ms within |s| < {NEAR_LOCUS},"
+                f" residual {crossing.residual:.1e} N, multiplier"
+                f" {_list(crossing.multipliers, 3)} N/m, torque"
+                f" {_list(crossing.torque)} {self.joint.effort_unit}"
             )
         return text
 
@@ -98,35 +126,68 @@ class Plan(NamedTuple):
     certificate: Certificate
 
 
-def measure(robot: AnyRobot, trajectory: Trajectory, period: float = 1e-3) -> Certificate:
+def measure(
+    robot: AnyRobot, trajectory: Trajectory, period: float = 1e-3
+) -> Certificate:
     """A trajectory's crossings and extremes, limits unchecked."""
     times = sample_times(trajectory, period)
     rough = sample_profile(robot, trajectory, times)
-    every = sorted((time, block) for block, s in enumerate(rough.s_blocks.T)
-                   for time in find_crossings(robot, trajectory, times, s, block))
-    crossings, blocks = np.array([time for time, _ in every]), np.array([block for _, block in every], dtype=np.int64)
-    profile = sample_profile(robot, trajectory, np.union1d(times, crossings)) if every else rough
+    every = sorted(
+        (time, block)
+        for block, s in enumerate(rough.s_blocks.T)
+        for time in find_crossings(robot, trajectory, times, s, block)
+    )
+    crossings, blocks = (
+        np.array([time for time, _ in every]),
+        np.array([block for _, block in every], dtype=np.int64),
+    )
+    profile = (
+        sample_profile(robot, trajectory, np.union1d(times, crossings))
+        if every
+        else rough
+    )
     rows = np.searchsorted(profile.time, crossings)
     near = np.abs(profile.s) < NEAR_LOCUS
-    after = np.minimum(np.searchsorted(times, crossings + ON_CROSSING, side="right"), len(times) - 1)
+    after = np.minimum(
+        np.searchsorted(times, crossings + ON_CROSSING, side="right"), len(times) - 1
+    )
     signs = np.sign(rough.s_blocks[after, blocks])
-    found = tuple(_crossing(robot, profile, *one) for one in zip(rows.tolist(), blocks.tolist(), signs.tolist(), strict=True))
+    found = tuple(
+        _crossing(robot, profile, *one)
+        for one in zip(rows.tolist(), blocks.tolist(), signs.tolist(), strict=True)
+    )
     return Certificate(
-        crossing_times=crossings, crossing_blocks=blocks, crossing_points=profile.x[rows], crossing_signs=signs,
-        residuals=np.array([crossing.residual for crossing in found]), multipliers=profile.multipliers[rows],
+        crossing_times=crossings,
+        crossing_blocks=blocks,
+        crossing_points=profile.x[rows],
+        crossing_signs=signs,
+        residuals=np.array([crossing.residual for crossing in found]),
+        multipliers=profile.multipliers[rows],
         peak_torque=float(np.abs(profile.torque).max()),
-        peak_torque_near=float(np.abs(profile.torque[near]).max()) if near.any() else float("nan"),
+        peak_torque_near=(
+            float(np.abs(profile.torque[near]).max()) if near.any() else float("nan")
+        ),
         peak_joint_speed=float(np.abs(profile.q_a_dot).max()),
         peak_platform_speed=float(np.linalg.norm(profile.x_dot, axis=1).max()),
-        least_type1=float(profile.type1.min()), duration=trajectory.duration, profile=profile, crossings=found,
+        least_type1=float(profile.type1.min()),
+        duration=trajectory.duration,
+        profile=profile,
+        crossings=found,
         least_s=float(np.abs(profile.s[[0, -1]]).min()),
         joint=states_model(robot).mechanism.joints[0],
     )
 
 
-def _crossing(robot: AnyRobot, profile: Profile, row: int, block: int, sign: float) -> Crossing:
+def _crossing(
+    robot: AnyRobot, profile: Profile, row: int, block: int, sign: float
+) -> Crossing:
     """The crossing of a block at one row of a profile."""
-    model, x, x_dot, s = states_model(robot), profile.x[row], profile.x_dot[row], profile.s_blocks[:, block]
+    model, x, x_dot, s = (
+        states_model(robot),
+        profile.x[row],
+        profile.x_dot[row],
+        profile.s_blocks[:, block],
+    )
     found, far = model.place(x), np.flatnonzero(np.abs(s) >= NEAR_LOCUS)
     t_s = found.t_s.reshape(model.n, -1)[:, block]
     place = int(np.searchsorted(far, row))
@@ -135,10 +196,15 @@ def _crossing(robot: AnyRobot, profile: Profile, row: int, block: int, sign: flo
     near = slice(max(row - 1, 0), row + 2)
     span = np.ptp(profile.time[near])
     return Crossing(
-        time=float(profile.time[row]), x=tuple(x.tolist()), x_dot=tuple(x_dot.tolist()),
-        family=model.mechanism.family_name(found.A_r), sign=int(np.nan_to_num(sign)),
+        time=float(profile.time[row]),
+        x=tuple(x.tolist()),
+        x_dot=tuple(x_dot.tolist()),
+        family=model.mechanism.family_name(found.A_r),
+        sign=int(np.nan_to_num(sign)),
         rate=float(np.diff(s[near][[0, -1]])[0] / span) if span > 0.0 else float("nan"),
-        speed=float(abs(t_s @ x_dot)), residual=float(abs(profile.criterion[row, block])),
-        multipliers=tuple(profile.multipliers[row].tolist()), torque=tuple(profile.torque[row].tolist()),
+        speed=float(abs(t_s @ x_dot)),
+        residual=float(abs(profile.criterion[row, block])),
+        multipliers=tuple(profile.multipliers[row].tolist()),
+        torque=tuple(profile.torque[row].tolist()),
         near_time=float(leave - enter),
     )

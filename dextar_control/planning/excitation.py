@@ -1,9 +1,12 @@
-"""The motion that tells most of a robot's masses and friction: loops from rest to rest, on its own side of the locus.
+"""The motion that tells most of a robot's masses and friction: loops from rest to rest,
+on its own side of the locus.
 
-In each loop each coordinate is a finite Fourier series about the start that begins and ends at rest without acceleration. The
-loops are those of many random ones, then improved, whose torques together tell most: the largest determinant of the information
-on the numbers of ``model.regressor``, each counted by its own size. No two are alike, so that what is not modelled (the teeth of
-a gear, a belt) does not err the same way again and again.
+In each loop each coordinate is a finite Fourier series about the start that begins and
+ends at rest without acceleration. The loops are those of many random ones, then
+improved, whose torques together tell most: the largest determinant of the information
+on the numbers of ``model.regressor``, each counted by its own size. No two are alike,
+so that what is not modelled (the teeth of a gear, a belt) does not err the same way
+again and again.
 """
 
 from __future__ import annotations
@@ -32,12 +35,30 @@ TORQUE, SPEED = 0.4, 0.5  # shares of the limits that the motion takes at most
 LEAST_PERIOD, LONGEST_PERIOD = 1.0, 5.0  # s
 SAMPLES = 120  # of one period, by which candidates are judged
 KNOT = 0.01  # s between the knots of what is served, and less where a period is short
-RANDOM, IMPROVED, SHAKE = 200, 200, 0.25  # candidates; improvements that are tried of all loops together; by how much at first
-WIDEST, HALVINGS = 0.2, 9  # m, of an amplitude that is tried, and how often it is halved towards the largest that is clear
-NOISE, RATE = 0.005, 25.0  # N m of a torque, beside which information counts, and 1/s, how often it counts
-SLOW = 0.2  # rad/s of a joint, below which friction has no sure sign and an instant does not count
-CLEAR_TYPE1 = 0.25  # distance to Type 1 that the motion keeps: beyond, torques tell more of a wrong geometry than of masses
-ELSEWHERE = "give another task.start (dextar demo: -p trajectory_server.task.start:=[X, Y])"
+RANDOM, IMPROVED, SHAKE = (
+    200,
+    200,
+    0.25,
+)  # candidates; improvements that are tried of all loops together; by how much at first
+WIDEST, HALVINGS = (
+    0.2,
+    9,
+    # m, of an amplitude that is tried, and how often it is halved towards the largest
+    # that
+    # is clear
+)
+NOISE, RATE = (
+    0.005,
+    25.0,
+)  # N m of a torque, beside which information counts, and 1/s, how often it counts
+# rad/s of a joint, below which friction has no sure sign and an instant does not count
+SLOW = 0.2
+# distance to Type 1 that the motion keeps: beyond, torques tell more of a wrong
+# geometry than of masses
+CLEAR_TYPE1 = 0.25
+ELSEWHERE = (
+    "give another task.start (dextar demo: -p trajectory_server.task.start:=[X, Y])"
+)
 HEADROOM = 1.02  # of |s|, for what lies between samples
 
 
@@ -56,9 +77,15 @@ class Shape(NamedTuple):
 
 
 def plan_excitation(
-    robot: RobotParameters, start: Array, duration: float, dwell: float, progress: Progress = silent, seed: int = 0
+    robot: RobotParameters,
+    start: Array,
+    duration: float,
+    dwell: float,
+    progress: Progress = silent,
+    seed: int = 0,
 ) -> Plan:
-    """The exciting motion, certified: rest, loops that take about ``duration`` together, rest.
+    """The exciting motion, certified: rest, loops that take about ``duration``
+    together, rest.
 
     Args:
         robot: as far as it is known.
@@ -75,29 +102,54 @@ def plan_excitation(
     s = side_of(robot, "start", start)
     if abs(s) < MIN_END_S:
         raise TrajectoryError(
-            f"an exciting motion starts at |s| >= {MIN_END_S} of the Type 2 locus, and its start {in_words(start)} has"
-            f" {abs(s):.3f}; {ELSEWHERE}"
+            f"an exciting motion starts at |s| >= {MIN_END_S} of the Type 2 locus, and"
+            f" its start {in_words(start)} has {abs(s):.3f}; {ELSEWHERE}"
         )
     search = _Search(robot, start, float(np.sign(s)))
     generator, found = np.random.default_rng(seed), list[Shape]()
     for row in range(RANDOM):
         progress(0.5 * row / RANDOM, f"exciting loop {row + 1} of {RANDOM}")
-        raw = generator.normal(size=(2, HARMONICS, 2)) / np.arange(1, HARMONICS + 1)[None, :, None]
+        raw = (
+            generator.normal(size=(2, HARMONICS, 2))
+            / np.arange(1, HARMONICS + 1)[None, :, None]
+        )
         found += search.shape(raw)
     if not found:
-        raise TrajectoryError(f"there is no room for an exciting motion about {in_words(start)}; {ELSEWHERE}")
+        raise TrajectoryError(
+            f"there is no room for an exciting motion about {in_words(start)};"
+            f" {ELSEWHERE}"
+        )
     chosen, total = list[Shape](), np.eye(len(found[0].information))
-    least = max(duration - 0.5 * LEAST_PERIOD, np.finfo(float).tiny)  # one loop is the shortest motion
+    least = max(
+        duration - 0.5 * LEAST_PERIOD, np.finfo(float).tiny
+    )  # one loop is the shortest motion
     while sum(shape.period for shape in chosen) < least and len(chosen) < len(found):
-        worths = [-np.inf if any(shape is one for one in chosen) else _worth(total, shape) for shape in found]
+        worths = [
+            -np.inf if any(shape is one for one in chosen) else _worth(total, shape)
+            for shape in found
+        ]
         chosen.append(found[int(np.argmax(worths))])
         total = total + chosen[-1].information
     for step in range(IMPROVED):
-        progress(0.5 + 0.5 * step / IMPROVED, f"improving the loops, {step + 1} of {IMPROVED}")
+        progress(
+            0.5 + 0.5 * step / IMPROVED,
+            f"improving the loops, {step + 1} of {IMPROVED}",
+        )
         row = step % len(chosen)
-        old, size = chosen[row], SHAKE * (1.0 - step / IMPROVED) * float(np.abs(chosen[row].coefficients).mean())
-        for new in search.shape(old.coefficients + size * generator.normal(size=old.coefficients.shape)):
-            if _worth(total - old.information, new) > _worth(total - old.information, old) and new.period <= 1.2 * old.period:
+        old, size = (
+            chosen[row],
+            SHAKE
+            * (1.0 - step / IMPROVED)
+            * float(np.abs(chosen[row].coefficients).mean()),
+        )
+        for new in search.shape(
+            old.coefficients + size * generator.normal(size=old.coefficients.shape)
+        ):
+            if (
+                _worth(total - old.information, new)
+                > _worth(total - old.information, old)
+                and new.period <= 1.2 * old.period
+            ):
                 chosen[row], total = new, total - old.information + new.information
     motion = join([hold(start, dwell), *map(search.motion, chosen), hold(start, dwell)])
     return Plan(motion, certify(robot, motion, max_residual=PLAN_RESIDUAL, crossings=0))
@@ -105,7 +157,9 @@ def plan_excitation(
 
 def _worth(known: Array, shape: Shape) -> float:
     """What a loop adds to what is known (k, k), in a second."""
-    grown = np.linalg.slogdet(known + shape.information)[1] - np.linalg.slogdet(known)[1]
+    grown = (
+        np.linalg.slogdet(known + shape.information)[1] - np.linalg.slogdet(known)[1]
+    )
     return float(grown / shape.period)
 
 
@@ -121,13 +175,19 @@ class _Search:
         self._harmonics = np.arange(1, HARMONICS + 1)
 
     def shape(self, raw: Array) -> list[Shape]:
-        """The candidate with these coefficients, as wide and as fast as it may be; none where none is clear."""
+        """The candidate with these coefficients, as wide and as fast as it may be; none
+        where none is clear.
+        """
         a, b = raw
         k = self._harmonics[:, None]
-        a = a - k**2 * (k**2 * a).sum(axis=0) / (k**4).sum()  # no acceleration at the ends
+        a = (
+            a - k**2 * (k**2 * a).sum(axis=0) / (k**4).sum()
+        )  # no acceleration at the ends
         b = b - k * (k * b).sum(axis=0) / (k**2).sum()  # no speed
         unit = np.stack([a, b])
-        unit = unit / float(np.linalg.norm(self._table(unit, self._phases)[0], axis=1).max())
+        unit = unit / float(
+            np.linalg.norm(self._table(unit, self._phases)[0], axis=1).max()
+        )
         low, high = 0.0, WIDEST
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
@@ -142,39 +202,61 @@ class _Search:
         rate = 2.0 * np.pi / period
         found = self._slopes(self._start + x, rate * x_dot, rate**2 * x_ddot)
         sure = np.abs(found.rates).min(axis=1) >= SLOW
-        rows = (found.torque_slopes[sure] * (self._sizes / NOISE)).reshape(-1, len(self._sizes))
+        rows = (found.torque_slopes[sure] * (self._sizes / NOISE)).reshape(
+            -1, len(self._sizes)
+        )
         return [Shape(wide, period, rows.T @ rows * (RATE * period / SAMPLES))]
 
     def motion(self, shape: Shape) -> Trajectory:
         """It, from rest to rest."""
         count = max(int(np.ceil(shape.period / KNOT)), SAMPLES)
         rate = 2.0 * np.pi / shape.period
-        x, x_dot, x_ddot = self._table(shape.coefficients, 2.0 * np.pi * np.arange(count + 1) / count)
+        x, x_dot, x_ddot = self._table(
+            shape.coefficients, 2.0 * np.pi * np.arange(count + 1) / count
+        )
         x_dot[[0, -1]] = x_ddot[[0, -1]] = 0.0  # up to rounding they are
         x[[0, -1]] = 0.0
-        return quintic(np.linspace(0.0, shape.period, count + 1), self._start + x, rate * x_dot, rate**2 * x_ddot)
+        return quintic(
+            np.linspace(0.0, shape.period, count + 1),
+            self._start + x,
+            rate * x_dot,
+            rate**2 * x_ddot,
+        )
 
     def _table(self, coefficients: Array, phases: Array) -> tuple[Array, Array, Array]:
         """(from the start (m, n), first and second derivative by the phase)."""
         a, b = coefficients
         k = self._harmonics
         cosines, sines = np.cos(np.outer(phases, k)), np.sin(np.outer(phases, k))
-        return (cosines - 1.0) @ a + sines @ b, (-sines * k) @ a + (cosines * k) @ b, -(cosines * k**2) @ a - (sines * k**2) @ b
+        return (
+            (cosines - 1.0) @ a + sines @ b,
+            (-sines * k) @ a + (cosines * k) @ b,
+            -(cosines * k**2) @ a - (sines * k**2) @ b,
+        )
 
     def _clear(self, coefficients: Array) -> bool:
-        found = states_model(self._robot).sides(self._start + self._table(coefficients, self._phases)[0])
+        found = states_model(self._robot).sides(
+            self._start + self._table(coefficients, self._phases)[0]
+        )
         s, type1 = found.s[:, 0] * self._sign, found.type1[:, 0]
         return bool(
-            np.isfinite(s).all() and s.min() >= HEADROOM * CLEAR_S
+            np.isfinite(s).all()
+            and s.min() >= HEADROOM * CLEAR_S
             and type1.min() >= max(CLEAR_TYPE1, self._robot.min_type1_distance)
             and beyond_range(self._robot, found.q_a).max() <= 0.0
         )
 
     def _period(self, coefficients: Array) -> float:
-        """The shortest at which the motion keeps its shares of the limits, s; inf where there is none."""
+        """The shortest at which the motion keeps its shares of the limits, s; inf where
+        there is none.
+        """
         period = LEAST_PERIOD
         for _ in range(6):
-            seen = measure(self._robot, self.motion(Shape(coefficients, period, np.zeros((0, 0)))), period / SAMPLES)
+            seen = measure(
+                self._robot,
+                self.motion(Shape(coefficients, period, np.zeros((0, 0)))),
+                period / SAMPLES,
+            )
             factor = max(
                 float(np.sqrt(seen.peak_torque / (TORQUE * self._robot.max_torque))),
                 seen.peak_joint_speed / (SPEED * self._robot.max_joint_speed),

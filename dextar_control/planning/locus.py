@@ -1,4 +1,6 @@
-"""The Type 2 locus of a robot: traced in closed form, in every working mode, and points of it."""
+"""The Type 2 locus of a robot: traced in closed form, in every working mode, and points
+of it.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +26,18 @@ TRACE = 1440  # samples of a full turn of the tracing angle
 MIN_CROSSING_TYPE1 = 0.2  # distance to Type 1 of a point that is offered for crossing
 THIN = 6  # trace samples that share one look at their surroundings
 ON_LOCUS = 1e-3  # m, a point this near is taken as the locus point beside it
-MIN_END_S = 0.4  # |s| at start and goal: there the direct model holds the estimate again (hold_zone + hold_width)
+# |s| at start and goal: there the direct model holds the estimate again (hold_zone +
+# hold_width)
+MIN_END_S = 0.4
 REST_S = 0.5  # |s| of a rest that the planner offers itself
-REST_REACH = 1.0  # of the mean distal length: how far from the locus such a rest is looked for
+REST_REACH = (
+    1.0  # of the mean distal length: how far from the locus such a rest is looked for
+)
 DIRECTIONS, STEPS = 24, 24  # of that search, in the plane
-PROJECTIONS, POLISHES = 60, 4  # steps to the nearest place of a locus that is not traced, and to zero s
+PROJECTIONS, POLISHES = (
+    60,
+    4,
+)  # steps to the nearest place of a locus that is not traced, and to zero s
 LONGEST_STEP = 0.2  # of the mechanism's length, of one
 LOCUS_S = 1e-12  # |s| of such a place
 TRIES = 1000  # places near which the locus is looked for, to spread some over it
@@ -46,7 +55,9 @@ class LocusPoint(NamedTuple):
     gradient: Array  # (n,) of s, 1/m: a crossing towards s > 0 moves along it
     type1: float  # distance to Type 1
     branch: int  # +1 or -1: which of the family's two
-    angle: float  # along the branch, rad; 0 where the mechanism does not trace its locus
+    angle: (
+        float  # along the branch, rad; 0 where the mechanism does not trace its locus
+    )
 
 
 class Arc(NamedTuple):
@@ -60,11 +71,15 @@ class Arc(NamedTuple):
     length: Array  # (m,) from the arc's begin, m
 
 
-def rests_around(model: PlanningModel, points: Array, clear: float, least_s: float) -> list[Array]:
-    """Places around locus points (m, n), straight ahead of each: per point, (k, n + 2) x, s and distance to Type 1.
+def rests_around(
+    model: PlanningModel, points: Array, clear: float, least_s: float
+) -> list[Array]:
+    """Places around locus points (m, n), straight ahead of each: per point, (k, n + 2)
+    x, s and distance to Type 1.
 
-    The straight line from the point to each keeps the sign of s and the distance ``clear`` from Type 1; along each of the
-    directions the farthest place within REST_REACH and the first one with |s| >= least_s count.
+    The straight line from the point to each keeps the sign of s and the distance
+    ``clear`` from Type 1; along each of the directions the farthest place within
+    REST_REACH and the first one with |s| >= least_s count.
     """
     away = REST_REACH * model.length * np.arange(1, STEPS + 1) / STEPS
     places = points[:, None, None] + away[:, None] * _directions(model.n)[:, None]
@@ -72,8 +87,12 @@ def rests_around(model: PlanningModel, points: Array, clear: float, least_s: flo
     s, type1 = (values.reshape(places.shape[:3]) for values in (found.s, found.type1))
     blocks = found.s_blocks.reshape(*places.shape[:3], -1)
     with np.errstate(invalid="ignore"):
-        side = s[:, :, :1, None]  # of each line, from its first step on, the same of all blocks
-        seen = np.logical_and.accumulate((blocks * side > 0.0).all(axis=3) & (type1 >= clear), axis=2) & (np.abs(s) >= least_s)
+        side = s[
+            :, :, :1, None
+        ]  # of each line, from its first step on, the same of all blocks
+        seen = np.logical_and.accumulate(
+            (blocks * side > 0.0).all(axis=3) & (type1 >= clear), axis=2
+        ) & (np.abs(s) >= least_s)
     ends = np.zeros_like(seen)
     rows, directions = np.nonzero(seen.any(axis=2))
     lines = seen[rows, directions]
@@ -85,7 +104,9 @@ def rests_around(model: PlanningModel, points: Array, clear: float, least_s: flo
 
 @lru_cache
 def _directions(n: int) -> Array:
-    """Unit vectors (k, n) all around: evenly in the plane, at random but always the same in more dimensions."""
+    """Unit vectors (k, n) all around: evenly in the plane, at random but always the
+    same in more dimensions.
+    """
     if n == 2:
         turns = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         return np.stack([np.cos(turns), np.sin(turns)], axis=1)
@@ -93,24 +114,36 @@ def _directions(n: int) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None])
 
 
-def are_crossable(model: PlanningModel, points: Array, clear: float) -> NDArray[np.bool_]:
+def are_crossable(
+    model: PlanningModel, points: Array, clear: float
+) -> NDArray[np.bool_]:
     """Whether a rest lies straight ahead on both sides of each locus point (m, n)."""
     rests = rests_around(model, points, clear, REST_S)
-    return np.array([bool((places[:, -2] > 0.0).any() and (places[:, -2] < 0.0).any()) for places in rests], dtype=bool)
+    return np.array(
+        [
+            bool((places[:, -2] > 0.0).any() and (places[:, -2] < 0.0).any())
+            for places in rests
+        ],
+        dtype=bool,
+    )
 
 
 @lru_cache(maxsize=64)
 def trace_locus(
-    robot: RobotParameters, working_modes: tuple[Mode, ...] = WORKING_MODES, type1: float = MIN_CROSSING_TYPE1,
+    robot: RobotParameters,
+    working_modes: tuple[Mode, ...] = WORKING_MODES,
+    type1: float = MIN_CROSSING_TYPE1,
     crossable: bool = False,
 ) -> list[Arc]:
-    """The locus in connected arcs, each in one working mode and at least ``type1`` from Type 1.
+    """The locus in connected arcs, each in one working mode and at least ``type1`` from
+    Type 1.
 
     Args:
         robot: whose working mode does not matter.
         working_modes: the ones wanted.
         type1: least distance to Type 1.
-        crossable: only where a rest lies straight ahead on both sides, that far from Type 1.
+        crossable: only where a rest lies straight ahead on both sides, that far from
+            Type 1.
     """
     model = planning_model(robot)
     mechanism = model.mechanism
@@ -120,22 +153,34 @@ def trace_locus(
     for family in mechanism.families:
         for branch in (1, -1):
             traced = model.locus([family.value], [branch], angles[:, None])
-            modes: list[Mode] = [tuple(mode) for mode in mechanism.modes(traced.type1_sines).tolist()]
+            modes: list[Mode] = [
+                tuple(mode) for mode in mechanism.modes(traced.type1_sines).tolist()
+            ]
             with np.errstate(invalid="ignore"):
-                fit = (np.abs(traced.type1_sines).min(axis=1) >= type1) & (traced.closing[:, 0] >= 0.0)
+                fit = (np.abs(traced.type1_sines).min(axis=1) >= type1) & (
+                    traced.closing[:, 0] >= 0.0
+                )
             fit &= np.array([mode in working_modes for mode in modes])
             if crossable:
                 fit &= _passable(robot, traced.x, modes, fit, type1)
-            for (fits, mode), rows in itertools.groupby(enumerate(zip(fit, modes, strict=True)), lambda row: row[1]):
+            for (fits, mode), rows in itertools.groupby(
+                enumerate(zip(fit, modes, strict=True)), lambda row: row[1]
+            ):
                 own = [row for row, _ in rows]
                 if fits and len(own) > 1:
                     x = traced.x[own]
-                    arcs.append(Arc(mode, family, branch, angles[own], x, lengths_along(x)))
+                    arcs.append(
+                        Arc(mode, family, branch, angles[own], x, lengths_along(x))
+                    )
     return arcs
 
 
 def _passable(
-    robot: RobotParameters, x: Array, modes: list[Mode], fit: NDArray[np.bool_], type1: float
+    robot: RobotParameters,
+    x: Array,
+    modes: list[Mode],
+    fit: NDArray[np.bool_],
+    type1: float,
 ) -> NDArray[np.bool_]:
     """Which traced places (m, n) lie between two thinned ones that can be crossed."""
     seen = np.zeros(len(x), dtype=bool)
@@ -143,9 +188,14 @@ def _passable(
     for mode in set(modes):
         rows = [k for k in thinned if fit[k] and modes[k] == mode]
         if rows:
-            seen[rows] = are_crossable(planning_model(robot.replace(working_mode=mode)), x[rows], type1)
+            seen[rows] = are_crossable(
+                planning_model(robot.replace(working_mode=mode)), x[rows], type1
+            )
     every = np.arange(len(x))
-    return seen[every // THIN * THIN] & seen[np.minimum(-(-every // THIN) * THIN, thinned[-1])]
+    return (
+        seen[every // THIN * THIN]
+        & seen[np.minimum(-(-every // THIN) * THIN, thinned[-1])]
+    )
 
 
 def _point_on_arc(robot: RobotParameters, arc: Arc, length: float) -> LocusPoint:
@@ -158,7 +208,16 @@ def _point_at(robot: RobotParameters, arc: Arc, angle: float) -> LocusPoint:
     model = planning_model(robot.replace(working_mode=arc.working_mode))
     x = _position(model, arc, angle)
     found = model.place(x)
-    return LocusPoint(x, arc.working_mode, arc.family, found.t_s, found.gradient, float(found.type1[0]), arc.branch, angle)
+    return LocusPoint(
+        x,
+        arc.working_mode,
+        arc.family,
+        found.t_s,
+        found.gradient,
+        float(found.type1[0]),
+        arc.branch,
+        angle,
+    )
 
 
 def _position(model: PlanningModel, arc: Arc, angle: float) -> Array:
@@ -169,58 +228,101 @@ def _position(model: PlanningModel, arc: Arc, angle: float) -> Array:
 def nearest_point(robot: AnyRobot, x: Array, type1: float | None = None) -> LocusPoint:
     """The point of the locus nearest to x (n,), m, in the robot's working mode.
 
-    Where the mechanism does not trace its locus it is found down the gradient of s, which leads to the nearest one from near it.
+    Where the mechanism does not trace its locus it is found down the gradient of s,
+    which leads to the nearest one from near it.
 
     Raises:
-        GeometryError: the working mode has no locus that far from Type 1, or none was found from there.
+        GeometryError: the working mode has no locus that far from Type 1, or none was
+            found from there.
     """
-    from scipy.optimize import minimize_scalar  # here: it takes longer to load than all else
+    from scipy.optimize import (
+        minimize_scalar,
+    )  # here: it takes longer to load than all else
 
     x = np.asarray(x, dtype=np.float64)
     if x.shape != (planning_model(robot).n,) or not np.isfinite(x).all():
-        raise GeometryError(f"place {np.round(x, 6).tolist()}; it must be {planning_model(robot).n} finite numbers, m")
+        raise GeometryError(
+            f"place {np.round(x, 6).tolist()}; it must be {planning_model(robot).n}"
+            " finite numbers, m"
+        )
     limit = robot.min_type1_distance if type1 is None else type1
     if not isinstance(robot, RobotParameters):
         return _nearest_by_gradient(robot, x, limit)
     arcs = trace_locus(robot, (robot.working_mode,), limit)
     if not arcs:
-        raise GeometryError(f"working mode {list(robot.working_mode)} has no Type 2 locus at least {limit} from Type 1")
+        raise GeometryError(
+            f"working mode {list(robot.working_mode)} has no Type 2 locus at least"
+            f" {limit} from Type 1"
+        )
     arc = min(arcs, key=lambda arc: float(np.linalg.norm(arc.x - x, axis=1).min()))
     row = int(np.argmin(np.linalg.norm(arc.x - x, axis=1)))
-    model, bounds = planning_model(robot), (arc.angles[max(row - 1, 0)], arc.angles[min(row + 1, len(arc.angles) - 1)])
+    model, bounds = (
+        planning_model(robot),
+        (arc.angles[max(row - 1, 0)], arc.angles[min(row + 1, len(arc.angles) - 1)]),
+    )
 
     def gap(angle: float) -> float:
         return float(np.linalg.norm(_position(model, arc, angle) - x))
 
-    found = minimize_scalar(gap, bounds=bounds, method="bounded", options={"xatol": 1e-12})
+    found = minimize_scalar(
+        gap, bounds=bounds, method="bounded", options={"xatol": 1e-12}
+    )
     return _point_at(robot, arc, float(found.x))
 
 
 def _nearest_by_gradient(robot: Robot, x: Array, type1: float) -> LocusPoint:
-    """Projections on the locus' tangent, from the given place first, then from where they led, until s is zero to rounding."""
+    """Projections on the locus' tangent, from the given place first, then from where
+    they led, until s is zero to rounding.
+    """
     model, place = planning_model(robot), x
     longest = LONGEST_STEP * model.length
     found = model.place(place)
     for row in range(PROJECTIONS + POLISHES):
         beside = x - place if row < PROJECTIONS else np.zeros(model.n)
         slope = float(found.gradient @ found.gradient)
-        step = beside - (float(found.s[0]) + float(found.gradient @ beside)) / slope * found.gradient
-        place = place + step * min(1.0, longest / max(float(np.linalg.norm(step)), 1e-300))
+        step = (
+            beside
+            - (float(found.s[0]) + float(found.gradient @ beside))
+            / slope
+            * found.gradient
+        )
+        place = place + step * min(
+            1.0, longest / max(float(np.linalg.norm(step)), 1e-300)
+        )
         found = model.place(place)
     if not abs(found.s[0]) <= LOCUS_S:
-        raise GeometryError(f"no place of the Type 2 locus was found near {in_words(x)}: the search ended in {in_words(place)}")
+        raise GeometryError(
+            f"no place of the Type 2 locus was found near {in_words(x)}: the search"
+            f" ended in {in_words(place)}"
+        )
     if found.type1[0] < type1:
         raise GeometryError(
-            f"the Type 2 locus near {in_words(x)}, in {in_words(place)}, is {float(found.type1[0]):.3f} from Type 1; the limit is"
-            f" {type1}"
+            f"the Type 2 locus near {in_words(x)}, in {in_words(place)}, is"
+            f" {float(found.type1[0]):.3f} from Type 1; the limit is {type1}"
         )
-    return LocusPoint(place, robot.working_mode, None, found.t_s, found.gradient, float(found.type1[0]), 1, 0.0)
+    return LocusPoint(
+        place,
+        robot.working_mode,
+        None,
+        found.t_s,
+        found.gradient,
+        float(found.type1[0]),
+        1,
+        0.0,
+    )
 
 
 def spread_places(
-    robot: AnyRobot, low: Array, high: Array, count: int, *, type1: float = MIN_CROSSING_TYPE1, seed: int = 0
+    robot: AnyRobot,
+    low: Array,
+    high: Array,
+    count: int,
+    *,
+    type1: float = MIN_CROSSING_TYPE1,
+    seed: int = 0,
 ) -> list[LocusPoint]:
-    """Places of the locus that can be crossed, far from each other: for any mechanism what ``sample_locus`` is for the five-bar.
+    """Places of the locus that can be crossed, far from each other: for any mechanism
+    what ``sample_locus`` is for the five-bar.
 
     Args:
         low, high: (n,) corners of the box in which they lie, m.
@@ -231,7 +333,11 @@ def spread_places(
     Raises:
         GeometryError: there are not so many.
     """
-    low, high, model = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64), planning_model(robot)
+    low, high, model = (
+        np.asarray(low, dtype=np.float64),
+        np.asarray(high, dtype=np.float64),
+        planning_model(robot),
+    )
     found: list[LocusPoint] = []
     for near in np.random.default_rng(seed).uniform(low, high, (TRIES, model.n)):
         try:
@@ -246,10 +352,16 @@ def spread_places(
         row = int(np.argmax(distance))
         if are_crossable(model, found[row].x[None], type1)[0]:
             chosen.append(found[row])
-            distance = np.minimum(distance, [float(np.linalg.norm(point.x - found[row].x)) for point in found])
+            distance = np.minimum(
+                distance,
+                [float(np.linalg.norm(point.x - found[row].x)) for point in found],
+            )
         distance[row] = 0.0
     if len(chosen) < count:
-        raise GeometryError(f"{len(chosen)} places of the Type 2 locus that can be crossed were found there; {count} are wanted")
+        raise GeometryError(
+            f"{len(chosen)} places of the Type 2 locus that can be crossed were found"
+            f" there; {count} are wanted"
+        )
     return chosen
 
 
@@ -257,7 +369,8 @@ def locus_point(robot: AnyRobot, x: Array) -> LocusPoint:
     """The locus point at x (n,), m, in the robot's working mode.
 
     Raises:
-        GeometryError: x is unreachable or farther than ON_LOCUS from the locus; names |s| and the nearest point.
+        GeometryError: x is unreachable or farther than ON_LOCUS from the locus; names
+            |s| and the nearest point.
     """
     x = np.asarray(x, dtype=np.float64)
     model = planning_model(robot)
@@ -267,8 +380,9 @@ def locus_point(robot: AnyRobot, x: Array) -> LocusPoint:
     if gap > ON_LOCUS:
         s = abs(model.s(x))
         raise GeometryError(
-            f"point {in_words(x)} is off the Type 2 locus: |s| = {s:.4f}; the nearest point of the locus that is"
-            f" clear of Type 1 is {in_words(nearest.x)}, {1e3 * gap:.1f} mm away",
+            f"point {in_words(x)} is off the Type 2 locus: |s| = {s:.4f}; the nearest"
+            f" point of the locus that is clear of Type 1 is {in_words(nearest.x)},"
+            f" {1e3 * gap:.1f} mm away",
             point=nearest.x.tolist(),
         )
     return nearest
@@ -278,20 +392,24 @@ def place_of(robot: AnyRobot, point: LocusPoint | Array) -> LocusPoint:
     """A locus point, or the one at a position (n,), m, in the robot's working mode.
 
     Raises:
-        GeometryError: the position is off the locus, or the point belongs to another working mode.
+        GeometryError: the position is off the locus, or the point belongs to another
+            working mode.
     """
     if not isinstance(point, LocusPoint):
         return locus_point(robot, point)
     if point.working_mode != robot.working_mode:
         raise GeometryError(
-            f"the locus point {in_words(point.x)} belongs to working mode {list(point.working_mode)}, the"
-            f" robot is in {list(robot.working_mode)}: set robot.working_mode"
+            f"the locus point {in_words(point.x)} belongs to working mode"
+            f" {list(point.working_mode)}, the robot is in {list(robot.working_mode)}:"
+            " set robot.working_mode"
         )
     return point
 
 
 def beside(robot: AnyRobot, point: LocusPoint, shift: float) -> LocusPoint | None:
-    """The locus point at a signed distance along its arc, m; None where the arc ends, or the locus is not traced."""
+    """The locus point at a signed distance along its arc, m; None where the arc ends,
+    or the locus is not traced.
+    """
     if not isinstance(robot, RobotParameters):
         return None
     for arc in trace_locus(robot, (robot.working_mode,), robot.min_type1_distance):
@@ -304,7 +422,9 @@ def beside(robot: AnyRobot, point: LocusPoint, shift: float) -> LocusPoint | Non
 
 
 def _shares(lengths: Array, count: int, least: Array) -> Array:
-    """``count`` split in proportion to lengths, each part at least ``least``, by largest remainders."""
+    """``count`` split in proportion to lengths, each part at least ``least``, by
+    largest remainders.
+    """
     share = np.maximum(least, 0)
     while share.sum() < count:
         wanted = count * lengths / lengths.sum() - share
@@ -313,12 +433,18 @@ def _shares(lengths: Array, count: int, least: Array) -> Array:
 
 
 def sample_locus(
-    robot: RobotParameters, count: int, seed: int = 0, *, folded: int = 0, working_modes: Sequence[Mode] = WORKING_MODES,
+    robot: RobotParameters,
+    count: int,
+    seed: int = 0,
+    *,
+    folded: int = 0,
+    working_modes: Sequence[Mode] = WORKING_MODES,
 ) -> list[LocusPoint]:
-    """Points spread evenly over the locus where it can be crossed, in several working modes.
+    """Points spread evenly over the locus where it can be crossed, in several working
+    modes.
 
-    Points are spread by arc length within each family of each working mode, with a random phase; each working
-    mode that reaches the locus has at least one point.
+    Points are spread by arc length within each family of each working mode, with a
+    random phase; each working mode that reaches the locus has at least one point.
 
     Args:
         count: of points.
@@ -328,27 +454,39 @@ def sample_locus(
 
     Raises:
         ParameterError: count is smaller than what folded and the working modes ask for.
-        GeometryError: no working mode reaches the locus, or none reaches a folded point and some are asked for.
+        GeometryError: no working mode reaches the locus, or none reaches a folded point
+            and some are asked for.
     """
     strata: dict[tuple[Family, Mode], list[Arc]] = {}
     for arc in trace_locus(robot, tuple(map(tuple, working_modes)), crossable=True):
         strata.setdefault((arc.family, arc.working_mode), []).append(arc)
     if not strata:
-        raise GeometryError(f"no Type 2 locus lies at least {MIN_CROSSING_TYPE1} from Type 1 in the working modes asked for")
+        raise GeometryError(
+            f"no Type 2 locus lies at least {MIN_CROSSING_TYPE1} from Type 1 in the"
+            " working modes asked for"
+        )
     keys = sorted(strata, key=lambda key: (key[0].value, key[1]))
     lengths = np.array([sum(arc.length[-1] for arc in strata[key]) for key in keys])
     is_folded = np.array([key[0] is Family.FOLDED for key in keys])
     if folded > 0 and not is_folded.any():
-        raise GeometryError(f"folded = {folded}, but the robot has no folded Type 2 locus clear of Type 1")
+        raise GeometryError(
+            f"folded = {folded}, but the robot has no folded Type 2 locus clear of"
+            " Type 1"
+        )
     least = np.zeros(len(keys), dtype=int)
     if folded > 0:
-        least[is_folded] = _shares(lengths[is_folded], folded, np.zeros(int(is_folded.sum()), dtype=int))
+        least[is_folded] = _shares(
+            lengths[is_folded], folded, np.zeros(int(is_folded.sum()), dtype=int)
+        )
     for mode in {key[1] for key in keys}:
         rows = [row for row, key in enumerate(keys) if key[1] == mode]
         if least[rows].sum() == 0:
             least[max(rows, key=lambda row: lengths[row])] = 1
     if least.sum() > count:
-        raise ParameterError(f"count = {count}; {folded} folded points and each working mode need at least {least.sum()}")
+        raise ParameterError(
+            f"count = {count}; {folded} folded points and each working mode need at"
+            f" least {least.sum()}"
+        )
     generator = np.random.default_rng(seed)
     points = []
     for key, share in zip(keys, _shares(lengths, count, least), strict=True):
@@ -358,5 +496,9 @@ def sample_locus(
         for k in range(share):
             place = (k + phase) / share * ends[-1]
             row = min(int(np.searchsorted(ends, place)), len(arcs) - 1)
-            points.append(_point_on_arc(robot, arcs[row], place - (ends[row] - arcs[row].length[-1])))
+            points.append(
+                _point_on_arc(
+                    robot, arcs[row], place - (ends[row] - arcs[row].length[-1])
+                )
+            )
     return points

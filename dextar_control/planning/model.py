@@ -1,4 +1,6 @@
-"""The functions that planning takes of a mechanism, compiled together, and a robot's with its numbers."""
+"""The functions that planning takes of a mechanism, compiled together, and a robot's
+with its numbers.
+"""
 
 from __future__ import annotations
 
@@ -24,20 +26,24 @@ AnyStates = TypeVar("AnyStates", bound="StatesModel")
 
 
 class StatesModel(Model):
-    """A robot's model with what certificates and pictures ask of many states; not for two threads at once.
+    """A robot's model with what certificates and pictures ask of many states; not for
+    two threads at once.
 
     Attributes:
-        sides: of places x (m, n) -> q_a, s, s_blocks, type1 (m, 1 or k); nan out of reach.
+        sides: of places x (m, n) -> q_a, s, s_blocks, type1 (m, 1 or k); nan out of
+            reach.
         side: the same of one x.
-        instants: of (x, x_dot, x_ddot), (m, n) each -> q_a, q_a_dot, s, s_blocks, type1, residual, multipliers, joint_torque
-            (w_b and friction), B, criterion.
+        instants: of (x, x_dot, x_ddot), (m, n) each -> q_a, q_a_dot, s, s_blocks,
+            type1, residual, multipliers, joint_torque (w_b and friction), B, criterion.
         numbers: the parameters by their dotted names.
     """
 
     def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
         super().__init__(mechanism, values)
         library, self.numbers = states_library(mechanism), mechanism.named(self.p)
-        self.sides, self.instants = (self._with_numbers(library.batch(name)) for name in ("sides", "instants"))
+        self.sides, self.instants = (
+            self._with_numbers(library.batch(name)) for name in ("sides", "instants")
+        )
         self.side = self._with_numbers(library.fast("sides"))
 
     def _with_numbers(self, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -52,11 +58,13 @@ class PlanningModel(StatesModel):
     """The same with the locus and the functions of the search.
 
     Attributes:
-        locus: of (family, branch, tracing angles (m, 1)) -> x, type1_sines, closing; where it is traced in closed form.
+        locus: of (family, branch, tracing angles (m, 1)) -> x, type1_sines, closing;
+            where it is traced in closed form.
         half, crossing, leg, crossing_cost, leg_cost: see ``candidate``.
         layouts: of the records that the last four take.
         length: by which distances are measured, m.
-        workspace: corners (n,) of a box that holds every place it reaches; of the five-bar.
+        workspace: corners (n,) of a box that holds every place it reaches; of the
+            five-bar.
     """
 
     def __init__(self, mechanism: Mechanism, values: Mapping[str, Any]) -> None:
@@ -66,7 +74,8 @@ class PlanningModel(StatesModel):
         if "locus" in library.symbolic:
             self.locus = self._with_numbers(library.batch("locus"))
         self.crossing, self.leg, self.crossing_cost, self.leg_cost = (
-            self._with_numbers(library.fast(name)) for name in ("crossing", "leg", "crossing_cost", "leg_cost")
+            self._with_numbers(library.fast(name))
+            for name in ("crossing", "leg", "crossing_cost", "leg_cost")
         )
         self.layouts = layouts(self.n)
         self.length: float = mechanism.length(self.numbers)
@@ -106,15 +115,36 @@ def planning_library(mechanism: Mechanism) -> Library:
 @lru_cache
 def _states_library(mechanism: Mechanism) -> Library:
     e = equations_of(mechanism)
-    at = e.at(e.p, mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)), e.x, e.x_dot, e.x_ddot)
-    place, side = {"p": e.p, "x": e.x}, {"q_a": at.q_a, "s": at.s, "s_blocks": at.s_blocks, "type1": at.type1}
-    return Library([
-        named("sides", place, side),
-        named("instants", place | {"x_dot": e.x_dot, "x_ddot": e.x_ddot}, side | {
-            "q_a_dot": at.q_a_dot, "residual": nearest(at.s_blocks, at.criterion), "criterion": at.criterion,
-            "multipliers": at.multipliers, "joint_torque": at.w_b + at.friction, "B": at.B,
-        }),
-    ], cache_folder())
+    at = e.at(
+        e.p,
+        mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)),
+        e.x,
+        e.x_dot,
+        e.x_ddot,
+    )
+    place, side = (
+        {"p": e.p, "x": e.x},
+        {"q_a": at.q_a, "s": at.s, "s_blocks": at.s_blocks, "type1": at.type1},
+    )
+    return Library(
+        [
+            named("sides", place, side),
+            named(
+                "instants",
+                place | {"x_dot": e.x_dot, "x_ddot": e.x_ddot},
+                side
+                | {
+                    "q_a_dot": at.q_a_dot,
+                    "residual": nearest(at.s_blocks, at.criterion),
+                    "criterion": at.criterion,
+                    "multipliers": at.multipliers,
+                    "joint_torque": at.w_b + at.friction,
+                    "B": at.B,
+                },
+            ),
+        ],
+        cache_folder(),
+    )
 
 
 @lru_cache
@@ -126,7 +156,16 @@ def _planning_library(mechanism: Mechanism) -> Library:
     traced = mechanism.type2_locus(family, branch, angle, mechanism.named(e.p))
     if traced is not None:
         q_a, x, closing = traced
-        functions.insert(0, named("locus", {"p": e.p, "family": family, "branch": branch, "angle": angle}, {
-            "x": x, "type1_sines": mechanism.type1_sines(q_a, x, mechanism.named(e.p)), "closing": closing,
-        }))
+        functions.insert(
+            0,
+            named(
+                "locus",
+                {"p": e.p, "family": family, "branch": branch, "angle": angle},
+                {
+                    "x": x,
+                    "type1_sines": mechanism.type1_sines(q_a, x, mechanism.named(e.p)),
+                    "closing": closing,
+                },
+            ),
+        )
     return Library(functions, cache_folder(), 1)

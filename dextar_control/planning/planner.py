@@ -1,9 +1,11 @@
-"""Plans a way through the Type 2 locus, rest to rest, with the criterion imposed at the crossing.
+"""Plans a way through the Type 2 locus, rest to rest, with the criterion imposed at the
+crossing.
 
-Position, velocity and acceleration at the crossing are imposed (``candidate``): the point lies on the locus and the
-acceleration follows from t_s.w_d = 0. What that leaves open (where on the locus, how fast, the free acceleration, the
-jerk, when, and for ``plan_through`` both ends) is chosen by minimising the peak torque and the time near the locus
-(``search``). A plan is certified before it is served.
+Position, velocity and acceleration at the crossing are imposed (``candidate``): the
+point lies on the locus and the acceleration follows from t_s.w_d = 0. What that leaves
+open (where on the locus, how fast, the free acceleration, the jerk, when, and for
+``plan_through`` both ends) is chosen by minimising the peak torque and the time near
+the locus (``search``). A plan is certified before it is served.
 """
 
 from __future__ import annotations
@@ -30,8 +32,17 @@ from dextar_control.planning.trajectory import Trajectory, hold, join
 from dextar_control.symbols.types import Array
 
 __all__ = [
-    "MIN_APPROACH_S", "MIN_END_S", "PLAN_RESIDUAL", "Criterion", "Plan", "plan_approach", "plan_crossing", "plan_return_trip",
-    "plan_return_trip_through", "plan_through", "robot_at",
+    "MIN_APPROACH_S",
+    "MIN_END_S",
+    "PLAN_RESIDUAL",
+    "Criterion",
+    "Plan",
+    "plan_approach",
+    "plan_crossing",
+    "plan_return_trip",
+    "plan_return_trip_through",
+    "plan_through",
+    "robot_at",
 ]
 
 
@@ -41,8 +52,16 @@ def robot_at(robot: RobotParameters, point: LocusPoint) -> RobotParameters:
 
 
 def plan_return_trip(
-    robot: AnyRobot, start: Array, goal: Array, duration: float | None, dwell: float, repeat: int = 1, *,
-    point: LocusPoint | Array | None = None, criterion: Criterion = Criterion.RECIPROCAL, locus_time: float = LOCUS_TIME,
+    robot: AnyRobot,
+    start: Array,
+    goal: Array,
+    duration: float | None,
+    dwell: float,
+    repeat: int = 1,
+    *,
+    point: LocusPoint | Array | None = None,
+    criterion: Criterion = Criterion.RECIPROCAL,
+    locus_time: float = LOCUS_TIME,
     progress: Progress = silent,
 ) -> Plan:
     """start -> goal -> start, ``repeat`` times, with rests before, between and after.
@@ -57,16 +76,32 @@ def plan_return_trip(
         GeometryError, TrajectoryError: as ``plan_crossing``.
     """
     _check_trip(repeat, dwell)
-    way = partial(plan_crossing, robot, duration=duration, point=point, criterion=criterion, locus_time=locus_time,
-                  progress=progress)
+    way = partial(
+        plan_crossing,
+        robot,
+        duration=duration,
+        point=point,
+        criterion=criterion,
+        locus_time=locus_time,
+        progress=progress,
+    )
     return _there_and_back(robot, way(start, goal).trajectory, dwell, repeat, way)
 
 
 def plan_return_trip_through(
-    robot: AnyRobot, point: LocusPoint | Array, direction: int | Array, duration: float | None, dwell: float, repeat: int = 1, *,
-    criterion: Criterion = Criterion.RECIPROCAL, locus_time: float = LOCUS_TIME, progress: Progress = silent,
+    robot: AnyRobot,
+    point: LocusPoint | Array,
+    direction: int | Array,
+    duration: float | None,
+    dwell: float,
+    repeat: int = 1,
+    *,
+    criterion: Criterion = Criterion.RECIPROCAL,
+    locus_time: float = LOCUS_TIME,
+    progress: Progress = silent,
 ) -> Plan:
-    """Out through a given point of the locus and back, ``repeat`` times, with rests before, between and after.
+    """Out through a given point of the locus and back, ``repeat`` times, with rests
+    before, between and after.
 
     Args:
         duration: of one way, s; chosen when None.
@@ -79,9 +114,24 @@ def plan_return_trip_through(
     """
     _check_trip(repeat, dwell)
     place = place_of(robot, point)
-    out = plan_through(robot, place, direction, duration, criterion=criterion, locus_time=locus_time, progress=progress)
-    back = partial(plan_crossing, robot, duration=duration, point=place, criterion=criterion, locus_time=locus_time,
-                   progress=progress)
+    out = plan_through(
+        robot,
+        place,
+        direction,
+        duration,
+        criterion=criterion,
+        locus_time=locus_time,
+        progress=progress,
+    )
+    back = partial(
+        plan_crossing,
+        robot,
+        duration=duration,
+        point=place,
+        criterion=criterion,
+        locus_time=locus_time,
+        progress=progress,
+    )
     return _there_and_back(robot, out.trajectory, dwell, repeat, back)
 
 
@@ -93,16 +143,30 @@ def _check_trip(repeat: int, dwell: float) -> None:
 
 
 def _there_and_back(
-    robot: AnyRobot, out: Trajectory, dwell: float, repeat: int, way: Callable[[Array, Array], Plan]
+    robot: AnyRobot,
+    out: Trajectory,
+    dwell: float,
+    repeat: int,
+    way: Callable[[Array, Array], Plan],
 ) -> Plan:
-    """A way out and back: by its time reversal where that may be, by a way of its own otherwise."""
+    """A way out and back: by its time reversal where that may be, by a way of its own
+    otherwise.
+    """
     start, goal = out.at(0.0).x, out.at(out.duration).x
 
     def trip(back: Trajectory) -> Plan:
-        whole = join([hold(start, dwell)] + [out, hold(goal, dwell), back, hold(start, dwell)] * repeat)
-        return Plan(whole, certify(robot, whole, max_residual=PLAN_RESIDUAL, crossings=2 * repeat))
+        whole = join(
+            [hold(start, dwell)]
+            + [out, hold(goal, dwell), back, hold(start, dwell)] * repeat
+        )
+        return Plan(
+            whole,
+            certify(robot, whole, max_residual=PLAN_RESIDUAL, crossings=2 * repeat),
+        )
 
     if scalable(planning_model(robot), out):
-        with suppress(TrajectoryError):  # the motors' friction may ask for more on the way back
+        with suppress(
+            TrajectoryError
+        ):  # the motors' friction may ask for more on the way back
             return trip(out.reversed())
     return trip(way(goal, start).trajectory)

@@ -12,9 +12,14 @@ from dextar_control.planning.model import StatesModel, states_model
 from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.types import Array
 
-LIMIT_ZONE = 0.01  # |s| below which the multipliers are taken from their neighbourhood: 0/0 on the locus
-LIMIT_NODES = np.array([1.0, 2.0 / 3.0, 1.0 / 3.0])  # of that zone, where they are taken on either side of a crossing
-AT_KNOT = 1e-12  # s, a crossing this near to a knot is there: where it was imposed, and found up to rounding
+# |s| below which the multipliers are taken from their neighbourhood: 0/0 on the locus
+LIMIT_ZONE = 0.01
+LIMIT_NODES = np.array(
+    [1.0, 2.0 / 3.0, 1.0 / 3.0]
+)  # of that zone, where they are taken on either side of a crossing
+# s, a crossing this near to a knot is there: where it was imposed, and found up to
+# rounding
+AT_KNOT = 1e-12
 ON_CROSSING = 1e-9  # s, closer to a crossing than this counts as on it
 
 
@@ -26,7 +31,8 @@ class Profile(NamedTuple):
     x_dot: Array  # (m, n) m/s
     q_a: Array  # (m, n) rad
     q_a_dot: Array  # (m, n) rad/s
-    s: Array  # (m,) singularity measure: of the block of A_r that is nearest to its locus
+    # (m,) singularity measure: of the block of A_r that is nearest to its locus
+    s: Array
     s_blocks: Array  # (m, k) of each
     residual: Array  # (m,) t_s.w_d of the nearest, N
     criterion: Array  # (m, k) of each
@@ -50,8 +56,8 @@ def sample_times(trajectory: Trajectory, period: float) -> Array:
 def sample_profile(robot: AnyRobot, trajectory: Trajectory, times: Array) -> Profile:
     """What the robot needs along a trajectory at times (m,), s.
 
-    Within LIMIT_ZONE of the locus the multipliers are continued from either side of the crossing by a parabola:
-    towards the value they tend to when the criterion holds.
+    Within LIMIT_ZONE of the locus the multipliers are continued from either side of the
+    crossing by a parabola: towards the value they tend to when the criterion holds.
     """
     times, model = np.asarray(times, dtype=np.float64), states_model(robot)
     x, x_dot, x_ddot = trajectory.table(times)
@@ -59,39 +65,73 @@ def sample_profile(robot: AnyRobot, trajectory: Trajectory, times: Array) -> Pro
     multipliers = found.multipliers
     for s, (rows, _) in zip(found.s_blocks.T, model.blocks, strict=True):
         inside = ~(np.abs(s) >= LIMIT_ZONE)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
+        edges = np.flatnonzero(
+            np.diff(np.concatenate([[False], inside, [False]]).astype(int))
+        )
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             first, last = max(start - 1, 0), min(stop, len(times) - 1)
             if s[first] * s[last] < 0.0:
-                near = _continued(model, trajectory, times, s, (first, last), times[start:stop])
+                near = _continued(
+                    model, trajectory, times, s, (first, last), times[start:stop]
+                )
                 multipliers[start:stop, rows] = near[:, rows]
-    torque = found.joint_torque - (found.B.transpose(0, 2, 1) @ multipliers[:, :, None])[:, :, 0]  # Eq. 4: w_b - B^T lambda
+    torque = (
+        found.joint_torque
+        - (found.B.transpose(0, 2, 1) @ multipliers[:, :, None])[:, :, 0]
+    )  # Eq. 4: w_b - B^T lambda
     return Profile(
-        time=times, x=x, x_dot=x_dot, q_a=found.q_a, q_a_dot=found.q_a_dot, s=found.s[:, 0], s_blocks=found.s_blocks,
-        residual=found.residual[:, 0], criterion=found.criterion, multipliers=multipliers, torque=torque, type1=found.type1[:, 0],
+        time=times,
+        x=x,
+        x_dot=x_dot,
+        q_a=found.q_a,
+        q_a_dot=found.q_a_dot,
+        s=found.s[:, 0],
+        s_blocks=found.s_blocks,
+        residual=found.residual[:, 0],
+        criterion=found.criterion,
+        multipliers=multipliers,
+        torque=torque,
+        type1=found.type1[:, 0],
     )
 
 
 def _continued(
-    model: StatesModel, trajectory: Trajectory, times: Array, s: Array, around: tuple[Any, Any], inside: Array
+    model: StatesModel,
+    trajectory: Trajectory,
+    times: Array,
+    s: Array,
+    around: tuple[Any, Any],
+    inside: Array,
 ) -> Array:
-    """The multipliers (k, n) at times (k,) between the two rows ``around`` a crossing, from its neighbourhood."""
+    """The multipliers (k, n) at times (k,) between the two rows ``around`` a crossing,
+    from its neighbourhood.
+    """
     first, last = around
     turn = first + int(np.argmax(s[first:last] * s[first + 1 : last + 1] <= 0.0))
-    middle = times[turn] + (times[turn + 1] - times[turn]) * s[turn] / (s[turn] - s[turn + 1])
+    middle = times[turn] + (times[turn + 1] - times[turn]) * s[turn] / (
+        s[turn] - s[turn + 1]
+    )
     reach = LIMIT_ZONE * (times[last] - times[first]) / abs(s[last] - s[first])
     ahead, sides = inside - middle, []
     for side in (-1.0, 1.0):
         nodes = side * reach * LIMIT_NODES
         near = model.instants(*trajectory.table(middle + nodes)).multipliers
         parabolas = np.polyfit(nodes, near, 2)
-        sides.append(np.stack([np.polyval(parabola, ahead) for parabola in parabolas.T], axis=1))
-    weight = np.select([ahead < -ON_CROSSING, ahead > ON_CROSSING], [0.0, 1.0], 0.5)[:, None]
+        sides.append(
+            np.stack([np.polyval(parabola, ahead) for parabola in parabolas.T], axis=1)
+        )
+    weight = np.select([ahead < -ON_CROSSING, ahead > ON_CROSSING], [0.0, 1.0], 0.5)[
+        :, None
+    ]
     return np.asarray((1.0 - weight) * sides[0] + weight * sides[1])
 
 
-def find_crossings(robot: AnyRobot, trajectory: Trajectory, times: Array, s: Array, block: int) -> list[float]:
-    """Instants, s, where s (m,) of a block changes sign, by bisection between samples to machine precision."""
+def find_crossings(
+    robot: AnyRobot, trajectory: Trajectory, times: Array, s: Array, block: int
+) -> list[float]:
+    """Instants, s, where s (m,) of a block changes sign, by bisection between samples
+    to machine precision.
+    """
     model = states_model(robot)
 
     def value(time: float) -> float:
@@ -103,7 +143,9 @@ def find_crossings(robot: AnyRobot, trajectory: Trajectory, times: Array, s: Arr
         if s[before] * s[after] < 0.0:
             low, high = times[before], times[after]
             while (middle := 0.5 * (low + high)) not in (low, high):
-                low, high = (middle, high) if value(middle) * s[before] > 0.0 else (low, middle)
+                low, high = (
+                    (middle, high) if value(middle) * s[before] > 0.0 else (low, middle)
+                )
             crossing = low if abs(value(low)) < abs(value(high)) else high
             knot = trajectory.knots[np.argmin(np.abs(trajectory.knots - crossing))]
             found.append(float(knot if abs(knot - crossing) < AT_KNOT else crossing))

@@ -1,7 +1,9 @@
-"""Which places one working mode joins without a singularity, on a grid, and the ways between them.
+"""Which places one working mode joins without a singularity, on a grid, and the ways
+between them.
 
-The Type 2 locus and a margin about Type 1 cut the workspace of a working mode into regions of one sign of s. A way
-within a region is regular motion; a way from one to another crosses the locus, once when it changes sides once.
+The Type 2 locus and a margin about Type 1 cut the workspace of a working mode into
+regions of one sign of s. A way within a region is regular motion; a way from one to
+another crosses the locus, once when it changes sides once.
 """
 
 from __future__ import annotations
@@ -32,7 +34,11 @@ class Regions(NamedTuple):
     origin: Array  # (2,) m, of cell (0, 0)
     shape: tuple[int, int]
     s: Array  # (nx, ny)
-    region: NDArray[np.int64]  # (nx, ny) its number from 1; 0 is too near to Type 1, out of a joint's range or unreachable
+    region: NDArray[
+        np.int64
+        # (nx, ny) its number from 1; 0 is too near to Type 1, out of a joint's range or
+        # unreachable
+    ]
     edges: tuple[NDArray[np.int64], NDArray[np.int64], Array]  # from, to, cost
 
 
@@ -42,11 +48,15 @@ def make_regions(robot: RobotParameters) -> Regions:
     from scipy.ndimage import label  # here: it takes longer to load than all else
 
     low, high = planning_model(robot).workspace
-    nx, ny = (np.ceil(np.maximum(high - low, SPACING) / SPACING).astype(int) + 1).tolist()
+    nx, ny = (
+        np.ceil(np.maximum(high - low, SPACING) / SPACING).astype(int) + 1
+    ).tolist()
     grid = np.indices((nx, ny)).reshape(2, -1).T
     found = planning_model(robot).sides(low + SPACING * grid)
     beyond = beyond_range(robot, found.q_a).max(axis=1)
-    s, type1, beyond = (values.reshape(nx, ny) for values in (found.s, found.type1, beyond))
+    s, type1, beyond = (
+        values.reshape(nx, ny) for values in (found.s, found.type1, beyond)
+    )
     with np.errstate(invalid="ignore", divide="ignore"):
         clear = (type1 >= MARGIN * robot.min_type1_distance) & (beyond <= 0.0)
         first, count = label(clear & (s > 0.0), EVERYWHERE)
@@ -59,22 +69,41 @@ def make_regions(robot: RobotParameters) -> Regions:
         a = (slice(0, nx - di), slice(max(0, -dj), ny - max(0, dj)))
         b = (slice(di, nx), slice(max(0, dj), ny + min(0, dj)))
         both = clear[a] & clear[b]
-        edges.append((numbers[a][both], numbers[b][both], SPACING * np.hypot(di, dj) * 0.5 * (shy[a] + shy[b])[both]))
+        edges.append(
+            (
+                numbers[a][both],
+                numbers[b][both],
+                SPACING * np.hypot(di, dj) * 0.5 * (shy[a] + shy[b])[both],
+            )
+        )
     begin, end, cost = (np.concatenate(part) for part in zip(*edges, strict=True))
-    return Regions(low, (nx, ny), s, region, (np.append(begin, end), np.append(end, begin), np.append(cost, cost)))
+    return Regions(
+        low,
+        (nx, ny),
+        s,
+        region,
+        (np.append(begin, end), np.append(end, begin), np.append(cost, cost)),
+    )
 
 
 def cell_of(regions: Regions, x: Array, sign: float) -> int | None:
-    """The nearest cell on the side ``sign`` within ENTRY cells of x; None when there is none."""
+    """The nearest cell on the side ``sign`` within ENTRY cells of x; None when there is
+    none.
+    """
     middle = np.round((x - regions.origin) / SPACING).astype(int)
-    low, high = np.maximum(middle - ENTRY, 0), np.minimum(middle + ENTRY + 1, regions.shape)
+    low, high = (
+        np.maximum(middle - ENTRY, 0),
+        np.minimum(middle + ENTRY + 1, regions.shape),
+    )
     if (low >= high).any():
         return None
     i, j = np.mgrid[low[0] : high[0], low[1] : high[1]]
     usable = (regions.region[i, j] > 0) & ((regions.s[i, j] > 0.0) == (sign > 0.0))
     if not usable.any():
         return None
-    gaps = np.hypot(regions.origin[0] + SPACING * i - x[0], regions.origin[1] + SPACING * j - x[1])
+    gaps = np.hypot(
+        regions.origin[0] + SPACING * i - x[0], regions.origin[1] + SPACING * j - x[1]
+    )
     row = np.unravel_index(int(np.argmin(np.where(usable, gaps, np.inf))), gaps.shape)
     return int(np.ravel_multi_index((i[row], j[row]), regions.shape))
 
@@ -86,15 +115,22 @@ def region_of(regions: Regions, x: Array, sign: float) -> int:
 
 
 def find_way(
-    regions: Regions, start: Array, start_sign: float, goal: Array, goal_sign: float, least_s: float = 0.0
+    regions: Regions,
+    start: Array,
+    start_sign: float,
+    goal: Array,
+    goal_sign: float,
+    least_s: float = 0.0,
 ) -> tuple[Array, int] | None:
-    """The way (n, 2), m, from start to goal that changes sides once, or never when both are on one side.
+    """The way (n, 2), m, from start to goal that changes sides once, or never when both
+    are on one side.
 
     Args:
         least_s: |s| kept where both ends lie on one side.
 
     Returns:
-        The way and the index of its first place after the change of sides (0 when it makes none), or None.
+        The way and the index of its first place after the change of sides (0 when it
+        makes none), or None.
     """
     from scipy.sparse import csr_matrix  # here: it takes longer to load than all else
     from scipy.sparse.csgraph import dijkstra
@@ -120,6 +156,10 @@ def find_way(
     while cells[-1] != begin:
         cells.append(int(before[cells[-1]]))
     cells.reverse()
-    inner = regions.origin + SPACING * np.stack(np.unravel_index(np.array(cells[1:-1], dtype=int), regions.shape), axis=1)
+    inner = regions.origin + SPACING * np.stack(
+        np.unravel_index(np.array(cells[1:-1], dtype=int), regions.shape), axis=1
+    )
     sides = s[cells] > 0.0
-    return np.vstack([start, inner, goal]), int(np.argmax(sides != sides[0])) if start_sign * goal_sign < 0.0 else 0
+    return np.vstack([start, inner, goal]), (
+        int(np.argmax(sides != sides[0])) if start_sign * goal_sign < 0.0 else 0
+    )

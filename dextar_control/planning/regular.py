@@ -1,4 +1,6 @@
-"""Regular motion: from rest to rest on one side of the locus, straight where possible, around it else."""
+"""Regular motion: from rest to rest on one side of the locus, straight where possible,
+around it else.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,13 @@ KEPT_S = 1.3  # times that, on the grid: what a spline may cut off corners
 LEAST_DURATION = 0.1  # s, of a motion however short
 SPLINE_DEGREE = 7
 BUSY_TORQUE = 0.3  # of max_torque that a regular motion takes at most
-STRIDES = (16, 10, 6, 4, 2)  # grid places from one spline point to the next: the first that keeps clear counts
+STRIDES = (
+    16,
+    10,
+    6,
+    4,
+    2,
+)  # grid places from one spline point to the next: the first that keeps clear counts
 COUNTS = {2: "two", 3: "three"}
 TIGHTENINGS = 6  # of the pace, each to what the torque asks for
 
@@ -32,7 +40,10 @@ def side_of(robot: AnyRobot, name: str, x: Array) -> float:
     """
     model = states_model(robot)
     if not np.isfinite(x).all() or x.shape != (model.n,):
-        raise GeometryError(f"{name} = {x.tolist()}; it must be {COUNTS.get(model.n, model.n)} finite numbers, m")
+        raise GeometryError(
+            f"{name} = {x.tolist()}; it must be {COUNTS.get(model.n, model.n)} finite"
+            " numbers, m"
+        )
     try:
         model.inverse_geometric_model(x)
     except GeometryError as error:
@@ -40,43 +51,63 @@ def side_of(robot: AnyRobot, name: str, x: Array) -> float:
     found = model.side(x)
     distance = float(found.type1[0])
     if distance < robot.min_type1_distance:
-        raise GeometryError(f"{name} {in_words(x)} is {distance:.4f} from Type 1; the limit is {robot.min_type1_distance}")
+        raise GeometryError(
+            f"{name} {in_words(x)} is {distance:.4f} from Type 1; the limit is"
+            f" {robot.min_type1_distance}"
+        )
     beyond = beyond_range(robot, found.q_a)
     if beyond.max() > 0.0:
         leg, unit = int(np.argmax(beyond)), model.mechanism.joints[0].unit
         raise GeometryError(
-            f"{name} {in_words(x)} takes the {robot.sides[leg]} joint to {found.q_a[leg]:.4g} {unit};"
-            f" the limits are {robot.joint_range[0][leg]:.4g} and {robot.joint_range[1][leg]:.4g} {unit}"
+            f"{name} {in_words(x)} takes the {robot.sides[leg]} joint to"
+            f" {found.q_a[leg]:.4g} {unit}; the limits are"
+            f" {robot.joint_range[0][leg]:.4g} and {robot.joint_range[1][leg]:.4g}"
+            f" {unit}"
         )
     return float(found.s[0])
 
 
 def straight(start: Array, goal: Array, speed: float) -> Trajectory:
-    """x = start + (goal - start)(35 t^4 - 84 t^5 + 70 t^6 - 20 t^7): rest to rest, zero jerk at both ends."""
+    """x = start + (goal - start)(35 t^4 - 84 t^5 + 70 t^6 - 20 t^7): rest to rest, zero
+    jerk at both ends.
+    """
     law = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
-    duration = max(35.0 / 16.0 * float(np.linalg.norm(goal - start)) / speed, LEAST_DURATION)
+    duration = max(
+        35.0 / 16.0 * float(np.linalg.norm(goal - start)) / speed, LEAST_DURATION
+    )
     coefficients = np.outer(law / duration ** np.arange(8), goal - start)
     coefficients[0] += start
     return Trajectory(np.array([0.0, duration]), np.zeros(1), coefficients[None])
 
 
 def spline(places: Array, speed: float) -> Trajectory:
-    """Rest to rest, zero jerk at both ends, through places (n, 2), slower where it starts and ends; four at least."""
-    from scipy.interpolate import PPoly, make_interp_spline  # here: it takes longer to load than all else
+    """Rest to rest, zero jerk at both ends, through places (n, 2), slower where it
+    starts and ends; four at least.
+    """
+    from scipy.interpolate import (
+        PPoly,
+        make_interp_spline,
+    )  # here: it takes longer to load than all else
 
     reached = lengths_along(places)
     share = reached / reached[-1]
-    # the time law 10 t^3 - 15 t^4 + 6 t^5, inverted on a table, spreads the places as a motion from rest to rest does
+    # the time law 10 t^3 - 15 t^4 + 6 t^5, inverted on a table, spreads the places as a
+    # motion from rest to rest does
     table = np.linspace(0.0, 1.0, 1001)
     times = np.interp(share, table**3 * (10.0 - 15.0 * table + 6.0 * table**2), table)
     rest = [(1, 0.0), (2, 0.0), (3, 0.0)]
-    splines = [make_interp_spline(times, along, k=SPLINE_DEGREE, bc_type=(rest, rest)) for along in places.T]
+    splines = [
+        make_interp_spline(times, along, k=SPLINE_DEGREE, bc_type=(rest, rest))
+        for along in places.T
+    ]
     curves = [PPoly.from_spline(along) for along in splines]
     pieces = np.diff(curves[0].x) > 0.0
     knots = np.append(curves[0].x[:-1][pieces], curves[0].x[-1])
     coefficients = np.stack([curve.c[::-1, pieces].T for curve in curves], axis=2)
     unit = Trajectory(knots - knots[0], knots[:-1] - knots[0], coefficients)
-    fastest = float(np.hypot(*unit.table(np.linspace(0.0, unit.duration, 200))[1].T).max())
+    fastest = float(
+        np.hypot(*unit.table(np.linspace(0.0, unit.duration, 200))[1].T).max()
+    )
     return unit.scaled(max(fastest / speed, LEAST_DURATION))
 
 
@@ -92,41 +123,68 @@ def _clear(robot: AnyRobot, motion: Trajectory) -> bool:
 
 
 def _paced(robot: AnyRobot, motion: Trajectory) -> Trajectory:
-    """The motion, slowed down until it takes BUSY_TORQUE of the torque limit (or as little as gravity lets it)."""
+    """The motion, slowed down until it takes BUSY_TORQUE of the torque limit (or as
+    little as gravity lets it).
+    """
     for _ in range(TIGHTENINGS):
         peak = measure(robot, motion, motion.duration / 400.0).peak_torque
         if peak <= BUSY_TORQUE * robot.max_torque:
             break
-        motion = motion.scaled(float(np.clip(np.sqrt(peak / (BUSY_TORQUE * robot.max_torque)), 1.05, 2.0)))
+        motion = motion.scaled(
+            float(np.clip(np.sqrt(peak / (BUSY_TORQUE * robot.max_torque)), 1.05, 2.0))
+        )
     return motion
 
 
-def plan_approach(robot: AnyRobot, start: Array, goal: Array, speed: float) -> Trajectory:
-    """From start to goal, rest to rest, on one side of the locus: a straight line, or for the five-bar a spline where that fails.
+def plan_approach(
+    robot: AnyRobot, start: Array, goal: Array, speed: float
+) -> Trajectory:
+    """From start to goal, rest to rest, on one side of the locus: a straight line, or
+    for the five-bar a spline where that fails.
 
     Args:
         start, goal: (n,) m.
         speed: peak speed, m/s.
 
     Raises:
-        GeometryError: start or goal is unreachable, too near to Type 1 or out of a joint's range.
-        TrajectoryError: no way stays on one side, clear of Type 1 and in the joints' range.
+        GeometryError: start or goal is unreachable, too near to Type 1 or out of a
+            joint's range.
+        TrajectoryError: no way stays on one side, clear of Type 1 and in the joints'
+            range.
     """
-    start, goal = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
+    start, goal = (
+        np.asarray(start, dtype=np.float64),
+        np.asarray(goal, dtype=np.float64),
+    )
     if not speed > 0.0:
         raise TrajectoryError(f"speed = {speed} m/s; it must be > 0")
-    signs = [np.sign(side_of(robot, name, x)) for name, x in (("start", start), ("goal", goal))]
+    signs = [
+        np.sign(side_of(robot, name, x))
+        for name, x in (("start", start), ("goal", goal))
+    ]
     line = straight(start, goal, speed)
     motion = line if _clear(robot, line) else None
     if motion is None and signs[0] == signs[1] and isinstance(robot, RobotParameters):
-        found = find_way(make_regions(robot), start, signs[0], goal, signs[1], KEPT_S * MIN_APPROACH_S)
-        curves = () if found is None else (spline(_thinned(found[0], stride), speed) for stride in STRIDES)
+        found = find_way(
+            make_regions(robot),
+            start,
+            signs[0],
+            goal,
+            signs[1],
+            KEPT_S * MIN_APPROACH_S,
+        )
+        curves = (
+            ()
+            if found is None
+            else (spline(_thinned(found[0], stride), speed) for stride in STRIDES)
+        )
         motion = next((curve for curve in curves if _clear(robot, curve)), None)
     if motion is None:
         least = np.abs(measure(robot, line).profile.s).min()
         raise TrajectoryError(
-            f"the straight way from {in_words(start)} to {in_words(goal)} comes to |s| = {least:.3f} of the Type 2 locus;"
-            f" an approach keeps {MIN_APPROACH_S}, and no way around was found"
+            f"the straight way from {in_words(start)} to {in_words(goal)} comes to |s|"
+            f" = {least:.3f} of the Type 2 locus; an approach keeps {MIN_APPROACH_S},"
+            " and no way around was found"
         )
     motion = _paced(robot, motion)
     certify(robot, motion, max_residual=PLAN_RESIDUAL, crossings=0)
@@ -134,10 +192,17 @@ def plan_approach(robot: AnyRobot, start: Array, goal: Array, speed: float) -> T
 
 
 def _thinned(way: Array, stride: int) -> Array:
-    """Every ``stride``-th place, with both ends, at least four, none closer to an end than a cell."""
-    inner = way[1:-1][(np.hypot(*(way[1:-1] - way[0]).T) > SPACING) & (np.hypot(*(way[1:-1] - way[-1]).T) > SPACING)]
+    """Every ``stride``-th place, with both ends, at least four, none closer to an end
+    than a cell.
+    """
+    inner = way[1:-1][
+        (np.hypot(*(way[1:-1] - way[0]).T) > SPACING)
+        & (np.hypot(*(way[1:-1] - way[-1]).T) > SPACING)
+    ]
     count = max(2, int(np.ceil(len(inner) / stride)))
     if len(inner) < 2:
         return np.linspace(way[0], way[-1], 4)
-    rows = np.unique(np.linspace(0, len(inner) - 1, count + 2).round().astype(int)[1:-1])
+    rows = np.unique(
+        np.linspace(0, len(inner) - 1, count + 2).round().astype(int)[1:-1]
+    )
     return np.vstack([way[0], inner[rows if len(rows) > 1 else [0, -1]], way[-1]])

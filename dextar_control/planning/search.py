@@ -17,7 +17,8 @@ from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.record import Layout, Record
 from dextar_control.symbols.types import Array
 
-TORQUE_SHARE = 0.3  # of max_torque: the peak torque that costs one, and that a way of open duration has
+# of max_torque: the peak torque that costs one, and that a way of open duration has
+TORQUE_SHARE = 0.3
 LOCUS_TIME = 0.05  # s near the locus that costs one, where nothing else is asked for
 LOCUS_TIMES = 0.005, 5.0  # s, between which that lies
 SOFT_TYPE1 = 0.12  # distance to Type 1 that a plan keeps where it can
@@ -26,12 +27,20 @@ LEG_TIME = 2.0  # s of a leg between two crossings that costs one
 GOOD = 1.5  # cost below which no further guess is tried
 ITERATIONS = 200  # of one descent
 TOLERANCE = 1e-3  # on the gradient
-DESCENTS, GAIN = 3, 0.01  # from where the one before ended, at a kink of the cost as a rule, while each gains this share
+DESCENTS, GAIN = (
+    3,
+    0.01,
+    # from where the one before ended, at a kink of the cost as a rule, while each gains
+    # this share
+)
 GUESSES = 3  # in the plane
 HURRIED, HURRY = 2, 2.5  # of them that are tried with a velocity so many times larger
 SPACE = 4  # times as many for each dimension more: there are more ways
 IMPOSSIBLE = 1e12  # cost of a candidate without a finite one
-BENDS = "first_bends", "second_bends"  # the variables of a crossing that are closed where straight ways are tried
+BENDS = (
+    "first_bends",
+    "second_bends",
+)  # the variables of a crossing that are closed where straight ways are tried
 VISIT = 0.9  # cosine of the angle between the ways of two guesses that are taken as one
 
 Progress = Callable[[float, str], None]
@@ -42,7 +51,9 @@ def silent(fraction: float, stage: str) -> None:
 
 
 class Criterion(Enum):
-    """What holds at the crossing: t_s.w_d = 0 (Eq. 5), or w_d = 0 altogether (the paper's [10])."""
+    """What holds at the crossing: t_s.w_d = 0 (Eq. 5), or w_d = 0 altogether (the
+    paper's [10]).
+    """
 
     RECIPROCAL = "reciprocal"
     ZERO_WRENCH = "zero_wrench"
@@ -84,26 +95,45 @@ class Problem(NamedTuple):
         function = self.model.leg_cost if self.leg else self.model.crossing_cost
         found = function(self.limits.numbers, self.task.numbers, z.numbers)
         cost, gradient = float(found.cost[0]), found.gradient
-        return (cost, gradient) if np.isfinite(cost) and np.isfinite(gradient).all() else (IMPOSSIBLE, np.zeros(len(gradient)))
+        return (
+            (cost, gradient)
+            if np.isfinite(cost) and np.isfinite(gradient).all()
+            else (IMPOSSIBLE, np.zeros(len(gradient)))
+        )
 
     def halves(self, z: Record) -> Any:
-        """The halves of a candidate, first and second (n, ROWS), and their spans (2,), s."""
+        """The halves of a candidate, first and second (n, ROWS), and their spans (2,),
+        s.
+        """
         function = self.model.leg if self.leg else self.model.crossing
         return function(self.limits.numbers, self.task.numbers, z.numbers)
 
 
-def soft_limits(robot: AnyRobot, end_s: float, locus_time: float = LOCUS_TIME) -> Record:
+def soft_limits(
+    robot: AnyRobot, end_s: float, locus_time: float = LOCUS_TIME
+) -> Record:
     """What the search aims at, inside the robot's limits."""
     return planning_model(robot).layouts.limits.make(
-        torque=TORQUE_SHARE * robot.max_torque, near_time=locus_time, time=LEG_TIME,
-        joint_speed=robot.max_joint_speed, platform_speed=robot.max_platform_speed,
-        type1=max(SOFT_TYPE1, 1.2 * robot.min_type1_distance), end_s=end_s,
+        torque=TORQUE_SHARE * robot.max_torque,
+        near_time=locus_time,
+        time=LEG_TIME,
+        joint_speed=robot.max_joint_speed,
+        platform_speed=robot.max_platform_speed,
+        type1=max(SOFT_TYPE1, 1.2 * robot.min_type1_distance),
+        end_s=end_s,
     )
 
 
 def crossing_problem(
-    robot: AnyRobot, point: LocusPoint, sign: float, duration: float, criterion: Criterion, free: Sequence[str],
-    end_s: float = SOFT_END_S, towards: Array | None = None, locus_time: float = LOCUS_TIME,
+    robot: AnyRobot,
+    point: LocusPoint,
+    sign: float,
+    duration: float,
+    criterion: Criterion,
+    free: Sequence[str],
+    end_s: float = SOFT_END_S,
+    towards: Array | None = None,
+    locus_time: float = LOCUS_TIME,
 ) -> Problem:
     """A crossing near a locus point.
 
@@ -113,44 +143,78 @@ def crossing_problem(
         free: names of the variables that are open.
         end_s: |s| that the ends keep.
         towards: (n,) unit direction of the velocity at the crossing; open when None.
-        locus_time: s near the locus that costs as much as a peak torque of TORQUE_SHARE.
+        locus_time: s near the locus that costs as much as a peak torque of
+            TORQUE_SHARE.
 
     Raises:
         TrajectoryError: locus_time is out of its range.
     """
     least, most = LOCUS_TIMES
     if not least <= locus_time <= most:
-        raise TrajectoryError(f"locus_time = {locus_time} s; it must lie in {least} to {most} s")
+        raise TrajectoryError(
+            f"locus_time = {locus_time} s; it must lie in {least} to {most} s"
+        )
     model = planning_model(robot)
     directions = np.eye(model.n)
     if towards is not None:
         directions = np.column_stack([towards, np.zeros((model.n, model.n - 1))])
     family = 0 if point.family is None else point.family.value
     task = model.layouts.crossing_task.make(
-        duration=duration, length=model.length, sign=sign, family=family, branch=point.branch,
-        zero_wrench=criterion is Criterion.ZERO_WRENCH, directions=directions, point=point.x,
+        duration=duration,
+        length=model.length,
+        sign=sign,
+        family=family,
+        branch=point.branch,
+        zero_wrench=criterion is Criterion.ZERO_WRENCH,
+        directions=directions,
+        point=point.x,
     )
-    return Problem(model, False, soft_limits(robot, end_s, locus_time), task, model.layouts.crossing.indices(*free))
+    return Problem(
+        model,
+        False,
+        soft_limits(robot, end_s, locus_time),
+        task,
+        model.layouts.crossing.indices(*free),
+    )
 
 
-def leg_problem(robot: AnyRobot, left: Array, reached: Array, sign: float, duration: float) -> Problem:
-    """A leg on the side ``sign`` between two crossing states (n, 4), about ``duration`` s long."""
+def leg_problem(
+    robot: AnyRobot, left: Array, reached: Array, sign: float, duration: float
+) -> Problem:
+    """A leg on the side ``sign`` between two crossing states (n, 4), about ``duration``
+    s long.
+    """
     model = planning_model(robot)
-    task = model.layouts.leg_task.make(duration=duration, length=model.length, sign=sign, left=left, reached=reached)
-    return Problem(model, True, soft_limits(robot, SOFT_END_S), task, np.arange(model.layouts.leg.size))
+    task = model.layouts.leg_task.make(
+        duration=duration, length=model.length, sign=sign, left=left, reached=reached
+    )
+    return Problem(
+        model,
+        True,
+        soft_limits(robot, SOFT_END_S),
+        task,
+        np.arange(model.layouts.leg.size),
+    )
 
 
 def trajectory_of(problem: Problem, z: Record) -> Trajectory:
     """A candidate as a trajectory from time 0."""
     pair = problem.halves(z)
     first, second = np.abs(pair.spans)
-    origins = np.array([0.0, first + second]) if problem.leg else np.array([first, first])
-    pieces = [coefficients_over(*half) for half in zip((pair.first, pair.second), pair.spans, strict=True)]
+    origins = (
+        np.array([0.0, first + second]) if problem.leg else np.array([first, first])
+    )
+    pieces = [
+        coefficients_over(*half)
+        for half in zip((pair.first, pair.second), pair.spans, strict=True)
+    ]
     return Trajectory(np.array([0.0, first, first + second]), origins, np.stack(pieces))
 
 
 def coefficients_over(half: Array, span: float) -> Array:
-    """(ROWS, n) by rising power of time, of a half (n, ROWS) by powers of the share of its span, s."""
+    """(ROWS, n) by rising power of time, of a half (n, ROWS) by powers of the share of
+    its span, s.
+    """
     return np.asarray(half.T / float(span) ** np.arange(half.shape[1])[:, None])
 
 
@@ -168,7 +232,9 @@ def descend(problem: Problem, guess: Record) -> tuple[float, Record]:
 
     options = {"maxiter": ITERATIONS, "gtol": TOLERANCE}
     for _ in range(DESCENTS):
-        found = minimize(value, z.numbers[problem.free], jac=True, method="BFGS", options=options)
+        found = minimize(
+            value, z.numbers[problem.free], jac=True, method="BFGS", options=options
+        )
         z.numbers[problem.free] = found.x
         gained, cost = found.fun < (1.0 - GAIN) * cost, float(found.fun)
         if not gained:
@@ -176,19 +242,39 @@ def descend(problem: Problem, guess: Record) -> tuple[float, Record]:
     return cost, z
 
 
-def guesses_through(problem: Problem, point: LocusPoint, towards: Array | None = None) -> list[Record]:
-    """Guesses with rests straight ahead of the point on both sides, as much in line as can be."""
-    model, x, length, sign = problem.model, point.x, problem.task.length, problem.task.sign
+def guesses_through(
+    problem: Problem, point: LocusPoint, towards: Array | None = None
+) -> list[Record]:
+    """Guesses with rests straight ahead of the point on both sides, as much in line as
+    can be.
+    """
+    model, x, length, sign = (
+        problem.model,
+        point.x,
+        problem.task.length,
+        problem.task.sign,
+    )
     rests = rests_around(model, x[None], problem.limits.type1, REST_S)[0]
     n, side = model.n, rests[:, -2] * sign
     first, last = rests[side < 0.0], rests[side > 0.0]
     if len(first) == 0 or len(last) == 0:
         return []
     starts, goals = first[:, :n], last[:, :n]
-    far_before, far_after = np.linalg.norm(x - starts, axis=1), np.linalg.norm(goals - x, axis=1)
+    far_before, far_after = (
+        np.linalg.norm(x - starts, axis=1),
+        np.linalg.norm(goals - x, axis=1),
+    )
     before, after = (x - starts) / far_before[:, None], (goals - x) / far_after[:, None]
-    total, clearance = far_before[:, None] + far_after, np.minimum(first[:, None, -1], last[:, -1])
-    score = 1.0 - before @ after.T + np.abs(total / (0.7 * length) - 1.0) + 0.5 * np.maximum(0.0, 1.0 - clearance / 0.3)
+    total, clearance = (
+        far_before[:, None] + far_after,
+        np.minimum(first[:, None, -1], last[:, -1]),
+    )
+    score = (
+        1.0
+        - before @ after.T
+        + np.abs(total / (0.7 * length) - 1.0)
+        + 0.5 * np.maximum(0.0, 1.0 - clearance / 0.3)
+    )
     if towards is not None:
         score = score - 2.0 * (after @ towards) - 2.0 * (before @ towards)[:, None]
     chosen: list[Array] = []
@@ -201,11 +287,17 @@ def guesses_through(problem: Problem, point: LocusPoint, towards: Array | None =
         if any(direction @ other > VISIT for other in chosen):
             continue
         chosen.append(direction)
-        found.append(problem.variables.make(
-            start=starts[row] / length, goal=goals[column] / length, place=point.angle,
-            split=np.clip(far_before[row] / total[row, column], 0.35, 0.65),
-            velocity=2.0 * (way if towards is None else distance * np.eye(n)[0]) / length,
-        ))
+        found.append(
+            problem.variables.make(
+                start=starts[row] / length,
+                goal=goals[column] / length,
+                place=point.angle,
+                split=np.clip(far_before[row] / total[row, column], 0.35, 0.65),
+                velocity=2.0
+                * (way if towards is None else distance * np.eye(n)[0])
+                / length,
+            )
+        )
         if len(found) == GUESSES * SPACE ** (n - 2):
             break
     hurried = [guess.copy() for guess in found[: HURRIED * SPACE ** (n - 2)]]

@@ -1,8 +1,10 @@
-"""Trajectories of the end effector: piecewise polynomials, and the form in which they travel.
+"""Trajectories of the end effector: piecewise polynomials, and the form in which they
+travel.
 
-A planned trajectory is exact between its knots. On the ``trajectory`` topic it travels as samples
-(position, velocity, acceleration); quintic Hermite interpolation gives it back, and because each
-crossing instant is itself a sample, the criterion holds there to machine precision.
+A planned trajectory is exact between its knots. On the ``trajectory`` topic it travels
+as samples (position, velocity, acceleration); quintic Hermite interpolation gives it
+back, and because each crossing instant is itself a sample, the criterion holds there to
+machine precision.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ import numpy as np
 from dextar_control.contract.errors import TrajectoryError
 from dextar_control.symbols.types import Array
 
-AT_ONCE = 512  # instants of a table: what keeps the interpreter for less than a control period
+# instants of a table: what keeps the interpreter for less than a control period
+AT_ONCE = 512
 
 
 def in_words(x: Array) -> str:
@@ -25,7 +28,9 @@ def in_words(x: Array) -> str:
 
 def lengths_along(places: Array) -> Array:
     """The length (m,) of a way up to each of its places (m, n), m."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
+    return np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))]
+    )
 
 
 class Point(NamedTuple):
@@ -37,7 +42,8 @@ class Point(NamedTuple):
 
 
 class Trajectory:
-    """A piecewise polynomial of the end effector over [0, duration]; its numbers are not to be changed.
+    """A piecewise polynomial of the end effector over [0, duration]; its numbers are
+    not to be changed.
 
     Args:
         knots: (m + 1,) rising times of the segment ends, s, from 0.
@@ -51,11 +57,17 @@ class Trajectory:
         self.coefficients = np.ascontiguousarray(coefficients, dtype=np.float64)
         _, rows, n = self.coefficients.shape
         self._begins, self._origins = self.knots[:-1].tolist(), self.origins.tolist()
-        self._powers, self._n, self._end = np.arange(rows, dtype=np.float64), n, float(self.knots[-1])
+        self._powers, self._n, self._end = (
+            np.arange(rows, dtype=np.float64),
+            n,
+            float(self.knots[-1]),
+        )
         first, second = np.zeros((2, *self.coefficients.shape))
         first[:, :-1] = self.coefficients[:, 1:] * self._powers[1:, None]
         second[:, :-1] = first[:, 1:] * self._powers[1:, None]
-        self._rows = np.concatenate([self.coefficients, first, second], axis=2)  # (m, k, 3n): x, x_dot and x_ddot at once
+        self._rows = np.concatenate(
+            [self.coefficients, first, second], axis=2
+        )  # (m, k, 3n): x, x_dot and x_ddot at once
 
     @property
     def duration(self) -> float:
@@ -76,22 +88,34 @@ class Trajectory:
         found = np.empty((len(held), 3 * self._n))
         for begin in range(0, len(held), AT_ONCE):
             part = slice(begin, begin + AT_ONCE)
-            rows = np.maximum(np.searchsorted(self.knots[:-1], held[part], side="right") - 1, 0)
+            rows = np.maximum(
+                np.searchsorted(self.knots[:-1], held[part], side="right") - 1, 0
+            )
             powers = (held[part] - self.origins[rows])[:, None] ** self._powers
             found[part] = (powers[:, None, :] @ self._rows[rows])[:, 0]
         x, x_dot, x_ddot = np.split(found, 3, axis=1)
         return x, x_dot, x_ddot
 
     def scaled(self, factor: float) -> Trajectory:
-        """The same path, ``factor`` times as long; keeps the criterion without gravity."""
+        """The same path, ``factor`` times as long; keeps the criterion without
+        gravity.
+        """
         powers = factor ** -np.arange(self.coefficients.shape[1])
-        return Trajectory(self.knots * factor, self.origins * factor, self.coefficients * powers[None, :, None])
+        return Trajectory(
+            self.knots * factor,
+            self.origins * factor,
+            self.coefficients * powers[None, :, None],
+        )
 
     def reversed(self) -> Trajectory:
-        """The time reversal; keeps the criterion, since w_d is quadratic in velocity."""
+        """The time reversal; keeps the criterion, since w_d is quadratic in
+        velocity.
+        """
         signs = (-1.0) ** np.arange(self.coefficients.shape[1])
         turned = (self.coefficients * signs[None, :, None])[::-1]
-        return Trajectory(self.duration - self.knots[::-1], self.duration - self.origins[::-1], turned)
+        return Trajectory(
+            self.duration - self.knots[::-1], self.duration - self.origins[::-1], turned
+        )
 
 
 def hold(x: Array, duration: float) -> Trajectory:
@@ -107,9 +131,16 @@ def join(parts: list[Trajectory]) -> Trajectory:
     for part in parts:
         knots.append(part.knots[1:] + start)
         origins.append(part.origins + start)
-        coefficients.append(np.pad(part.coefficients, ((0, 0), (0, width - part.coefficients.shape[1]), (0, 0))))
+        coefficients.append(
+            np.pad(
+                part.coefficients,
+                ((0, 0), (0, width - part.coefficients.shape[1]), (0, 0)),
+            )
+        )
         start += part.duration
-    return Trajectory(np.concatenate(knots), np.concatenate(origins), np.concatenate(coefficients))
+    return Trajectory(
+        np.concatenate(knots), np.concatenate(origins), np.concatenate(coefficients)
+    )
 
 
 def quintic(times: Array, x: Array, x_dot: Array, x_ddot: Array) -> Trajectory:
@@ -120,23 +151,45 @@ def quintic(times: Array, x: Array, x_dot: Array, x_ddot: Array) -> Trajectory:
         x, x_dot, x_ddot: (m, n), m, m/s, m/s^2.
 
     Raises:
-        TrajectoryError: fewer than two samples, times not rising from zero, a number not finite.
+        TrajectoryError: fewer than two samples, times not rising from zero, a number
+            not finite.
     """
-    times, x, x_dot, x_ddot = (np.asarray(part, dtype=np.float64) for part in (times, x, x_dot, x_ddot))
+    times, x, x_dot, x_ddot = (
+        np.asarray(part, dtype=np.float64) for part in (times, x, x_dot, x_ddot)
+    )
     if len(times) < 2:
-        raise TrajectoryError(f"the trajectory has {len(times)} points; at least 2 are needed")
-    for name, part in (("times", times), ("positions", x), ("velocities", x_dot), ("accelerations", x_ddot)):
+        raise TrajectoryError(
+            f"the trajectory has {len(times)} points; at least 2 are needed"
+        )
+    for name, part in (
+        ("times", times),
+        ("positions", x),
+        ("velocities", x_dot),
+        ("accelerations", x_ddot),
+    ):
         if not np.isfinite(part).all():
             row = int(np.argmax(~np.isfinite(part.reshape(len(times), -1)).all(axis=1)))
-            raise TrajectoryError(f"trajectory {name} at point {row} are not finite: {part[row]}")
+            raise TrajectoryError(
+                f"trajectory {name} at point {row} are not finite: {part[row]}"
+            )
     steps = np.diff(times)
     if times[0] != 0.0 or (steps <= 0.0).any():
         row = int(np.argmax(steps <= 0.0)) + 1 if times[0] == 0.0 else 0
-        raise TrajectoryError(f"time_from_start at point {row} is {times[row]:.6f} s; times must rise from 0")
+        raise TrajectoryError(
+            f"time_from_start at point {row} is {times[row]:.6f} s; times must rise"
+            " from 0"
+        )
     h = steps[:, None]
     dx = x[1:] - x[:-1] - h * x_dot[:-1] - 0.5 * h**2 * x_ddot[:-1]
     dv = (x_dot[1:] - x_dot[:-1] - h * x_ddot[:-1]) * h
     da = (x_ddot[1:] - x_ddot[:-1]) * h**2
-    cubic, quartic = (10.0 * dx - 4.0 * dv + 0.5 * da) / h**3, (-15.0 * dx + 7.0 * dv - da) / h**4
+    cubic, quartic = (
+        (10.0 * dx - 4.0 * dv + 0.5 * da) / h**3,
+        (-15.0 * dx + 7.0 * dv - da) / h**4,
+    )
     highest = cubic, quartic, (6.0 * dx - 3.0 * dv + 0.5 * da) / h**5
-    return Trajectory(times, times[:-1], np.stack([x[:-1], x_dot[:-1], 0.5 * x_ddot[:-1], *highest], axis=1))
+    return Trajectory(
+        times,
+        times[:-1],
+        np.stack([x[:-1], x_dot[:-1], 0.5 * x_ddot[:-1], *highest], axis=1),
+    )

@@ -1,7 +1,9 @@
-"""The SROS2 policy: what each node may publish, read, offer and call, from the contract; everything else is denied.
+"""The SROS2 policy: what each node may publish, read, offer and call, from the
+contract; everything else is denied.
 
-``python -m dextar_control.security.policy`` prints the file that ``config/sros2/policy.xml`` is, with ``--namespace /left``
-the one for a robot whose nodes live there.
+``python -m dextar_control.security.policy`` prints the file that
+``config/sros2/policy.xml`` is, with ``--namespace /left`` the one for a robot whose
+nodes live there.
 """
 
 from __future__ import annotations
@@ -33,14 +35,24 @@ POLICY_VERSION = "0.2.0"  # of the schema that sros2 checks policies against
 # What rclpy gives each node; a node that may not have these does not come up.
 EVERY_NODE_PUBLISHES = ("/parameter_events", "/rosout")
 PARAMETER_SERVICES = (
-    "describe_parameters", "get_parameter_types", "get_parameters", "list_parameters", "set_parameters",
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
     "set_parameters_atomically",
-)  # fmt: skip
+)
 EVERY_NODE_OFFERS = ("get_type_description", *PARAMETER_SERVICES)
 # What rclcpp's nodes and RViz read besides what they show.
 VIEWERS_READ = ("/clock", "/parameter_events", "/rosout", "/tf", "/tf_static")
-COMMAND_LINE = "_ros2cli_*"  # the nodes of `ros2 ...`, each with its process id in its name
-PARAMETERS_OF = ("controller", "plant", "trajectory_server")  # that the recorder asks for
+COMMAND_LINE = (  # the nodes of `ros2 ...`, each with its process id in its name
+    "_ros2cli_*"
+)
+PARAMETERS_OF = (
+    "controller",
+    "plant",
+    "trajectory_server",
+)  # that the recorder asks for
 NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+|/")
 
 
@@ -87,85 +99,162 @@ def _names(*topics: Topic) -> tuple[str, ...]:
 
 
 def _offered_by(node: str) -> tuple[str, ...]:
-    return tuple(service.name.partition("/")[2] for service in SERVICES if service.node == node)
+    return tuple(
+        service.name.partition("/")[2] for service in SERVICES if service.node == node
+    )
 
 
 def _profile(
-    node: str, *, publishes: tuple[str, ...] = (), reads: tuple[str, ...] = (), calls: tuple[str, ...] = ()
+    node: str,
+    *,
+    publishes: tuple[str, ...] = (),
+    reads: tuple[str, ...] = (),
+    calls: tuple[str, ...] = (),
 ) -> Profile:
-    """One of the package's nodes: what the contract says of it, and what is not in there."""
+    """One of the package's nodes: what the contract says of it, and what is not in
+    there.
+    """
     ends = NODES[node]
-    return Profile(node, (*_names(*ends.publishes), *publishes), (*_names(*ends.reads), *reads), _offered_by(node), calls)
+    return Profile(
+        node,
+        (*_names(*ends.publishes), *publishes),
+        (*_names(*ends.reads), *reads),
+        _offered_by(node),
+        calls,
+    )
 
 
 STATES = (JOINT_STATES,)
 COMMANDS = (JOINT_COMMANDS, EFFORT_COMMANDS)
 EVERY_SERVICE = (
     *(service.name for service in SERVICES),
-    *(f"{node}/{name}" for node in (*PARAMETERS_OF, "recorder", "markers", "panel") for name in PARAMETER_SERVICES),
+    *(
+        f"{node}/{name}"
+        for node in (*PARAMETERS_OF, "recorder", "markers", "panel")
+        for name in PARAMETER_SERVICES
+    ),
 )
 TRIPS = (
-    "controller/stop", "trajectory_server/start", "trajectory_server/stop", "trajectory_server/set_parameters_atomically",
-)  # fmt: skip
+    "controller/stop",
+    "trajectory_server/start",
+    "trajectory_server/stop",
+    "trajectory_server/set_parameters_atomically",
+)
 OBSERVES = _names(*TOPICS, READABLE_STATE, READABLE_CRITERION)
 
 ENCLAVES = (
-    Enclave("plant", "the simulated rig, the only one that knows the truth", (
-        _profile("plant"),
-    )),
-    Enclave("rig", "the driver of a real robot; its node is called rig", (
-        Profile("rig", _names(*STATES, DIAGNOSTICS), _names(*COMMANDS)),
-    )),
-    Enclave("camera", "a camera that sees the end effector; its node is called camera", (
-        Profile("camera", _names(EXTERNAL_POSE, DIAGNOSTICS)),
-    )),
-    Enclave("controller", "the only one that may command; check-rig commands in its stead, while it does not run", (
-        _profile("controller", publishes=("controller/transition_event", *_names(READABLE_STATE, READABLE_CRITERION))),
-        Profile("check_rig", _names(*COMMANDS), _names(*STATES, DIAGNOSTICS)),
-    )),
-    Enclave("trajectory_server", "tells the controller where to go", (
-        _profile("trajectory_server"),
-    )),
-    Enclave("recorder", "reads everything and asks for parameters", (
-        _profile("recorder", reads=EVERY_NODE_PUBLISHES, calls=tuple(
-            f"{node}/{name}" for node in PARAMETERS_OF for name in ("get_parameters", "list_parameters")
-        )),
-    )),
-    Enclave("markers", "draws what happens", (
-        _profile("markers"),
-    )),
-    Enclave("go_server", "offers the action go; it starts and stops trips, and may command no torque", (
-        Profile("go_server", (), (DIAGNOSTICS.name,), (), TRIPS, actions=(GO,)),
-    )),
-    Enclave("panel", "the page in the browser, which asks as an operator does", (
-        _profile("panel"), Profile("operator", (), (*OBSERVES, "/parameter_events"), (), EVERY_SERVICE),
-    )),
-    Enclave("operator", "whoever starts, stops and tunes the nodes: the demo, `dextar go` and its like, `ros2 ...`; it may"
-            " command no torque", (
-        *(Profile(node, (), OBSERVES, (), EVERY_SERVICE, asks=(GO,)) for node in ("demo", "operator", COMMAND_LINE)),
-    )),
-    Enclave("viewer", "RViz, PlotJuggler and the Foxglove bridge; they look on", tuple(
-        Profile(node, (), (*OBSERVES, *VIEWERS_READ)) for node in ("foxglove_bridge", "plotjuggler", "rviz", "rviz2")
-    )),
-)  # fmt: skip
+    Enclave(
+        "plant",
+        "the simulated rig, the only one that knows the truth",
+        (_profile("plant"),),
+    ),
+    Enclave(
+        "rig",
+        "the driver of a real robot; its node is called rig",
+        (Profile("rig", _names(*STATES, DIAGNOSTICS), _names(*COMMANDS)),),
+    ),
+    Enclave(
+        "camera",
+        "a camera that sees the end effector; its node is called camera",
+        (Profile("camera", _names(EXTERNAL_POSE, DIAGNOSTICS)),),
+    ),
+    Enclave(
+        "controller",
+        "the only one that may command; check-rig commands in its stead, while it does"
+        " not run",
+        (
+            _profile(
+                "controller",
+                publishes=(
+                    "controller/transition_event",
+                    *_names(READABLE_STATE, READABLE_CRITERION),
+                ),
+            ),
+            Profile("check_rig", _names(*COMMANDS), _names(*STATES, DIAGNOSTICS)),
+        ),
+    ),
+    Enclave(
+        "trajectory_server",
+        "tells the controller where to go",
+        (_profile("trajectory_server"),),
+    ),
+    Enclave(
+        "recorder",
+        "reads everything and asks for parameters",
+        (
+            _profile(
+                "recorder",
+                reads=EVERY_NODE_PUBLISHES,
+                calls=tuple(
+                    f"{node}/{name}"
+                    for node in PARAMETERS_OF
+                    for name in ("get_parameters", "list_parameters")
+                ),
+            ),
+        ),
+    ),
+    Enclave("markers", "draws what happens", (_profile("markers"),)),
+    Enclave(
+        "go_server",
+        "offers the action go; it starts and stops trips, and may command no torque",
+        (Profile("go_server", (), (DIAGNOSTICS.name,), (), TRIPS, actions=(GO,)),),
+    ),
+    Enclave(
+        "panel",
+        "the page in the browser, which asks as an operator does",
+        (
+            _profile("panel"),
+            Profile(
+                "operator", (), (*OBSERVES, "/parameter_events"), (), EVERY_SERVICE
+            ),
+        ),
+    ),
+    Enclave(
+        "operator",
+        "whoever starts, stops and tunes the nodes: the demo, `dextar go` and its like,"
+        " `ros2 ...`; it may command no torque",
+        (
+            *(
+                Profile(node, (), OBSERVES, (), EVERY_SERVICE, asks=(GO,))
+                for node in ("demo", "operator", COMMAND_LINE)
+            ),
+        ),
+    ),
+    Enclave(
+        "viewer",
+        "RViz, PlotJuggler and the Foxglove bridge; they look on",
+        tuple(
+            Profile(node, (), (*OBSERVES, *VIEWERS_READ))
+            for node in ("foxglove_bridge", "plotjuggler", "rviz", "rviz2")
+        ),
+    ),
+)
 
 
 def build_policy(namespace: str = "/") -> ElementTree.Element:
     """The policy as XML.
 
     Args:
-        namespace: of the nodes; enclaves lie in it too, so that two robots do not share keys.
+        namespace: of the nodes; enclaves lie in it too, so that two robots do not share
+            keys.
 
     Raises:
         ParameterError: the namespace is no absolute ROS name.
     """
     if not NAMESPACE.fullmatch(namespace):
-        raise ParameterError(f"namespace '{namespace}'; it must be absolute, of letters, digits and _, e.g. /left")
+        raise ParameterError(
+            f"namespace '{namespace}'; it must be absolute, of letters, digits and _,"
+            " e.g. /left"
+        )
     policy = ElementTree.Element("policy", version=POLICY_VERSION)
     enclaves = ElementTree.SubElement(policy, "enclaves")
     for enclave in ENCLAVES:
-        element = ElementTree.SubElement(enclaves, "enclave", path=enclave_path(enclave.name, namespace))
-        element.append(ElementTree.Comment(f" {enclave.why} "))  # within: sros2 takes every child of enclaves for one
+        element = ElementTree.SubElement(
+            enclaves, "enclave", path=enclave_path(enclave.name, namespace)
+        )
+        element.append(
+            ElementTree.Comment(f" {enclave.why} ")
+        )  # within: sros2 takes every child of enclaves for one
         profiles = ElementTree.SubElement(element, "profiles")
         for profile in enclave.profiles:
             _add_profile(profiles, profile, namespace)
@@ -177,8 +266,12 @@ def enclave_path(name: str, namespace: str = "/") -> str:
     return f"{namespace.rstrip('/')}/dextar/{name}"
 
 
-def _add_profile(profiles: ElementTree.Element, profile: Profile, namespace: str) -> None:
-    element = ElementTree.SubElement(profiles, "profile", ns=namespace, node=profile.node)
+def _add_profile(
+    profiles: ElementTree.Element, profile: Profile, namespace: str
+) -> None:
+    element = ElementTree.SubElement(
+        profiles, "profile", ns=namespace, node=profile.node
+    )
     own = tuple(f"~/{name}" for name in (*EVERY_NODE_OFFERS, *profile.offers))
     _add(element, "topic", "publish", (*EVERY_NODE_PUBLISHES, *profile.publishes))
     _add(element, "topic", "subscribe", profile.reads)
@@ -188,7 +281,9 @@ def _add_profile(profiles: ElementTree.Element, profile: Profile, namespace: str
     _add(element, "action", "call", profile.asks)
 
 
-def _add(profile: ElementTree.Element, kind: str, right: str, names: Iterable[str]) -> None:
+def _add(
+    profile: ElementTree.Element, kind: str, right: str, names: Iterable[str]
+) -> None:
     names = sorted(set(names))
     if names:
         group = ElementTree.SubElement(profile, f"{kind}s", {right: "ALLOW"})
@@ -200,13 +295,20 @@ def policy_text(namespace: str = "/") -> str:
     """The policy as a file's text."""
     policy = build_policy(namespace)
     ElementTree.indent(policy)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(policy, encoding="unicode")}\n'
+    return (
+        '<?xml version="1.0"'
+        f' encoding="UTF-8"?>\n{ElementTree.tostring(policy, encoding="unicode")}\n'
+    )
 
 
 def main() -> int:
     """Print the policy."""
-    parser = argparse.ArgumentParser(description="Print the SROS2 policy of this package's nodes.")
-    parser.add_argument("--namespace", default="/", help="of the nodes, e.g. /left (default: /)")
+    parser = argparse.ArgumentParser(
+        description="Print the SROS2 policy of this package's nodes."
+    )
+    parser.add_argument(
+        "--namespace", default="/", help="of the nodes, e.g. /left (default: /)"
+    )
     try:
         print(policy_text(parser.parse_args().namespace), end="")
     except ParameterError as error:

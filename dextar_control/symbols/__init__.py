@@ -1,1 +1,3 @@
-"""Symbols and fast functions of them, whatever they stand for: no mechanism and no paper here."""
+"""Symbols and fast functions of them, whatever they stand for: no mechanism and no
+paper here.
+"""

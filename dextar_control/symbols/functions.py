@@ -1,7 +1,9 @@
-"""From symbols to fast functions: compiled together once where there is a C compiler, interpreted otherwise.
+"""From symbols to fast functions: compiled together once where there is a C compiler,
+interpreted otherwise.
 
-CasADi writes all functions of a mechanism as one file of C; the system's compiler makes it a library, which is kept by the hash
-of that text, the compiler and the machine, so that nothing stale can be called. Where there is no compiler, or it fails or hangs,
+CasADi writes all functions of a mechanism as one file of C; the system's compiler makes
+it a library, which is kept by the hash of that text, the compiler and the machine, so
+that nothing stale can be called. Where there is no compiler, or it fails or hangs,
 CasADi's own virtual machine serves, some two to three times slower, and says so once.
 """
 
@@ -27,7 +29,11 @@ import numpy as np
 from dextar_control.contract import caches, signals
 from dextar_control.symbols.types import Array, Symbol
 
-FLAGS = ("-fPIC", "-shared", "-ffp-contract=off")  # no fused operations: the same numbers on every machine of a kind
+FLAGS = (
+    "-fPIC",
+    "-shared",
+    "-ffp-contract=off",
+)  # no fused operations: the same numbers on every machine of a kind
 BLOCK = 64  # states of a batch that one call takes
 COMPILE_TIMEOUT = 60.0  # s
 KEPT = 60  # libraries: some ten for each version of the equations
@@ -39,19 +45,24 @@ COMPILER_VARIABLE = "DEXTAR_CC"
 
 
 class Fast:
-    """One function with places of its own for arguments and results: not for two threads at once.
+    """One function with places of its own for arguments and results: not for two
+    threads at once.
 
     Args:
         function: with names, dense arguments and dense results.
-        shared: arrays that serve as places of arguments or results of these names: of one function's result and another's
-            argument, or of a record. The caller keeps them.
+        shared: arrays that serve as places of arguments or results of these names: of
+            one function's result and another's argument, or of a record. The caller
+            keeps them.
 
     Attributes:
-        arguments: by name, arrays that ``run`` reads, (size,); a matrix column by column.
+        arguments: by name, arrays that ``run`` reads, (size,); a matrix column by
+            column.
         results: by name, arrays that ``run`` fills, (size,) or (rows, columns).
     """
 
-    def __init__(self, function: ca.Function, shared: Mapping[str, Array] | None = None) -> None:
+    def __init__(
+        self, function: ca.Function, shared: Mapping[str, Array] | None = None
+    ) -> None:
         given = dict(shared or {})
         self.arguments = SimpleNamespace()
         self._buffer: Any
@@ -66,13 +77,19 @@ class Fast:
         for i, name in enumerate(function.name_out()):
             place = _place(name, function.sparsity_out(i), given)
             self._buffer.set_res(i, memoryview(place))
-            results.append(place.reshape(function.size_out(i), order="F") if function.size2_out(i) > 1 else place)
+            results.append(
+                place.reshape(function.size_out(i), order="F")
+                if function.size2_out(i) > 1
+                else place
+            )
         self._record = _record(function.name(), tuple(function.name_out()))
         self.results = self._record(*results)
 
     def views(self) -> SimpleNamespace:
         """The arguments as memoryviews: numbers go into them in half the time."""
-        return SimpleNamespace(**{name: memoryview(place) for name, place in vars(self.arguments).items()})
+        return SimpleNamespace(
+            **{name: memoryview(place) for name, place in vars(self.arguments).items()}
+        )
 
     def __call__(self, *arguments: Any) -> Any:
         """The results as a record of new arrays."""
@@ -92,8 +109,12 @@ class Batch:
     def __init__(self, function: ca.Function) -> None:
         buffer: Any
         buffer, self._run = function.map(BLOCK).buffer()
-        self._places: list[Any] = [np.zeros((BLOCK, function.numel_in(i))) for i in range(function.n_in())]
-        self._results: list[Any] = [np.zeros((BLOCK, function.numel_out(i))) for i in range(function.n_out())]
+        self._places: list[Any] = [
+            np.zeros((BLOCK, function.numel_in(i))) for i in range(function.n_in())
+        ]
+        self._results: list[Any] = [
+            np.zeros((BLOCK, function.numel_out(i))) for i in range(function.n_out())
+        ]
         for i, place in enumerate(self._places):
             buffer.set_arg(i, memoryview(place.reshape(-1)))
         for i, place in enumerate(self._results):
@@ -103,9 +124,15 @@ class Batch:
         self._record = _record(function.name(), tuple(function.name_out()))
 
     def __call__(self, *arguments: Any) -> Any:
-        """A record of (m, size) or (m, rows, columns), of arguments (m, size), or (size,) for all states."""
+        """A record of (m, size) or (m, rows, columns), of arguments (m, size), or
+        (size,) for all states.
+        """
         given = [np.asarray(argument, dtype=np.float64) for argument in arguments]
-        many = [(place, argument) for place, argument in zip(self._places, given, strict=True) if argument.ndim == 2]
+        many = [
+            (place, argument)
+            for place, argument in zip(self._places, given, strict=True)
+            if argument.ndim == 2
+        ]
         for place, argument in zip(self._places, given, strict=True):
             if argument.ndim < 2:
                 place[:] = argument
@@ -118,7 +145,12 @@ class Batch:
             self._run()
             for table, result in zip(tables, self._results, strict=True):
                 table[begin : begin + rows] = result[:rows]
-        return self._record(*(_matrices(table, shape) for table, shape in zip(tables, self._shapes, strict=True)))
+        return self._record(
+            *(
+                _matrices(table, shape)
+                for table, shape in zip(tables, self._shapes, strict=True)
+            )
+        )
 
 
 class Library:
@@ -127,16 +159,25 @@ class Library:
     Args:
         functions: on symbols, with names of their own.
         folder: where compiled libraries are kept; None keeps none and interprets.
-        level: of the compiler's optimisation: 1 takes half as long as 2 and makes long functions one tenth slower.
+        level: of the compiler's optimisation: 1 takes half as long as 2 and makes long
+            functions one tenth slower.
 
     Attributes:
         compiled: whether they are.
         symbolic: by name, as they were given.
     """
 
-    def __init__(self, functions: Sequence[ca.Function], folder: Path | None, level: int = 2) -> None:
-        self.symbolic: Mapping[str, ca.Function] = {function.name(): function for function in functions}
-        loaded = _compiled(self.symbolic, folder, (f"-O{level}", *FLAGS)) if folder is not None else None
+    def __init__(
+        self, functions: Sequence[ca.Function], folder: Path | None, level: int = 2
+    ) -> None:
+        self.symbolic: Mapping[str, ca.Function] = {
+            function.name(): function for function in functions
+        }
+        loaded = (
+            _compiled(self.symbolic, folder, (f"-O{level}", *FLAGS))
+            if folder is not None
+            else None
+        )
         self.compiled = loaded is not None
         self._functions = self.symbolic if loaded is None else loaded
 
@@ -149,16 +190,36 @@ class Library:
         return Batch(self._functions[name])
 
 
-def named(name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Any]) -> ca.Function:
+def named(
+    name: str, arguments: Mapping[str, Symbol], results: Mapping[str, Any]
+) -> ca.Function:
     """A function on symbols with dense results, its common parts computed once."""
     dense = [ca.densify(result) for result in results.values()]
-    return ca.Function(name, list(arguments.values()), dense, list(arguments), list(results), {"cse": True})
+    return ca.Function(
+        name,
+        list(arguments.values()),
+        dense,
+        list(arguments),
+        list(results),
+        {"cse": True},
+    )
 
 
 def in_place(function: ca.Function) -> ca.Function:
-    """The same function, whose results may take the places of its arguments: it reads all of these first."""
-    given = [ca.MX.sym(name, function.size1_in(i)) for i, name in enumerate(function.name_in())]
-    return ca.Function(function.name(), given, function.call(given, False, True), function.name_in(), function.name_out())
+    """The same function, whose results may take the places of its arguments: it reads
+    all of these first.
+    """
+    given = [
+        ca.MX.sym(name, function.size1_in(i))
+        for i, name in enumerate(function.name_in())
+    ]
+    return ca.Function(
+        function.name(),
+        given,
+        function.call(given, False, True),
+        function.name_in(),
+        function.name_out(),
+    )
 
 
 @lru_cache
@@ -167,9 +228,13 @@ def _record(name: str, results: tuple[str, ...]) -> Any:
 
 
 def _matrices(table: Array, shape: tuple[int, int]) -> Array:
-    """(m, rows) or (m, rows, columns) of a table whose rows hold matrices column by column."""
+    """(m, rows) or (m, rows, columns) of a table whose rows hold matrices column by
+    column.
+    """
     rows, columns = shape
-    return table if columns == 1 else table.reshape(-1, columns, rows).transpose(0, 2, 1)
+    return (
+        table if columns == 1 else table.reshape(-1, columns, rows).transpose(0, 2, 1)
+    )
 
 
 def _place(name: str, sparsity: ca.Sparsity, given: Mapping[str, Array]) -> Array:
@@ -177,15 +242,24 @@ def _place(name: str, sparsity: ca.Sparsity, given: Mapping[str, Array]) -> Arra
     place = given.get(name)
     if place is None:
         return np.zeros(sparsity.numel())
-    assert place.dtype == np.float64 and place.flags.c_contiguous and place.shape == (sparsity.numel(),), name
+    assert (
+        place.dtype == np.float64
+        and place.flags.c_contiguous
+        and place.shape == (sparsity.numel(),)
+    ), name
     return place
 
 
 def cache_folder() -> Path | None:
-    """Where compiled functions are kept; None where nothing can be written, which is told."""
+    """Where compiled functions are kept; None where nothing can be written, which is
+    told.
+    """
     folder = caches.cache_folder("functions")
     if folder is None:
-        _tell("no folder can be written where they could be kept compiled; set XDG_CACHE_HOME to one")
+        _tell(
+            "no folder can be written where they could be kept compiled; set"
+            " XDG_CACHE_HOME to one"
+        )
     return folder
 
 
@@ -197,15 +271,23 @@ def compiler() -> str | None:
     return shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
 
-def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequence[str]) -> Mapping[str, ca.Function] | None:
-    """The functions from a library, compiled unless it is there already; None where that cannot be done, which is told."""
+def _compiled(
+    functions: Mapping[str, ca.Function], folder: Path, flags: Sequence[str]
+) -> Mapping[str, ca.Function] | None:
+    """The functions from a library, compiled unless it is there already; None where
+    that cannot be done, which is told.
+    """
     command = compiler()
     if command is None:
         named = os.environ.get(COMPILER_VARIABLE)
         _tell(
-            "no C compiler (cc) was found; install one, such as gcc" if named is None
-            else f"{COMPILER_VARIABLE} is empty" if not named
-            else f"there is no C compiler {named}, which {COMPILER_VARIABLE} names"
+            "no C compiler (cc) was found; install one, such as gcc"
+            if named is None
+            else (
+                f"{COMPILER_VARIABLE} is empty"
+                if not named
+                else f"there is no C compiler {named}, which {COMPILER_VARIABLE} names"
+            )
         )
         return None
     if command in _given_up:
@@ -214,7 +296,9 @@ def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequenc
     for function in functions.values():
         generator.add(function)
     text = generator.dump()
-    made_of = "\0".join([text, *flags, command, platform.machine(), ca.CasadiMeta.version()])
+    made_of = "\0".join(
+        [text, *flags, command, platform.machine(), ca.CasadiMeta.version()]
+    )
     library = folder / f"model-{hashlib.sha256(made_of.encode()).hexdigest()[:32]}.so"
     if (known := _loaded(functions, library)) is not None:
         return known
@@ -222,18 +306,29 @@ def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequenc
         with tempfile.TemporaryDirectory(prefix=".model-", dir=folder) as working:
             source, target = Path(working) / "model.c", Path(working) / "model.so"
             source.write_text(text, encoding="utf-8")
-            subprocess.run([command, *flags, "-o", str(target), str(source), "-lm"], check=True, capture_output=True,
-                           stdin=subprocess.DEVNULL, timeout=COMPILE_TIMEOUT)
+            subprocess.run(
+                [command, *flags, "-o", str(target), str(source), "-lm"],
+                check=True,
+                capture_output=True,
+                stdin=subprocess.DEVNULL,
+                timeout=COMPILE_TIMEOUT,
+            )
             with target.open("r+b") as stream:
                 stream.write(_seal(stream.read()))
-            os.replace(target, library)  # whole or not at all, whoever else compiles the same
+            os.replace(
+                target, library
+            )  # whole or not at all, whoever else compiles the same
         _prune(folder)
     except subprocess.TimeoutExpired:
         _given_up.add(command)
         _tell(f"the C compiler {command} took more than {COMPILE_TIMEOUT:g} s")
     except subprocess.CalledProcessError as error:
-        lines = error.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
-        if -error.returncode not in signals.ENDING:  # whoever asked it to end asks this process too
+        lines = error.stderr.decode(errors="replace").strip().splitlines() or [
+            "no message"
+        ]
+        if (
+            -error.returncode not in signals.ENDING
+        ):  # whoever asked it to end asks this process too
             _tell(f"the C compiler {command} failed: {lines[0]}")
     except OSError as error:
         _tell(f"{folder} cannot be written: {error.strerror or error}")
@@ -244,7 +339,9 @@ def _compiled(functions: Mapping[str, ca.Function], folder: Path, flags: Sequenc
     return None
 
 
-def _loaded(functions: Mapping[str, ca.Function], library: Path) -> Mapping[str, ca.Function] | None:
+def _loaded(
+    functions: Mapping[str, ca.Function], library: Path
+) -> Mapping[str, ca.Function] | None:
     """The functions of a compiled library; None where it is none."""
     try:
         content = library.read_bytes()
@@ -261,7 +358,9 @@ def _loaded(functions: Mapping[str, ca.Function], library: Path) -> Mapping[str,
 
 
 def _seal(content: bytes) -> bytes:
-    """What stands behind a whole library: a cut one would end the process that calls into it."""
+    """What stands behind a whole library: a cut one would end the process that calls
+    into it.
+    """
     return hashlib.sha256(content).digest()
 
 
@@ -274,7 +373,10 @@ def _prune(folder: Path) -> None:
 
 def _tell(why: str) -> None:
     """Once in a process."""
-    text = f"dextar: the model's equations are interpreted, two to three times slower: {why}"
+    text = (
+        "dextar: the model's equations are interpreted, two to three times slower:"
+        f" {why}"
+    )
     if text not in _told:
         _told.add(text)
         print(text, file=sys.stderr)

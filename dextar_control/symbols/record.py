@@ -1,7 +1,8 @@
 """Numbers by name: a record's fields on symbols and in an array, laid out once.
 
-A fast function takes and gives whole records, one contiguous vector each. Both sides of it address the numbers by the same names:
-``Layout.symbols`` where the function is written, ``Record`` where it is called. No index is written anywhere else.
+A fast function takes and gives whole records, one contiguous vector each. Both sides of
+it address the numbers by the same names: ``Layout.symbols`` where the function is
+written, ``Record`` where it is called. No index is written anywhere else.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ class Field(NamedTuple):
         name: by which it is addressed.
         unit: SI; of a platform coordinate m, of a joint that joint's.
         meaning: in a few words.
-        rows, columns: of its shape; "n" stands for the degrees of freedom, "3n" for three times as many.
+        rows, columns: of its shape; "n" stands for the degrees of freedom, "3n" for
+            three times as many.
     """
 
     name: str
@@ -34,7 +36,8 @@ class Field(NamedTuple):
 
 
 class Record:
-    """The numbers of one record; fields are attributes, views into ``numbers``: (size,), (rows, columns), or a float.
+    """The numbers of one record; fields are attributes, views into ``numbers``:
+    (size,), (rows, columns), or a float.
 
     Each layout has its class of them.
 
@@ -68,23 +71,29 @@ class Record:
 
 def _property(field: Field, place: Any, shape: tuple[int, ...] | None) -> property:
     if shape is None:
+
         def read(self: Record) -> Any:
             return self._view[place]
 
         def write(self: Record, value: Any) -> None:
             self._view[place] = value
+
     elif len(shape) == 1:
+
         def read(self: Record) -> Any:
             return self.numbers[place]
 
         def write(self: Record, value: Any) -> None:
             self.numbers[place] = value
+
     else:
+
         def read(self: Record) -> Any:
             return self.numbers[place].reshape(shape, order="F")
 
         def write(self: Record, value: Any) -> None:
             self.numbers[place] = np.ravel(value, order="F")
+
     return property(read, write, doc=f"{field.meaning}, {field.unit}.")
 
 
@@ -98,7 +107,8 @@ class Layout:
 
     Attributes:
         size: of all fields.
-        places: per field, its index (of a scalar) or slice, and its shape (None for a scalar).
+        places: per field, its index (of a scalar) or slice, and its shape (None for a
+            scalar).
     """
 
     def __init__(self, name: str, n: int, fields: tuple[Field, ...]) -> None:
@@ -115,8 +125,14 @@ class Layout:
                 self.places[field.name] = slice(start, start + size), shape
             start += size
         self.size = start
-        members = {field.name: _property(field, *self.places[field.name]) for field in fields}
-        self._class: Any = type(name.title().replace("_", ""), (Record,), {"__slots__": (), "layout": self, **members})
+        members = {
+            field.name: _property(field, *self.places[field.name]) for field in fields
+        }
+        self._class: Any = type(
+            name.title().replace("_", ""),
+            (Record,),
+            {"__slots__": (), "layout": self, **members},
+        )
 
     def _count(self, size: int | str) -> int:
         return size if isinstance(size, int) else int(size[:-1] or "1") * self.n
@@ -134,8 +150,19 @@ class Layout:
         return record
 
     def rows(self, **columns: Any) -> Array:
-        """(m, size) of many records: each field (m,), or (m, its size), a matrix column by column; or one number for all."""
-        table = np.empty((max(np.shape(column)[0] for column in columns.values() if np.ndim(column)), self.size))
+        """(m, size) of many records: each field (m,), or (m, its size), a matrix column
+        by column; or one number for all.
+        """
+        table = np.empty(
+            (
+                max(
+                    np.shape(column)[0]
+                    for column in columns.values()
+                    if np.ndim(column)
+                ),
+                self.size,
+            )
+        )
         for name, column in columns.items():
             table[:, self.places[name][0]] = column
         return table
@@ -143,7 +170,11 @@ class Layout:
     def indices(self, *names: str) -> NDArray[np.int64]:
         """Where the numbers of these fields lie in the vector, rising."""
         every = np.arange(self.size)
-        return np.sort(np.concatenate([np.atleast_1d(every[self.places[name][0]]) for name in names]))
+        return np.sort(
+            np.concatenate(
+                [np.atleast_1d(every[self.places[name][0]]) for name in names]
+            )
+        )
 
     def symbols(self, name: str = "") -> tuple[Symbol, dict[str, Symbol]]:
         """(a vector of symbols, its fields by name)."""
@@ -155,9 +186,13 @@ class Layout:
         parts = {}
         for name, (place, shape) in self.places.items():
             part = vector[place]
-            parts[name] = part if shape is None or len(shape) == 1 else ca.reshape(part, *shape)
+            parts[name] = (
+                part if shape is None or len(shape) == 1 else ca.reshape(part, *shape)
+            )
         return parts
 
     def join(self, fields: Mapping[str, Symbol | float]) -> Symbol:
         """One vector on symbols of all fields."""
-        return ca.vertcat(*(ca.vec(ca.densify(ca.SX(fields[field.name]))) for field in self.fields))
+        return ca.vertcat(
+            *(ca.vec(ca.densify(ca.SX(fields[field.name]))) for field in self.fields)
+        )

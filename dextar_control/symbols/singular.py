@@ -1,10 +1,12 @@
-"""Singular vectors of a matrix that may lose one rank in each of its blocks, on symbols: continuous through the singularity.
+"""Singular vectors of a matrix that may lose one rank in each of its blocks, on
+symbols: continuous through the singularity.
 
-A = sum of sigma_i u_i v_i^T. The strong pairs come from A itself; the weak one is what is orthogonal to them, so that it exists
-on the locus too, and its singular value is signed: det(A) over the others. Nothing jumps or changes sign there.
+A = sum of sigma_i u_i v_i^T. The strong pairs come from A itself; the weak one is what
+is orthogonal to them, so that it exists on the locus too, and its singular value is
+signed: det(A) over the others. Nothing jumps or changes sign there.
 
-Rows and columns that no entry couples are blocks, k in number, mostly one: each has strong pairs and a weak one of its own, and A
-may lose k ranks at once.
+Rows and columns that no entry couples are blocks, k in number, mostly one: each has
+strong pairs and a weak one of its own, and A may lose k ranks at once.
 """
 
 from __future__ import annotations
@@ -19,7 +21,9 @@ SWEEPS = 5  # of Jacobi's rotations: they converge quadratically
 
 
 class Block(NamedTuple):
-    """Entries of a matrix that share no row and no column with an entry elsewhere that may differ from zero."""
+    """Entries of a matrix that share no row and no column with an entry elsewhere that
+    may differ from zero.
+    """
 
     rows: list[int]
     columns: list[int]
@@ -47,10 +51,15 @@ def blocks(A: Symbol) -> list[Block]:
     """The blocks of a square matrix by its sparsity, in the order of their columns."""
     n, pattern = A.shape[0], A.sparsity()
     empty = ca.Sparsity(n, n)
-    graph = ca.vertcat(ca.horzcat(empty, pattern), ca.horzcat(pattern.T, empty))  # of rows and columns, joined by an entry
+    graph = ca.vertcat(
+        ca.horzcat(empty, pattern), ca.horzcat(pattern.T, empty)
+    )  # of rows and columns, joined by an entry
     count, order, begins = graph.scc()
     parts = [sorted(order[begins[i] : begins[i + 1]]) for i in range(count)]
-    found = [Block([i for i in part if i < n], [i - n for i in part if i >= n]) for part in parts]
+    found = [
+        Block([i for i in part if i < n], [i - n for i in part if i >= n])
+        for part in parts
+    ]
     return sorted(found, key=lambda block: block.columns)
 
 
@@ -59,12 +68,17 @@ def nearest(s: Symbol, values: Symbol) -> Symbol:
     least, value = s[0], values[0]
     for i in range(1, s.shape[0]):
         nearer = ca.fabs(s[i]) < ca.fabs(least)
-        least, value = ca.if_else(nearer, s[i], least), ca.if_else(nearer, values[i], value)
+        least, value = (
+            ca.if_else(nearer, s[i], least),
+            ca.if_else(nearer, values[i], value),
+        )
     return value
 
 
 def singular_vectors(A: Symbol) -> SingularVectors:
-    """Of a square matrix (n, n); v_weak is oriented as the cofactors of its block's last row."""
+    """Of a square matrix (n, n); v_weak is oriented as the cofactors of its block's
+    last row.
+    """
     parts = blocks(A)
     if len(parts) == 1:
         return _of_block(A)
@@ -79,16 +93,27 @@ def singular_vectors(A: Symbol) -> SingularVectors:
             every.append(vectors)
         return ca.horzcat(*every)
 
-    strong, weak = (ca.vertcat(*(getattr(one, name) for one in found)) for name in ("sigma_strong", "sigma_weak"))
-    return SingularVectors(placed("u_strong", "rows"), strong, placed("v_strong", "columns"),
-                           placed("u_weak", "rows"), weak, placed("v_weak", "columns"))
+    strong, weak = (
+        ca.vertcat(*(getattr(one, name) for one in found))
+        for name in ("sigma_strong", "sigma_weak")
+    )
+    return SingularVectors(
+        placed("u_strong", "rows"),
+        strong,
+        placed("v_strong", "columns"),
+        placed("u_weak", "rows"),
+        weak,
+        placed("v_weak", "columns"),
+    )
 
 
 def _of_block(A: Symbol) -> SingularVectors:
     """Of a matrix that is one block."""
     n = A.shape[0]
     if n == 1:
-        return SingularVectors(ca.SX(1, 0), ca.SX(0, 1), ca.SX(1, 0), ca.SX(1.0), A, ca.SX(1.0))
+        return SingularVectors(
+            ca.SX(1, 0), ca.SX(0, 1), ca.SX(1, 0), ca.SX(1.0), A, ca.SX(1.0)
+        )
     v_strong = _strong_right(A)
     columns = A @ v_strong
     sigma_strong = ca.vertcat(*(ca.norm_2(columns[:, i]) for i in range(n - 1)))
@@ -105,7 +130,9 @@ def _of_block(A: Symbol) -> SingularVectors:
 
 
 def orthogonal(columns: Symbol) -> Symbol:
-    """Unit vector (n,) orthogonal to n - 1 orthogonal unit columns, so that all n are a rotation; the cross product for n = 3."""
+    """Unit vector (n,) orthogonal to n - 1 orthogonal unit columns, so that all n are a
+    rotation; the cross product for n = 3.
+    """
     n = columns.shape[0]
     cofactors = []
     for row in range(n):
@@ -133,11 +160,18 @@ def _strong_right(A: Symbol) -> Symbol:
                 rotation[i, i] = rotation[j, j] = ca.cos(angle)
                 rotation[i, j], rotation[j, i] = -ca.sin(angle), ca.sin(angle)
                 gram, V = rotation.T @ gram @ rotation, V @ rotation
-    # each rotation leaves the larger of its two diagonal entries first, so the weakest may stand last but for its order:
+    # each rotation leaves the larger of its two diagonal entries first, so the weakest
+    # may stand last but for its order:
     order = [(gram[i, i], V[:, i]) for i in range(n)]
     for place in range(n - 1):  # the smallest moves to the end
         (first, v_first), (second, v_second) = order[place], order[place + 1]
         smaller = first < second
-        order[place] = ca.if_else(smaller, second, first), ca.if_else(smaller, v_second, v_first)
-        order[place + 1] = ca.if_else(smaller, first, second), ca.if_else(smaller, v_first, v_second)
+        order[place] = (
+            ca.if_else(smaller, second, first),
+            ca.if_else(smaller, v_second, v_first),
+        )
+        order[place + 1] = (
+            ca.if_else(smaller, first, second),
+            ca.if_else(smaller, v_first, v_second),
+        )
     return ca.horzcat(*(vector for _, vector in order[: n - 1]))

@@ -10,10 +10,16 @@ HUGE = 1e300
 
 
 def smooth_step(value: Symbol, low: Symbol | float, high: Symbol | float) -> Symbol:
-    """0 below low, 1 above high, a quintic with two zero derivatives at both ends between; a step where high <= low."""
+    """0 below low, 1 above high, a quintic with two zero derivatives at both ends
+    between; a step where high <= low.
+    """
     width = high - low
     z = ca.fmin(ca.fmax((value - low) / ca.if_else(width > 0.0, width, 1.0), 0.0), 1.0)
-    return ca.if_else(width > 0.0, z * z * z * (10.0 + z * (6.0 * z - 15.0)), ca.if_else(value >= high, 1.0, 0.0))
+    return ca.if_else(
+        width > 0.0,
+        z * z * z * (10.0 + z * (6.0 * z - 15.0)),
+        ca.if_else(value >= high, 1.0, 0.0),
+    )
 
 
 def is_finite(values: Symbol) -> Symbol:

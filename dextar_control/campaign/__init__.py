@@ -1,9 +1,0 @@
-"""Many crossings in a plain loop: points x directions x cases x laws x estimators x plants x seeds.
-
-- ``config``: what the campaign file says, checked; ``ranges``: limits of perturbations and bars; ``selection``: what
-  the command line changes; ``loading``: the rig that the file names.
-- ``design``: the trials that follow from it, each with its key; ``trial``: one of them, run.
-- ``pool``: worker processes, here or of a running Dask scheduler; ``worker``: what they call.
-- ``store``: the folder of rows, appended as they come; ``run``: all of it, with its progress; ``rerun``: one row.
-- ``summary``, ``report``, ``figure``, ``outcome``: statistics and bars, their tables, their picture, all in the folder.
-"""

@@ -1,0 +1,156 @@
+"""``dextar check-rig``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+SUMMARY = (
+    "does a rig's driver keep the contract? watches its topics, and with permission"
+    " moves it a little"
+)
+DESCRIPTION = (
+    "Watches the driver of a real-time rig: topics, types, QoS, names, sizes, numbers,"
+    " rate, stamps, geometry. Then, after a yes on the terminal or with --yes, sends"
+    " small torques, stops sending, and sends NaN, and watches what the robot does;"
+    " zero torque comes last, whatever happens. A real rig's own limits and emergency"
+    " stop must work before. Exit code 0 when nothing failed (lines may be skipped, or"
+    " noted: the controller does without), 1 when a line failed, 2 for a wrong"
+    " argument."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    where = parser.add_argument_group("where")
+    where.add_argument(
+        "--namespace", default="", metavar="NS", help="of the rig's topics"
+    )
+    where.add_argument(
+        "--states",
+        default="",
+        metavar="TOPIC",
+        help="joint states (default: joint_states)",
+    )
+    where.add_argument(
+        "--commands",
+        default="",
+        metavar="TOPIC",
+        help="commands (default: joint_commands, or effort_commands with effort_array)",
+    )
+    where.add_argument(
+        "--command-interface",
+        choices=("joint_state", "effort_array"),
+        default="joint_state",
+        help="type of the commands (default: %(default)s)",
+    )
+    where.add_argument(
+        "--robot",
+        type=Path,
+        metavar="FILE",
+        help="robot description (default: config/dextar.yaml)",
+    )
+    what = parser.add_argument_group("what is expected")
+    what.add_argument(
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="of the states (default: one per task.sample_period)",
+    )
+    what.add_argument(
+        "--rate-tolerance",
+        type=float,
+        default=0.05,
+        metavar="X",
+        help="relative (default: %(default)s)",
+    )
+    what.add_argument(
+        "--jitter",
+        type=float,
+        metavar="S",
+        help="99th percentile off the period (default: one period)",
+    )
+    what.add_argument(
+        "--max-gap",
+        type=float,
+        metavar="S",
+        help="between two states (default: controller.state_timeout)",
+    )
+    what.add_argument(
+        "--max-age",
+        type=float,
+        default=0.05,
+        metavar="S",
+        help="of a stamp at arrival (default: %(default)s)",
+    )
+    what.add_argument(
+        "--watchdog",
+        type=float,
+        metavar="S",
+        help="declared time-out of the drive (default: plant.command_timeout)",
+    )
+    what.add_argument(
+        "--watchdog-margin",
+        type=float,
+        default=0.01,
+        metavar="S",
+        help="for the way there and back, beyond two periods (default: %(default)s)",
+    )
+    how = parser.add_argument_group("how")
+    how.add_argument(
+        "--duration",
+        type=float,
+        default=5.0,
+        metavar="S",
+        help="of the watch (default: %(default)s)",
+    )
+    how.add_argument(
+        "--wait",
+        type=float,
+        default=5.0,
+        metavar="S",
+        help="for the first state (default: %(default)s)",
+    )
+    how.add_argument(
+        "--torque",
+        type=float,
+        default=0.005,
+        metavar="NM",
+        help=(
+            "of the tests; above friction and the effort's noise (default: %(default)s)"
+        ),
+    )
+    how.add_argument(
+        "--pulse",
+        type=float,
+        metavar="S",
+        help="time at one torque (default: 0.1, or 20 states)",
+    )
+    how.add_argument(
+        "--max-move",
+        type=float,
+        default=0.1,
+        metavar="RAD",
+        help="of a joint, that ends the tests (default: %(default)s)",
+    )
+    how.add_argument(
+        "--max-speed",
+        type=float,
+        default=1.0,
+        metavar="RAD/S",
+        help="of a joint, that ends the tests (default: %(default)s)",
+    )
+    how.add_argument(
+        "--yes", action="store_true", help="the robot may move: do not ask"
+    )
+    how.add_argument("--no-torque", action="store_true", help="only watch")
+    how.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the report there, too"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """The exit code."""
+    from dextar_control.check_rig.client import run_check
+
+    return run_check(arguments)

@@ -1,0 +1,85 @@
+"""``dextar faults``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+SUMMARY = (
+    "try faults against the nodes while the robot crosses: lost, late and broken"
+    " messages, killed processes, full disks"
+)
+DESCRIPTION = (
+    "Starts the real nodes in real processes, does each fault of the file while the"
+    " robot crosses its singularities, and judges from the robot's truth what became of"
+    " it. Leaves runs/faults-<UTC stamp>/ with faults.md, faults.json, faults.png and"
+    " the nodes' logs. Exit code 0 when every outcome was an expected one and nothing"
+    " happened that never must, else 1; 2 for a wrong argument, 128 + the signal's"
+    " number when one ended it."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's own arguments."""
+    parser.add_argument(
+        "config", type=Path, nargs="?", help="cases (default: config/faults.yaml)"
+    )
+    parser.add_argument(
+        "--cases",
+        metavar="A,B",
+        default="",
+        help="only these cases, or those whose names begin so",
+    )
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="a small part of them in simulated time, in about a minute",
+    )
+    parser.add_argument(
+        "--count",
+        type=_positive,
+        metavar="N",
+        help="faulted crossings of each case (default: the file's)",
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        metavar="N",
+        help="of all that is random (default: the file's)",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=_positive,
+        default=2,
+        metavar="N",
+        help="sets of nodes side by side in simulated time (default: 2)",
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        default=Path("runs"),
+        metavar="DIR",
+        help="where runs go (default: runs)",
+    )
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if not 1 <= number <= 100_000:
+        raise argparse.ArgumentTypeError(f"{number}; it must be 1 to 100000")
+    return number
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """The exit code."""
+    from dextar_control.experiments.faults.run import run_faults
+
+    return run_faults(
+        config_path=arguments.config,
+        names=[name for name in arguments.cases.split(",") if name],
+        seed=arguments.seed,
+        count=arguments.count,
+        quick=arguments.quick,
+        jobs=arguments.jobs,
+        output=arguments.output,
+    )

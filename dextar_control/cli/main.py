@@ -1,0 +1,95 @@
+"""The ``dextar`` command."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import sys
+from typing import Any
+
+from dextar_control.cli import (
+    analyze,
+    bench,
+    calibrate,
+    campaign,
+    check_rig,
+    compare,
+    demo,
+    export,
+    faults,
+    identify,
+    operate,
+    recover,
+    replay,
+)
+from dextar_control.contract.caches import prepare_environment
+from dextar_control.contract.signals import run_command
+from dextar_control.executables import EXECUTABLES
+
+COMMANDS: dict[str, Any] = {
+    "demo": demo,
+    "go": operate.GO,
+    "stop": operate.STOP,
+    "status": operate.STATUS,
+    "enable": operate.ENABLE,
+    "reset": operate.RESET,
+    "analyze": analyze,
+    "compare": compare,
+    "replay": replay,
+    "export": export,
+    "recover": recover,
+    "calibrate": calibrate,
+    "identify": identify,
+    "campaign": campaign,
+    "faults": faults,
+    "check-rig": check_rig,
+    "bench": bench,
+}
+
+
+NODES = ", ".join(EXECUTABLES)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="dextar",
+        description=(
+            "Drive a five-bar parallel robot through its Type 2 singularities, record"
+            " the run and analyse it."
+        ),
+        epilog=(
+            "start with: dextar demo. Each node alone, as ros2 run dextar NODE: dextar"
+            f" NODE --help, NODE one of {NODES}"
+        ),
+    )
+    parsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, command in COMMANDS.items():
+        command.add_arguments(
+            parsers.add_parser(
+                name, help=command.SUMMARY, description=command.DESCRIPTION
+            )
+        )
+    return parser
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Console entry; the exit code. What a command starts stays on this machine unless
+    the environment opens it.
+    """
+    arguments = _parser().parse_args(argv)
+    prepare_environment()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(
+                errors="replace"
+            )  # a terminal that knows no × shows a ? for it
+    return run_command(
+        f"dextar {arguments.command}",
+        lambda: COMMANDS[arguments.command].run(arguments),
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,51 @@
+"""A bare echo node, the baseline of the round trip: raw state in, one fixed command
+out.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
+from dextar_control.nodekit.layouts import template
+from dextar_control.nodekit.node import qos, run_node
+
+STAMP = slice(
+    4, 12
+)  # of a message whose first field is a header, behind CDR's own four bytes
+
+
+class EchoNode(Node):
+    """Publishes one command's bytes for each state, with the stamp bytes of that
+    state.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("controller")
+        self.exit_code, self.finished = 0, False
+        command = template(JOINT_COMMANDS).pack(0, (0.0, 0.0))
+        head, tail = command[: STAMP.start], command[STAMP.stop :]
+        publisher = self.create_publisher(
+            JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS)
+        )
+
+        def answer(raw: bytes) -> None:
+            publisher.publish(head + raw[STAMP] + tail)
+
+        self.create_subscription(
+            JointState,
+            JOINT_STATES.name,
+            answer,
+            qos(JOINT_STATES, reliable=False),
+            raw=True,
+        )
+
+    def close(self) -> None:
+        """Nothing to leave."""
+
+
+if __name__ == "__main__":
+    sys.exit(run_node(EchoNode))

@@ -1,0 +1,575 @@
+"""How each kind of fault is done to the nodes during one trip, and undone after it."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rcl_interfaces.srv import GetParameters, SetParameters
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from dextar_control.contract.resources import node_defaults
+from dextar_control.contract.topics import JOINT_COMMANDS
+from dextar_control.experiments.faults.bag_check import finished
+from dextar_control.experiments.faults.cases import Case
+from dextar_control.experiments.faults.judgement import Evidence, Outcome
+from dextar_control.experiments.faults.link import Link, Shape, Transport, Window
+from dextar_control.experiments.faults.operator import parameter
+from dextar_control.experiments.faults.stack import Stack
+from dextar_control.experiments.processes import NodesError
+from dextar_control.nodekit.cdr import NANOSECONDS
+from dextar_control.nodekit.layouts import template
+from dextar_control.nodekit.node import qos
+
+# s after a fault's end within which its outcome counts as its own; a stamp may be ahead
+# by 0.05 s
+REACTION = 0.06
+START_PATIENCE = 60.0  # s
+END_PATIENCE = 20.0  # s until a node that was sent SIGTERM has ended
+SECOND_TORQUE = (0.05, -0.05)  # N m, of the second commander
+SECOND_LASTS = 0.5  # s
+MOST_PENDING = 40  # services asked and not answered
+GAINS = {
+    "natural_frequency": (45.0, 55.0),
+    "damping_ratio": (0.9, 1.1),
+}  # that are set live
+REFUSED = (
+    {"natural_frequency": 1e9},
+    {"damping_ratio": -1.0},
+    {"assembly_mode": -1},
+    {"task__sample_period": 0.002},
+)
+CURVE = 0.12  # s of torque after a commander's last word that are kept for the figure
+KEEP = 5  # each so manyth state of it
+
+# Arguments: size, folder of the small disk, where the bag goes in the end, then the
+# recorder's command.
+SMALL_DISK = """
+mount -t tmpfs -o size="$1" small "$2" || exit 70
+disk=$2 out=$3; shift 3
+"$@" & child=$!
+trap 'kill -TERM $child' INT TERM
+while kill -0 $child 2>/dev/null; do wait $child; code=$?; done
+cp "$disk"/run.mcap "$out"
+exit $code
+"""
+
+
+class Trouble(NamedTuple):
+    """A robot that is no longer controlled as planned.
+
+    Attributes:
+        stamp: of the first state of which that is known, ns.
+        outcome: what became of it.
+    """
+
+    stamp: int
+    outcome: Outcome
+
+
+class Action:
+    """A fault of one kind: prepared, armed once the trip has begun, polled, released,
+    and its damage repaired.
+
+    Attributes:
+        single: one crossing of the trip is faulted, not each.
+        grace: after the instant of judgement, within which a stop still counts as this
+            fault's, ns.
+        refused: what was asked for was refused.
+    """
+
+    single = False
+    grace = 0
+    refused = False
+
+    def __init__(self, case: Case, stack: Stack) -> None:
+        self.case, self.stack = case, stack
+
+    @property
+    def done(self) -> bool:
+        """Whether the trip may end."""
+        return True
+
+    def prepare(self, chance: random.Random) -> None:
+        """Before the trip begins."""
+        self.chance = chance
+
+    def arm(self, times: Sequence[int]) -> None:
+        """The trip has begun; ``times`` at which the faults are due, ns of the rig's
+        clock.
+        """
+
+    def poll(self, now: int) -> Trouble | None:
+        """In each turn; a trouble that only this fault's maker can know."""
+        return None
+
+    def release(self) -> None:
+        """No more faults."""
+
+    def took_effect(self) -> bool:
+        """Whether anything was done that somebody must have noticed."""
+        return True
+
+    def restore(self) -> None:
+        """Repair what ``Stack.recover`` does not."""
+
+    def bags(self) -> list[Path]:
+        """Recordings that ended in this trip."""
+        return []
+
+    def broken_bags(self) -> list[str]:
+        """A line for each of these that should have been finished and is not."""
+        return []
+
+    def extra(self, records: list[dict[str, Any]], evidence: Evidence) -> None:
+        """Add to the records what only this kind has."""
+
+
+class LinkAction(Action):
+    """``transport`` and ``window``, by the injector."""
+
+    def prepare(self, chance: random.Random) -> None:
+        """Find the links."""
+        super().prepare(chance)
+        injector = self.stack.operator.injector
+        if injector is None:
+            raise NodesError("no injector stands between rig and controller")
+        ways = {"states": injector.states, "commands": injector.commands}
+        self._links: list[Link[bytes]] = [ways[way] for way in self.case.ways]
+        self._before = [dict(link.counts) for link in self._links]
+        if self.case.window is not None:
+            self.grace = round((self.case.window.lasting + REACTION) * NANOSECONDS)
+
+    def arm(self, times: Sequence[int]) -> None:
+        """Windows at the times, or the transport from now on."""
+        if self.case.window is not None:
+            lasting = round(self.case.window.lasting * NANOSECONDS)
+            for link in self._links:
+                for at in times:
+                    link.add(Window(at, at + lasting, Shape(self.case.window.shape)))
+        else:
+            for link in self._links:
+                link.configure(
+                    Transport(**self.case.transport or {}), self.chance.randrange(2**31)
+                )
+
+    def release(self) -> None:
+        """Whole links."""
+        for link in self._links:
+            link.configure(Transport(), 0)
+            link.clear_windows()
+
+    def took_effect(self) -> bool:
+        """Whether a message was touched."""
+        transport = Transport(**self.case.transport or {})
+        if transport.delay or transport.jitter:
+            return True
+        touched = ("dropped", "duplicated", "held_back", "lost_in_outage", "shaped")
+        return any(
+            link.counts[kind] > before[kind]
+            for link, before in zip(self._links, self._before, strict=True)
+            for kind in touched
+        )
+
+
+class KillAction(Action):
+    """A signal to a node, and its start again."""
+
+    single = True
+    grace = round(1.0 * NANOSECONDS)
+
+    def arm(self, times: Sequence[int]) -> None:
+        """Once, at the first time."""
+        assert self.case.kill is not None
+        self._node, self._at, self._killed = self.case.kill.node, times[0], 0
+        self._bag = self.stack.current_bag()
+
+    @property
+    def done(self) -> bool:
+        """Whether the node is gone."""
+        return bool(self._killed) and self.stack.processes.ended(self._node)
+
+    def poll(self, now: int) -> Trouble | None:
+        """Kill; a killed commander leaves a robot without torque."""
+        assert self.case.kill is not None
+        if not self._killed and now >= self._at:
+            self._killed = now
+            self.stack.processes.send(self._node, signal.Signals[self.case.kill.signal])
+        return (
+            Trouble(self._killed, Outcome.LIMP)
+            if self._node == "controller" and self.done
+            else None
+        )
+
+    def took_effect(self) -> bool:
+        """Whether it was killed."""
+        return bool(self._killed)
+
+    def restore(self) -> None:
+        """Start it again."""
+        if not self._killed:
+            return
+        if not self.stack.operator.until(
+            lambda: self.stack.processes.ended(self._node), END_PATIENCE
+        ):
+            raise NodesError(
+                f"{self._node} did not end within {END_PATIENCE:.0f} s of its signal"
+            )
+        self.stack.restart(self._node)
+
+    def bags(self) -> list[Path]:
+        """The killed recorder's."""
+        if self._node != "recorder" or self._bag is None or not self._killed:
+            return []
+        self.stack.operator.until(
+            lambda: self.stack.processes.ended(self._node), END_PATIENCE
+        )
+        return [self._bag]
+
+    def broken_bags(self) -> list[str]:
+        """SIGTERM asks a recorder to finish its file."""
+        assert self.case.kill is not None
+        if self.case.kill.signal != "SIGTERM":
+            return []
+        unfinished = [path for path in self.bags() if not finished(path)]
+        return [
+            f"{path.name} is not finished although SIGTERM asked for it"
+            for path in unfinished
+        ]
+
+    def extra(self, records: list[dict[str, Any]], evidence: Evidence) -> None:
+        """Torque after the commander's last word, for the figure; how much of a
+        recording was lost.
+        """
+        if self._node == "controller" and records:
+            last = (
+                evidence.command_stamps[-1]
+                if len(evidence.command_stamps)
+                else self._killed
+            )
+            age = (evidence.stamps - last) / NANOSECONDS
+            near = (age >= -0.02) & (age <= CURVE)
+            size = np.abs(evidence.torque[near]).max(axis=1, initial=0.0)
+            records[0]["curve"] = [
+                [round(float(t), 4), float(value)]
+                for t, value in zip(age[near], size, strict=True)
+            ]
+
+
+class CommanderAction(Action):
+    """A second publisher on the command topic that commands a torque."""
+
+    single = True
+    grace = round(1.0 * NANOSECONDS)
+
+    def arm(self, times: Sequence[int]) -> None:
+        """Once, at the first time."""
+        self._at, self._sent, self._begun = times[0], 0, 0
+        self._publisher: Any = None
+        self._template = template(JOINT_COMMANDS)
+
+    @property
+    def done(self) -> bool:
+        """Whether it was there for long enough."""
+        return bool(self._begun) and self.stack.operator.now >= self._begun + round(
+            SECOND_LASTS * NANOSECONDS
+        )
+
+    def poll(self, now: int) -> Trouble | None:
+        """Answer the newest state, as the controller does."""
+        if now >= self._at and now > self._sent:
+            if self._publisher is None:
+                self._begun = now
+                self._publisher = self.stack.operator.create_publisher(
+                    JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS)
+                )
+            self._publisher.publish(self._template.pack(now, SECOND_TORQUE))
+            self._sent = now
+        return None
+
+    def release(self) -> None:
+        """Leave the topic."""
+        operator = self.stack.operator
+        if self._publisher is not None:
+            operator.destroy_publisher(self._publisher)
+            self._publisher = None
+            operator.until(
+                lambda: operator.count_publishers(JOINT_COMMANDS.name) <= 1,
+                END_PATIENCE,
+            )
+
+    def took_effect(self) -> bool:
+        """Whether it commanded."""
+        return bool(self._begun)
+
+
+class FloodAction(Action):
+    """More service calls than anybody needs, to every node."""
+
+    def prepare(self, chance: random.Random) -> None:
+        """Clients of services that change nothing."""
+        super().prepare(chance)
+        operator = self.stack.operator
+        self._calls: list[tuple[Any, Any]] = [
+            (operator.client(SetBool, "controller/enable"), SetBool.Request(data=True)),
+            (
+                operator.client(GetParameters, "controller/get_parameters"),
+                GetParameters.Request(names=["law", "zone"]),
+            ),
+            (
+                operator.client(SetParameters, "controller/set_parameters"),
+                SetParameters.Request(),
+            ),
+            (operator.client(Trigger, "plant/step"), Trigger.Request()),
+            (
+                operator.client(GetParameters, "plant/get_parameters"),
+                GetParameters.Request(names=["mode"]),
+            ),
+            (
+                operator.client(GetParameters, "trajectory_server/get_parameters"),
+                GetParameters.Request(names=["repeat"]),
+            ),
+        ]
+        if not operator.until(
+            lambda: all(client.service_is_ready() for client, _ in self._calls),
+            START_PATIENCE,
+        ):
+            raise NodesError("not every service is there to be flooded")
+        self._pending: list[tuple[str, Any]] = []
+        self._sent = self._answered = 0
+        self._begun = 0.0
+
+    def arm(self, times: Sequence[int]) -> None:
+        """From now on."""
+        self._begun = time.monotonic()
+
+    def poll(self, now: int) -> Trouble | None:
+        """As many calls as are due."""
+        self._count()
+        due = int(self.case.flood * (time.monotonic() - self._begun))
+        while self._begun and self._sent < due and len(self._pending) < MOST_PENDING:
+            client, request = self._calls[self._sent % len(self._calls)]
+            self._pending.append((client.srv_name, client.call_async(request)))
+            self._sent += 1
+        return None
+
+    def _count(self) -> None:
+        left = [(name, future) for name, future in self._pending if not future.done()]
+        self._answered += len(self._pending) - len(left)
+        self._pending = left
+
+    def release(self) -> None:
+        """Wait for the answers still to come."""
+        self._begun = 0.0
+        self.stack.operator.until(
+            lambda: all(future.done() for _, future in self._pending), END_PATIENCE
+        )
+        self._count()
+        self.stack.answers += [f"{name} did not answer" for name, _ in self._pending]
+        self.stack.answers.append(f"{self._answered} of {self._sent} calls answered")
+        if self._answered == self._sent:
+            self.stack.answers.append("every call was answered")
+
+    def took_effect(self) -> bool:
+        """Whether anything was asked."""
+        return self._sent > 0
+
+
+class ParameterAction(Action):
+    """A gain that may be changed live, and a value that must be refused, while the
+    robot crosses.
+    """
+
+    def arm(self, times: Sequence[int]) -> None:
+        """At each time."""
+        self._times, self.refused, self._asked = list(times), False, 0
+        self._futures: list[tuple[Any, bool]] = []
+
+    @property
+    def done(self) -> bool:
+        """Whether all were asked."""
+        return not self._times
+
+    def poll(self, now: int) -> Trouble | None:
+        """One valid and one invalid change at each time."""
+        if self._times and now >= self._times[0]:
+            self._times.pop(0)
+            name, (low, high) = self.chance.choice(list(GAINS.items()))
+            self._ask({name: self.chance.uniform(low, high)}, valid=True)
+            self._ask(self.chance.choice(REFUSED), valid=False)
+        return None
+
+    def _ask(self, values: dict[str, Any], *, valid: bool) -> None:
+        client = self.stack.operator.client(SetParameters, "controller/set_parameters")
+        request = SetParameters.Request(
+            parameters=[
+                parameter(name.replace("__", "."), value)
+                for name, value in values.items()
+            ]
+        )
+        self._futures.append((client.call_async(request), valid))
+        self._asked += 1
+
+    def release(self) -> None:
+        """Take the answers; a valid change refused or an invalid one taken is a fault
+        of the controller.
+        """
+        self.stack.operator.until(
+            lambda: all(future.done() for future, _ in self._futures), END_PATIENCE
+        )
+        right = 0
+        for future, valid in self._futures:
+            result = future.result().results[0] if future.done() else None
+            if (
+                result is None
+                or result.successful != valid
+                or not (valid or result.reason)
+            ):
+                self.stack.answers.append(
+                    f"a {'valid' if valid else 'wrong'} value was answered by {result}"
+                )
+            else:
+                right += 1
+                self.refused |= not valid
+        if right == self._asked:
+            self.stack.answers.append("each answer as it should be")
+
+    def restore(self) -> None:
+        """The gains of the parameter file."""
+        defaults = node_defaults("controller")
+        self.stack.operator.change_parameters(
+            "controller", **{name: float(defaults[name]) for name in GAINS}
+        )
+
+
+class DiskAction(Action):
+    """A disk under the recorder that becomes full while the robot crosses."""
+
+    def prepare(self, chance: random.Random) -> None:
+        """Another recorder, on a disk of its own; by a limit on the file's size where
+        no such disk can be made.
+        """
+        super().prepare(chance)
+        stack = self.stack
+        stack.processes.stop("recorder")
+        stack.operator.until(lambda: False, 0.3)
+        self._bag = stack.bag()
+        size = round(1e6 * self.case.disk * chance.uniform(0.5, 1.0))
+        stack.operator.status.pop("recorder", None)
+        if can_mount():
+            disk = stack.folder / "small_disk"
+            disk.mkdir(exist_ok=True)
+            wrap = [
+                "unshare",
+                "--mount",
+                "sh",
+                "-c",
+                SMALL_DISK,
+                "small_disk",
+                str(size),
+                str(disk),
+                str(self._bag),
+            ]
+            stack.start_recorder(wrap=wrap, path=disk / "run.mcap", compression="none")
+        else:
+            limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
+            stack.start_recorder(path=self._bag, limit=limit, compression="none")
+        stack.processes.may_end("recorder")
+        if not stack.operator.until(
+            lambda: (
+                "recorder" in stack.operator.status or stack.processes.ended("recorder")
+            ),
+            START_PATIENCE,
+        ):
+            raise NodesError("the recorder on the small disk did not start")
+
+    @property
+    def done(self) -> bool:
+        """Whether the recorder has given up."""
+        return self.stack.processes.ended("recorder")
+
+    def release(self) -> None:
+        """A robot that stopped early leaves the recorder to fill the disk."""
+        self.stack.operator.until(lambda: self.done, END_PATIENCE)
+
+    def took_effect(self) -> bool:
+        """Whether the recorder has given up."""
+        return self.done
+
+    def restore(self) -> None:
+        """A recorder with room."""
+        self.stack.processes.stop("recorder")
+        self.stack.restart("recorder")
+
+    def bags(self) -> list[Path]:
+        """What was saved from the small disk."""
+        return [self._bag] if self.done else []
+
+
+class NetworkAction(Action):
+    """A bad link between two network namespaces, which the parent process holds."""
+
+    def arm(self, times: Sequence[int]) -> None:
+        """From now on."""
+        self._counts = self._ask(self.case.network or {})
+
+    def release(self) -> None:
+        """A whole link."""
+        after = self._ask({})
+        self._took = any(
+            after[key] > self._counts[key]
+            for key in ("dropped", "duplicated", "reordered")
+        )
+        self._took |= bool({"delay", "jitter"} & set(self.case.network or {}))
+
+    def took_effect(self) -> bool:
+        """Whether a frame was touched."""
+        return self._took
+
+    @staticmethod
+    def _ask(quality: dict[str, float]) -> dict[str, int]:
+        print(json.dumps({"event": "network", "quality": quality}), flush=True)
+        counts: dict[str, int] = json.loads(sys.stdin.readline())
+        return counts
+
+
+def can_mount() -> bool:
+    """Whether this process may mount a disk in a namespace of its own."""
+    if os.geteuid() != 0 or shutil.which("unshare") is None:
+        return False
+    return (
+        subprocess.run(
+            ["unshare", "--mount", "true"], capture_output=True, check=False
+        ).returncode
+        == 0
+    )
+
+
+KINDS: dict[str, Callable[[Case, Stack], Action]] = {
+    "transport": LinkAction,
+    "window": LinkAction,
+    "kill": KillAction,
+    "commander": CommanderAction,
+    "flood": FloodAction,
+    "parameters": ParameterAction,
+    "disk": DiskAction,
+    "network": NetworkAction,
+}
+
+
+def make_action(case: Case, stack: Stack) -> Action:
+    """What does a case's fault."""
+    return KINDS[case.kind](case, stack)

@@ -1,0 +1,348 @@
+"""Two network namespaces with a bad link between them, for processes that must not
+notice that they share a machine.
+
+The link is a relay in user space (``relay.py``), so that no traffic control of the
+kernel is needed. Namespaces, interfaces and relay belong to processes of this one: the
+kernel removes them when it ends, however it ends, and nothing of the machine's own
+network is touched.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import os
+import select
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from types import TracebackType
+from typing import Any, Literal
+
+from dextar_control.experiments.faults.frames import (
+    LinkError,
+    LinkQuality,
+    LinkStatistics,
+)
+
+Side = Literal["a", "b"]
+SIDES: tuple[Side, Side] = ("a", "b")
+ADDRESSES: dict[Side, str] = {"a": "10.77.0.1", "b": "10.77.0.2"}
+HARDWARE: dict[Side, str] = {"a": "02:00:0a:4d:00:01", "b": "02:00:0a:4d:00:02"}
+INTERFACE = "wire0"  # in both namespaces
+MTU = 1500
+TOOLS = ("ip", "unshare", "nsenter")
+START_TIMEOUT = 20.0  # s
+STOP_TIMEOUT = 5.0  # s between SIGTERM and SIGKILL
+PR_SET_PDEATHSIG = 1  # of Linux' prctl
+LIBC = ctypes.CDLL(None)
+# What holds a namespace: no IPv6 (its router and address frames would be counted), then
+# sleep until the input ends.
+HOLDER = (
+    "for which in all default; do echo 1 >/proc/sys/net/ipv6/conf/$which/disable_ipv6;"
+    " done 2>/dev/null; ip link set lo up && echo ready && exec cat >/dev/null"
+)
+
+
+class FaultyLink:
+    """A context: namespaces ``a`` and ``b``, and frames between them lost, late, out of
+    order or twice.
+
+    Args:
+        seed: of the faults; the n-th frame of a direction has the same fate each time.
+        mtu: of the link, bytes. A larger DDS message travels in pieces and is lost with
+            any of them.
+        b_to_a: quality of the way back; None is the same as the way there.
+        quality: fields of ``LinkQuality`` for the way from ``a`` to ``b``.
+
+    Raises:
+        LinkError: a quality out of its limits; on entering: no root, or a tool is
+            missing.
+
+    Note:
+        Processes started with ``popen`` are killed when the thread that started them
+        ends.
+    """
+
+    def __init__(
+        self,
+        *,
+        seed: int = 0,
+        mtu: int = MTU,
+        b_to_a: LinkQuality | None = None,
+        **quality: float,
+    ) -> None:
+        there = LinkQuality(**quality)
+        self.qualities = {
+            "a_to_b": there,
+            "b_to_a": there if b_to_a is None else b_to_a,
+        }
+        self._seed = seed
+        self._mtu = mtu
+        self._holders: dict[str, subprocess.Popen[str]] = {}
+        self._relay: subprocess.Popen[str] | None = None
+        self._processes: list[subprocess.Popen[Any]] = []
+
+    def __enter__(self) -> FaultyLink:
+        try:
+            self._open()
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _open(self) -> None:
+        missing = [tool for tool in TOOLS if shutil.which(tool) is None]
+        if missing:
+            raise LinkError(
+                f"a faulty link needs {', '.join(missing)} of iproute2 and util-linux,"
+                " which this machine has not"
+            )
+        for name in (*SIDES, "relay"):
+            self._holders[name] = _start(["unshare", "--net", "sh", "-c", HOLDER])
+        for holder in self._holders.values():
+            if _answer(holder) != "ready":
+                raise LinkError(
+                    "network namespaces need root (CAP_SYS_ADMIN and CAP_NET_ADMIN):"
+                    f" {_last_words(holder)}"
+                )
+        for side in SIDES:
+            self._configure(
+                "relay",
+                f"link add dev end_{side} mtu {self._mtu} type veth peer name"
+                f" {INTERFACE} mtu {self._mtu} address {HARDWARE[side]} netns"
+                f" {self._holders[side].pid}\nlink set dev end_{side} up",
+            )
+            other = SIDES[1 - SIDES.index(side)]
+            self._configure(
+                side,
+                f"address add {ADDRESSES[side]}/24 dev {INTERFACE}\nlink set dev"
+                f" {INTERFACE} up\nroute add 224.0.0.0/4 dev {INTERFACE}\nneigh add"
+                f" {ADDRESSES[other]} lladdr {HARDWARE[other]} dev {INTERFACE} nud"
+                " permanent",
+            )
+        settings = {
+            "interfaces": [f"end_{side}" for side in SIDES],
+            "ends": [(self._holders[side].pid, INTERFACE) for side in SIDES],
+            "qualities": {
+                name: asdict(quality) for name, quality in self.qualities.items()
+            },
+            "seed": self._seed,
+        }
+        module = [
+            sys.executable,
+            "-m",
+            "dextar_control.experiments.faults.relay",
+            json.dumps(settings),
+        ]
+        self._relay = _start([*self._inside("relay"), *module])
+        if _answer(self._relay) != "ready":
+            raise LinkError(
+                "the relay between the namespaces did not start:"
+                f" {_last_words(self._relay)}"
+            )
+
+    def _configure(self, name: str, commands: str) -> None:
+        done = subprocess.run(
+            [*self._inside(name), "ip", "-batch", "-"],
+            input=commands + "\n",
+            capture_output=True,
+            text=True,
+        )
+        if done.returncode:
+            raise LinkError(
+                "the network namespace cannot be set up: ip says"
+                f" {done.stderr.strip().splitlines()[0]}"
+            )
+
+    def inside(self, side: Side) -> list[str]:
+        """Command words that put what follows them on one side."""
+        return self._inside(side)
+
+    def _inside(self, name: str) -> list[str]:
+        holder = self._holders.get(name)
+        if holder is None:
+            raise LinkError(
+                f"there is no side '{name}' of the link now; sides are a and b, while"
+                " the context is entered"
+            )
+        return ["nsenter", f"--net=/proc/{holder.pid}/ns/net"]
+
+    @staticmethod
+    def environment() -> dict[str, str]:
+        """What a ROS process inside needs: discovery by multicast, and no shared memory
+        past the link.
+        """
+        kept = {
+            name: value
+            for name, value in os.environ.items()
+            if name not in ("ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS")
+        }
+        return kept | {
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+        }
+
+    def popen(
+        self, side: Side, command: Sequence[str], **options: Any
+    ) -> subprocess.Popen[Any]:
+        """Start a process on one side; it ends with the context. Options are those of
+        ``subprocess.Popen``.
+
+        Args:
+            side: ``a`` or ``b``.
+            command: program and arguments.
+            options: ``env`` replaces ``environment()``; ``preexec_fn`` is taken
+                already.
+        """
+        process = subprocess.Popen(
+            [*self._inside(side), *command], **self._options(options)
+        )
+        self._processes.append(process)
+        return process
+
+    def run(
+        self, side: Side, command: Sequence[str], **options: Any
+    ) -> subprocess.CompletedProcess[Any]:
+        """``subprocess.run`` on one side."""
+        return subprocess.run([*self._inside(side), *command], **self._options(options))
+
+    def _options(self, options: Mapping[str, Any]) -> dict[str, Any]:
+        return {
+            "env": self.environment(),
+            **options,
+            "preexec_fn": partial(_end_with, os.getpid()),
+        }
+
+    def set_quality(
+        self, direction: Literal["a_to_b", "b_to_a"], **quality: float
+    ) -> None:
+        """Change one direction from the next frame on, e.g. ``loss=1.0`` for an outage;
+        fields not named stay.
+
+        Raises:
+            LinkError: a direction that is none, a quality out of its limits, or the
+                relay is gone.
+        """
+        if direction not in self.qualities:
+            raise LinkError(
+                f"direction '{direction}'; it must be one of"
+                f" {', '.join(self.qualities)}"
+            )
+        new = LinkQuality(**(asdict(self.qualities[direction]) | quality))
+        self._ask({direction: asdict(new)})
+        self.qualities[direction] = new
+
+    @contextlib.contextmanager
+    def outage(self) -> Iterator[None]:
+        """A context in which no frame passes in either direction."""
+        before = dict(self.qualities)
+        try:
+            for direction in before:
+                self.set_quality(direction, loss=1.0)  # type: ignore[arg-type]
+            yield
+        finally:
+            for direction, quality in before.items():
+                self.set_quality(direction, **asdict(quality))  # type: ignore[arg-type]
+
+    def statistics(self) -> dict[str, LinkStatistics]:
+        """Frames so far, by direction.
+
+        Raises:
+            LinkError: the relay is gone.
+        """
+        return {
+            name: LinkStatistics(**counts) for name, counts in self._ask({}).items()
+        }
+
+    def _ask(self, request: Mapping[str, Any]) -> dict[str, dict[str, int]]:
+        relay = self._relay
+        if relay is None or relay.poll() is not None or relay.stdin is None:
+            raise LinkError("the relay between the namespaces is not running")
+        relay.stdin.write(json.dumps(request) + "\n")
+        relay.stdin.flush()
+        answer = _answer(relay)
+        if not answer:
+            raise LinkError(
+                "the relay between the namespaces does not answer:"
+                f" {_last_words(relay)}"
+            )
+        counts: dict[str, dict[str, int]] = json.loads(answer)
+        return counts
+
+    def helper_pids(self) -> list[int]:
+        """Process ids of the relay and of what holds the namespaces."""
+        own = [self._relay] if self._relay is not None else []
+        return [process.pid for process in [*own, *self._holders.values()]]
+
+    def close(self) -> None:
+        """End every process of the link; its namespaces go with the last of them."""
+        running = [process for process in self._processes if process.poll() is None]
+        for process in running:
+            process.terminate()
+        for process in running:
+            _end(process)
+        own = [self._relay] if self._relay is not None else []
+        for helper in [*own, *self._holders.values()]:
+            _end(helper)
+            for pipe in (helper.stdout, helper.stderr):
+                if pipe is not None:
+                    pipe.close()
+        self._processes, self._relay, self._holders = [], None, {}
+
+
+def _end_with(owner: int) -> None:
+    """Have the kernel kill this process, just forked, when its owner dies, however it
+    dies.
+    """
+    LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != owner:  # it has died already
+        os._exit(1)
+
+
+def _start(command: list[str]) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def _answer(process: subprocess.Popen[str]) -> str:
+    """The next line that a helper says, empty when it says none."""
+    assert process.stdout is not None
+    ready, _, _ = select.select([process.stdout], [], [], START_TIMEOUT)
+    return process.stdout.readline().strip() if ready else ""
+
+
+def _last_words(process: subprocess.Popen[str]) -> str:
+    _end(process)
+    assert process.stderr is not None
+    return (process.stderr.read().strip().splitlines() or ["nothing was said"])[-1]
+
+
+def _end(process: subprocess.Popen[Any]) -> None:
+    """Close a process's input, and kill it when that does not end it."""
+    if process.stdin is not None and not process.stdin.closed:
+        with contextlib.suppress(OSError, ValueError):
+            process.stdin.close()
+    try:
+        process.wait(timeout=STOP_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

@@ -1,0 +1,435 @@
+"""A run of faults: sessions as processes, some side by side, their events counted,
+shown and written.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, Literal
+
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TimeElapsedColumn
+
+from dextar_control.contract.errors import BagError, ParameterError
+from dextar_control.contract.plain_data import as_plain
+from dextar_control.contract.resources import config_file, node_defaults
+from dextar_control.contract.terminal import Steps, Terminal, TextColumn
+from dextar_control.contract.yaml_text import dump_document
+from dextar_control.experiments.faults.cases import FaultConfig, load_cases
+from dextar_control.experiments.faults.figure import draw
+from dextar_control.experiments.faults.frames import LinkError
+from dextar_control.experiments.faults.netns import FaultyLink
+from dextar_control.experiments.faults.stack import Request
+from dextar_control.experiments.faults.table import Summary
+from dextar_control.experiments.processes import NodesError, end_with_parent
+
+CONFIG_NAME = "faults.yaml"
+ATTEMPTS = 3  # sessions in which a case may begin before it is given up
+STOP_TIMEOUT = 90.0  # s
+RESOLUTION = 130  # dots per inch
+DOMAINS = range(1, 200)
+
+
+@dataclass
+class Plan:
+    """Cases for sessions of one kind.
+
+    Attributes:
+        kind: ``lockstep``, ``realtime`` or ``network``.
+        cases: name and count, in order.
+        left: of each case, faulted crossings still to come.
+        tries: sessions in which each case was begun.
+    """
+
+    kind: str
+    cases: dict[str, int]
+    left: dict[str, int] = field(init=False)
+    tries: dict[str, int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.left = dict(self.cases)
+        self.tries = dict.fromkeys(self.cases, 0)
+
+
+class Worker(threading.Thread):
+    """Runs the sessions of one plan, one after the other, and hands on their events.
+
+    Args:
+        plan: what to try.
+        folder: of the run.
+        config: of the cases.
+        seed: of all chance.
+        events: where the events go; ``None`` at the end.
+        label: of its folders.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        folder: Path,
+        config: FaultConfig,
+        seed: int,
+        events: queue.Queue[dict[str, Any] | None],
+        label: str,
+    ) -> None:
+        super().__init__(name=label, daemon=True)
+        self._plan, self._folder, self._config, self._seed, self._events = (
+            plan,
+            folder,
+            config,
+            seed,
+            events,
+        )
+        self._process: subprocess.Popen[str] | None = None
+        self._stopped = False
+
+    def run(self) -> None:
+        """Sessions until nothing is left or a case was begun too often."""
+        number = 0
+        try:
+            while not self._stopped and (
+                cases := {
+                    name: count for name, count in self._plan.left.items() if count > 0
+                }
+            ):
+                number += 1
+                first = next(iter(cases))
+                self._plan.tries[first] += 1
+                if self._plan.tries[first] > ATTEMPTS:
+                    self._events.put(
+                        {
+                            "event": "failed",
+                            "case": first,
+                            "text": f"given up after {ATTEMPTS} sessions",
+                        }
+                    )
+                    self._plan.left[first] = 0
+                    continue
+                with self._network() as link:
+                    self._session(
+                        self._folder / f"{self.name}-{number}", cases, link, number
+                    )
+        except (LinkError, NodesError) as error:
+            self._events.put({"event": "failed", "case": "", "text": str(error)})
+        finally:
+            self._events.put(None)
+
+    @contextlib.contextmanager
+    def _network(self) -> Iterator[FaultyLink | None]:
+        if self._plan.kind != "network":
+            yield None
+            return
+        with FaultyLink(seed=self._seed) as link:
+            yield link
+
+    def _session(
+        self, folder: Path, cases: dict[str, int], link: FaultyLink | None, number: int
+    ) -> None:
+        folder.mkdir(parents=True)
+        kind = self._plan.kind
+        request = Request(
+            str(folder),
+            "lockstep" if kind == "lockstep" else "realtime",
+            cases,
+            self._config.model_dump(),
+            self._seed + 1000 * number,
+            injector=kind == "lockstep",
+            record=kind == "realtime",
+            prefix={"controller": link.inside("b")} if link is not None else {},
+        )
+        command = [sys.executable, "-m", "dextar_control.experiments.faults.session"]
+        environment = os.environ if link is None else link.environment()
+        domain = str(random.SystemRandom().choice(DOMAINS))
+        with (folder / "session.log").open("wb") as log:
+            options: dict[str, Any] = {
+                "stdin": subprocess.PIPE,
+                "stdout": subprocess.PIPE,
+                "stderr": log,
+                "text": True,
+                "env": {**environment, "ROS_DOMAIN_ID": domain},
+                "start_new_session": (
+                    True
+                ),  # signals to this process's group would reach it twice
+            }
+            if link is not None:
+                self._process = link.popen("a", command, **options)
+            else:
+                self._process = subprocess.Popen(
+                    command, preexec_fn=end_with_parent, **options
+                )
+            if self._stopped:  # while it was being started
+                self.stop()
+            with contextlib.suppress(BrokenPipeError):  # it ended at once
+                self._write(json.dumps(asdict(request)))
+            assert self._process.stdout is not None
+            failed = ""
+            for line in self._process.stdout:
+                event = json.loads(line)
+                if event["event"] == "record" and event["outcome"] != "disturbed":
+                    self._plan.left[event["case"]] -= 1
+                elif event["event"] == "network" and link is not None:
+                    self._write(json.dumps(_apply(link, event["quality"])))
+                    continue
+                elif event["event"] == "failed":
+                    failed = event["case"] or next(iter(cases))
+                self._events.put(event)
+            code = self._process.wait()
+        if code and not failed and not self._stopped:
+            words = (
+                (folder / "session.log")
+                .read_text(errors="replace")
+                .strip()
+                .splitlines()
+            )
+            text = (
+                f"the session ended with code {code}:"
+                f" {(words or ['nothing was said'])[-1]}"
+            )
+            self._events.put(
+                {"event": "failed", "case": next(iter(cases)), "text": text}
+            )
+
+    def _write(self, line: str) -> None:
+        assert self._process is not None and self._process.stdin is not None
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+
+    def stop(self) -> None:
+        """End the session under way."""
+        self._stopped = True
+        process = self._process
+        if process is not None and process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+
+
+def _apply(link: FaultyLink, quality: dict[str, float]) -> dict[str, int]:
+    """Give both directions a quality; the frames so far, both together."""
+    clean = {"loss": 0.0, "delay": 0.0, "jitter": 0.0, "reorder": 0.0, "duplicate": 0.0}
+    directions: tuple[Literal["a_to_b", "b_to_a"], ...] = ("a_to_b", "b_to_a")
+    for direction in directions:
+        link.set_quality(direction, **(clean | quality))
+    both = [counts.to_dict() for counts in link.statistics().values()]
+    return {key: sum(counts[key] for counts in both) for key in both[0]}
+
+
+def select(
+    config: FaultConfig, names: Sequence[str], count: int | None, quick: bool
+) -> dict[str, int]:
+    """How many crossings of which case.
+
+    Args:
+        config: the cases.
+        names: or beginnings of names; all when empty.
+        count: of each case instead of its own.
+        quick: only those of a quick run, so many as it has.
+
+    Raises:
+        ParameterError: a name that no case has or begins with.
+    """
+    chosen = dict.fromkeys(config.cases)
+    if names:
+        chosen = {}
+        for name in names:
+            found = [case for case in config.cases if case == name] or [
+                case for case in config.cases if case.startswith(name)
+            ]
+            if not found:
+                raise ParameterError(
+                    f"unknown case '{name}'; known are: {', '.join(config.cases)}"
+                )
+            chosen |= dict.fromkeys(found)
+    wanted = {
+        name: config.cases[name].quick if quick else config.cases[name].crossings
+        for name in chosen
+    }
+    return {name: count or number for name, number in wanted.items() if number}
+
+
+def plans(config: FaultConfig, counts: dict[str, int], jobs: int) -> list[list[Plan]]:
+    """Plans that run side by side, one group after the other: the machine's noise
+    matters in real time only.
+    """
+    kinds: dict[str, dict[str, int]] = {"lockstep": {}, "realtime": {}, "network": {}}
+    for name, count in counts.items():
+        case = config.cases[name]
+        kinds["network" if case.kind == "network" else case.clock][name] = count
+    shares: list[dict[str, int]] = [{} for _ in range(jobs)]
+    for name, count in sorted(
+        kinds["lockstep"].items(), key=lambda item: -_cost(config, *item)
+    ):
+        min(
+            shares,
+            key=lambda share: sum(_cost(config, *item) for item in share.items()),
+        )[name] = count
+    groups = [[Plan("lockstep", share) for share in shares if share]]
+    groups += [
+        [Plan(kind, kinds[kind])] for kind in ("realtime", "network") if kinds[kind]
+    ]
+    return [group for group in groups if group]
+
+
+def _cost(config: FaultConfig, name: str, count: int) -> float:
+    """Seconds, roughly: a fault that ends the trip costs a recovery."""
+    return count * (0.5 if config.cases[name].trips > 1 else 2.5)
+
+
+def run_faults(
+    *,
+    config_path: Path | None,
+    names: Sequence[str],
+    seed: int | None,
+    count: int | None,
+    quick: bool,
+    jobs: int,
+    output: Path,
+) -> int:
+    """Try the faults, print the table, write the folder; the exit code.
+
+    Raises:
+        ParameterError: a wrong case or file.
+        BagError: the folder cannot be made.
+    """
+    console = Terminal()
+    path = config_path or config_file(CONFIG_NAME)
+    config = load_cases(path)
+    seed = config.seed if seed is None else seed
+    counts = select(config, names, count, quick)
+    folder = _make_folder(output)
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    console.print(
+        f"{sum(counts.values())} faulted crossings of {len(counts)} cases, seed {seed},"
+        f" into {folder}",
+        soft_wrap=True,
+    )
+    summary = Summary.of(config, list(counts))
+    begun = time.monotonic()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    interrupted: KeyboardInterrupt | None = None
+    with (
+        (folder / "events.jsonl").open("w", encoding="utf-8") as record,
+        Steps(*columns, console=console) as progress,
+    ):
+        whole = progress.add_task("faulted crossings", total=sum(counts.values()))
+        try:
+            for index, group in enumerate(plans(config, counts, jobs)):
+                with contextlib.closing(
+                    _run_group(group, folder, config, seed, index, progress)
+                ) as events:
+                    for event in events:
+                        record.write(json.dumps(event) + "\n")
+                        summary.take(event)
+                        progress.update(whole, completed=summary.count)
+        except KeyboardInterrupt as interrupt:
+            interrupted = interrupt  # held until what there is has been written
+    summary.seconds = time.monotonic() - begun
+    _write(folder, summary, config, seed)
+    for table in summary.tables():
+        console.print(table)
+    for line in summary.troubles():
+        console.print(line, style="bold")
+    console.print(
+        f"{folder}: faults.md faults.json faults.png events.jsonl and each session's"
+        " logs",
+        soft_wrap=True,
+    )
+    if interrupted is not None:
+        raise interrupted
+    return 0 if summary.good else 1
+
+
+def _run_group(
+    group: list[Plan],
+    folder: Path,
+    config: FaultConfig,
+    seed: int,
+    index: int,
+    progress: Steps,
+) -> Generator[dict[str, Any], None, None]:
+    events: queue.Queue[dict[str, Any] | None] = queue.Queue()
+    workers = [
+        Worker(
+            plan,
+            folder,
+            config,
+            seed + 100_000 * (10 * index + place),
+            events,
+            f"{plan.kind}-{place + 1}",
+        )
+        for place, plan in enumerate(group)
+    ]
+    bars: dict[str, tuple[str, TaskID]] = {}
+    for plan in group:
+        bar = progress.add_task(
+            f"  {plan.kind}: starting the nodes", total=sum(plan.cases.values())
+        )
+        bars.update(dict.fromkeys(plan.cases, (plan.kind, bar)))
+    running = len(workers)
+    try:
+        for worker in workers:
+            worker.start()
+        while running:
+            event = events.get()
+            if event is None:
+                running -= 1
+                continue
+            if event.get("case") in bars:
+                kind, bar = bars[event["case"]]
+                if event["event"] == "start":
+                    progress.update(
+                        bar,
+                        description=f"  {kind}: {config.cases[event['case']].title}",
+                    )
+                elif event["event"] == "record":
+                    progress.advance(bar)
+            yield event
+    finally:
+        for worker in workers:
+            worker.stop()
+        for worker in workers:
+            if worker.ident is not None:
+                worker.join(timeout=STOP_TIMEOUT)
+        for bar in {bar for _, bar in bars.values()}:
+            progress.remove_task(bar)
+
+
+def _make_folder(output: Path) -> Path:
+    folder = output / f"faults-{datetime.now(timezone.utc).strftime('%Y%m%dT%H%M%SZ')}"
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise BagError(
+            f"folder {folder} cannot be made: {error.strerror}; name another with"
+            " --output"
+        ) from error
+    return folder
+
+
+def _write(folder: Path, summary: Summary, config: FaultConfig, seed: int) -> None:
+    data = {"seed": seed, **summary.to_dict()}
+    (folder / "faults.json").write_text(
+        json.dumps(as_plain(data), indent=1) + "\n", encoding="utf-8"
+    )
+    (folder / "faults.md").write_text(summary.markdown(), encoding="utf-8")
+    (folder / "cases.yaml").write_text(
+        dump_document(config.model_dump()), encoding="utf-8"
+    )
+    if summary.rows():
+        timeout = float(node_defaults("plant")["command_timeout"])
+        draw(summary, timeout).savefig(folder / "faults.png", dpi=RESOLUTION)

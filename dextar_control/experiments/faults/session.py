@@ -1,0 +1,542 @@
+"""One set of nodes and the cases tried on it; a process of its own that tells its
+results as lines of JSON.
+
+``python -m dextar_control.experiments.faults.session`` reads a ``Request`` as one line
+of JSON. Each line that it prints is an event: ``start`` (a case), ``record`` (a faulted
+crossing), ``checks`` (what was looked at, and violations), ``note``, ``failed`` (a case
+that could not go on), ``network`` (answered on the standard input once the link is so).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from std_srvs.srv import Trigger
+
+from dextar_control.contract import signals
+from dextar_control.contract.errors import DextarError
+from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
+from dextar_control.contract.robot import load_robot
+from dextar_control.contract.topics import CRITERION_NAMES
+from dextar_control.control.phases import MOVING, Phase
+from dextar_control.experiments.faults import bag_check, judgement
+from dextar_control.experiments.faults.actions import Action, Trouble, make_action
+from dextar_control.experiments.faults.cases import Case
+from dextar_control.experiments.faults.judgement import (
+    Check,
+    Evidence,
+    Outcome,
+    Seen,
+    Tally,
+)
+from dextar_control.experiments.faults.stack import Request, Stack
+from dextar_control.experiments.processes import MODULES, NodesError
+from dextar_control.nodekit.cdr import NANOSECONDS
+from dextar_control.planning.planner import Plan, plan_return_trip
+
+TRIP_PATIENCE = 60.0  # s beyond twenty times the trip's duration
+REPORT_PATIENCE = 4.0  # s: every node speaks at least each second
+CATCH_UP = 1.0  # s given to commands under way to the reader that judges them
+SERVE_ATTEMPTS = 5
+MOST_IDLE = 20  # trips in a row in which a fault met nothing
+SILENT = 2.5  # s without its diagnostics after which a node counts as silent
+SPREAD = 0.13  # s around a crossing within which its fault begins
+JUDGED_AFTER = (
+    0.12  # s after the planned crossing, where the reference is clear of the locus
+)
+NEAR = 0.4  # |s| of the reference below which a fault is at the locus
+SETTLE = 0.3  # s of the rig's time that a robot without control is watched
+FIRST_FAULT = 0.02  # s after the start before which no window opens
+PHASE = CRITERION_NAMES.index("phase")
+
+
+class Session(Stack):
+    """The nodes, and the cases on them."""
+
+    def __init__(self, request: Request) -> None:
+        super().__init__(request)
+        self.robot = load_robot(config_file(ROBOT_FILE))
+        self.period = round(node_defaults("plant")["task.sample_period"] * NANOSECONDS)
+        self.gap_limit = float(node_defaults("controller")["state_timeout"])
+        self.random = random.Random(request.seed)
+        self._last_reason = ""
+        self._plans: dict[int, Plan] = {}
+
+    def plan(self, trips: int) -> Plan:
+        """The trajectory of so many return trips, as the server plans it from the same
+        numbers.
+        """
+        if trips not in self._plans:
+            task, trip = node_defaults("trajectory_server"), self.config.trip
+            start, goal = np.array(task["task.start"]), np.array(task["task.goal"])
+            self._plans[trips] = plan_return_trip(
+                self.robot, start, goal, trip.duration, trip.dwell, trips
+            )
+        return self._plans[trips]
+
+    def run_case(self, name: str, count: int) -> Iterator[dict[str, Any]]:
+        """Events of one case: a record for each faulted crossing, the checks of each
+        trip.
+        """
+        case = self.config.cases[name]
+        action = make_action(case, self)
+        done = idle = 0
+        while done < count:
+            trips = min(case.trips, (count - done + 1) // 2)
+            refusals = self.operator.change_parameters(
+                "trajectory_server", repeat=trips
+            )
+            if any(refusals):
+                raise NodesError(
+                    f"the trajectory server does not take repeat = {trips}:"
+                    f" {refusals[0]}"
+                )
+            records, tally = self.trip(name, case, action, trips, count - done)
+            recovered = self._back(action)
+            for record in records:
+                yield {"event": "record", **record, "recovered": recovered}
+            yield {
+                "event": "checks",
+                "case": name,
+                "looked": tally.looked,
+                "violations": tally.violations,
+            }
+            tried = [
+                record
+                for record in records
+                if record["outcome"] != Outcome.DISTURBED.value
+            ]
+            done += len(tried)
+            idle = 0 if tried else idle + 1
+            if not records:
+                why = self._last_reason or "it met nothing"
+                yield {
+                    "event": "note",
+                    "case": name,
+                    "text": f"a trip without the fault: {why}",
+                }
+            if idle > MOST_IDLE:
+                raise NodesError(f"the fault did not come about in {idle} trips")
+            if not recovered:
+                self.processes.check()
+                raise NodesError(
+                    "the robot did not come back to HOLD:"
+                    f" {self.operator.get('controller', 'reason')}"
+                )
+
+    def _back(self, action: Action) -> bool:
+        action.restore()
+        self.processes.check()
+        return self.recover()
+
+    def trip(
+        self, name: str, case: Case, action: Action, trips: int, left: int
+    ) -> tuple[list[dict[str, Any]], Tally]:
+        """One trajectory with faults in its crossings; their records and the checks on
+        everything seen.
+        """
+        operator, plan = self.operator, self.plan(trips)
+        self.processes.check()
+        self.processes.forget()
+        operator.forget()
+        self.answers = []
+        before = {node: dict(values) for node, values in operator.status.items()}
+        planned = plan.certificate.crossing_times
+        faulted = list(range(len(planned)))
+        if trips == 1 and case.kind != "transport" and self.random.random() < 0.5:
+            faulted = faulted[1:]  # the fault meets the way back
+        faulted = faulted[:left] if action.single is False else faulted[:1]
+        offsets = [self.random.uniform(-SPREAD, SPREAD) for _ in faulted]
+        action.prepare(self.random)
+        start, shift = self._start(plan)
+        crossings = [
+            start + round(NANOSECONDS * (planned[index] + shift)) for index in faulted
+        ]
+        times = [
+            max(
+                at + round(NANOSECONDS * offset),
+                start + round(NANOSECONDS * FIRST_FAULT),
+            )
+            for at, offset in zip(crossings, offsets, strict=True)
+        ]
+        action.arm(times)
+        end = start + round(NANOSECONDS * (plan.certificate.duration + shift))
+        trouble = self._follow(action, end, plan.certificate.duration)
+        action.release()
+        self.linger(0.02)
+        until = (
+            operator.now
+        )  # what is judged: a command may come to this reader later than to the drives
+        operator.until(
+            lambda: (
+                bool(operator.at_rig.stamps) and operator.at_rig.stamps[-1] >= until
+            ),
+            CATCH_UP,
+        )
+        took = action.took_effect()
+        ways = self._reports(case, before, took)
+        self._last_reason = (
+            self.operator.get("controller", "reason") if trouble is not None else ""
+        )
+        tally = Tally()
+        evidence, records = self._judge(
+            name,
+            case,
+            plan,
+            start,
+            shift,
+            faulted,
+            crossings,
+            times,
+            trouble,
+            action,
+            until,
+        )
+        if took and case.reported and not ways:
+            tally.count(
+                Check.UNREPORTED,
+                1,
+                [f"{case.title}: none of {', '.join(case.reported)} was seen"],
+            )
+        else:
+            tally.count(Check.UNREPORTED, int(took), [])
+        self._check(evidence, tally, action)
+        if not took:
+            records = []  # nothing was tried
+        for record in records:
+            record["reported"] = ways
+            record["answers"] = self.answers
+        action.extra(records, evidence)
+        return records, tally
+
+    def _start(self, plan: Plan) -> tuple[int, float]:
+        """``_serve``, once more where the last trip left the robot off its start or its
+        side unknown.
+        """
+        try:
+            return self._serve(plan)
+        except NodesError:
+            if not self.recover(disable=True):
+                raise
+            return self._serve(plan)
+
+    def _serve(self, plan: Plan) -> tuple[int, float]:
+        """(stamp of the start, s that the way to the start takes before the plan)."""
+        operator = self.operator
+        refused = operator.get("controller", "trajectory")
+        for _ in range(
+            SERVE_ATTEMPTS
+        ):  # a busy machine keeps the controller's words from the server
+            answer = operator.call(Trigger, "trajectory_server/start")
+            if answer.success:
+                break
+            operator.until(lambda: False, 1.0)
+        else:
+            raise NodesError(f"the trajectory server: {answer.message}")
+        first = max(len(operator.criterion.rows) - 1, 0)
+
+        def moving() -> int | None:
+            nonlocal first
+            rows = operator.criterion.rows
+            while first < len(rows):
+                if int(rows[first][PHASE]) in MOVING:
+                    return operator.criterion.stamps[first]
+                first += 1
+            note = operator.get("controller", "trajectory")
+            if note.startswith("refused") and note != refused:
+                raise NodesError(f"the controller {note}")
+            return None
+
+        if not operator.until(moving, TRIP_PATIENCE):
+            raise NodesError(
+                "the trajectory did not begin; the controller is in phase"
+                f" {operator.get('controller', 'phase')}"
+            )
+        start = moving()
+        assert start is not None
+        duration = plan.certificate.duration
+        operator.until(
+            lambda: operator.get("controller", "phase") != Phase.HOLD.name, 5.0
+        )  # these words are of this trajectory
+        return start, max(
+            float(operator.get("controller", "duration") or duration) - duration, 0.0
+        )
+
+    def _follow(self, action: Action, end: int, duration: float) -> Trouble | None:
+        """Watch until the trajectory is over or the robot is without control, and a
+        little longer.
+        """
+        operator = self.operator
+        deadline = time.monotonic() + TRIP_PATIENCE + 20.0 * duration
+        limp = (Phase.FAULT, Phase.SAFE_STOP)
+        while time.monotonic() < deadline:
+            operator.turn()
+            trouble = action.poll(operator.now)
+            if trouble is not None:
+                self.linger(SETTLE)
+                return trouble
+            if operator.phase in limp or operator.get("controller", "phase") in [
+                phase.name for phase in limp
+            ]:
+                phase = (
+                    operator.phase
+                    if operator.phase in limp
+                    else Phase[operator.get("controller", "phase")]
+                )
+                stamps = operator.criterion.stamps
+                self.linger(SETTLE)
+                outcome = Outcome.FAULT if phase == Phase.FAULT else Outcome.SAFE_STOP
+                return Trouble(stamps[-1] if stamps else operator.now, outcome)
+            if operator.now >= end + round(0.05 * NANOSECONDS) and action.done:
+                return None
+        raise NodesError(
+            "the trip did not end; the controller is in phase"
+            f" {operator.get('controller', 'phase')}"
+        )
+
+    def _reports(
+        self, case: Case, before: dict[str, dict[str, str]], took: bool
+    ) -> list[str]:
+        operator, processes = self.operator, self.processes
+
+        def look() -> list[str]:
+            for name in MODULES:
+                processes.ended(name)
+            silent = {
+                name
+                for name, heard in operator.heard.items()
+                if time.monotonic() - heard > SILENT
+            }
+            seen = Seen(
+                before,
+                operator.status,
+                operator.texts,
+                processes.exits,
+                processes.logs(),
+                self.answers,
+                silent,
+            )
+            return seen.reports(case.reported)
+
+        operator.until(look, REPORT_PATIENCE if took and case.reported else 0.0)
+        return look()
+
+    def _judge(
+        self,
+        name: str,
+        case: Case,
+        plan: Plan,
+        start: int,
+        shift: float,
+        faulted: list[int],
+        crossings: list[int],
+        times: list[int],
+        trouble: Trouble | None,
+        action: Action,
+        until: int,
+    ) -> tuple[Evidence, list[dict[str, Any]]]:
+        """What became of each faulted crossing, told by the true joints."""
+        operator = self.operator
+        stamps, rows = operator.truth.table(12)
+        rows, stamps = rows[stamps <= until], stamps[stamps <= until]
+        command_stamps, command_rows = operator.at_rig.table(2)
+        evidence = Evidence(
+            stamps,
+            rows[:, :4],
+            rows[:, [8, 10]],
+            command_stamps,
+            command_rows,
+            self.period,
+        )
+        trouble = self._first_trouble(trouble)
+        sides = judgement.true_side(evidence.joints)
+        records: list[dict[str, Any]] = []
+        sent = (operator.truth.sent[1:], operator.commands.sent[300:])
+        disturbed = not self.lockstep and any(
+            judgement.paused(np.array(times), self.gap_limit) for times in sent
+        )
+        for index, crossing, at in zip(faulted, crossings, times, strict=True):
+            judged_at = max(
+                crossing + round(JUDGED_AFTER * NANOSECONDS),
+                at + round(0.02 * NANOSECONDS),
+            )
+            outcome = Outcome.CROSSED
+            stopped = trouble is not None and trouble.stamp <= judged_at + action.grace
+            if stopped and trouble is not None:
+                outcome = trouble.outcome
+            elif len(stamps) and stamps[-1] >= judged_at:
+                place = int(np.searchsorted(stamps, judged_at))
+                if sides[place] != np.sign(plan.certificate.crossing_signs[index]):
+                    outcome = Outcome.MISSED
+                elif action.refused:
+                    outcome = Outcome.REFUSED
+            else:
+                outcome = Outcome.MISSED
+            if (
+                disturbed
+                and outcome not in case.expect
+                and outcome is not Outcome.MISSED
+            ):
+                outcome = Outcome.DISTURBED
+            s = np.interp(
+                (at - start) / NANOSECONDS - shift,
+                plan.certificate.profile.time,
+                plan.certificate.profile.s,
+            )
+            where = (
+                "at the locus"
+                if abs(s) < NEAR
+                else "before"
+                if at < crossing
+                else "after"
+            )
+            records.append(
+                {
+                    "case": name,
+                    "outcome": outcome.value,
+                    "expected": (
+                        outcome.value in [*case.expect, Outcome.DISTURBED.value]
+                    ),
+                    "where": (
+                        "throughout"
+                        if case.kind in ("transport", "network", "flood")
+                        else where
+                    ),
+                    "offset": (at - crossing) / NANOSECONDS,
+                    "reason": operator.get("controller", "reason") if stopped else "",
+                    "true_error": (
+                        self._true_error(plan, evidence, start, shift, crossing)
+                        if not stopped
+                        else None
+                    ),
+                    "torque": judgement.largest_torque(evidence),
+                }
+            )
+            if stopped:
+                break  # the crossings after it did not take place
+        return evidence, records
+
+    def _first_trouble(self, trouble: Trouble | None) -> Trouble | None:
+        """The first answered state without control, where there is one."""
+        stamps, rows = self.operator.criterion.stamps, self.operator.criterion.rows
+        for stamp, row in zip(stamps[1:], rows[1:], strict=True):
+            if int(row[PHASE]) in (Phase.FAULT, Phase.SAFE_STOP):
+                outcome = (
+                    Outcome.FAULT
+                    if int(row[PHASE]) == Phase.FAULT
+                    else Outcome.SAFE_STOP
+                )
+                return Trouble(min(stamp, trouble.stamp) if trouble else stamp, outcome)
+        return trouble
+
+    def _true_error(
+        self, plan: Plan, evidence: Evidence, start: int, shift: float, crossing: int
+    ) -> float:
+        """Largest distance (m) of the true end effector from the reference, around one
+        crossing.
+        """
+        half = round(SPREAD * NANOSECONDS)
+        near = (evidence.stamps >= crossing - half) & (
+            evidence.stamps <= crossing + half
+        )
+        if not near.any():
+            return float("nan")
+        times = (evidence.stamps[near] - start) / NANOSECONDS - shift
+        wanted = plan.trajectory.table(np.clip(times, 0.0, plan.certificate.duration))[
+            0
+        ]
+        actual = judgement.true_position(self.robot, evidence.joints[near])
+        return float(np.hypot(*(actual - wanted).T).max())
+
+    def _check(self, evidence: Evidence, tally: Tally, action: Action) -> None:
+        operator, limit = self.operator, self.robot.max_torque
+        tally.count(Check.TORQUE_AFTER_DEATH, *judgement.torque_after_death(evidence))
+        tally.count(Check.TORQUE_LIMIT, *judgement.torque_beyond(evidence, limit))
+        stamps, rows = operator.commands.table(2)
+        bad = operator.injector.bad_stamps if operator.injector is not None else []
+        tally.count(Check.NOT_FINITE, *judgement.not_finite(stamps, rows, bad, limit))
+        for path in action.bags():
+            tally.count(Check.BAG, 1, bag_check.unreadable(path))
+        tally.count(Check.BAG, 0, action.broken_bags())
+
+    def close(self) -> Tally:
+        """End the nodes; the check of what was recorded meanwhile."""
+        tally = Tally()
+        self.processes.stop_all()
+        self.operator.close()
+        if self.request.record and self.bags:
+            path = self._bag_path()
+            if path.exists():
+                tally.count(Check.BAG, 1, bag_check.unreadable(path))
+        return tally
+
+
+def say(**event: Any) -> None:
+    """One event on the standard output."""
+    print(json.dumps(event), flush=True)
+
+
+def main() -> int:
+    """The exit code: 0 when every case was tried to its end, 128 + a signal's number
+    when one ended them.
+    """
+    request = Request(**json.loads(sys.stdin.readline()))
+    code = 0
+    session: Session | None = None
+    with signals.interruptible():
+        try:
+            session = Session(request)
+            session.begin()
+            for name, count in request.cases.items():
+                say(event="start", case=name)
+                try:
+                    for event in session.run_case(name, count):
+                        say(**event)
+                except NodesError as error:
+                    code = 1
+                    say(event="failed", case=name, text=str(error))
+                    return code
+        except DextarError as error:
+            say(event="failed", case="", text=str(error))
+            return 1
+        except KeyboardInterrupt as interrupt:
+            return signals.exit_code(interrupt)
+        finally:
+            signals.install(
+                signal.SIG_IGN
+            )  # a further one would keep the nodes from being ended
+            if session is not None:
+                tally = session.close()
+                say(
+                    event="checks",
+                    case="",
+                    looked=tally.looked,
+                    violations=tally.violations,
+                )
+    return code
+
+
+if __name__ == "__main__":
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    argparse.ArgumentParser(
+        description=(
+            "One session of dextar faults: a JSON request on the standard input."
+        )
+    ).parse_args()
+    exit_code = 1
+    try:
+        exit_code = main()
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        os._exit(exit_code)  # rclpy's executor may outlive the nodes

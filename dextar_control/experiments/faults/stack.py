@@ -1,0 +1,264 @@
+"""The nodes that faults are done to, the recorder among them, and what an operator does
+to have the robot back.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from std_srvs.srv import SetBool, Trigger
+
+from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
+from dextar_control.contract.validation import validate
+from dextar_control.contract.yaml_text import assignment
+from dextar_control.control.phases import Phase
+from dextar_control.experiments.faults.cases import FaultConfig
+from dextar_control.experiments.faults.injector import REMAPPINGS
+from dextar_control.experiments.faults.link import Transport
+from dextar_control.experiments.faults.operator import Operator
+from dextar_control.experiments.processes import NodesError, Processes
+from dextar_control.nodekit.cdr import NANOSECONDS
+
+START_TIMEOUT = 120.0  # s, on a busy machine
+RECOVERY_PATIENCE = 30.0  # s until a robot that does not come back to HOLD is given up
+LAST_WORDS = 0.3  # s
+LEASE_PATIENCE = 60.0  # s
+HOLD_WAIT = 0.1  # s
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a session is asked for.
+
+    Attributes:
+        folder: of logs and bags.
+        clock: ``lockstep`` or ``realtime``.
+        cases: name and count of faulted crossings of each case, in this order.
+        config: the cases' file as plain data.
+        seed: of all chance.
+        injector: whether one stands between rig and controller.
+        record: whether a recorder runs beside.
+        prefix: command words before a node's own, by name.
+        plant: further parameters of the plant, NAME:=VALUE.
+        modules: run in the place of a node's own, by name: another driver or
+            controller.
+    """
+
+    folder: str
+    clock: str
+    cases: dict[str, int]
+    config: dict[str, Any]
+    seed: int
+    injector: bool
+    record: bool
+    prefix: dict[str, list[str]] = field(default_factory=dict)
+    plant: list[str] = field(default_factory=list)
+    modules: dict[str, str] = field(default_factory=dict)
+
+
+class Stack:
+    """The nodes of one request, and an operator beside them.
+
+    Attributes:
+        folder: of logs and bags.
+        config: of the cases.
+        lockstep: the rig waits for the answer to each state.
+        processes: the nodes.
+        operator: who hears and asks them.
+        answers: what they said to what was asked of them in this trip.
+    """
+
+    def __init__(self, request: Request) -> None:
+        self.request = request
+        self.folder = Path(request.folder)
+        self.config = validate(FaultConfig, request.config, "cases")
+        self.lockstep = request.clock == "lockstep"
+        self.bags = 0
+        self.processes = Processes(
+            self.folder, self._arguments(), request.prefix, request.modules
+        )
+        self.answers: list[str] = []
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self.operator = Operator(injector=request.injector, lockstep=self.lockstep)
+
+    def _arguments(self) -> dict[str, list[str]]:
+        common = [
+            "--params-file",
+            str(config_file(ROBOT_FILE)),
+            "--params-file",
+            str(config_file(NODES_FILE)),
+        ]
+        trip = self.config.trip
+        values = {
+            "plant": [
+                assignment("mode", self.request.clock),
+                assignment("real_time_factor", 0.0),
+                assignment("start_paused", True),
+                *self.request.plant,
+            ],
+            "controller": [assignment("lockstep", self.lockstep)],
+            "trajectory_server": [
+                assignment("duration", trip.duration),
+                assignment("dwell", trip.dwell),
+            ],
+            "recorder": [assignment("reliable", self.lockstep)],
+        }
+        remap = (
+            [part for rule in REMAPPINGS for part in ("-r", rule)]
+            if self.request.injector
+            else []
+        )
+        return {
+            name: [
+                *common,
+                *(part for value in own for part in ("-p", f"{name}:{value}")),
+                *(remap if name == "plant" else []),
+            ]
+            for name, own in values.items()
+        }
+
+    def bag(self) -> Path:
+        """Path of the next recording, in a folder of its own: a bag's metadata belong
+        to it alone.
+        """
+        self.bags += 1
+        path = self._bag_path()
+        path.parent.mkdir()
+        return path
+
+    def _bag_path(self) -> Path:
+        return self.folder / f"bag-{self.bags}" / "run.mcap"
+
+    def current_bag(self) -> Path | None:
+        """Path of the recording under way."""
+        return self._bag_path() if self.bags else None
+
+    def start_recorder(
+        self,
+        *,
+        wrap: Sequence[str] = (),
+        path: Path | None = None,
+        limit: Any = None,
+        **more: str,
+    ) -> Path:
+        """Start the recorder; its bag."""
+        path = path or self.bag()
+        extra = [
+            part
+            for item in {"output": path, **more}.items()
+            for part in ("-p", f"recorder:{assignment(*item)}")
+        ]
+        self.processes.start("recorder", extra, wrap, limit)
+        return path
+
+    def begin(self) -> None:
+        """Start the nodes, let the time run and bring the robot to HOLD."""
+        names = ["plant", "controller", "trajectory_server"]
+        if self.request.record:
+            self.start_recorder()
+            names.append("recorder")
+        for name in names:
+            if name != "recorder":
+                self.processes.start(name)
+
+        def ready() -> bool:
+            self.processes.check()
+            planned = self.operator.get("trajectory_server", "crossings")
+            return bool(planned) and all(name in self.operator.status for name in names)
+
+        if not self.operator.until(ready, START_TIMEOUT):
+            heard = ", ".join(sorted(self.operator.status)) or "none"
+            raise NodesError(
+                f"the nodes were not ready within {START_TIMEOUT:.0f} s; heard of:"
+                f" {heard}"
+            )
+        self.operator.call(SetBool, "plant/pause", data=False)
+        if not self.recover():
+            raise NodesError(
+                "the controller does not hold:"
+                f" {self.operator.get('controller', 'reason')}"
+            )
+
+    def holding(self) -> bool:
+        """Whether the controller says, and its answers show, that it holds."""
+        return (
+            self.operator.get("controller", "phase") == Phase.HOLD.name
+            and self.operator.phase == Phase.HOLD
+        )
+
+    def recover(self, *, disable: bool = False) -> bool:
+        """What an operator does: side told, reset, the robot back to its start, enable;
+        whether it then holds.
+
+        The drives take commands again once one commander alone has spoken for a while,
+        whoever the middleware still counts as publisher: that is waited for.
+
+        Args:
+            disable: also a robot that holds, because its controller does not know the
+                side.
+        """
+        operator = self.operator
+        if operator.injector is not None:
+            operator.injector.clear()
+            for link in (operator.injector.states, operator.injector.commands):
+                link.configure(Transport(), 0)
+        operator.until(
+            lambda: operator.get("plant", "commands_taken") != "False", LEASE_PATIENCE
+        )
+        if disable:
+            operator.call(SetBool, "controller/enable", data=False)
+            operator.until(lambda: not self.holding(), 1.0)
+        deadline = time.monotonic() + RECOVERY_PATIENCE
+        while (
+            not operator.until(self.holding, HOLD_WAIT) and time.monotonic() < deadline
+        ):
+            operator.change_parameters("controller", assembly_mode=1)
+            operator.call(
+                Trigger, "controller/reset"
+            )  # first: a safe stop that brakes would push the robot from its start
+            operator.call(Trigger, "plant/reset")
+            self.linger(HOLD_WAIT)
+            operator.change_parameters("controller", assembly_mode=1)
+            operator.call(SetBool, "controller/enable", data=True)
+        return self.holding()
+
+    def restart(self, name: str) -> None:
+        """Start a node that ended; a controller without torque until it is enabled."""
+        operator = self.operator
+        operator.until(lambda: False, LAST_WORDS)  # of the one that ended
+        operator.status.pop(name, None)
+        bag: Path | None = None
+        if name == "recorder":
+            bag = self.start_recorder()
+        else:
+            self.processes.start(
+                name,
+                ["-p", "controller:enabled:=false"] if name == "controller" else [],
+            )
+        if name == "plant" and operator.injector is not None:
+            operator.injector.forget_rig()
+
+        def ready() -> bool:
+            self.processes.check()
+            if bag is not None and not bag.exists():
+                return False
+            return name in operator.status and (
+                name != "trajectory_server" or bool(operator.get(name, "crossings"))
+            )
+
+        if not operator.until(ready, START_TIMEOUT):
+            raise NodesError(f"{name} did not come back within {START_TIMEOUT:.0f} s")
+        if name == "plant":
+            operator.call(SetBool, "plant/pause", data=False)
+
+    def linger(self, seconds: float) -> None:
+        """Let the rig's clock go on, or the steady one where it does not."""
+        until = self.operator.now + round(seconds * NANOSECONDS)
+        patience = 10.0 * seconds + 1.0 if self.lockstep else max(1.5 * seconds, 0.5)
+        self.operator.until(lambda: self.operator.now >= until, patience)

@@ -1,0 +1,63 @@
+"""A DDS domain of one's own, so that two runs on one machine do not hear each other."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import random
+import tempfile
+
+from dextar_control.contract.errors import DextarError
+
+DOMAINS = range(1, 100)
+"""All of them leave their ports below those that Linux gives to others."""
+
+_held: list[int] = []  # descriptors of locks, for as long as the process lives
+
+
+def own_domain() -> int:
+    """A domain that no other process has by this function, until this one ends.
+
+    Raises:
+        DextarError: all are taken, or there is no temporary folder.
+    """
+    try:
+        folder = tempfile.gettempdir()
+    except OSError as error:
+        raise DextarError(
+            "no temporary folder can be written, to mark a domain as taken; set"
+            " ROS_DOMAIN_ID or TMPDIR"
+        ) from error
+    for number in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
+        lock = _opened(os.path.join(folder, f"dextar-domain-{number}.lock"))
+        if lock is None:
+            continue
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(lock)
+            continue
+        _held.append(lock)
+        return number
+    raise DextarError(
+        f"all {len(DOMAINS)} DDS domains are taken by other runs on this machine; set"
+        " ROS_DOMAIN_ID to share one"
+    )
+
+
+def _opened(path: str) -> int | None:
+    """A lock file, made where it does not exist. Another user's file, which may only be
+    read, can be locked as well.
+    """
+    for flags in (os.O_RDWR | os.O_CREAT, os.O_RDONLY):
+        with contextlib.suppress(OSError):
+            return os.open(path, flags | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
+    return None
+
+
+def choose_domain() -> str:
+    """``ROS_DOMAIN_ID`` as it is set, or else set to one of one's own."""
+    if "ROS_DOMAIN_ID" not in os.environ:
+        os.environ["ROS_DOMAIN_ID"] = str(own_domain())
+    return os.environ["ROS_DOMAIN_ID"]

@@ -1,0 +1,167 @@
+"""A managed node: the lifecycle of ROS 2 over the package's own kind of node."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+
+from dextar_control.contract.errors import DextarError
+from dextar_control.nodekit.node import DextarNode
+
+UNCONFIGURED, INACTIVE, ACTIVE = "unconfigured", "inactive", "active"
+SUCCESS, FAILURE, ERROR = (
+    TransitionCallbackReturn.SUCCESS,
+    TransitionCallbackReturn.FAILURE,
+    TransitionCallbackReturn.ERROR,
+)
+
+
+class ManagedNode(LifecycleNodeMixin, DextarNode):
+    """Lifecycle states and transitions; what they mean is in ``configure``,
+    ``activate``, ``deactivate``, ``cleanup``.
+
+    A transition that raises a DextarError is refused with its message, and the node
+    stays in the state where it was; any other exception leads by way of error
+    processing to unconfigured. A transition that the present state does not have is
+    refused too (rclpy's own service raises then, out of the executor). No executor
+    serves the services: the node polls ``desk``.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        DextarNode.__init__(self, served=False, **options)
+        LifecycleNodeMixin.__init__(self)
+        self.transition_error: DextarError | None = None
+        self._service_change_state.callback = self._on_change_state
+
+    @property
+    def lifecycle(self) -> str:
+        """The state's name: unconfigured, inactive, active, finalized, or that of the
+        transition under way.
+        """
+        return str(self._state_machine.current_state[1])
+
+    def why_fixed(self) -> str:
+        """Only an unconfigured node takes parameters that are not live."""
+        return (
+            ""
+            if self.lifecycle == UNCONFIGURED
+            else f"while the node is {self.lifecycle}; clean it up first"
+        )
+
+    def change_state(self, transition: int) -> bool:
+        """Make a transition, one of ``lifecycle_msgs/msg/Transition``; False where it
+        is refused, and the log says why.
+        """
+        triggers = {
+            Transition.TRANSITION_CONFIGURE: self.trigger_configure,
+            Transition.TRANSITION_ACTIVATE: self.trigger_activate,
+            Transition.TRANSITION_DEACTIVATE: self.trigger_deactivate,
+            Transition.TRANSITION_CLEANUP: self.trigger_cleanup,
+        }
+        possible = {
+            number: label
+            for number, label, *_ in self._state_machine.available_transitions
+        }
+        if transition not in possible:
+            self.get_logger().error(
+                f"transition {transition} is not possible in state {self.lifecycle};"
+                f" possible are: {', '.join(sorted(possible.values())) or 'none'}"
+            )
+            return False
+        before, label = self.lifecycle, possible[transition]
+        self.transition_error = None
+        done = bool(triggers.get(transition, self.trigger_shutdown)() == SUCCESS)
+        if done:
+            self.get_logger().info(f"{label}: {before} -> {self.lifecycle}")
+        self.on_transition()
+        return done
+
+    def _on_change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        wanted = request.transition.id
+        if request.transition.label:
+            labels = {
+                label: number
+                for number, label, *_ in self._state_machine.available_transitions
+            }
+            if request.transition.label not in labels:
+                self.get_logger().error(
+                    f"transition '{request.transition.label}' is not possible in state"
+                    f" {self.lifecycle}; possible are:"
+                    f" {', '.join(sorted(labels)) or 'none'}"
+                )
+                return response
+            wanted = labels[request.transition.label]
+        response.success = self.change_state(wanted)
+        return response
+
+    def _try(self, name: str) -> TransitionCallbackReturn:
+        try:
+            getattr(self, name)()
+        except DextarError as error:
+            self.transition_error = error
+            self.get_logger().error(f"{name} is refused: {error}")
+            return FAILURE
+        except (
+            Exception
+        ) as error:  # rclpy would swallow it and go to error processing without a word
+            self.get_logger().error(f"{name} failed: {type(error).__name__}: {error}")
+            return ERROR
+        return SUCCESS
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """To inactive."""
+        return self._try("configure")
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """To active."""
+        return self._try("activate")
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """To inactive."""
+        return self._try("deactivate")
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """To unconfigured."""
+        return self._try("cleanup")
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """To finalized, by way of what the present state needs."""
+        if state.label == ACTIVE:
+            self._try("deactivate")
+        return SUCCESS if state.label == UNCONFIGURED else self._try("cleanup")
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """To unconfigured, from wherever a transition failed; finalized where even that
+        fails.
+        """
+        self._try("deactivate")
+        return self._try("cleanup")
+
+    def destroy_node(self) -> None:
+        """As any node's; the state machine, which rclpy leaves out, would keep the node
+        in the graph.
+        """
+        self._state_machine.destroy_when_not_in_use()
+        super().destroy_node()
+
+    def configure(self) -> None:
+        """Build everything from the parameters; raise a DextarError to stay
+        unconfigured.
+        """
+
+    def activate(self) -> None:
+        """Begin; raise a DextarError to stay inactive."""
+
+    def deactivate(self) -> None:
+        """End what ``activate`` began; also when that failed halfway."""
+
+    def cleanup(self) -> None:
+        """Drop what ``configure`` built; also when that failed halfway."""
+
+    def on_transition(self) -> None:
+        """After each transition, made or refused."""

@@ -1,0 +1,488 @@
+"""What every node of the package does alike: parameters, QoS, signals, diagnostics,
+exit code.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from dextar_control.contract import resources
+from dextar_control.contract.caches import prepare_environment
+from dextar_control.contract.clocks import UnsteppedClock
+from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.help import node_help
+from dextar_control.contract.parameters import Parameter, check_value, settled
+from dextar_control.contract.robot import (
+    PREFIX,
+    ROBOT_KEYS,
+    RobotParameters,
+    changed,
+    from_flat,
+)
+from dextar_control.contract.signals import StopSignal, caused_by_interrupt, tell
+from dextar_control.contract.topics import DIAGNOSTICS, Topic
+from dextar_control.contract.yaml_text import check_parameter_files
+from dextar_control.nodekit.services import ServiceDesk
+
+EXIT_USAGE = 2
+LAST_SAMPLES = 1.0  # s given to readers that want every sample, when a node ends
+COMPLAINT_PERIOD = 1.0  # s between two lines about services that failed
+
+
+def _robot_defaults(node: str) -> dict[str, Any]:
+    """The shipped description, by its keys."""
+    shipped = resources.node_defaults(node, resources.config_file(resources.ROBOT_FILE))
+    return {
+        key.removeprefix(PREFIX): value
+        for key, value in shipped.items()
+        if key.startswith(PREFIX)
+    }
+
+
+def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoSProfile:
+    """The profile of a contract topic; a subscriber on the control path asks for
+    ``reliable=False``.
+    """
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth or topic.depth,
+        reliability=(
+            ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        ),
+        durability=(
+            DurabilityPolicy.TRANSIENT_LOCAL
+            if topic.latched
+            else DurabilityPolicy.VOLATILE
+        ),
+    )
+
+
+class DextarNode(Node):
+    """A node with checked parameters, a diagnostics publisher and an exit code.
+
+    Each kind of node says of itself:
+        NAME: node name, and its section in ``config/crossing.yaml``.
+        PARAMETERS: the node's parameters.
+        ROBOT: whether the node takes the robot description.
+
+    Args:
+        served: whether the executor serves the services, those of parameters too;
+            otherwise the node calls ``desk.poll`` when it has time for some.
+
+    Raises:
+        ParameterError: an override is unknown, of another type or out of its bounds.
+    """
+
+    NAME: ClassVar[str]
+    PARAMETERS: ClassVar[tuple[Parameter, ...]]
+    ROBOT: ClassVar[bool] = True
+
+    def __init__(self, *, served: bool = True, **options: Any) -> None:
+        name, robot = self.NAME, self.ROBOT
+        self._polled: set[int] = set()
+        self._waits: Any = None
+        self._served_by_executor = served
+        super().__init__(name, **options)
+        self.exit_code = 0
+        self.finished = False
+        self._specs = {spec.name: spec for spec in self.PARAMETERS}
+        self._defaults = resources.node_defaults(name)
+        overrides = {
+            key: parameter.value for key, parameter in self._parameter_overrides.items()
+        }
+        self.values = settled(name, self.PARAMETERS, overrides, robot=robot)
+        for spec in self._specs.values():
+            value = self.values[spec.name]
+            self._declare(spec.name, value, _descriptor(spec, value))
+        if robot:
+            told = {
+                key.removeprefix(PREFIX): value
+                for key, value in overrides.items()
+                if key.startswith(PREFIX)
+            }
+            whole = "name" in told  # a description, not a change of the shipped one
+            flat = told if whole else changed(_robot_defaults(name), told)
+            self.robot: RobotParameters = from_flat(flat)
+            for key, value in flat.items():
+                plain = (
+                    list(value)
+                    if hasattr(value, "__len__") and not isinstance(value, str)
+                    else value
+                )
+                self._declare(
+                    f"{PREFIX}{key}",
+                    plain,
+                    ParameterDescriptor(description=ROBOT_KEYS[key], read_only=True),
+                )
+        self.add_on_set_parameters_callback(self._on_set)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, DIAGNOSTICS.name, qos(DIAGNOSTICS)
+        )
+        self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.unstepped_clock = UnsteppedClock()
+        self.desk = ServiceDesk(
+            lambda: self._services,
+            lambda text: self.get_logger().error(
+                text, throttle_duration_sec=COMPLAINT_PERIOD
+            ),
+            self.unstepped_clock,
+        )
+
+    @property
+    def subscriptions(self) -> Any:
+        """What the executor serves: not the polled ones."""
+        return (
+            entity for entity in super().subscriptions if id(entity) not in self._polled
+        )
+
+    def create_polled_subscription(
+        self, message_type: Any, name: str, profile: QoSProfile, *, raw: bool = False
+    ) -> Any:
+        """A subscription that no executor serves.
+
+        ``subscription.handle.take_message(message_type, raw)`` gives (message, info) or
+        None. The events executor of rclpy 7.1 fails on callbacks that want the info.
+        """
+        subscription = self.create_subscription(
+            message_type, name, lambda _: None, profile, raw=raw
+        )
+        self._polled.add(id(subscription))
+        return subscription
+
+    @property
+    def services(self) -> Any:
+        """What the executor serves: not the polled ones."""
+        return (
+            entity
+            for entity in super().services
+            if self._served_by_executor and id(entity) not in self._polled
+        )
+
+    def create_polled_service(self, service_type: Any, name: str) -> Any:
+        """A service that no executor serves, so that it may answer later than it is
+        asked.
+
+        ``service.handle.service_take_request(service_type.Request)`` gives (request,
+        header), both None without a request; ``service.send_response(response,
+        header)`` answers it.
+        """
+        service = self.create_service(service_type, name, lambda _, response: response)
+        self._polled.add(id(service))
+        return service
+
+    def wait_for(self, subscription: Any, seconds: float) -> None:
+        """Sleep until a polled subscription holds a message, at most for so long; about
+        0.02 ms of processor time.
+        """
+        if self._waits is None:
+            self._waits = rclpy_implementation.WaitSet(
+                1, 0, 0, 0, 0, 0, self.context.handle
+            )
+        with subscription.handle:
+            self._waits.clear_entities()
+            self._waits.add_subscription(subscription.handle)
+            self._waits.wait(max(0, round(1.0e9 * seconds)))
+
+    def destroy_subscription(self, subscription: Any) -> bool:
+        """Also of a polled one; another may get its identity."""
+        self._polled.discard(id(subscription))
+        return bool(super().destroy_subscription(subscription))
+
+    def _declare(self, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
+        self.declare_parameter(name, value, descriptor, ignore_override=True)
+
+    def _on_set(self, parameters: list[Any]) -> SetParametersResult:
+        changes: dict[str, Any] = {}
+        before = dict(self.values)
+        try:
+            for parameter in parameters:
+                spec = self._specs.get(parameter.name)
+                if spec is None:
+                    continue
+                if not spec.live and (reason := self.why_fixed()):
+                    raise ParameterError(f"'{spec.name}' is fixed {reason}")
+                changes[spec.name] = check_value(
+                    spec, parameter.value, self._defaults[spec.name]
+                )
+            self.values.update(changes)
+            self.on_parameters(changes)
+        except DextarError as error:
+            self.values = before
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def why_fixed(self) -> str:
+        """Why parameters that are not live cannot be changed now; empty when they
+        can.
+        """
+        return "while the node runs"
+
+    def on_parameters(self, changes: Mapping[str, Any]) -> None:
+        """Take live changes, already in ``values``; raise a DextarError to refuse them
+        all.
+        """
+
+    def too_many_publishers(self, topic: str) -> str:
+        """Who publishes a topic, by its full name, that may have one publisher, in
+        words, where it has more; empty otherwise.
+
+        The graph keeps a publisher that was killed for some time (Fast DDS: up to 20
+        s), and knows it before its node's name.
+        """
+        with self.handle:
+            count = self.handle.get_count_publishers(topic)
+        if count <= 1:
+            return ""
+        infos = [
+            info
+            for info in self.get_publishers_info_by_topic(topic)
+            if "UNKNOWN" not in info.node_name
+        ]
+        named = Counter(
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos
+        )
+        names = ", ".join(
+            name if many == 1 else f"{many} x {name}"
+            for name, many in sorted(named.items())
+        )
+        return (
+            f"{count} publishers on {topic}; the limit is 1: end all but"
+            f" one{f' ({names})' if names else ''}"
+        )
+
+    def publish_diagnostics(
+        self, level: bytes, message: str, values: Mapping[str, Any]
+    ) -> None:
+        """One DiagnosticStatus on ``/diagnostics``, numbers as their shortest exact
+        text.
+        """
+        status = DiagnosticStatus(
+            level=level,
+            name=f"{self.get_fully_qualified_name()}",
+            message=message,
+            hardware_id="dextar",
+        )
+        status.values = [
+            KeyValue(key=key, value=str(value)) for key, value in values.items()
+        ]
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def finish(self, exit_code: int = 0) -> None:
+        """Leave the spin loop with this exit code."""
+        self.exit_code = exit_code
+        self.finished = True
+
+    def close(self) -> None:
+        """Leave the outside world as it should be left; called once, before the node is
+        destroyed.
+        """
+
+
+def _descriptor(spec: Parameter, value: Any) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=spec.measured, dynamic_typing=True)
+    if spec.choices:
+        descriptor.additional_constraints = f"one of: {', '.join(spec.choices)}"
+    if spec.minimum is None and spec.maximum is None:
+        return descriptor
+    if isinstance(value, float):
+        low = -1.0e308 if spec.minimum is None else float(spec.minimum)
+        high = 1.0e308 if spec.maximum is None else float(spec.maximum)
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=low, to_value=high)
+        ]
+    elif isinstance(value, int) and not isinstance(value, bool):
+        low_int = -(2**62) if spec.minimum is None else int(spec.minimum)
+        high_int = 2**62 if spec.maximum is None else int(spec.maximum)
+        descriptor.integer_range = [IntegerRange(from_value=low_int, to_value=high_int)]
+    return descriptor
+
+
+def make_executor(kind: str = "events") -> Any:
+    """The events executor where this rclpy has it, else the single-threaded one."""
+    if kind == "events":
+        try:
+            from rclpy.experimental.events_executor import EventsExecutor
+
+            return EventsExecutor()
+        except ImportError:
+            pass
+    return rclpy.executors.SingleThreadedExecutor()
+
+
+def prepare_middleware() -> None:
+    """Name ``config/fastdds.xml`` to Fast DDS, unless the user has a file of profiles;
+    other middleware does not read it.
+    """
+    names = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+    if (
+        not any(os.environ.get(name) for name in names)
+        and not Path("DEFAULT_FASTRTPS_PROFILES.xml").exists()
+    ):
+        os.environ[names[0]] = str(resources.config_file(resources.MIDDLEWARE_FILE))
+
+
+def run_node(
+    make: Callable[[], Any],
+    args: list[str] | None = None,
+    spin: Callable[[Any, Any, StopSignal], None] | None = None,
+) -> int:
+    """Run one node until a signal or its own end; the process's exit code.
+
+    ``--help`` and anything else that is not ROS's own are answered before a node, or
+    ROS itself, is started.
+
+    Args:
+        make: builds the node.
+        args: command line without the program's name, ``sys.argv``'s when None.
+        spin: the node's own loop ``spin(node, executor, stop)``; the default hands
+            events to callbacks.
+    """
+    prepare_environment()
+    stop = StopSignal()
+    node: Any = None
+    try:
+        words = sys.argv[1:] if args is None else args
+        if (code := _answer(make, words)) is not None:
+            return code
+        prepare_middleware()
+        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+        node = make()
+        stop.starting = False
+        executor = make_executor()
+        executor.add_node(node)
+        try:
+            (spin or _spin)(node, executor, stop)
+        finally:
+            node.close()
+            _wait_for_readers(node)
+            executor.remove_node(node)
+            executor.shutdown()
+        return int(node.exit_code)
+    except DextarError as error:
+        return _refuse(str(error))
+    except BaseException as error:
+        if (
+            stop and stop.starting and not isinstance(error, SystemExit)
+        ):  # also what the compiler makes of an interrupt
+            return 0
+        if caused_by_interrupt(error):
+            return 0
+        if node is None and type(error).__module__.startswith(
+            "rclpy._rclpy"
+        ):  # e.g. security is asked for and not there
+            return _refuse(_in_one_line(error))
+        if node is None and isinstance(error, OSError):  # e.g. too many open files
+            return _refuse(f"the node cannot be started: {error}")
+        raise
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _wait_for_readers(node: Node) -> None:
+    """Let readers that want every sample, as the recorder, have the last ones: what is
+    under way goes with the publisher.
+    """
+    deadline = time.monotonic() + LAST_SAMPLES
+    for publisher in node.publishers:
+        publisher.wait_for_all_acked(
+            Duration(seconds=max(deadline - time.monotonic(), 0.0))
+        )
+
+
+def _answer(make: Callable[[], Any], words: list[str]) -> int | None:
+    """Help, or the refusal of what neither the node nor rcl takes; None where the node
+    is to be started.
+    """
+    own = _own(words)
+    if not {"-h", "--help"}.isdisjoint(own):
+        tell(node_help(make), sys.stdout)
+        return 0
+    if own:
+        instead = (
+            f"write --ros-args -p {own[0]}"
+            if ":=" in own[0]
+            else "--help says what there is"
+        )
+        return _refuse(
+            f"argument '{own[0]}' is not known: a node takes --help, and what stands"
+            f" behind --ros-args; {instead}"
+        )
+    files_and_more = check_parameter_files(words)
+    try:
+        remove_ros_args(files_and_more)
+    except (
+        Exception
+    ) as error:  # rcl raises its own types for a bad --ros-args or parameter file
+        return _refuse(_in_one_line(error))
+    return None
+
+
+def _own(words: list[str]) -> list[str]:
+    """What stands outside of ``--ros-args ... [--]``; rcl itself would still take a
+    remapping there, in the way of ROS 1.
+    """
+    own, theirs = [], False
+    for word in words:
+        if theirs:
+            theirs = word != "--"
+        elif word == "--ros-args":
+            theirs = True
+        elif word != "--":
+            own.append(word)
+    return own
+
+
+def _refuse(text: str) -> int:
+    tell(f"error: {text}", sys.stderr)
+    return EXIT_USAGE
+
+
+def _in_one_line(error: BaseException) -> str:
+    """What rcl says, without the places in its own sources."""
+    if type(error).__name__ == "UnknownROSArgsError":
+        return (
+            f"unknown ROS argument {str(error).strip('[]')}; --help says what there is"
+        )
+    lines = re.sub(
+        r",? at \S+:\d+", "", str(error).removeprefix("Failed to parse ROS arguments: ")
+    ).splitlines()
+    text = lines[0] if lines else type(error).__name__
+    for rule, form in (
+        ("parameter override rule", "NAME:=VALUE"),
+        ("remap rule", "OLD:=NEW"),
+    ):
+        if rule in text:
+            return text.partition(" Error: ")[0] + f" It must be {form}."
+    return text
+
+
+def _spin(node: DextarNode, executor: Any, stop: StopSignal) -> None:
+    while not stop and not node.finished:
+        executor.spin_once(timeout_sec=0.05)

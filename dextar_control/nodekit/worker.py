@@ -1,0 +1,72 @@
+"""Work beside a node: done in order in one thread, its progress told, its end taken by
+the node's own thread.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+from dextar_control.contract.errors import DextarError
+
+Done = Callable[[Any, DextarError | None], None]
+
+
+class GivenUp(DextarError):
+    """What is planned is not wanted any more: the node ends, or a stop was asked
+    for.
+    """
+
+
+class Worker:
+    """Runs jobs one after the other; ``poll`` hands their results over where it is
+    called.
+
+    Attributes:
+        fraction, stage: of the job under way, as its ``progress`` told them; stage is
+            empty when there is none.
+    """
+
+    def __init__(self) -> None:
+        self.fraction = 0.0
+        self.stage = ""
+        self._closing = False
+        self._threads = ThreadPoolExecutor(max_workers=1)
+        self._jobs: deque[tuple[Future[Any], Done]] = deque()
+
+    def submit(self, work: Callable[[], Any], done: Done) -> None:
+        """Do ``work``; afterwards ``poll`` calls ``done(result, None)`` or ``done(None,
+        error)``.
+        """
+        self._jobs.append((self._threads.submit(work), done))
+
+    def progress(self, fraction: float, stage: str) -> None:
+        """What a job under way calls.
+
+        Raises:
+            GivenUp: the worker is closed.
+        """
+        if self._closing:
+            raise GivenUp("planning was given up: the node ends")
+        self.fraction, self.stage = fraction, stage
+
+    def poll(self) -> None:
+        """Take the results that are there, in the order in which they were asked
+        for.
+        """
+        while self._jobs and self._jobs[0][0].done():
+            future, done = self._jobs.popleft()
+            self.fraction, self.stage = 0.0, ""
+            try:
+                result = future.result()
+            except DextarError as error:
+                done(None, error)
+            else:
+                done(result, None)
+
+    def close(self) -> None:
+        """Give up what is under way at its next progress, and all that waits."""
+        self._closing = True
+        self._threads.shutdown(wait=False, cancel_futures=True)

@@ -1,0 +1,93 @@
+"""What a user does from where a controller stands so that it takes a trip, in words
+that a refusal ends with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from dextar_control.contract.topics import DIAGNOSTICS
+
+
+def next_step(controller: str, lifecycle: str, phase: str, enabling: str = "") -> str:
+    """The commands that lead to phase HOLD; empty where it holds already.
+
+    Args:
+        controller: the node's full name, as its services bear it.
+        lifecycle: its state.
+        phase: of its loop.
+        enabling: as its diagnostics tell it.
+    """
+    if lifecycle != "active":
+        steps = {
+            "unconfigured": ("configure", "activate"),
+            "inactive": ("activate",),
+        }.get(lifecycle, ())
+        calls = ", then ".join(
+            f"ros2 lifecycle set {controller} {step}" for step in steps
+        )
+        return (
+            f"type {calls}"
+            if calls
+            else (
+                "start another controller"
+                if lifecycle == "finalized"
+                else "wait, then ask again"
+            )
+        )
+    enable, reset, stop = (
+        command(controller, name) for name in ("enable", "reset", "stop")
+    )
+    if phase == "IDLE":
+        return (
+            "wait until it enables by itself"
+            if enabling == "waiting"
+            else f"type {enable}"
+        )
+    if phase == "SAFE_STOP":
+        return f"once the robot rests type {reset}, then {enable}"
+    if phase == "FAULT":
+        return f"type {reset}, then {enable}"
+    return "" if phase == "HOLD" else f"wait until it holds, or type {stop}"
+
+
+def command(controller: str, name: str) -> str:
+    """A command of ``dextar`` for the robot of this controller's namespace."""
+    namespace = controller.rpartition("/")[0]
+    return f"dextar {name} --namespace {namespace}" if namespace else f"dextar {name}"
+
+
+def why_not(controller: str, told: Mapping[str, str]) -> str:
+    """Why a controller would not take a trajectory now, as far as it has told; empty
+    when it would.
+
+    It takes one while it holds, and while it waits to enable itself.
+
+    Args:
+        controller: the node's full name.
+        told: the values of its diagnostics; empty before the first.
+    """
+    if not told:
+        return f"no word of {controller} on {DIAGNOSTICS.name}; see that it runs"
+    lifecycle, phase = told.get("lifecycle", "active"), told.get("phase", "")
+    enabling, reason = told.get("enabling", ""), told.get("reason", "")
+    step = next_step(controller, lifecycle, phase, enabling)
+    if lifecycle != "active":
+        return f"the controller is {lifecycle}; a trip needs an active one: {step}"
+    if phase == "HOLD" or (phase == "IDLE" and enabling == "waiting"):
+        return ""
+    second = next(
+        (
+            text
+            for key in ("other_commanders", "state_publishers")
+            if (text := told.get(key, ""))
+        ),
+        "",
+    )
+    why = "; ".join(
+        text for text in (reason, second if second not in reason else "") if text
+    )
+    return (
+        f"the controller is in phase {phase}{f' ({why})' if why else ''}; a trip starts"
+        f" from HOLD: {step}"
+    )

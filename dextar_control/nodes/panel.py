@@ -1,0 +1,586 @@
+"""The panel's node: one page in the browser that watches and drives a robot. It reads,
+and nothing on the control path waits.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from dextar_control.contract import style
+from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.resources import node_defaults
+from dextar_control.contract.signals import StopSignal
+from dextar_control.contract.topics import (
+    CONTROLLER_STATE,
+    CRITERION,
+    JOINT_STATES,
+    PHASES,
+)
+from dextar_control.nodekit.node import DextarNode, run_node
+from dextar_control.nodekit.scheduling import stand_back
+from dextar_control.nodekit.worker import GivenUp, Worker
+from dextar_control.nodes.newest import UNCHANGED, Newest
+from dextar_control.nodes.panel_operator import SPECS, PanelOperator, task_of
+from dextar_control.nodes.scene import Scene, View
+from dextar_control.nodes.task import Task, in_words, plan_from
+from dextar_control.panel.server import Answer, PanelServer
+from dextar_control.panel.words import mend, shown_margins
+from dextar_control.planning.locus import nearest_point
+from dextar_control.symbols.types import Array
+
+PARAMETERS = (
+    Parameter(
+        "host",
+        "The page is served at this address (option --host); any but this machine's own"
+        " asks for a token, which is printed.",
+    ),
+    Parameter(
+        "port",
+        "The page is served at this port (option --port) or the first free one after"
+        " it; 0 takes any.",
+        0,
+        65535,
+    ),
+    Parameter("rate", "The page is renewed at this rate.", 5.0, 60.0, unit="Hz"),
+)
+OPTIONS = {"--host": "host", "--port": "port"}
+"""Of the command ``dextar panel``, for short; ``--namespace`` besides."""
+
+STATUS_PERIOD = 0.2  # s
+DIAGNOSTICS_PERIOD = 1.0  # s
+# s by which the controller's last word is behind the last joint state, from which on it
+# tells no phase
+SILENCE = 0.1
+HEARING = 0.1  # s of the executor's longest wait
+DIGITS = 6  # of numbers that are shown: 1 µm, 1 µN m
+PATH_POINTS = 400  # of a path that is drawn
+PLAN_POINTS = 500  # of a plan's torque over time
+SHOWN = (  # of the controller's diagnostics
+    "lifecycle",
+    "phase",
+    "reason",
+    "enabling",
+    "law",
+    "estimator",
+    "trajectory",
+    "waiting_for",
+    "crossings",
+    "begun",
+    "verdicts",
+    "confidences",
+    "largest_error",
+    "reference_time",
+    "duration",
+    "stopped",
+    "mode_known",
+    "mode_confidence",
+    "distance_to_locus",
+    "rate",
+    "jitter_us",
+    "missed_states",
+    "stalls",
+    "latency_p99_us",
+    "saturated_share",
+    "x",
+    "y",
+    "s",
+)
+
+
+class PanelNode(DextarNode):
+    """Serves a page that shows the robot as it moves and, to one driver at a time,
+    starts, stops and sets it.
+
+    It asks the nodes what ``dextar go``, ``stop``, ``enable`` and ``reset`` ask, by the
+    same code. While nobody looks on it reads no topic but diagnostics. Its readers keep
+    one sample and ask for no repetition.
+    """
+
+    NAME = "panel"
+    PARAMETERS = PARAMETERS
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._scene = Scene(self.robot)
+        self._newest = Newest(self)
+        self.operator = PanelOperator(self.get_namespace())
+        self._worker = Worker()
+        self._wanted: object | None = None  # the plan that is looked at
+        self._reporting: asyncio.Task[None] | None = None
+        self._report: Path | None = None
+        self._bag = ""
+        self._complaint = ""
+        self._shown = 0
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self.server = PanelServer(self, self.values["host"], self.values["port"])
+        if self.server.moved:
+            self.get_logger().warning(
+                f"port {self.values['port']} is taken, perhaps by another panel"
+            )
+        self.get_logger().info(f"the panel is at {self.server.address}")
+
+    def setup(self) -> dict[str, Any]:
+        """What a page draws once: robot, locus, and what may be set."""
+        low, high = self._scene.workspace
+        arcs = [
+            {"family": arc.family.name.lower(), "x": _rounded(arc.x[::4])}
+            for arc in self._scene.arcs
+        ]
+        specs = {
+            node: [_spec(node, spec) for spec in table] for node, table in SPECS.items()
+        }
+        lines = {
+            f"{kind}{part}": line._asdict()
+            for (kind, part), line in style.LINES.items()
+        }
+        return {
+            "robot": self.robot.name,
+            "namespace": self.get_namespace(),
+            "low": low,
+            "high": high,
+            "arcs": arcs,
+            "motors": _rounded(self._scene.motors),
+            "limit": self.robot.max_torque,
+            "specs": specs,
+            "lines": lines,
+            "phases": PHASES,
+            "palettes": {"light": style.LIGHT, "dark": style.DARK},
+            "rate": self.values["rate"],
+        }
+
+    def watched(self, viewers: int) -> None:
+        """Read while somebody looks on."""
+        if viewers and not self._newest:
+            self._newest.open()
+        elif not viewers and self._newest:
+            self._newest.close()
+
+    def told(self, text: str) -> None:
+        """In the log and on the pages."""
+        self.get_logger().warning(text, throttle_duration_sec=1.0)
+        self.operator.note(text)
+
+    def report(self) -> Path | None:
+        """The page that was made last."""
+        return self._report
+
+    def ask(self, name: str, asked: Mapping[str, Any], answer: Answer) -> None:
+        """What the driver asks for; see ``panel_operator``."""
+        assert self._loop is not None
+        loop, me = self._loop, self.operator
+
+        def told(ok: bool, text: str, more: Mapping[str, Any] | None = None) -> None:
+            with contextlib.suppress(RuntimeError):  # the panel has ended meanwhile
+                loop.call_soon_threadsafe(answer, ok, text, more or {})
+
+        requests: dict[str, Callable[[], None]] = {
+            "stop": lambda: me.stop_now(told),
+            "enable": lambda: me.enable(_flag(asked, "on"), told),
+            "reset": lambda: me.reset(told),
+            "activate": lambda: me.activate(told),
+            "go": lambda: me.go(task_of(asked), told),
+            "set": lambda: me.put(asked["node"], asked["values"], told),
+            "record": lambda: me.record(
+                _flag(asked, "on"),
+                {key: str(asked[key]) for key in ("name", "notes")},
+                told,
+            ),
+            "plan": lambda: self._plan(task_of(asked), told),
+            "near": lambda: self._near(asked["point"], told),
+            "report": lambda: self._make_report(told),
+        }
+        if name not in requests:
+            raise KeyError(name)
+        requests[name]()
+
+    def _plan(self, changes: Mapping[str, Any], told: Callable[..., None]) -> None:
+        """Plan as the trajectory server would, from where the robot stands; the newest
+        wish counts.
+        """
+        server = self.operator.values.get("trajectory_server") or node_defaults(
+            "trajectory_server"
+        )
+        values = {**node_defaults("trajectory_server"), **server, **changes}
+        wanted = self._wanted = object()
+        task, origin = Task.from_values(values), self._origin()
+
+        def progress(fraction: float, stage: str) -> None:
+            if self._wanted is not wanted:
+                raise GivenUp("another plan is wanted")
+            self._worker.progress(fraction, stage)
+
+        def work() -> dict[str, Any]:
+            progress(0.0, "planning")
+            plan = task.plan(self.robot, progress)
+            if origin is not None:
+                plan = plan_from(self.robot, origin, plan, values["approach_speed"])
+            seen = plan.certificate
+            rows = np.unique(
+                np.linspace(0, len(seen.profile.time) - 1, PLAN_POINTS).astype(int)
+            )
+            return {
+                "path": _rounded(seen.profile.x[rows]),
+                "time": _rounded(seen.profile.time[rows]),
+                "torque": _rounded(seen.profile.torque[rows]),
+                "limit": self.robot.max_torque,
+                "peak": seen.peak_torque,
+                "duration": seen.duration,
+                "words": in_words(seen),
+                "crossings": [
+                    {
+                        "time": one.time,
+                        "x": one.x,
+                        "family": one.family,
+                        "sign": one.sign,
+                    }
+                    for one in seen.crossings
+                ],
+            }
+
+        def done(plan: dict[str, Any] | None, error: DextarError | None) -> None:
+            if plan is None:
+                told(
+                    False,
+                    str(error),
+                    {
+                        "instead": error.instead if error else {},
+                        "given_up": isinstance(error, GivenUp),
+                    },
+                )
+            else:
+                told(True, "this can be driven", {"plan": plan})
+
+        self._worker.submit(work, done)
+
+    def _near(self, point: Any, told: Callable[..., None]) -> None:
+        """The point of the locus nearest to a place."""
+        x = np.array(point, dtype=float)
+
+        def done(found: Any, error: DextarError | None) -> None:
+            told(
+                error is None,
+                str(error or "the nearest point of the locus"),
+                {} if error else {"point": _rounded(found.x)},
+            )
+
+        self._worker.submit(lambda: nearest_point(self.robot, x), done)
+
+    def _origin(self) -> Array | None:
+        """Where the robot stands; None where that is not known."""
+        x = np.array(
+            [float(self.operator.controller.get(axis, "nan")) for axis in ("x", "y")]
+        )
+        return x if np.isfinite(x).all() else None
+
+    def _make_report(self, told: Callable[..., None]) -> None:
+        """Have the last recording analysed, in a process of its own."""
+        if not self._bag:
+            raise DextarError(
+                "no recording is known: this panel has not heard of one since it began"
+            )
+        if self._reporting is not None and not self._reporting.done():
+            raise DextarError("the report is being made")
+        self._reporting = asyncio.ensure_future(self._analyze(Path(self._bag), told))
+
+    async def _analyze(self, bag: Path, told: Callable[..., None]) -> None:
+        command = [
+            "-n",
+            "10",
+            sys.executable,
+            "-m",
+            "dextar_control.cli.main",
+            "analyze",
+            str(bag),
+        ]
+        process = await asyncio.create_subprocess_exec(
+            "nice",
+            *command,
+            stdout=asyncio.subprocess.DEVNULL,
+            stderr=asyncio.subprocess.PIPE,
+        )
+        said = (
+            (await process.communicate())[1]
+            .decode(errors="replace")
+            .strip()
+            .splitlines()
+        )
+        page = bag.parent / "report.html"
+        if (
+            process.returncode not in (0, 1) or not page.is_file()
+        ):  # 1: the run is no success, or not whole
+            told(
+                False,
+                (
+                    said[-1]
+                    if said
+                    else (
+                        f"the analysis of {bag} ended with exit code"
+                        f" {process.returncode}"
+                    )
+                ),
+            )
+            return
+        self._report = page
+        told(True, f"{page} is made", {"report": True})
+
+    def show(self) -> None:
+        """The newest sample to all pages."""
+        if not self._newest:
+            return
+        try:
+            trajectory = self._newest.take()
+            if trajectory is not UNCHANGED:
+                self._scene.set_path(trajectory)
+                self.send_path()
+            view = self._newest.view()
+            state = None if view is None else self._state(view)
+            self._complaint = ""
+        except DextarError as error:
+            self._complaint = str(error)
+            return
+        if state is not None:
+            self.server.send("state", state)
+            self._shown += 1
+
+    def send_path(self) -> None:
+        """The path that is served, to all pages."""
+        thin = max(1, len(self._scene.path) // PATH_POINTS)
+        self.server.send(
+            "path",
+            {
+                "path": _rounded(self._scene.path[::thin]),
+                "crossings": _rounded(self._scene.crossings),
+            },
+            keep=True,
+        )
+
+    def _state(self, view: View) -> dict[str, Any]:
+        x = self._scene.platform(view)
+        t_s, s = self._scene.kernel(view, x)
+        joints, told = (
+            self._newest.seen[JOINT_STATES.name],
+            self._newest.seen.get(CONTROLLER_STATE.name),
+        )
+        stamp, scalars, points = (
+            joints.header.stamp,
+            view.scalars,
+            [] if told is None else told.points,
+        )
+        error = (
+            float(np.linalg.norm(points[2].positions))
+            if len(points) > 2
+            else float("nan")
+        )
+        torque = dict(zip(joints.name, joints.effort, strict=False))
+        behind = (
+            _seconds(stamp) - _seconds(self._newest.seen[CRITERION.name].header.stamp)
+            if scalars
+            else 0.0
+        )
+        return {
+            "time": round(_seconds(stamp), 3),
+            "stale": view.stale,
+            "phase": self._scene.phase(view) if abs(behind) < SILENCE else "",
+            "links": _rounded(self._scene.linkage(view.q_a, x)),
+            "x": _rounded(x),
+            "reference": _rounded(view.x_ref),
+            "t_s": _rounded(t_s),
+            "s": _round(s),
+            "torque": [_round(torque.get(name, np.nan)) for name in ("q11", "q21")],
+            "limit": _round(scalars.get("torque_limit", np.nan)),
+            "error": _round(error),
+            "residual": _round(scalars.get("residual", np.nan)),
+            "confidence": _round(scalars.get("mode_confidence", np.nan)),
+            "mode": _round(scalars.get("assembly_mode", np.nan)),
+            "verdict": _round(scalars.get("verdict", 0.0)),
+        }
+
+    def status(self) -> None:
+        """What the nodes tell of themselves, to all pages."""
+        me = self.operator
+        told = me.controller if me.fresh("controller") else {}
+        recorder = me.status.get("recorder", {}) if me.fresh("recorder") else {}
+        self._bag = recorder.get("bag", self._bag)
+        if not self.server.pages:
+            return
+        nodes = {
+            name: {"message": values["message"], "level": int(values["level"])}
+            for name, values in me.status.items()
+            if me.fresh(name)
+        }
+        plant = me.status.get("plant", {}) if me.fresh("plant") else {}
+        why, action = mend(self.get_namespace(), told, nodes)
+        self.server.send(
+            "status",
+            {
+                "controller": {key: told[key] for key in SHOWN if key in told},
+                "why": why,
+                "action": action,
+                "margins": shown_margins(told),
+                "nodes": nodes,
+                "values": me.values,
+                "complaint": self._complaint,
+                "plant": {
+                    key: plant[key]
+                    for key in ("mode", "real_time_factor", "late_ticks", "steps")
+                    if key in plant
+                },
+                "recorder": (
+                    {
+                        key: recorder[key]
+                        for key in ("recording", "bag", "bytes", "name")
+                        if key in recorder
+                    }
+                    | {
+                        "lost": sum(
+                            int(value)
+                            for key, value in recorder.items()
+                            if key.endswith(" lost") and value.isdigit()
+                        )
+                    }
+                ),
+                "bag": self._bag,
+                "reported": self._report is not None,
+                "progress": me.progress,
+                "lines": list(me.lines),
+                "planning": self._worker.stage,
+            },
+            keep=True,
+        )
+
+    def diagnose(self) -> None:
+        """For the other nodes."""
+        viewers = len(self.server.pages)
+        self.publish_diagnostics(
+            DiagnosticStatus.OK,
+            f"at {self.server.address.partition('?')[0]}",
+            {
+                "address": self.server.address.partition("?")[0],
+                "viewers": viewers,
+                "driven": self.server.driver is not None,
+                "shown": self._shown,
+            },
+        )
+
+    async def serve(self, ended: Callable[[], bool]) -> None:
+        """Until it ends: show, tell and answer."""
+        self._loop = asyncio.get_running_loop()
+        self.server.begin()
+        period, due = (
+            1.0 / self.values["rate"],
+            {self.status: 0.0, self.diagnose: 0.0, self.operator.each_second: 0.0},
+        )
+        periods = {self.status: STATUS_PERIOD}
+        following = time.monotonic()
+        while not ended():
+            now = time.monotonic()
+            self._worker.poll()
+            self.show()
+            for work, moment in due.items():
+                if now >= moment:
+                    due[work] = now + periods.get(work, DIAGNOSTICS_PERIOD)
+                    work()
+            following = max(following + period, now)
+            await asyncio.sleep(following - now)
+
+    def close(self) -> None:
+        """Let go of the pages; the robot stays to the controller's own rules."""
+        self._worker.close()
+        self.operator.leave()
+        self.diagnose()
+
+    def destroy_node(self) -> None:
+        """With the operator's client."""
+        self.operator.destroy_node()
+        super().destroy_node()
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
+
+
+def _round(value: float) -> float:
+    return round(float(value), DIGITS) + 0.0  # no minus nothing
+
+
+def _rounded(values: Array) -> Any:
+    return np.round(values, DIGITS).tolist()
+
+
+def _spec(node: str, spec: Parameter) -> dict[str, Any]:
+    """A parameter as a page sets it."""
+    default = node_defaults(node)[spec.name]
+    return {**spec.__dict__, "default": default}
+
+
+def _flag(asked: Mapping[str, Any], name: str) -> bool:
+    value = asked[name]
+    if not isinstance(value, bool):
+        raise ParameterError(f"'{name}' = {value!r}; it must be true or false")
+    return value
+
+
+def spin(node: PanelNode, executor: Any, stop: StopSignal) -> None:
+    """The server in this thread, ROS in another, until a signal."""
+    executor.add_node(node.operator)
+    ended = threading.Event()
+
+    def hear() -> None:
+        while not ended.is_set():
+            executor.spin_once(timeout_sec=HEARING)
+            node.operator.heard()
+
+    async def serve() -> None:
+        try:
+            await node.serve(lambda: bool(stop) or node.finished)
+        finally:
+            node.server.close()
+
+    hearing = threading.Thread(target=hear, name="ros")
+    hearing.start()
+    try:
+        asyncio.run(serve())
+    finally:
+        node.operator.leave()
+        ended.set()
+        hearing.join()
+        executor.remove_node(node.operator)
+
+
+def ros_arguments(words: list[str]) -> list[str]:
+    """``--host H``, ``--port N`` and ``--namespace NS`` as ROS arguments; everything
+    else as it is.
+    """
+    own: list[str] = []
+    rest = list(words)
+    while len(rest) > 1 and rest[0] in (*OPTIONS, "--namespace"):
+        name, value = rest.pop(0), rest.pop(0)
+        own += (
+            ["-r", f"__ns:={value}"]
+            if name == "--namespace"
+            else ["-p", f"panel:{OPTIONS[name]}:={value}"]
+        )
+    return ["--ros-args", *own, "--", *rest] if own else rest
+
+
+def main(args: list[str] | None = None) -> int:
+    """Console entry; who only shows does not interrupt who moves the robot."""
+    stand_back()
+    return run_node(
+        PanelNode, ros_arguments(sys.argv[1:] if args is None else args), spin
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,353 @@
+"""What a panel asks of the nodes: the operator's own requests, each kind in a thread of
+its own.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import QoSProfile
+from std_srvs.srv import SetBool, Trigger
+
+from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.resources import node_defaults
+from dextar_control.contract.signals import Interrupted
+from dextar_control.nodekit.node import check_value
+from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
+from dextar_control.nodes import controller, recorder, trajectory_server
+from dextar_control.nodes.operator import MOVING, TICK, Operator, Unreached, task_values
+
+SPECS: dict[str, tuple[Parameter, ...]] = {
+    "controller": controller.PARAMETERS,
+    "trajectory_server": trajectory_server.PARAMETERS,
+    "recorder": recorder.SPECS,
+}
+"""Of the nodes that a panel sets."""
+REBUILT = (
+    "law",
+    "estimator",
+)  # of the controller, which takes them only where it is built anew
+KINDS = ("trip", "point", "tour")  # of a task
+SILENT = (
+    3.0  # s without a word of a node, after which its parameters are asked for again
+)
+LINES = 40  # that are kept of what was said
+EVENTS_DEPTH = 100
+
+Job = Callable[[], str]
+
+
+class _Never:
+    """Stands where a command's signals do: a panel is ended by its own node's."""
+
+    def __bool__(self) -> bool:
+        return False
+
+    def check(self) -> None:
+        """No signal comes."""
+
+
+class PanelOperator(Operator):
+    """The operator's client, spun by who has made it, for several threads that wait.
+
+    Args:
+        namespace: of the robot's nodes.
+
+    Attributes:
+        values: of the parameters of each node of ``SPECS``; empty where they are not
+            known.
+        lines: what was said last, each with its number, the oldest first.
+        progress: of the trip that this panel has started: what is under way, and how
+            much of it is done; None without one.
+    """
+
+    def __init__(self, namespace: str) -> None:
+        super().__init__(namespace, _Never())
+        self._news = threading.Condition()
+        self._leaving = False
+        self._snapshots = {name: ParameterSnapshot(self, name) for name in SPECS}
+        self._threads = {
+            name: ThreadPoolExecutor(1, name)
+            for name in ("stop", "drop", "trip", "desk")
+        }
+        self.lines: deque[tuple[int, str]] = deque(maxlen=LINES)
+        self.progress: tuple[str, float] | None = None
+        self.create_subscription(
+            ParameterEvent,
+            "/parameter_events",
+            self._on_parameters,
+            QoSProfile(depth=EVENTS_DEPTH),
+        )
+
+    def hear(self, *names: str) -> None:
+        """What is known is known: this client hears all the time."""
+
+    def turn(self) -> None:
+        """Wait for news; who spins this node calls ``heard``."""
+        with self._news:
+            self._news.wait(TICK)
+        if self._leaving:
+            raise Interrupted
+
+    def heard(self) -> None:
+        """Something may have come."""
+        with self._news:
+            self._news.notify_all()
+
+    def note(self, text: str) -> None:
+        """Say something to all pages."""
+        self.lines.append((self.lines[-1][0] + 1 if self.lines else 1, text))
+
+    def _on_parameters(self, event: ParameterEvent) -> None:
+        space, _, name = event.node.rpartition("/")
+        snapshot = self._snapshots.get(name)
+        if (
+            snapshot is not None
+            and snapshot.values is not None
+            and space == self.get_namespace().rstrip("/")
+        ):
+            changed = {
+                entry.name: parameter_value_to_python(entry.value)
+                for entry in event.changed_parameters
+            }
+            snapshot.values = snapshot.values | changed
+
+    def each_second(self) -> None:
+        """Ask for parameters that are not known; forget those of a node that has
+        gone.
+        """
+        for name, snapshot in self._snapshots.items():
+            if not self.fresh(name):
+                snapshot.renew()
+            else:
+                snapshot.ask()
+
+    def fresh(self, name: str) -> bool:
+        """Whether a node has told of itself lately."""
+        return self.heard_since(name, time.monotonic() - SILENT)
+
+    @property
+    def values(self) -> dict[str, dict[str, Any]]:
+        """Of each node the parameters of its table."""
+        return {
+            name: {
+                spec.name: known[spec.name]
+                for spec in SPECS[name]
+                if spec.name in known
+            }
+            for name, snapshot in self._snapshots.items()
+            if (known := snapshot.values) is not None
+        }
+
+    def stop_now(self, answer: Callable[[bool, str], None]) -> None:
+        """A safe stop, whatever else is under way; answered when the controller has."""
+
+        def work() -> str:
+            self.stop_controller()
+            return "a stop was asked for"
+
+        def drop() -> str:
+            self.stop_server()
+            return ""
+
+        self._do("stop", work, answer)
+        self._do("drop", drop, lambda *_: None)
+
+    def enable(self, on: bool, answer: Callable[[bool, str], None]) -> None:
+        """Torque, or none."""
+        self._do(
+            "desk",
+            lambda: self.ask_controller(SetBool, "enable", SetBool.Request(data=on)),
+            answer,
+        )
+
+    def reset(self, answer: Callable[[bool, str], None]) -> None:
+        """Leave a fault or a safe stop."""
+        self._do(
+            "desk",
+            lambda: self.ask_controller(Trigger, "reset", Trigger.Request()),
+            answer,
+        )
+
+    def go(
+        self, values: Mapping[str, Any], answer: Callable[[bool, str], None]
+    ) -> None:
+        """A trip; answered when it has ended.
+
+        Raises:
+            Unreached: one is under way.
+        """
+        if self.progress is not None:
+            raise Unreached(
+                "a trip of this panel is under way: wait until it ends, or stop it"
+            )
+        self.progress = "planning", 0.0
+
+        def show(text: str, share: float) -> None:
+            self.progress = text, share
+
+        def work() -> str:
+            try:
+                self.trip(values, show, self.note)
+            finally:
+                self.progress = None
+            return ""  # all is said
+
+        self._do("trip", work, answer)
+
+    def put(
+        self, node: str, values: Mapping[str, Any], answer: Callable[[bool, str], None]
+    ) -> None:
+        """Live parameters of a node; law and estimator of the controller too, which is
+        built anew for them, without torque.
+
+        Raises:
+            ParameterError: there is no such parameter, or its value cannot be.
+        """
+        checked, defaults = {}, node_defaults(node)
+        specs = {spec.name: spec for spec in SPECS.get(node, ())}
+        for name, value in values.items():
+            if name not in specs:
+                raise ParameterError(f"there is no parameter '{name}' of {node}")
+            checked[name] = check_value(specs[name], value, defaults[name])
+        anew = {name: checked.pop(name) for name in REBUILT if name in checked}
+
+        def work() -> str:
+            if checked:
+                self.set_parameters_of(node, checked)
+            if anew:
+                self._rebuild(anew)
+            return "; ".join(
+                f"{name} is {value}" for name, value in (checked | anew).items()
+            )
+
+        self._do("desk", work, answer)
+
+    def activate(self, answer: Callable[[bool, str], None]) -> None:
+        """A controller that was let go answers states again."""
+
+        def work() -> str:
+            if self.controller.get("lifecycle") == "unconfigured":
+                self._change("configure")
+            self._change("activate")
+            return "the controller is active"
+
+        self._do("desk", work, answer)
+
+    def record(
+        self, on: bool, labels: Mapping[str, str], answer: Callable[[bool, str], None]
+    ) -> None:
+        """A new recording with this name and these notes, or the end of the one that is
+        on.
+        """
+
+        def work() -> str:
+            self.find("recorder")
+            self.alone("recorder")
+            self.set_parameters_of("recorder", labels)
+            if (self.status["recorder"].get("recording") == "True") == on:
+                return "name and notes are set"
+            told = self.call(
+                Trigger, f"recorder/{'start' if on else 'stop'}", Trigger.Request()
+            )
+            if not told.success:
+                raise Unreached(told.message)
+            return str(told.message)
+
+        self._do("desk", work, answer)
+
+    def _rebuild(self, values: Mapping[str, Any]) -> None:
+        """The controller with another law or estimator: it lets go of the robot first,
+        and asks for torque as at its start.
+        """
+        self.find("controller")
+        self.alone("controller")
+        if (phase := self.controller.get("phase", "")) in MOVING:
+            what = ", ".join(values)
+            raise Unreached(
+                f"the controller is in phase {phase}; {what} can be changed once it"
+                " holds or has stopped"
+            )
+        if self.controller["lifecycle"] == "active":
+            self._change("deactivate")
+        self._change("cleanup")
+        try:
+            self.set_parameters_of("controller", values)
+        finally:
+            self._change("configure")
+            self._change("activate")
+
+    def _change(self, label: str) -> None:
+        request = ChangeState.Request(transition=Transition(label=label))
+        if not self.call(ChangeState, "controller/change_state", request).success:
+            raise Unreached(f"the controller does not {label}; its log says why")
+
+    def _do(self, thread: str, work: Job, answer: Callable[[bool, str], None]) -> None:
+        """Work in a thread; a panel of the same name would ask the same robot, so there
+        may be one.
+        """
+
+        def run() -> None:
+            try:
+                if thread not in ("stop", "drop"):
+                    self.alone("panel")
+                text = work()
+            except DextarError as error:
+                answer(False, str(error))
+            except Interrupted:
+                answer(False, "the panel ends")
+            except Exception as error:
+                answer(False, f"that failed: {error!r}")
+            else:
+                answer(True, text)
+
+        self._threads[thread].submit(run)
+
+    def leave(self) -> None:
+        """Let the threads go; the robot stays to the controller's own rules."""
+        self._leaving = True
+        for pool in self._threads.values():
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def task_of(asked: Mapping[str, Any]) -> dict[str, Any]:
+    """The trajectory server's parameters of a task that a page asks for.
+
+    Args:
+        asked: ``kind`` of KINDS; ``start`` and ``goal``, or ``point``, or ``count`` of
+            a tour; ``duration``, ``repeat``.
+
+    Raises:
+        ParameterError: one is missing or is no number.
+    """
+    kind = asked["kind"]
+    if kind not in KINDS:
+        raise ParameterError(f"task {kind!r}; it must be one of {', '.join(KINDS)}")
+    chosen = dict(
+        tour=asked["count"] if kind == "tour" else 0,
+        point=asked["point"] if kind == "point" else None,
+        excite=None,
+        duration=asked.get("duration"),
+        repeat=asked.get("repeat"),
+    )
+    values = task_values(chosen) | {"task.start": asked["start"]}
+    if kind == "trip":
+        values["task.goal"] = asked["goal"]
+    defaults, specs = (
+        node_defaults("trajectory_server"),
+        {spec.name: spec for spec in trajectory_server.PARAMETERS},
+    )
+    return {
+        name: check_value(specs[name], value, defaults[name])
+        for name, value in values.items()
+    }

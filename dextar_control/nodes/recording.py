@@ -1,0 +1,226 @@
+"""One bag under way: what goes into it beside the samples, and what is told of it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import parameter_value_to_python
+from rclpy.serialization import deserialize_message
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from dextar_control.bags.run_record import METADATA_NAME, RunRecord
+from dextar_control.bags.writer import BagWriter
+from dextar_control.contract.topics import TOPICS
+from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
+from dextar_control.nodekit.qos_profiles import describe
+from dextar_control.nodes.taps import Tap
+
+# s between two records of what was counted so far: what a killed recorder still says
+METADATA_PERIOD = 10
+LOW_SPACE = 300.0  # s of recording that still fit the disk, from which on it is said
+LABELS = ("name", "notes", "tags")
+
+
+class Recording:
+    """A bag, its record of the run and its counts.
+
+    Args:
+        node: the recorder.
+        path: of the new ``.mcap`` file.
+        taps: the topics; more may be added while it runs.
+        snapshots: of the other nodes' parameters; asked for anew.
+
+    Attributes:
+        writer: of the bag.
+        record: of the run.
+
+    Raises:
+        BagError: the bag cannot be made.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        path: Path,
+        taps: Sequence[Tap],
+        snapshots: Sequence[ParameterSnapshot],
+    ) -> None:
+        values = node.values
+        self.writer = BagWriter(
+            path,
+            values["compression"],
+            max_size=values["max_bag_size"],
+            max_duration=values["max_bag_duration"],
+            sync_period=values["sync_period"],
+            folder=True,
+        )
+        self.record = RunRecord(
+            {key: values[key] for key in LABELS}, get_rmw_implementation_identifier()
+        )
+        self._node, self._taps, self._snapshots = node, taps, snapshots
+        self._known: tuple[Any, ...] = ()
+        self._seconds = 0
+        for snapshot in snapshots:
+            snapshot.renew()
+        self.writer.add_metadata(METADATA_NAME, self._texts())
+        self._begun = time.monotonic()
+        now = time.time_ns()
+        for tap in taps:
+            tap.losses.restart()
+            for sample in tap.kept or ():
+                self.describe(tap)
+                self.writer.add(sample._replace(log_time=now))
+
+    def describe(self, tap: Tap) -> None:
+        """Add a topic to the bag as its publishers offer it, at its first sample."""
+        offered = [
+            info.qos_profile
+            for info in self._node.get_publishers_info_by_topic(tap.name)
+        ]
+        profiles = [describe(profile) for profile in offered]
+        self.writer.add_topic(
+            tap.name, tap.type, profiles, standing=tap.kept is not None
+        )
+
+    def hear_diagnostics(self, data: bytes) -> None:
+        """The plan's certificate is told there."""
+        own = self._node.get_namespace().rstrip("/")
+        for status in deserialize_message(data, DiagnosticArray).status:
+            if status.name.rpartition("/")[0] == own:
+                for entry in status.values:
+                    if entry.key == "certificate":
+                        self.record.note_certificate(entry.value)
+
+    def hear_parameter_event(self, data: bytes, received: int) -> None:
+        """A node's parameters were changed."""
+        event = deserialize_message(data, ParameterEvent)
+        for parameter in event.changed_parameters:
+            self.record.note_change(
+                received,
+                event.node,
+                parameter.name,
+                parameter_value_to_python(parameter.value),
+            )
+
+    def on_second(self) -> None:
+        """Write what has become known of the run; now and then what was counted."""
+        self._seconds += 1
+        record = self.record
+        known = (
+            self.missing(),
+            dict(record.labels),
+            record.certificate,
+            len(record.changes),
+        )
+        if known != self._known or self._seconds % METADATA_PERIOD == 0:
+            self._known = known
+            self.writer.add_metadata(METADATA_NAME, self._texts())
+
+    def end(self) -> None:
+        """Finish the bag; raises BagError when it is not whole or ended early."""
+        ended = datetime.now(timezone.utc)
+        self.writer.close(
+            {METADATA_NAME: self._texts(ended)},
+            self.record.custom_data(self._parameters()),
+        )
+
+    def status(self) -> tuple[bytes, str, dict[str, Any]]:
+        """Level, message and values for ``/diagnostics``."""
+        writer = self.writer
+        level, message = DiagnosticStatus.OK, f"recording to {writer.path}"
+        free = _free_space(writer.path.parent)
+        elapsed = time.monotonic() - self._begun
+        lasts = (
+            free * elapsed / writer.size
+            if writer.size and elapsed > 0
+            else float("inf")
+        )
+        if writer.error is not None:
+            level, message = DiagnosticStatus.ERROR, str(writer.error)
+        elif self.lost:
+            level, message = DiagnosticStatus.WARN, f"{self.lost} samples lost"
+        elif lasts < LOW_SPACE:
+            level, message = DiagnosticStatus.WARN, f"the disk is full in {lasts:.0f} s"
+        values = {
+            "recording": writer.error is None,
+            "bag": writer.path,
+            "bytes": writer.size,
+            "bytes_on_disk": writer.synced,
+            "files": len(writer.paths),
+            "pending": len(writer),
+            "disk_free_bytes": free,
+        }
+        for name, counts in self._counts().items():
+            values[f"{name} received"] = counts["received"]
+            values[f"{name} lost"] = (
+                "unknown"
+                if counts["lost"] is None
+                else counts["lost"] + (counts["dropped"] or 0)
+            )
+        return level, message, values
+
+    @property
+    def lost(self) -> int:
+        """Samples that are not in the bag, of all topics."""
+        return sum(tap.losses.lost for tap in self._taps) + sum(
+            self.writer.dropped.values()
+        )
+
+    @property
+    def written(self) -> int:
+        """Samples that are, or will be."""
+        return sum(tap.losses.received for tap in self._taps) - sum(
+            self.writer.dropped.values()
+        )
+
+    def missing(self) -> list[str]:
+        """Nodes whose parameters are not known."""
+        return [
+            snapshot.target for snapshot in self._snapshots if snapshot.values is None
+        ]
+
+    def _counts(self) -> dict[str, dict[str, int | None]]:
+        """Per topic: samples received, lost on the way (None: not numbered), dropped
+        before the disk.
+        """
+        return {
+            tap.name: {
+                "received": tap.losses.received,
+                "lost": tap.losses.lost if tap.losses.supported else None,
+                "dropped": self.writer.dropped.get(tap.name, 0),
+            }
+            for tap in self._taps
+        }
+
+    def _parameters(self) -> Mapping[str, dict[str, Any]]:
+        node = self._node
+        others = {
+            snapshot.target: snapshot.values
+            for snapshot in self._snapshots
+            if snapshot.values is not None
+        }
+        return {node.get_name(): dict(node.values), **others}
+
+    def _texts(self, ended: datetime | None = None) -> dict[str, str]:
+        resolved = {
+            tap.topic.name: tap.name for tap in self._taps if tap.topic in TOPICS
+        }
+        return self.record.texts(
+            self._parameters(), resolved, self._counts(), self.missing(), ended
+        )
+
+
+def _free_space(folder: Path) -> float:
+    """Bytes that the disk still has; nan when it cannot be asked."""
+    try:
+        space = os.statvfs(folder)
+    except OSError:
+        return float("nan")
+    return space.f_bavail * space.f_frsize

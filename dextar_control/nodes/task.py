@@ -1,0 +1,332 @@
+"""What the trajectory server is asked to plan, taken from its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dextar_control.contract.errors import ParameterError, TrajectoryError
+from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.robot import RobotParameters
+from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.checks import certify
+from dextar_control.planning.excitation import plan_excitation
+from dextar_control.planning.locus import locus_point
+from dextar_control.planning.planner import (
+    PLAN_RESIDUAL,
+    Criterion,
+    Plan,
+    plan_approach,
+    plan_crossing,
+    plan_return_trip,
+    plan_return_trip_through,
+)
+from dextar_control.planning.regular import side_of
+from dextar_control.planning.search import LOCUS_TIMES, Progress, silent
+from dextar_control.planning.tour import plan_tour
+from dextar_control.planning.trajectory import join
+from dextar_control.symbols.types import Array
+
+LEAST_DURATION = 0.02  # s
+AT_START = 1e-4  # m, closer than this needs no approach
+UNREACHED = (
+    "let the trip begin where the robot stands (task.start of the trajectory server, A"
+    " of the panel), or move the robot without torque and tell its side (assembly_mode"
+    " of the controller)"
+)
+MOST_LINES = 24  # of a certificate in words
+CRITERIA = tuple(criterion.name.lower() for criterion in Criterion)
+
+PARAMETERS = (
+    Parameter(
+        "task.start",
+        "The trip begins at this end effector position A, where the robot is taken to"
+        " stand until it is heard.",
+        size=2,
+        unit="m",
+        live=True,
+    ),
+    Parameter(
+        "task.goal",
+        "The trip A -> B -> A turns round at this end effector position B.",
+        size=2,
+        unit="m",
+        live=True,
+    ),
+    Parameter(
+        "point",
+        "A return trip through this point of the locus replaces the trip A -> B -> A;"
+        " [] plans none.",
+        size=2,
+        unit="m",
+        live=True,
+    ),
+    Parameter(
+        "direction",
+        "A return trip has this sign of s behind its point; 0 leads away from the side"
+        " of A.",
+        -1,
+        1,
+        live=True,
+    ),
+    Parameter(
+        "tour",
+        "A tour of this many crossings spread over the locus replaces the trip, the"
+        " other way round if negative; 0 plans none.",
+        -1000,
+        1000,
+        live=True,
+    ),
+    Parameter(
+        "tour_points",
+        "A tour through these points of the locus, x, y, x, y, ..., replaces the trip;"
+        " [] plans none.",
+        unit="m",
+        live=True,
+    ),
+    Parameter(
+        "tour_seed",
+        "This seed of the random numbers decides where a tour's crossings are spread.",
+        0,
+        2**31 - 1,
+        live=True,
+    ),
+    Parameter(
+        "excite",
+        "A motion that lasts about this long, to tell masses and friction (dextar"
+        " identify), replaces the trip; 0 plans none.",
+        0.0,
+        300.0,
+        unit="s",
+        live=True,
+    ),
+    Parameter(
+        "duration",
+        "One way of the trip lasts this long; 0 lets the planner choose.",
+        0.0,
+        60.0,
+        unit="s",
+        live=True,
+    ),
+    Parameter(
+        "dwell",
+        "The robot rests this long before, between and after the motions of a plan.",
+        0.01,
+        60.0,
+        unit="s",
+        live=True,
+    ),
+    Parameter(
+        "repeat",
+        "The plan repeats its return trip, or the laps of its tour, this often.",
+        1,
+        1000,
+        live=True,
+    ),
+    Parameter(
+        "locus_time",
+        "This time near the locus costs the planner as much as a peak torque of 0.3 of"
+        " the limit; a larger one yields less torque.",
+        *LOCUS_TIMES,
+        unit="s",
+        live=True,
+    ),
+    Parameter(
+        "criterion",
+        "The planned motion satisfies this criterion at each crossing; the law"
+        " multi_model needs zero_wrench.",
+        choices=CRITERIA,
+        live=True,
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to plan: a trip A -> B -> A, a return trip through ``point``, a tour, or an
+    exciting motion.
+
+    Attributes:
+        start, goal: A and B, m.
+        point: of the locus, m; None without.
+        direction: sign of s after ``point``; 0 leads away from the side of A.
+        tour: how many crossings are spread over the locus; the other way round where
+            negative.
+        tour_points: of a tour, m.
+        excite: about how long an exciting motion is, s; 0 is none.
+        duration: of one way, s; None leaves it to the planner.
+        locus_time: s; see ``plan_crossing``.
+    """
+
+    start: tuple[float, float]
+    goal: tuple[float, float]
+    point: tuple[float, float] | None
+    direction: int
+    tour: int
+    tour_points: tuple[tuple[float, float], ...]
+    tour_seed: int
+    excite: float
+    duration: float | None
+    dwell: float
+    repeat: int
+    locus_time: float
+    criterion: Criterion
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> Task:
+        """From parameter values, each of them checked by itself.
+
+        Raises:
+            ParameterError: they ask for several things at once, or contradict each
+                other.
+        """
+        asked = [
+            f"{name} = {values[name]}"
+            for name in ("point", "tour", "tour_points", "excite")
+            if values[name]
+        ]
+        if len(asked) > 1:
+            raise ParameterError(
+                f"{' and '.join(asked)} are given; one may be (point: [], tour: 0,"
+                " tour_points: [], excite: 0 are off)"
+            )
+        if values["direction"] and not values["point"]:
+            raise ParameterError(
+                f"direction = {values['direction']} is given without a point; it must"
+                " be 0"
+            )
+        if len(values["tour_points"]) % 2:
+            raise ParameterError(
+                f"tour_points has {len(values['tour_points'])} numbers; it must be"
+                " pairs of x and y"
+            )
+        if 0.0 < values["duration"] < LEAST_DURATION:
+            raise ParameterError(
+                f"duration = {values['duration']} s; it must be 0 or >="
+                f" {LEAST_DURATION}"
+            )
+        numbers = values["tour_points"]
+        return cls(
+            start=_pair(values["task.start"]),
+            goal=_pair(values["task.goal"]),
+            point=_pair(values["point"]) if values["point"] else None,
+            direction=values["direction"],
+            tour=values["tour"],
+            tour_points=tuple(zip(numbers[::2], numbers[1::2], strict=True)),
+            tour_seed=values["tour_seed"],
+            excite=values["excite"],
+            duration=values["duration"] or None,
+            dwell=values["dwell"],
+            repeat=values["repeat"],
+            locus_time=values["locus_time"],
+            criterion=Criterion[values["criterion"].upper()],
+        )
+
+    def plan(self, robot: RobotParameters, progress: Progress = silent) -> Plan:
+        """The certified plan; a tour or an exciting motion begins in A, a trip through
+        a point where the planner lets it begin.
+
+        Raises:
+            DextarError: there is none within the limits; names the limit and what would
+                do.
+        """
+        start = np.array(self.start)
+        if self.excite:
+            return plan_excitation(robot, start, self.excite, self.dwell, progress)
+        if self.tour or self.tour_points:
+            points = self.tour or [np.array(point) for point in self.tour_points]
+            return plan_tour(
+                robot,
+                points,
+                self.repeat,
+                self.tour_seed,
+                start=start,
+                duration=self.duration,
+                dwell=self.dwell,
+                criterion=self.criterion,
+                locus_time=self.locus_time,
+                progress=progress,
+            )
+        if self.point is not None:
+            place = locus_point(robot, np.array(self.point))
+            direction = self.direction or -round(
+                np.sign(side_of(robot, "task.start", start))
+            )
+            return plan_return_trip_through(
+                robot,
+                place,
+                direction,
+                self.duration,
+                self.dwell,
+                self.repeat,
+                criterion=self.criterion,
+                locus_time=self.locus_time,
+                progress=progress,
+            )
+        return plan_return_trip(
+            robot,
+            start,
+            np.array(self.goal),
+            self.duration,
+            self.dwell,
+            self.repeat,
+            criterion=self.criterion,
+            locus_time=self.locus_time,
+            progress=progress,
+        )
+
+    def plan_between(
+        self,
+        robot: RobotParameters,
+        start: Array,
+        goal: Array,
+        progress: Progress = silent,
+    ) -> Plan:
+        """One way between two given places.
+
+        Raises:
+            DextarError: as ``plan``.
+        """
+        return plan_crossing(
+            robot,
+            start,
+            goal,
+            self.duration,
+            criterion=self.criterion,
+            locus_time=self.locus_time,
+            progress=progress,
+        )
+
+
+def plan_from(robot: RobotParameters, origin: Array, plan: Plan, speed: float) -> Plan:
+    """A planned trip with the way from where the robot stands before it.
+
+    Args:
+        origin: (2,) m, where it stands.
+        speed: peak speed of that way, m/s.
+
+    Raises:
+        DextarError: there is no such way on one side of the locus.
+    """
+    start, trajectory = plan.trajectory.at(0.0).x, plan.trajectory
+    if float(np.hypot(*(origin - start))) >= AT_START:
+        try:
+            approach = plan_approach(robot, origin, start, speed)
+        except TrajectoryError as error:
+            raise TrajectoryError(f"{error}: {UNREACHED}") from error
+        trajectory = join([approach, trajectory])
+    return Plan(trajectory, certify(robot, trajectory, max_residual=PLAN_RESIDUAL))
+
+
+def _pair(numbers: Any) -> tuple[float, float]:
+    return float(numbers[0]), float(numbers[1])
+
+
+def in_words(certificate: Certificate) -> str:
+    """A certificate on one line, cut where it grows long."""
+    lines = certificate.lines()
+    more = len(lines) - MOST_LINES
+    return "; ".join([*lines[:MOST_LINES], *([f"and {more} more"] if more > 0 else [])])

@@ -1,0 +1,473 @@
+"""The trajectory server: plans a trip or a tour through the locus, says and draws what
+it planned, serves it.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nav_msgs.srv import GetPlan
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from dextar_control.contract.errors import DextarError, TrajectoryError
+from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.topics import (
+    DIAGNOSTICS,
+    MAX_TRAJECTORY_POINTS,
+    TRAJECTORY,
+)
+from dextar_control.nodekit.node import EXIT_USAGE, DextarNode, qos, run_node
+from dextar_control.nodekit.worker import Done, GivenUp, Worker
+from dextar_control.nodes import messages, task
+from dextar_control.nodes.next_step import command, why_not
+from dextar_control.nodes.task import Task, in_words, plan_from
+from dextar_control.planning.certificate import Certificate
+from dextar_control.planning.planner import Plan
+from dextar_control.planning.profile import sample_times
+from dextar_control.planning.search import Progress
+from dextar_control.planning.trajectory import Trajectory
+from dextar_control.symbols.types import Array
+
+PARAMETERS = (
+    *task.PARAMETERS,
+    Parameter(
+        "approach_speed",
+        "The robot moves to the start of the trip with at most this speed.",
+        1e-3,
+        2.0,
+        unit="m/s",
+        live=True,
+    ),
+    Parameter(
+        "sample_period",
+        "The points of a served trajectory are this far apart in time, and farther"
+        " apart in a very long one.",
+        1e-4,
+        0.02,
+        unit="s",
+        live=True,
+    ),
+    Parameter(
+        "autostart",
+        "The server serves the trip once it is planned and an active controller holds"
+        " or waits to be enabled.",
+    ),
+    Parameter(
+        "drawing",
+        "The server draws each plan to this .png before it runs, autostart's at the"
+        " end; an empty name draws none.",
+        live=True,
+    ),
+)
+
+# s, age of the controller's diagnostics that still tells where the robot stands
+FRESH = 2.0
+COARSEST = 0.005  # s between the served points of a long tour
+RESOLUTION = 130  # dots per inch of the drawing
+MOST_TOLD = 60  # crossings that the diagnostics repeat each second
+DIAGNOSTICS_PERIOD = 1.0  # s
+POLL_PERIOD = 0.05  # s
+TELL_PERIOD = 1.0  # s between two lines about the progress
+
+
+class Served(NamedTuple):
+    """A trajectory ready to be published."""
+
+    plan: Plan
+    task: Task
+    certificate: Certificate  # of the whole, the way to the start included
+    message: MultiDOFJointTrajectory
+
+
+class TrajectoryServer(DextarNode):
+    """Plans at start and on ``~/plan``; ``~/start`` serves the trip from where the
+    robot stands.
+
+    What is planned are the parameters of ``Task``. The way to its start, on one side of
+    the locus, is served with the trip as one trajectory. ``~/stop`` serves an empty
+    trajectory: the controller stops safely. A trip that is still being planned then is
+    not served. ``~/get_plan`` plans one way between any two poses (A and B where both
+    are zero) and returns its path.
+
+    Planning runs in a thread of its own; the services that need it answer when it is
+    done, ``~/stop`` at once.
+    """
+
+    NAME = "trajectory_server"
+    PARAMETERS = PARAMETERS
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._task = Task.from_values(self.values)
+        self._planned: tuple[Task, Plan] | None = None
+        self._drawn: tuple[Task, str] | None = None
+        self._certificate: Certificate | None = None
+        self._served = 0
+        self._error = ""
+        self._controller: dict[str, str] = {}
+        self._controller_time = -FRESH
+        self._worker = Worker()
+        self._told = (0.0, "")
+        self._starting: object | None = None  # the trip that is planned to be served
+        self._trajectory_publisher = self.create_publisher(
+            MultiDOFJointTrajectory, TRAJECTORY.name, qos(TRAJECTORY)
+        )
+        self.create_subscription(
+            DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS)
+        )
+        self._requests: list[tuple[Any, Callable[[Any, Any, Any], None]]] = [
+            (self.create_polled_service(Trigger, "~/plan"), self._on_plan),
+            (self.create_polled_service(Trigger, "~/start"), self._on_start),
+            (self.create_polled_service(GetPlan, "~/get_plan"), self._on_get_plan),
+        ]
+        self.create_service(Trigger, "~/stop", self._on_stop)
+        self._waiting = self.values["autostart"]
+        self._worker.submit(self._plan_of(self._task), self._on_first_plan)
+        self.create_timer(POLL_PERIOD, self._poll, clock=self.steady_clock)
+        self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
+
+    def on_parameters(self, changes: Mapping[str, Any]) -> None:
+        """A changed task is planned before it is served."""
+        self._task = Task.from_values(self.values)
+
+    def _poll(self) -> None:
+        """Requests, results, and the served trip once there is a controller, which
+        refuses what is older than itself.
+        """
+        for service, answer in self._requests:
+            while (
+                taken := service.handle.service_take_request(service.srv_type.Request)
+            )[1] is not None:
+                answer(service, *taken)
+        self._worker.poll()
+        self._tell_progress()
+        if self._waiting and self._planned is not None and not self._why_not():
+            self._submit_trip(self._on_autostart)
+            self._waiting = False
+
+    def _tell_progress(self) -> None:
+        now, stage = time.monotonic(), self._worker.stage
+        if stage and stage != self._told[1] and now - self._told[0] > TELL_PERIOD:
+            self._told = now, stage
+            self.get_logger().info(f"planning, {self._worker.fraction:.0%}: {stage}")
+            self._diagnose()
+
+    def _plan_of(
+        self, wanted: Task, progress: Progress | None = None
+    ) -> Callable[[], tuple[Task, Plan]]:
+        """A job: the plan of a task, drawn where that is asked for and nobody waits."""
+        drawing = "" if self._waiting else self.values["drawing"]
+
+        def work() -> tuple[Task, Plan]:
+            known = self._planned
+            if known is not None and known[0] == wanted:
+                plan = known[1]
+            else:
+                begin = time.perf_counter()
+                plan = wanted.plan(self.robot, progress or self._worker.progress)
+                self.get_logger().info(
+                    f"planned in {time.perf_counter() - begin:.2f} s:"
+                    f" {in_words(plan.certificate)}"
+                )
+            if drawing and self._drawn != (wanted, drawing):
+                _draw(self.robot, plan, Path(drawing).expanduser())
+                self._drawn = wanted, drawing
+            return wanted, plan
+
+        return work
+
+    def _trip(self, origin: Array, progress: Progress) -> Callable[[], Served]:
+        """A job: the planned trip with the way from where the robot stands before it,
+        as a message.
+        """
+        plan_now = self._plan_of(self._task, progress)
+        speed, period = self.values["approach_speed"], self.values["sample_period"]
+
+        def work() -> Served:
+            wanted, plan = plan_now()
+            trajectory, certificate = plan_from(self.robot, origin, plan, speed)
+            times = served_times(trajectory, certificate, period)
+            return Served(
+                plan, wanted, certificate, messages.from_trajectory(trajectory, times)
+            )
+
+        return work
+
+    def _submit_trip(self, done: Done) -> None:
+        """Plan the trip from where the robot stands, for ``done`` to serve it, unless
+        ``~/stop`` is called before.
+        """
+        self._starting = starting = object()
+        stopped = GivenUp(
+            "the trip is not served: a stop was asked for while it was planned"
+        )
+
+        def progress(fraction: float, stage: str) -> None:
+            if self._starting is not starting:
+                raise stopped
+            self._worker.progress(fraction, stage)
+
+        def planned(served: Served | None, error: DextarError | None) -> None:
+            if self._starting is starting:
+                self._starting = None
+                done(served, error)
+            else:
+                done(None, error or stopped)
+
+        self._worker.submit(self._trip(self._origin(), progress), planned)
+
+    def _origin(self) -> Array:
+        """Where the robot stands as far as is known, else A."""
+        x = np.array([float(self._controller.get(axis, "nan")) for axis in ("x", "y")])
+        return x if np.isfinite(x).all() else np.array(self._task.start)
+
+    def _publish(self, served: Served) -> str:
+        self._planned, self._certificate = (
+            (served.task, served.plan),
+            served.certificate,
+        )
+        self._trajectory_publisher.publish(served.message)
+        self._served += 1
+        self._error = ""
+        text = (
+            f"served {len(served.message.points)} points over"
+            f" {served.certificate.duration:.3f} s"
+        )
+        self.get_logger().info(text)
+        self._diagnose(whole=True)
+        return text
+
+    def _check_robot(self) -> None:
+        """Raise TrajectoryError unless the controller holds the robot somewhere
+        known.
+        """
+        if time.monotonic() - self._controller_time > FRESH:
+            raise TrajectoryError(
+                f"no word of {self._controller_name} on {DIAGNOSTICS.name} for"
+                f" {FRESH:.1f} s; see that it runs"
+            )
+        if reason := self._why_not():
+            raise TrajectoryError(reason)
+        if not np.isfinite(
+            [float(self._controller[axis]) for axis in ("x", "y")]
+        ).all():
+            raise TrajectoryError(
+                "the controller has had no joint state yet; see that the rig or plant"
+                " runs"
+            )
+
+    def _why_not(self) -> str:
+        """Why the controller would not take a trajectory now; empty when it would."""
+        return why_not(self._controller_name, self._controller)
+
+    @property
+    def _controller_name(self) -> str:
+        return f"{self.get_namespace().rstrip('/')}/controller"
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == self._controller_name:
+                self._controller = {item.key: item.value for item in status.values}
+                self._controller_time = time.monotonic()
+
+    def _on_first_plan(
+        self, planned: tuple[Task, Plan] | None, error: DextarError | None
+    ) -> None:
+        """A server whose parameters have no plan ends as one with a wrong parameter
+        does.
+        """
+        if error is not None:
+            self._error = str(error)
+            print(f"error: {error}", file=sys.stderr)
+            self.finish(EXIT_USAGE)
+            return
+        self._take(planned)
+
+    def _on_autostart(self, served: Served | None, error: DextarError | None) -> None:
+        if served is None:
+            self._note(error)
+        else:
+            self._publish(served)
+
+    def _take(self, planned: tuple[Task, Plan] | None) -> None:
+        if planned is not None:
+            self._planned, self._certificate, self._error = (
+                planned,
+                planned[1].certificate,
+                "",
+            )
+            self._diagnose(whole=True)
+
+    def _note(self, error: DextarError | None) -> str:
+        """Tell a refusal."""
+        self._error = str(error)
+        self.get_logger().error(self._error)
+        self._diagnose()
+        return self._error
+
+    def _on_plan(self, service: Any, _: Trigger.Request, header: Any) -> None:
+        def done(planned: tuple[Task, Plan] | None, error: DextarError | None) -> None:
+            self._take(planned)
+            message = (
+                self._note(error)
+                if planned is None
+                else in_words(planned[1].certificate)
+            )
+            service.send_response(
+                Trigger.Response(success=planned is not None, message=message), header
+            )
+
+        self._worker.submit(self._plan_of(self._task), done)
+
+    def _on_start(self, service: Any, _: Trigger.Request, header: Any) -> None:
+        def done(served: Served | None, error: DextarError | None) -> None:
+            message = self._note(error) if served is None else self._publish(served)
+            service.send_response(
+                Trigger.Response(success=served is not None, message=message), header
+            )
+
+        try:
+            if self._starting is not None:
+                stop = command(self._controller_name, "stop")
+                raise TrajectoryError(
+                    "another trip is being planned and starts then: wait, or type"
+                    f" {stop}"
+                )
+            self._check_robot()
+        except DextarError as error:
+            done(None, error)
+            return
+        self._submit_trip(done)
+
+    def _on_get_plan(self, service: Any, request: GetPlan.Request, header: Any) -> None:
+        ends = [request.start.pose.position, request.goal.pose.position]
+        start, goal = (np.array([point.x, point.y]) for point in ends)
+        wanted = self._task
+        if not start.any() and not goal.any():
+            start, goal = np.array(wanted.start), np.array(wanted.goal)
+
+        def done(plan: Plan | None, error: DextarError | None) -> None:
+            response = GetPlan.Response()
+            if plan is None:
+                self._note(error)
+            else:
+                response.plan = messages.to_path(
+                    plan.trajectory, plan.certificate.profile.time
+                )
+            service.send_response(response, header)
+
+        self._worker.submit(
+            lambda: wanted.plan_between(self.robot, start, goal, self._worker.progress),
+            done,
+        )
+
+    def _on_stop(
+        self, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self._starting, self._waiting = None, False
+        self._trajectory_publisher.publish(messages.stop_trajectory())
+        response.success, response.message = True, "stop served"
+        return response
+
+    def _diagnose(self, whole: bool = False) -> None:
+        """Where planning is, and the certificate; ``whole``: with all its crossings,
+        however many.
+        """
+        worker = self._worker
+        planning = f"{worker.fraction:.0%}, {worker.stage}" if worker.stage else ""
+        values: dict[str, object] = {
+            "served": self._served,
+            "error": self._error,
+            "planning": planning,
+            "waiting_for": self._why_not() if self._waiting else "",
+        }
+        certificate = self._certificate
+        if certificate is not None:
+            told = (
+                certificate
+                if whole
+                else certificate._replace(crossings=certificate.crossings[:MOST_TOLD])
+            )
+            values |= {
+                "crossings": len(certificate.crossings),
+                "peak_torque": certificate.peak_torque,
+                "duration": certificate.duration,
+                "certificate": told.to_json(),
+            }
+        trouble = self._error or self.too_many_publishers(
+            self._trajectory_publisher.topic_name
+        )
+        level = DiagnosticStatus.WARN if trouble else DiagnosticStatus.OK
+        state = "planning" if certificate is None or planning else "planned"
+        self.publish_diagnostics(level, trouble or state, values)
+
+    def close(self) -> None:
+        """A last word; a plan under way is given up. The drawing that nobody waited for
+        is made.
+        """
+        self._worker.close()
+        self._diagnose()
+        if (
+            self.values["autostart"]
+            and self.values["drawing"]
+            and self._planned is not None
+            and self._drawn is None
+        ):
+            try:
+                _draw(
+                    self.robot,
+                    self._planned[1],
+                    Path(self.values["drawing"]).expanduser(),
+                )
+            except TrajectoryError as error:
+                self.get_logger().error(str(error))
+
+
+def served_times(
+    trajectory: Trajectory, certificate: Certificate, period: float
+) -> Array:
+    """When a trajectory is sampled: every period, at its knots and at its crossings; a
+    long one less often.
+
+    Raises:
+        TrajectoryError: even COARSEST apart there are more than MAX_TRAJECTORY_POINTS.
+    """
+    while True:
+        times = np.union1d(sample_times(trajectory, period), certificate.crossing_times)
+        times = times[np.concatenate([[True], np.diff(times) > 2e-9])]
+        if len(times) <= MAX_TRAJECTORY_POINTS:
+            return times
+        if period >= COARSEST:
+            raise TrajectoryError(
+                f"the trajectory of {trajectory.duration:.0f} s has {len(times)} points"
+                f" {1e3 * period:g} ms apart; the limit is {MAX_TRAJECTORY_POINTS}"
+                " points: repeat it less often"
+            )
+        period = min(period * len(times) / MAX_TRAJECTORY_POINTS * 1.01, COARSEST)
+
+
+def _draw(robot: Any, plan: Plan, path: Path) -> None:
+    """Raises: TrajectoryError: the picture cannot be written."""
+    from dextar_control.analysis.plan_figure import draw_plan
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draw_plan(robot, plan).savefig(path, dpi=RESOLUTION)
+    except (OSError, ValueError) as error:
+        raise TrajectoryError(f"the plan cannot be drawn to {path}: {error}") from error
+
+
+def main(args: list[str] | None = None) -> int:
+    """Console entry."""
+    return run_node(TrajectoryServer, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

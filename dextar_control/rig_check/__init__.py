@@ -1,7 +1,0 @@
-"""Whether a rig's driver keeps the contract: recorded samples in, lines of a report out. No ROS in here.
-
-- ``samples``: what was seen; ``report``: what is said about it; ``limits``: what is allowed.
-- ``stream``: judges the graph and the stream of states, without touching the robot.
-- ``torque``: small torques, one ``trial`` after the other; ``response`` judges what the robot did under them.
-- ``check``: puts them together.
-"""
