@@ -122,10 +122,8 @@ def _parameters(node: str, specs: Iterable[Parameter], robot: bool) -> str:
 
 
 def _words(spec: Parameter) -> str:
-    """The description, the choices behind it."""
-    return spec.description + (
-        f" The choices are {', '.join(spec.choices)}." if spec.choices else ""
-    )
+    """The description, what may be chosen behind it."""
+    return spec.description + (f" It is {spec.allowed}." if spec.allowed else "")
 
 
 def _value(default: Any) -> str:
