@@ -107,7 +107,7 @@ setup(
             "ros-jazzy-ament-cmake-pytest",
         ],
         "oracle": ["pin"],  # needs numpy 2, so it does not go with a Jazzy installation
-        "docs": ["sphinx", "myst-parser", "furo", "latex2mathml"],
+        "docs": ["sphinx", "myst-parser", "furo", "ziamath"],
         "lint": ["ruff", "mypy", "types-PyYAML"],
     },
     entry_points={

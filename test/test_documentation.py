@@ -25,9 +25,7 @@ from dextar_control.experiments.start_check import KINDS
 
 NAMED = [pytest.param(page, id=page.stem) for page in PAGES]
 CHEAP = "analyze", "compare", "export", "recover"
-SITE = all(
-    map(importlib.util.find_spec, ("sphinx", "myst_parser", "furo", "latex2mathml"))
-)
+SITE = all(map(importlib.util.find_spec, ("sphinx", "myst_parser", "furo", "ziamath")))
 
 
 @pytest.mark.parametrize("page", NAMED)
