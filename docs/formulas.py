@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import html
 import re
-from xml.etree import ElementTree
 from typing import Any
+from xml.etree import ElementTree
 
 import ziamath
 from docutils import nodes

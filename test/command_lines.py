@@ -68,6 +68,8 @@ def check(line: str, *, whole: bool = True) -> None:
 def command(words: list[str], whole: bool) -> None:
     while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
         words = words[1:]
+    if not words:
+        return
     name, given = words[0].removeprefix(".venv/bin/"), words[1:]
     checks: dict[str, Callable[[list[str], bool], None]] = {
         "make": make, "dextar": dextar, "python": python, "ros2": ros2,

@@ -66,7 +66,7 @@ def cheap(line: str) -> list[str]:
     """The arguments of a ``dextar`` that takes no robot and little time; else none."""
     words = shlex.split(line, comments=True)
     called = words[:1] in (["dextar"], [".venv/bin/dextar"])
-    slow = {"--pdf", "--window"} & set(words)
+    slow = {"--pdf", "--window", "$BAG"} & set(words)
     return (
         words[1:]
         if called and len(words) > 1 and words[1] in CHEAP and not slow
