@@ -108,7 +108,7 @@ setup(
         ],
         "oracle": ["pin"],  # needs numpy 2, so it does not go with a Jazzy installation
         "docs": ["sphinx", "myst-parser", "furo", "ziamath"],
-        "lint": ["ruff", "mypy", "types-PyYAML"],
+        "check": ["ruff", "mypy", "types-PyYAML", "pytest-xdist", "pytest-cov"],
     },
     entry_points={
         "console_scripts": [
