@@ -57,14 +57,13 @@ def node_class(name: str) -> type:
 def parameters(node: str, specs: Iterable[Parameter]) -> str:
     """The parameters of a node."""
     defaults = resources.node_defaults(node)
-    header = "parameter", "default", "unit", "range", "live", "what it is"
+    header = "parameter", "default", "range", "live", "what it is"
     return table(
         header,
         (
             [
                 code(spec.name),
-                shown(defaults[spec.name]),
-                spec.unit,
+                shown(defaults[spec.name], spec.unit),
                 allowed(spec),
                 "yes" if spec.live else "",
                 spec.description,
@@ -74,11 +73,13 @@ def parameters(node: str, specs: Iterable[Parameter]) -> str:
     )
 
 
-def shown(default: object) -> str:
-    """A default as it is typed."""
+def shown(default: object, unit: str) -> str:
+    """A default as it is typed, with its unit."""
     if isinstance(default, bool):
         return str(default).lower()
-    return code(default or '""') if isinstance(default, str) else str(default)
+    if isinstance(default, str):
+        return code(default or '""')
+    return f"{default} {unit}" if unit != "1" else str(default)
 
 
 def allowed(spec: Parameter) -> str:
