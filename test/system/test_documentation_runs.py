@@ -14,14 +14,17 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from browser import SIDEWAYS, Page
 from documents import DOCS, PAGES, ROOT, code, shell
 from test_faulty_link import REFUSAL
 
 from dextar_control.cli import main as cli
+from dextar_control.cli.pdf import find_browser
 from dextar_control.contract.topics import SERVICES, TOPICS
 from dextar_control.control.supervisor import WATCHES
 from dextar_control.experiments.start_check import KINDS
 
+CHROMIUM = find_browser()
 CHEAP = "analyze", "compare", "export", "recover"
 PYTHON = [pytest.param(page, id=page.stem) for page in PAGES if code(page, "python")]
 BUILDS = all(
@@ -152,3 +155,18 @@ def test_the_site_has_the_contracts_tables(site: Path) -> None:
         spec.name for kind in KINDS.values() for spec in kind.PARAMETERS
     } <= parameters
     assert {watch.name for watch in WATCHES} <= safety
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="there is neither Chromium nor Chrome")
+def test_the_site_opens_from_a_disk_and_fits_every_screen(site: Path) -> None:
+    assert CHROMIUM is not None
+    with Page(CHROMIUM, (site / "index.html").as_uri()) as page:
+        for width in (420, 1280):
+            page.resize(width)
+            for file in sorted(site.glob("*.html")):
+                page.open(file.as_uri())
+                assert not page.evaluate(SIDEWAYS), (file.name, width)
+        page.open((site / "search.html").as_uri() + "?q=bounced")
+        page.wait("document.querySelectorAll('#search-results li').length > 0")
+        assert not page.errors
+        assert all(one.startswith(("file:", "data:")) for one in page.requests)
