@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plug_in import chosen
 
 
 def resolve(name: str) -> Any:
-    """What ``module:attribute`` names.
+    """The rig that ``module:Class`` names.
 
     Raises:
-        ParameterError: there is no such module or attribute.
+        ParameterError: there is none.
     """
-    module, _, attribute = name.partition(":")
-    if not module or not attribute:
-        raise ParameterError(f"rig '{name}'; it must be of the form module:Class")
-    try:
-        with _quiet():
-            return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise ParameterError(f"rig '{name}' cannot be loaded: {error}") from error
+    with _quiet():
+        return chosen("rig", name, {})
 
 
 @contextmanager

@@ -240,7 +240,7 @@ class Summary:
         return [*lines, *self.failures]
 
     def markdown(self) -> str:
-        """For a file or a README."""
+        """For a file or a document."""
         lines = [
             f"{self.count} faulted crossings in {self.seconds:.0f} s.",
             "",
