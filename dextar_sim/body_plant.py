@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,6 +16,7 @@ from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.mechanisms.bodies import Bodies
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.symbols.functions import Fast
+from dextar_control.symbols.types import Array
 from dextar_sim import world
 from dextar_sim.effects import JointEffects
 from dextar_sim.state import Motor, PlantState, check_steps, saturated, state_layout
@@ -52,7 +52,7 @@ class BodyPlant:
     def __init__(
         self,
         mechanism: Mechanism,
-        values: Mapping[str, Any],
+        values: Mapping[str, object],
         *,
         period: float = 1.0e-3,
         substeps: int = 4,
@@ -116,7 +116,7 @@ class BodyPlant:
         )
         self._divided = False
         self._steps = 0
-        self._impulse: np.ndarray | None = None
+        self._impulse: Array | None = None
         self._load(bodies)
 
     def _load(self, bodies: Bodies) -> None:
@@ -126,7 +126,7 @@ class BodyPlant:
         self._divided = False
         self._read()
 
-    def become(self, values: Mapping[str, Any]) -> None:
+    def become(self, values: Mapping[str, object]) -> None:
         """Go on from where it is and as fast, with other values of the mechanism's
         parameters but for its friction.
         """
@@ -207,7 +207,7 @@ class BodyPlant:
         torque: Sequence[float],
         earlier: Sequence[float] | None = None,
         late: int = 0,
-    ) -> np.ndarray:
+    ) -> Array:
         """Advance one period under constant motor torques.
 
         A torque that holds over the whole period without friction is one call of
@@ -325,7 +325,7 @@ class BodyPlant:
         else:
             world.set_step(self._client, self._substep)
 
-    def _strike(self, impulse: np.ndarray, net: Sequence[float]) -> None:
+    def _strike(self, impulse: Array, net: Sequence[float]) -> None:
         """A force on the platform over the coming substep, and the motors."""
         forces = self._pushed(impulse)
         forces[self._motors] += net
@@ -337,11 +337,11 @@ class BodyPlant:
             physicsClientId=self._client,
         )
 
-    def _pushed(self, impulse: np.ndarray) -> np.ndarray:
+    def _pushed(self, impulse: Array) -> Array:
         """What a force on the platform over a substep is at all joints as PyBullet
         holds them.
         """
-        forces: np.ndarray = self._fast["push"](
+        forces: Array = self._fast["push"](
             self._p, [state[0] for state in self._states], impulse / self._substep
         ).forces
         return forces

@@ -11,6 +11,7 @@ import numpy as np
 
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.symbols.types import Array
 from dextar_sim import geometry
 from dextar_sim.effects import PLAIN, Effects, JointEffects, are_rough, without_rotors
 from dextar_sim.platform_motion import Motion
@@ -148,7 +149,7 @@ class CartesianPlant:
         torque: Sequence[float],
         earlier: Sequence[float] | None = None,
         late: int = 0,
-    ) -> np.ndarray:
+    ) -> Array:
         """Advance one period under constant motor torques.
 
         Args:
@@ -199,7 +200,7 @@ class CartesianPlant:
             push = (0.0, 0.0)
         return least
 
-    def acceleration(self, torque: Sequence[float]) -> np.ndarray:
+    def acceleration(self, torque: Sequence[float]) -> Array:
         """Platform acceleration (m/s^2, shape (2,)) now, off Type 1, of a plant without
         effects.
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -26,6 +26,7 @@ from dextar_control.symbols.functions import (
     in_place,
     named,
 )
+from dextar_control.symbols.types import Array
 from dextar_sim.drive import DRIVE, MEMORY, driven
 from dextar_sim.friction import ELEMENTS, opposed, stiffest
 from dextar_sim.state import Motor, check_steps, proximal_inertia
@@ -250,7 +251,7 @@ def acting(places: int) -> Library:
         "h": h,
         "lead": lead,
     }
-    results: dict[str, Any] = {
+    results = {
         "forces": forces,
         "memory_next": MEMORY.join(after),
         "bristles_next": bent,
@@ -342,7 +343,7 @@ class JointEffects:
             h=np.array([h]),
             lead=np.array([0.0 if ahead else 0.5 * h]),
         )
-        self.forces: np.ndarray = self._act.results.forces
+        self.forces: Array = self._act.results.forces
         self._compliant = np.array([bool(each.stiffness) for each in transmissions])
         self._at_motor = effects.encoder_at == "motor" and bool(self._compliant.any())
 
@@ -360,7 +361,7 @@ class JointEffects:
         self._act.run()
 
     @property
-    def motor_torque(self) -> np.ndarray:
+    def motor_torque(self) -> Array:
         """(2,) of the motors at the end of the last substep, N m."""
         return np.array(self._memory.torque)
 
@@ -369,7 +370,8 @@ class JointEffects:
         if not self._at_motor:
             return list(q_a)
         rotor = self._memory.rotor - 0.5 * self._h * self._memory.rotor_dot
-        return np.where(self._compliant, rotor, q_a).tolist()
+        encoded: list[float] = np.where(self._compliant, rotor, q_a).tolist()
+        return encoded
 
 
 def _motor(place: Rubbing, robot: RobotParameters, effects: Effects) -> Motor:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -23,6 +22,7 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.nodekit.cdr import from_time
 from dextar_control.nodekit.layouts import template
+from dextar_control.symbols.types import Array
 from dextar_sim.sensors import Acknowledgement, Command
 from dextar_sim.state import PlantState
 
@@ -37,9 +37,7 @@ class StateWriter:
         self._pose = template(EXTERNAL_POSE)
         self._clock = template(CLOCK)
 
-    def measured(
-        self, stamp: int, q_a: np.ndarray, q_a_dot: np.ndarray, torque: np.ndarray
-    ) -> bytes:
+    def measured(self, stamp: int, q_a: Array, q_a_dot: Array, torque: Array) -> bytes:
         """``joint_states``: encoder position (rad) and velocity (rad/s), applied torque
         (N m), each (2,).
         """
@@ -47,7 +45,7 @@ class StateWriter:
             stamp, [*q_a.tolist(), *q_a_dot.tolist(), *torque.tolist()]
         )
 
-    def true_joints(self, stamp: int, state: PlantState, torque: np.ndarray) -> bytes:
+    def true_joints(self, stamp: int, state: PlantState, torque: Array) -> bytes:
         """``sim/joint_states``."""
         first, second = torque.tolist()
         return self._true.pack(

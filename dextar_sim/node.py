@@ -14,21 +14,25 @@ acts in simulated time. A command that answers an earlier state is taken as in r
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
+from rclpy.executors import Executor
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import ParameterError, StateError
+from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import (
     CLOCK,
     EFFORT_COMMANDS,
@@ -41,8 +45,10 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.nodekit.cdr import NANOSECONDS
 from dextar_control.nodekit.node import DextarNode, qos, run_node
+from dextar_control.nodekit.scheduling import ask_kernel, precise_timers
+from dextar_control.symbols.types import Array
 from dextar_sim.messages import CommandReader, StateWriter, read_efforts
-from dextar_sim.pace import Schedule, keeping_pace, spin
+from dextar_sim.pace import Schedule, cycle, keeping_pace
 from dextar_sim.parameters import PARAMETERS
 from dextar_sim.sensors import (
     Acknowledgement,
@@ -61,6 +67,8 @@ REPEAT_AFTER = 0.5
 
 COMMANDER_PERIOD = 0.1
 """s between two looks at who publishes commands."""
+IDLE_WAIT = 0.05
+"""s for which a paused plant waits for a service call at a time."""
 
 
 class Reported(NamedTuple):
@@ -84,15 +92,15 @@ class PlantNode(DextarNode):
     NAME = "plant"
     PARAMETERS = PARAMETERS
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, *, cli_args: list[str] | None = None) -> None:
         from dextar_sim.effects import Effects  # here: --help needs no physics
         from dextar_sim.happenings import Happenings
         from dextar_sim.plant import Plant, urdf_of
 
-        super().__init__(**options)
+        super().__init__(cli_args=cli_args)
         values = self.values
         period = values["task.sample_period"]
-        self.period_ns = round(period * NANOSECONDS)
+        self.period_ns: int = round(period * NANOSECONDS)
         self.lockstep = values["mode"] == "lockstep"
         pace = values["real_time_factor"] if self.lockstep else 1.0
         self.paced = pace > 0.0
@@ -161,8 +169,8 @@ class PlantNode(DextarNode):
         self._published = -1
         self._oldest = 0
         self._newest: Command | None = None
-        self._sample: list[tuple[Any, bytes]] | None = None
-        self._sent: list[tuple[Any, bytes]] = []
+        self._sample: list[tuple[Publisher, bytes]] | None = None
+        self._sent: list[tuple[Publisher, bytes]] = []
         self._pose: bytes | None = None
         self._sent_at = self._published_at = 0.0
         self.answered = False
@@ -302,7 +310,7 @@ class PlantNode(DextarNode):
     def _stamp(self) -> int:
         return self._first_stamp + self._index * self.period_ns
 
-    def _prepare(self, applied: np.ndarray) -> None:
+    def _prepare(self, applied: Array) -> None:
         state = self.plant.state()
         self._told = stamp = max(
             self._stamp() + round(NANOSECONDS * self._stamp_error.next()), 0
@@ -593,6 +601,22 @@ class PlantNode(DextarNode):
                 " real time"
             )
         self.plant.close()
+
+
+def spin(node: PlantNode, executor: Executor, stop: StopSignal) -> None:
+    """Run the node's own loop until a signal comes."""
+    precise_timers()
+    ask_kernel(node.values, node.get_logger().warning)
+    gc.collect()
+    gc.freeze()
+    while not stop and not node.finished:
+        if node.paused:
+            node.schedule.stop(time.monotonic_ns())
+            executor.spin_once(timeout_sec=IDLE_WAIT)
+            node.listen()
+        else:
+            node.begin()
+            cycle(node, executor)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -8,13 +8,10 @@ away for longer than ``MOST_BEHIND`` loses that time.
 
 from __future__ import annotations
 
-import gc
 import time
-from typing import Any, Protocol
+from typing import Protocol
 
-from dextar_control.nodekit.scheduling import ask_kernel, precise_timers
-
-_IDLE_WAIT = 0.05
+from rclpy.executors import Executor
 
 SHORTEST = 0.75
 """Share of the period below which two deadlines never come together, however late the
@@ -92,7 +89,6 @@ class Paced(Protocol):
     answered: bool
     period_ns: int
     schedule: Schedule
-    finished: bool
 
     @property
     def paused(self) -> bool:
@@ -232,7 +228,7 @@ class Schedule:
         self._last = deadline if missed <= JITTER * self._period else now
 
 
-def cycle(node: Paced, executor: Any) -> None:
+def cycle(node: Paced, executor: Executor) -> None:
     """One sample: its command, the physics, and at its deadline the state; or some of
     the waiting for that command.
 
@@ -273,7 +269,7 @@ def cycle(node: Paced, executor: Any) -> None:
     node.publish()
 
 
-def _pass(node: Paced, executor: Any, left: float) -> None:
+def _pass(node: Paced, executor: Executor, left: float) -> None:
     """Some of the time until the work begins; a sample that makes lateness up waits for
     its command, to begin with it.
     """
@@ -284,7 +280,7 @@ def _pass(node: Paced, executor: Any, left: float) -> None:
         node.wait(left)
 
 
-def _await_command(node: Paced, executor: Any) -> None:
+def _await_command(node: Paced, executor: Executor) -> None:
     """In lockstep, a step's command."""
     node.wait(SERVED_EACH)
     if node.schedule.serve(time.monotonic_ns()):
@@ -294,23 +290,7 @@ def _await_command(node: Paced, executor: Any) -> None:
         node.repeat_unanswered()
 
 
-def _serve(executor: Any) -> None:
+def _serve(executor: Executor) -> None:
     """Timers and services, where no time that has to pass is spent on them."""
     for _ in range(SERVED_AT_ONCE):
         executor.spin_once(timeout_sec=0.0)
-
-
-def spin(node: Any, executor: Any, stop: Any) -> None:
-    """The node's own loop, until a signal."""
-    precise_timers()
-    ask_kernel(node.values, node.get_logger().warning)
-    gc.collect()
-    gc.freeze()
-    while not stop and not node.finished:
-        if node.paused:
-            node.schedule.stop(time.monotonic_ns())
-            executor.spin_once(timeout_sec=_IDLE_WAIT)
-            node.listen()
-        else:
-            node.begin()
-            cycle(node, executor)

@@ -25,7 +25,6 @@ import math
 import struct
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -33,6 +32,7 @@ import numpy as np
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.record import Field, Layout
+from dextar_control.symbols.types import Array, Symbol
 from dextar_sim.state import state_layout
 
 _OWN_SINE = 0.2
@@ -62,8 +62,8 @@ def drive_layout(torques: int) -> Layout:
 
 
 Row = tuple[float, ...]
-Term = Any  # a number or a symbol
-Terms = list[Any]
+Term = Symbol  # or a number, which CasADi takes in its place
+Terms = list[Term]
 
 
 def _lesser(value: Term, least: Term) -> Term:
@@ -107,9 +107,10 @@ def _acceleration(
         shared: end effector mass, gravity x, gravity y, coulomb speed.
     """
     mass, gx, gy, coulomb_speed = shared
+    one, zero = ca.SX(1.0), ca.SX(0.0)
     x, y = z
     vx, vy = z_dot
-    g_xx, g_xy, g_yx, g_yy, c_x, c_y = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0
+    g_xx, g_xy, g_yx, g_yy, c_x, c_y = one, zero, zero, one, zero, zero
     if chart != PLATFORM:
         l1, l2 = legs[chart][2], legs[chart][6]
         w1, w2 = z_dot
@@ -129,7 +130,7 @@ def _acceleration(
             -l1 * cos_1 * w1 * w1 - l2 * cos_2 * w2 * w2,
             -l1 * sin_1 * w1 * w1 - l2 * sin_2 * w2 * w2,
         )
-    least = ca.SX(1.0)
+    least = one
     m_11 = mass * (g_xx * g_xx + g_yx * g_yx)
     m_12 = mass * (g_xx * g_xy + g_yx * g_yy)
     m_22 = mass * (g_xy * g_xy + g_yy * g_yy)
@@ -144,10 +145,10 @@ def _acceleration(
                 ca.cos(z[1]),
                 ca.sin(z[1]),
             )
-            j11, j12, j21, j22 = 1.0, 0.0, 0.0, 1.0
+            j11, j12, j21, j22 = one, zero, zero, one
             w1, w2 = z_dot
             inward_1, inward_2 = w1 * w1, w2 * w2
-            g1, g2 = 0.0, 0.0
+            g1, g2 = zero, zero
         else:
             cos_1, sin_1, cos_2, sin_2 = _elbow(x, y, base, l1, l2, sides[i])
             cos_d, sin_d = cos_1 * cos_2 + sin_1 * sin_2, cos_1 * sin_2 - sin_1 * cos_2
@@ -181,11 +182,7 @@ def _acceleration(
         m_11 += i1 * j11 * j11 + i2 * j21 * j21
         m_12 += i1 * j11 * j12 + i2 * j21 * j22
         m_22 += i1 * j12 * j12 + i2 * j22 * j22
-        for body in range(2):
-            if body == 0:
-                m, arm_1, arm_2 = m1, c1, 0.0
-            else:
-                m, arm_1, arm_2 = m2, l1, c2
+        for m, arm_1, arm_2 in ((m1, c1, zero), (m2, l1, c2)):
             x1, x2 = (
                 -arm_1 * sin_1 * j11 - arm_2 * sin_2 * j21,
                 -arm_1 * sin_1 * j12 - arm_2 * sin_2 * j22,
@@ -552,7 +549,7 @@ class Motion:
         """The end effector's mass, kg, from now on."""
         self._numbers["shared"][0] = mass
 
-    def acceleration(self, motors: Row) -> np.ndarray:
+    def acceleration(self, motors: Row) -> Array:
         """Of the platform now, m/s^2, shape (2,), off Type 1, under torques before
         friction, N m.
         """

@@ -11,12 +11,13 @@ import random
 from collections.abc import Sequence
 from dataclasses import fields
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.symbols.types import Array
 from dextar_sim.cartesian import CartesianPlant
 from dextar_sim.effects import Effects
 from dextar_sim.happenings import Happenings
@@ -48,7 +49,7 @@ class Pose(NamedTuple):
     """
 
     time: float
-    x: np.ndarray  # (2,)
+    x: Array  # (2,)
 
 
 class Sample(NamedTuple):
@@ -61,7 +62,7 @@ class Sample(NamedTuple):
     """
 
     time: float
-    q_a: np.ndarray  # (2,)
+    q_a: Array  # (2,)
     pose: Pose | None
 
 
@@ -130,7 +131,7 @@ class Rig:
         stamp_error: float = 0.0,
         payload: float = 0.0,
         payload_time: float = 0.0,
-        **effects: Any,
+        **effects: str | float,
     ) -> None:
         if plant not in PLANTS:
             raise ParameterError(
@@ -148,7 +149,7 @@ class Rig:
             period=period,
             substeps=substeps,
             max_torque=max_torque,
-            effects=Effects(**effects),
+            effects=Effects(**effects),  # type: ignore[arg-type]  # checks each
         )
         self.period = period
         self._period_ns = round(_NANOSECONDS * period)
@@ -277,7 +278,7 @@ class Rig:
         """The present sample; None when it was lost."""
         return self._sample
 
-    def write(self, torque: Sequence[float] | None) -> np.ndarray:
+    def write(self, torque: Sequence[float] | None) -> Array:
         """Give the command that answers the present sample, and let one period pass.
 
         Args:

@@ -14,6 +14,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.symbols.types import Array
 
 Item = TypeVar("Item")
 
@@ -127,7 +128,7 @@ class Encoder:
             else [float(value) for value in values]
         )
 
-    def read(self, q_a: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    def read(self, q_a: Sequence[float]) -> tuple[Array, Array]:
         """One sample.
 
         Args:

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple, Protocol
 
-import numpy as np
 
 from dextar_control.contract.errors import ParameterError, StateError
 from dextar_control.contract.robot import LegParameters, RobotParameters
 from dextar_control.symbols.record import Field, Layout, Record
+from dextar_control.symbols.types import Array
 
 _FRICTION_STABILITY = 1.0
 """Share of a joint's speed that friction may take away in one substep; beyond 2 it
@@ -76,7 +76,7 @@ class AnyPlant(Protocol):
         torque: Sequence[float],
         earlier: Sequence[float] | None = None,
         late: int = 0,
-    ) -> np.ndarray:
+    ) -> Array:
         """Advance one period; the torque acts after ``late`` substeps under the earlier
         one.
         """

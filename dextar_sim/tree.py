@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
 
@@ -98,7 +97,7 @@ def functions_of(mechanism: Mechanism) -> Mapping[str, ca.Function]:
         }
     )
     pushed = ca.jtimes(mechanism.tree_platform(held, p), held, force, True)
-    results: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    results: dict[str, tuple[dict[str, Symbol], dict[str, Symbol]]] = {
         "closed": (
             {"x": x, "x_dot": x_dot},
             {"q_a": q_a, "joints": closed, "joints_dot": ca.jtimes(closed, x, x_dot)},

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
@@ -25,7 +24,7 @@ _THICKNESS = 0.008
 Point = tuple[float, float]
 
 
-def bodies_of(mechanism: Mechanism, values: Mapping[str, Any]) -> Bodies:
+def bodies_of(mechanism: Mechanism, values: Mapping[str, object]) -> Bodies:
     """A mechanism's bodies with the numbers of its parameters, which stand under their
     dotted names.
 
