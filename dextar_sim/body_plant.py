@@ -191,10 +191,10 @@ class BodyPlant:
                 self._body, index, angle, rate, physicsClientId=self._client
             )
 
-    def encoded(self) -> list[float]:
+    def encoder_angles(self) -> list[float]:
         """Where the encoders' discs stand, rad (m)."""
         q_a: list[float] = self.state().q_a.tolist()
-        return q_a if self._effects is None else self._effects.encoded(q_a)
+        return q_a if self._effects is None else self._effects.encoder_angles(q_a)
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:
         """Strike the platform with an impulse along its coordinates (N s, shape (n,))

@@ -13,8 +13,14 @@ from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.symbols.types import Array
 from dextar_sim import geometry
-from dextar_sim.effects import PLAIN, Effects, JointEffects, are_rough, without_rotors
-from dextar_sim.platform_motion import Motion
+from dextar_sim.effects import (
+    NO_EFFECTS,
+    Effects,
+    JointEffects,
+    has_joint_effects,
+    without_rotors,
+)
+from dextar_sim.platform_motion import PlatformMotion
 from dextar_sim.state import PlantState, check_steps, leg_motors, saturated
 
 _LEAST_SINE = 0.01
@@ -46,10 +52,10 @@ class CartesianPlant:
         period: float = 1.0e-3,
         substeps: int = 4,
         max_torque: float | None = None,
-        effects: Effects = PLAIN,
+        effects: Effects = NO_EFFECTS,
     ) -> None:
         self._effects: JointEffects | None = None
-        if are_rough(robot, effects):
+        if has_joint_effects(robot, effects):
             self._effects = JointEffects(robot, effects, period, substeps, ahead=False)
         else:
             check_steps(period, substeps, leg_motors(robot))
@@ -59,9 +65,9 @@ class CartesianPlant:
         self.max_torque = robot.max_torque if max_torque is None else max_torque
         self._substep = period / substeps
         if self._effects is None:
-            self._motion = Motion(robot, substeps, self._substep)
+            self._motion = PlatformMotion(robot, substeps, self._substep)
         else:
-            self._motion = Motion(
+            self._motion = PlatformMotion(
                 without_rotors(robot, effects), 1, self._substep, torques=4
             )
         self._steps = 0
@@ -130,10 +136,10 @@ class CartesianPlant:
         )
         self._motion.carry(self.robot.end_effector_mass)
 
-    def encoded(self) -> list[float]:
+    def encoder_angles(self) -> list[float]:
         """Where the encoders' discs stand, rad."""
         q_a: list[float] = self.state().q_a.tolist()
-        return q_a if self._effects is None else self._effects.encoded(q_a)
+        return q_a if self._effects is None else self._effects.encoder_angles(q_a)
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:
         """Strike the end effector with an impulse (N s, shape (2,)) during the next

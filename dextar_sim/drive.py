@@ -36,7 +36,7 @@ MEMORY = Layout(
 )
 
 
-def driven(
+def drive_step(
     command: Symbol,
     q: Symbol,
     q_dot: Symbol,

@@ -27,8 +27,8 @@ from dextar_control.symbols.functions import (
     named,
 )
 from dextar_control.symbols.types import Array
-from dextar_sim.drive import DRIVE, MEMORY, driven
-from dextar_sim.friction import ELEMENTS, opposed, stiffest
+from dextar_sim.drive import DRIVE, MEMORY, drive_step
+from dextar_sim.friction import ELEMENTS, bristle_of, friction_torque
 from dextar_sim.state import Motor, check_steps, proximal_inertia
 
 FRICTIONS = "stick", "smooth"
@@ -76,7 +76,7 @@ class Effects:
         return any((self.backlash, self.cogging, self.drive_lag, self.torque_step))
 
 
-PLAIN = Effects()
+NO_EFFECTS = Effects()
 
 
 class Compliance(NamedTuple):
@@ -124,7 +124,7 @@ def without_rotors(robot: RobotParameters, effects: Effects) -> RobotParameters:
     return robot.replace(**changes)
 
 
-def are_rough(robot: RobotParameters, effects: Effects) -> bool:
+def has_joint_effects(robot: RobotParameters, effects: Effects) -> bool:
     """Whether more acts at the joints than constant torques and smooth friction of the
     motors.
     """
@@ -139,7 +139,7 @@ def are_rough(robot: RobotParameters, effects: Effects) -> bool:
     return effects.of_drive or any(passive)
 
 
-class Rubbing(NamedTuple):
+class FrictionElement(NamedTuple):
     """A place where two bodies rub: between them turns a sum of joints' rates.
 
     Attributes:
@@ -156,7 +156,9 @@ class Rubbing(NamedTuple):
     inertia: float
 
 
-def rubbings(robot: RobotParameters, effects: Effects) -> list[Rubbing]:
+def friction_elements(
+    robot: RobotParameters, effects: Effects
+) -> list[FrictionElement]:
     """Of the motors, the elbows and the pin, those that have friction.
 
     The least inertia is that of the two bodies turning freely against each other.
@@ -173,7 +175,7 @@ def rubbings(robot: RobotParameters, effects: Effects) -> list[Rubbing]:
         row = [0.0] * 4
         row[2 * i] = 1.0
         found.append(
-            Rubbing(
+            FrictionElement(
                 f"{side} joint",
                 tuple(row),
                 leg.viscous_friction,
@@ -184,7 +186,7 @@ def rubbings(robot: RobotParameters, effects: Effects) -> list[Rubbing]:
         row = [0.0] * 4
         row[2 * i + 1] = 1.0
         found.append(
-            Rubbing(
+            FrictionElement(
                 f"{side} elbow",
                 tuple(row),
                 leg.passive_viscous_friction,
@@ -194,7 +196,7 @@ def rubbings(robot: RobotParameters, effects: Effects) -> list[Rubbing]:
         )
     turns = between(robot.left.distal_inertia, robot.right.distal_inertia)
     found.append(
-        Rubbing(
+        FrictionElement(
             "pin",
             (-1.0, -1.0, 1.0, 1.0),
             robot.pin_viscous_friction,
@@ -225,7 +227,9 @@ def acting(places: int) -> Library:
     )
     bristles, h, lead = ca.SX.sym("bristles", places), ca.SX.sym("h"), ca.SX.sym("lead")
     held = joints + lead * joints_dot
-    torque, after = driven(command, held[[0, 2]], joints_dot[[0, 2]], memory, drive, h)
+    torque, after = drive_step(
+        command, held[[0, 2]], joints_dot[[0, 2]], memory, drive, h
+    )
     forces = ca.vertcat(torque[0], 0.0, torque[1], 0.0)
     bent = bristles
     if places:
@@ -237,7 +241,7 @@ def acting(places: int) -> Library:
                 strict=True,
             )
         )
-        rubbed, bent = opposed(against.T @ joints_dot, bristles, numbers, h)
+        rubbed, bent = friction_torque(against.T @ joints_dot, bristles, numbers, h)
         forces -= against @ rubbed
     given = {
         "joints": joints,
@@ -289,7 +293,7 @@ class JointEffects:
         check_steps(period, substeps, [])
         self._h = h = period / substeps
         found, transmissions = (
-            rubbings(robot, effects),
+            friction_elements(robot, effects),
             [compliance(leg, effects) for leg in robot.legs],
         )
         _check_transmissions(robot, effects, period, substeps)
@@ -302,7 +306,7 @@ class JointEffects:
                 [each.coulomb for each in found],
                 *np.array(
                     [
-                        stiffest(each.inertia, h) if stick else (0.0, 0.0)
+                        bristle_of(each.inertia, h) if stick else (0.0, 0.0)
                         for each in found
                     ]
                 )
@@ -365,7 +369,7 @@ class JointEffects:
         """(2,) of the motors at the end of the last substep, N m."""
         return np.array(self._memory.torque)
 
-    def encoded(self, q_a: Sequence[float]) -> list[float]:
+    def encoder_angles(self, q_a: Sequence[float]) -> list[float]:
         """Where the encoders' discs stand, rad, at joint angles ``q_a``."""
         if not self._at_motor:
             return list(q_a)
@@ -374,7 +378,7 @@ class JointEffects:
         return encoded
 
 
-def _motor(place: Rubbing, robot: RobotParameters, effects: Effects) -> Motor:
+def _motor(place: FrictionElement, robot: RobotParameters, effects: Effects) -> Motor:
     """As its friction's steepness is checked: sticking friction brings a steepness that
     is sound by itself.
     """

@@ -31,7 +31,7 @@ most, so that both terms double: 0.98 + 2.8.
 """
 
 
-def stiffest(inertia: float, h: float) -> tuple[float, float]:
+def bristle_of(inertia: float, h: float) -> tuple[float, float]:
     """Stiffness, N m/rad, and damping, N m s/rad, of a bristle on an inertia, kg m^2,
     for substeps of ``h``, s.
     """
@@ -39,7 +39,7 @@ def stiffest(inertia: float, h: float) -> tuple[float, float]:
     return stiffness, 2.0 * DAMPING_RATIO * stiffness * h / QUICKNESS
 
 
-def opposed(
+def friction_torque(
     rate: Symbol, bristle: Symbol, p: Mapping[str, Symbol], h: Symbol
 ) -> tuple[Symbol, Symbol]:
     """Torques (k,), N m, that oppose rates (k,), rad/s, over a substep, and the

@@ -23,7 +23,7 @@ from dextar_control.contract.topics import (
 from dextar_control.nodekit.cdr import from_time
 from dextar_control.nodekit.layouts import template
 from dextar_control.symbols.types import Array
-from dextar_sim.sensors import Acknowledgement, Command
+from dextar_sim.sensors import Acknowledgement, TorqueCommand
 from dextar_sim.state import PlantState
 
 
@@ -101,7 +101,9 @@ class CommandReader:
     def __init__(self) -> None:
         self._template = template(JOINT_COMMANDS)
 
-    def read(self, raw: bytes, *, lockstep: bool = False) -> Command | Acknowledgement:
+    def read(
+        self, raw: bytes, *, lockstep: bool = False
+    ) -> TorqueCommand | Acknowledgement:
         """The command, its torques in the contract's order of joints.
 
         Args:
@@ -127,7 +129,7 @@ class CommandReader:
             raise StateError(
                 f"{JOINT_COMMANDS.name}: effort {list(torque)} N m is not finite"
             )
-        return Command(stamp, (torque[0], torque[1]))
+        return TorqueCommand(stamp, (torque[0], torque[1]))
 
     def _read_message(self, raw: bytes, message: JointState) -> tuple[int, list[float]]:
         names = list(message.name)

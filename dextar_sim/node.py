@@ -47,19 +47,19 @@ from dextar_control.nodekit.cdr import NANOSECONDS
 from dextar_control.nodekit.node import DextarNode, qos, run_node
 from dextar_control.nodekit.scheduling import ask_kernel, precise_timers
 from dextar_control.symbols.types import Array
+from dextar_sim.commanders import SPEAKING, CommanderArbiter
 from dextar_sim.messages import CommandReader, StateWriter, read_efforts
 from dextar_sim.pace import Schedule, cycle, keeping_pace
 from dextar_sim.parameters import PARAMETERS
 from dextar_sim.sensors import (
     Acknowledgement,
-    Command,
     CommandDelay,
     CommandHold,
     Encoder,
     PoseSensor,
     StampError,
+    TorqueCommand,
 )
-from dextar_sim.speakers import SPEAKING, Speakers
 
 REPEAT_AFTER = 0.5
 """s without an answer after which lockstep publishes a state again."""
@@ -93,8 +93,8 @@ class PlantNode(DextarNode):
     PARAMETERS = PARAMETERS
 
     def __init__(self, *, cli_args: list[str] | None = None) -> None:
+        from dextar_sim.disturbances import Disturbances
         from dextar_sim.effects import Effects  # here: --help needs no physics
-        from dextar_sim.happenings import Happenings
         from dextar_sim.plant import Plant, urdf_of
 
         super().__init__(cli_args=cli_args)
@@ -134,7 +134,7 @@ class PlantNode(DextarNode):
             eccentricity=values["eccentricity"],
         )
         self._stamp_error = StampError(values["stamp_error"], period, values["seed"])
-        self._happenings = Happenings(
+        self._disturbances = Disturbances(
             **{
                 name: values[name]
                 for name in (
@@ -153,7 +153,7 @@ class PlantNode(DextarNode):
             noise=values["pose_noise"],
             seed=values["seed"],
         )
-        self._delay: CommandDelay[Command] = CommandDelay(
+        self._delay: CommandDelay[TorqueCommand] = CommandDelay(
             round(values["command_delay"] / period)
         )
         self._command_timeout = round(values["command_timeout"] * NANOSECONDS)
@@ -168,7 +168,7 @@ class PlantNode(DextarNode):
         self._told = 0
         self._published = -1
         self._oldest = 0
-        self._newest: Command | None = None
+        self._newest: TorqueCommand | None = None
         self._sample: list[tuple[Publisher, bytes]] | None = None
         self._sent: list[tuple[Publisher, bytes]] = []
         self._pose: bytes | None = None
@@ -224,7 +224,7 @@ class PlantNode(DextarNode):
             kind, topic.name, profile, raw=True
         )
         self._command_type = kind
-        self._speakers = Speakers(
+        self._arbiter = CommanderArbiter(
             lambda: int(self.count_publishers(self._commands.topic_name)),
             lossless=self.lockstep,
         )
@@ -294,7 +294,7 @@ class PlantNode(DextarNode):
             self._hold.receive(
                 delayed._replace(stamp=delayed.stamp + later, arrival=arrival)
             )
-        self._happenings.before(
+        self._disturbances.before(
             (self._index - self._since) * self.plant.period, self.plant
         )
         applied = self.plant.step(self._hold.torque(self._stamp(), self._ran()))
@@ -316,7 +316,7 @@ class PlantNode(DextarNode):
             self._stamp() + round(NANOSECONDS * self._stamp_error.next()), 0
         )
         self._max_loop_gap = max(self._max_loop_gap, state.loop_gap)
-        q_a, q_a_dot = self._encoder.read(self.plant.encoded())
+        q_a, q_a_dot = self._encoder.read(self.plant.encoder_angles())
         self._sample = [
             (self._states, self._writer.measured(stamp, q_a, q_a_dot, applied))
         ]
@@ -376,7 +376,7 @@ class PlantNode(DextarNode):
 
     def _on_command(self, raw: bytes, info: Mapping[str, int]) -> None:
         try:
-            if not self._speakers.hear(
+            if not self._arbiter.take(
                 info.get("publication_sequence_number"),
                 self._index,
                 time.monotonic_ns(),
@@ -407,7 +407,7 @@ class PlantNode(DextarNode):
         self.answered = self.answered or answers
         self._commanded = self._commanded or answers
 
-    def _read_command(self, raw: bytes) -> Command | Acknowledgement:
+    def _read_command(self, raw: bytes) -> TorqueCommand | Acknowledgement:
         """A command, or in lockstep an acknowledgement, whose stamp is that of a
         published state.
 
@@ -415,9 +415,9 @@ class PlantNode(DextarNode):
         last published, as does an array, which has none: neither can be told from a
         late one.
         """
-        command: Command | Acknowledgement
+        command: TorqueCommand | Acknowledgement
         if self._arrays:
-            command = Command(max(self._published, 0), read_efforts(raw))
+            command = TorqueCommand(max(self._published, 0), read_efforts(raw))
         else:
             command = self._reader.read(raw, lockstep=self.lockstep)
         if command.stamp <= self._published:
@@ -435,8 +435,8 @@ class PlantNode(DextarNode):
 
     def _count_commanders(self) -> None:
         now = time.monotonic_ns()
-        self._speakers.look(now)
-        if not self._speakers.clear(now):
+        self._arbiter.count_publishers(now)
+        if not self._arbiter.accepts(now):
             self._let_go()
 
     def _let_go(self) -> None:
@@ -446,10 +446,10 @@ class PlantNode(DextarNode):
 
     def _complaint(self) -> str:
         """What is wrong with who commands."""
-        count, name = self._speakers.count, self._command_name
+        count, name = self._arbiter.count, self._command_name
         if count <= 1:
             return f"a message on {name} is numbered as another publisher's"
-        if self._speakers.several:
+        if self._arbiter.several:
             return (
                 f"{count} publishers on {name}, more than one speaks; the limit is 1:"
                 " end all but one"
@@ -490,7 +490,7 @@ class PlantNode(DextarNode):
         """Start pose at rest as the next sample, without torque; earlier states'
         commands no longer count.
         """
-        self._happenings.reset(self.plant)
+        self._disturbances.reset(self.plant)
         self.plant.reset(self.values["task.start"])
         for part in (self._encoder, self._camera, self._delay, self._hold):
             part.reset()
@@ -524,8 +524,8 @@ class PlantNode(DextarNode):
             else 0.0
         )
         commanders, taken = (
-            self._speakers.count,
-            self._speakers.clear(time.monotonic_ns()),
+            self._arbiter.count,
+            self._arbiter.accepts(time.monotonic_ns()),
         )
         message = self._trouble(before, after)
         level = DiagnosticStatus.WARN if message else DiagnosticStatus.OK
@@ -553,14 +553,14 @@ class PlantNode(DextarNode):
         """What is wrong since the report before, the worst of it; empty when nothing
         is.
         """
-        commanders = self._speakers.count
+        commanders = self._arbiter.count
         if rivals := self.too_many_publishers(self._states.topic_name):
             return f"{rivals}: another rig or plant"
         if commanders > 1:
             words = f"{commanders} publishers on {self._command_name}"
             return (
                 f"{words}, one speaks"
-                if self._speakers.clear(time.monotonic_ns())
+                if self._arbiter.accepts(time.monotonic_ns())
                 else f"{words}; no torque"
             )
         if after.refused > before.refused:

@@ -10,7 +10,13 @@ from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.mechanisms import mechanism_named
 from dextar_sim import geometry
 from dextar_sim.body_plant import BodyPlant
-from dextar_sim.effects import PLAIN, Effects, JointEffects, are_rough, without_rotors
+from dextar_sim.effects import (
+    NO_EFFECTS,
+    Effects,
+    JointEffects,
+    has_joint_effects,
+    without_rotors,
+)
 from dextar_sim.state import PlantState
 from dextar_sim.urdf import bodies_of, urdf
 
@@ -42,10 +48,10 @@ class Plant(BodyPlant):
         substeps: int = 4,
         window: bool = False,
         max_torque: float | None = None,
-        effects: Effects = PLAIN,
+        effects: Effects = NO_EFFECTS,
     ) -> None:
         self.robot, self._links, acting = robot, robot, None
-        if are_rough(robot, effects):
+        if has_joint_effects(robot, effects):
             self._links = without_rotors(robot, effects)
             acting = JointEffects(robot, effects, period, substeps, ahead=True)
         super().__init__(

@@ -465,7 +465,7 @@ def _period(
     )
 
 
-class Motion:
+class PlatformMotion:
     """Steps of one robot, from joints to joints.
 
     Args:

@@ -19,16 +19,16 @@ from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.symbols.types import Array
 from dextar_sim.cartesian import CartesianPlant
+from dextar_sim.disturbances import Disturbances
 from dextar_sim.effects import Effects
-from dextar_sim.happenings import Happenings
 from dextar_sim.plant import Plant
 from dextar_sim.sensors import (
-    Command,
     CommandDelay,
     CommandHold,
     Encoder,
     PoseSensor,
     StampError,
+    TorqueCommand,
     check_probability,
 )
 from dextar_sim.state import AnyPlant, PlantState
@@ -40,7 +40,7 @@ PLANTS: dict[str, type[Plant] | type[CartesianPlant]] = {
 _NANOSECONDS = 1.0e9
 
 
-class Pose(NamedTuple):
+class MeasuredPose(NamedTuple):
     """An external measurement of the end effector.
 
     Attributes:
@@ -52,7 +52,7 @@ class Pose(NamedTuple):
     x: Array  # (2,)
 
 
-class Sample(NamedTuple):
+class JointSample(NamedTuple):
     """What reaches the controller in one period.
 
     Attributes:
@@ -63,7 +63,7 @@ class Sample(NamedTuple):
 
     time: float
     q_a: Array  # (2,)
-    pose: Pose | None
+    pose: MeasuredPose | None
 
 
 class Rig:
@@ -177,8 +177,10 @@ class Rig:
             seed=seeds[1],
         )
         self._new_stamps = partial(StampError, stamp_error, period, seeds[4])
-        self._happenings = Happenings(payload=payload, payload_time=payload_time)
-        self._delay: CommandDelay[Command] = CommandDelay(round(command_delay / period))
+        self._disturbances = Disturbances(payload=payload, payload_time=payload_time)
+        self._delay: CommandDelay[TorqueCommand] = CommandDelay(
+            round(command_delay / period)
+        )
         self._delay_ns = self._delay.periods * self._period_ns
         self._timeout = round(_NANOSECONDS * command_timeout)
         self._has_pose = pose_rate > 0.0
@@ -197,10 +199,10 @@ class Rig:
             random.Random(self._seeds[2]),
             random.Random(self._seeds[3]),
         )
-        self._newest: Command | None = None
+        self._newest: TorqueCommand | None = None
         self._applied = (0.0, 0.0)
         self._index = 0
-        self._pose: Pose | None = None
+        self._pose: MeasuredPose | None = None
         self.samples_lost = 0
         self._measure()
 
@@ -233,7 +235,7 @@ class Rig:
         Raises:
             GeometryError: a leg does not reach x, or cannot move at x_dot there.
         """
-        self._happenings.reset(self.plant)
+        self._disturbances.reset(self.plant)
         state = self.plant.reset(x, x_dot)
         self._begin()
         return state
@@ -252,7 +254,7 @@ class Rig:
         Raises:
             GeometryError: the distal links do not meet there, or the elbows coincide.
         """
-        self._happenings.reset(self.plant)
+        self._disturbances.reset(self.plant)
         state = self.plant.reset_joints(q_a, assembly_mode, x_dot)
         self._begin()
         return state
@@ -262,19 +264,21 @@ class Rig:
         if self._has_pose:
             arrived = self._camera.sense(self._index, state.x.tolist())
             if arrived is not None:
-                self._pose = Pose(arrived.sample * self.period, np.array(arrived.x))
+                self._pose = MeasuredPose(
+                    arrived.sample * self.period, np.array(arrived.x)
+                )
         q_a, told = (
-            self._encoder.position(self.plant.encoded()),
+            self._encoder.position(self.plant.encoder_angles()),
             self._index * self.period + self._stamps.next(),
         )
         if self._loss and self._losses.random() < self._loss:
             self.samples_lost += 1
-            self._sample: Sample | None = None
+            self._sample: JointSample | None = None
         else:
-            self._sample = Sample(told, np.array(q_a), self._pose)
+            self._sample = JointSample(told, np.array(q_a), self._pose)
             self._pose = None
 
-    def read(self) -> Sample | None:
+    def read(self) -> JointSample | None:
         """The present sample; None when it was lost."""
         return self._sample
 
@@ -290,15 +294,15 @@ class Rig:
         """
         now = self._index * self._period_ns
         if torque is not None:
-            self._newest = Command(now, (float(torque[0]), float(torque[1])))
+            self._newest = TorqueCommand(now, (float(torque[0]), float(torque[1])))
         delayed = self._delay.shift(self._newest)
         if delayed is not None:
             if self._delay_ns:
-                delayed = Command(delayed.stamp + self._delay_ns, delayed.torque)
+                delayed = TorqueCommand(delayed.stamp + self._delay_ns, delayed.torque)
             self._hold.receive(delayed)
         before, self._applied = self._applied, self._hold.torque(now)
         late = round(self._jitter * self._lateness.random()) if self._jitter else 0
-        self._happenings.before(self._index * self.period, self.plant)
+        self._disturbances.before(self._index * self.period, self.plant)
         applied = self.plant.step(self._applied, before, late)
         self._index += 1
         self._measure()

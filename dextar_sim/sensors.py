@@ -312,7 +312,7 @@ class CommandDelay(Generic[Item]):
         return self._line.popleft()
 
 
-class Command(NamedTuple):
+class TorqueCommand(NamedTuple):
     """A torque command.
 
     Attributes:
@@ -373,10 +373,10 @@ class CommandHold:
 
     def reset(self) -> None:
         """Let go of the held command; the counters stay."""
-        self._held: Command | None = None
+        self._held: TorqueCommand | None = None
         self._tripped = False
 
-    def receive(self, command: Command) -> bool:
+    def receive(self, command: TorqueCommand) -> bool:
         """Hold this command from now on; False when it is not finite and the last one
         stays.
         """

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple, Protocol
 
-
 from dextar_control.contract.errors import ParameterError, StateError
 from dextar_control.contract.robot import LegParameters, RobotParameters
 from dextar_control.symbols.record import Field, Layout, Record
@@ -84,7 +83,7 @@ class AnyPlant(Protocol):
     def take_up(self, mass: float) -> None:
         """Load the end effector with a mass that moves as it does."""
 
-    def encoded(self) -> list[float]:
+    def encoder_angles(self) -> list[float]:
         """Where the encoders' discs stand."""
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:

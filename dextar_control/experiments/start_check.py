@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.parameters import Parameter, settled
@@ -24,8 +23,8 @@ KINDS: dict[str, type[DextarNode]] = {kind.NAME: kind for kind in NODES}
 
 
 def check_start(
-    node: str, changes: Mapping[str, Any], *files: Path, namespace: str = ""
-) -> dict[str, Any]:
+    node: str, changes: Mapping[str, object], *files: Path, namespace: str = ""
+) -> dict[str, object]:
     """The values of a node's parameters.
 
     The plant is of another room and says its own limits itself: of its parameters only

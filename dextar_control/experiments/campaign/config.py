@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, TypeVar
 
 from pydantic import (
     Field,
@@ -19,6 +19,7 @@ from dextar_control.contract.settings import Settings
 from dextar_control.contract.validation import Section, load_yaml, problem, unknown
 from dextar_control.experiments.campaign.ranges import BARS, PERTURBATIONS, Range
 
+Item = TypeVar("Item")
 Numbers = dict[str, Annotated[float, Field(allow_inf_nan=False)]]
 
 
@@ -260,7 +261,7 @@ def _known(name: str, known: Collection[str], what: str, where: str = "") -> Non
         raise problem(f"{where}{unknown(name, known, what)}")
 
 
-def _each_once(items: list[Any], what: str) -> list[Any]:
+def _each_once(items: list[Item], what: str) -> list[Item]:
     for item in items:
         if items.count(item) > 1:
             raise problem(

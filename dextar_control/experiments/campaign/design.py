@@ -12,12 +12,13 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.experiments.campaign.config import CampaignConfig
+from dextar_control.experiments.campaign.rows import Row
 
 KEY_LENGTH = 16  # hexadecimal digits of a row's key
 
@@ -71,7 +72,7 @@ class Trial:
         """Crossing point and direction: what trials with the same plans share."""
         return self.index, self.direction
 
-    def columns(self) -> dict[str, Any]:
+    def columns(self) -> Row:
         """One flat cell for each attribute; mappings as JSON text."""
         cells = dataclasses.asdict(self)
         cells["point_x"], cells["point_y"] = cells.pop("point")
@@ -147,7 +148,7 @@ def row_key(robot: RobotParameters, rig: str, trial: Trial) -> str:
     ]
 
 
-def digest(content: Any) -> str:
+def digest(content: object) -> str:
     """SHA-256 of plain data, independent of the order of keys."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 

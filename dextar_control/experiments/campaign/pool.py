@@ -23,7 +23,8 @@ from distributed.scheduler import KilledWorker
 from dextar_control.contract import signals
 from dextar_control.contract.errors import CampaignError, DextarError, ParameterError
 from dextar_control.experiments.campaign.design import Trial
-from dextar_control.experiments.campaign.worker import Job, Row, failed_row
+from dextar_control.experiments.campaign.rows import Row, failed_row
+from dextar_control.experiments.campaign.worker import Job
 
 AHEAD = 2  # batches in flight for each core: one runs, one waits beside it
 ATTEMPTS = 2  # of a trial that runs alone and whose worker dies each time
@@ -126,13 +127,15 @@ class Pool:
         """
         waiting = deque(_Batch(trials) for trials in batches)
         suspects: deque[_Batch] = deque()
-        running: dict[Future, _Batch] = {}
-        alone: Future | None = None
+        running: dict[Future[list[Row]], _Batch] = {}
+        alone: Future[list[Row]] | None = None
         in_a_row = 0
         done = as_completed()
 
-        def submit(batch: _Batch) -> Future:
-            future = self._client.submit(call, job, batch.trials, pure=False)
+        def submit(batch: _Batch) -> Future[list[Row]]:
+            future: Future[list[Row]] = self._client.submit(
+                call, job, batch.trials, pure=False
+            )
             running[future] = batch
             done.add(future)
             return future
@@ -166,7 +169,7 @@ class Pool:
         finally:
             self._client.cancel(list(running))
 
-    def _next(self, done: as_completed) -> Future:
+    def _next(self, done: as_completed) -> Future[list[Row]]:
         """What is done next. Dask now and then starts no other worker for one that
         died: without any one is asked for.
 
@@ -189,7 +192,8 @@ class Pool:
                 )
             elif self._cluster is not None:
                 self._cluster.scale(self.workers)
-        return next(done)
+        future: Future[list[Row]] = next(done)
+        return future
 
     def _local(self, workers: int) -> Client:
         with (
@@ -261,13 +265,14 @@ def _connected(scheduler: str) -> Client:
     return client
 
 
-def _result(future: Future) -> list[Row] | None:
+def _result(future: Future[list[Row]]) -> list[Row] | None:
     """Rows of a batch, None if its worker died."""
     if future.status == "cancelled" or future.status == "lost":
         raise CampaignError("the connection to the Dask scheduler is lost")
     error = future.exception()
     if error is None:
-        return future.result()
+        rows: list[Row] = future.result()
+        return rows
     if isinstance(error, KilledWorker):
         return None
     if isinstance(error, DextarError):

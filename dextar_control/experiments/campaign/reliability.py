@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import matplotlib
 import numpy as np
@@ -12,8 +12,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dextar_control.contract.style import LIGHT, matplotlib_settings
-from dextar_control.experiments.campaign.trial import SAID
-from dextar_control.experiments.campaign.worker import Row
+from dextar_control.experiments.campaign.rows import Row, number, text
+from dextar_control.experiments.campaign.trial import CONFIDENCE_BINS
+from dextar_control.symbols.types import Array
 
 SURE = 1.96  # deviations of a 95 % interval
 END = 3e-4  # chance to be wrong by which the axes' end, 1, is away
@@ -60,18 +61,24 @@ def reliability(rows: Iterable[Row]) -> dict[str, dict[str, Bin]]:
     """
     of: dict[str, list[Row]] = {}
     for row in rows:
-        if row.get(f"said_{SAID[0]:g}") is not None:
-            of.setdefault(row["estimator"], []).append(row)
+        if row.get(f"said_{CONFIDENCE_BINS[0]:g}") is not None:
+            of.setdefault(text(row, "estimator"), []).append(row)
     return {estimator: _bins(stated) for estimator, stated in of.items()}
 
 
 def _bins(rows: Sequence[Row]) -> dict[str, Bin]:
     found = {}
-    for low, high in zip(SAID, (*SAID[1:], 1.0), strict=True):
-        stated = [row for row in rows if row[f"said_{low:g}"]]
+    for low, high in zip(CONFIDENCE_BINS, (*CONFIDENCE_BINS[1:], 1.0), strict=True):
+        stated, middle = (
+            [row for row in rows if row[f"said_{low:g}"]],
+            0.5 * (low + high),
+        )
         if stated:
-            right = sum(row[f"right_{low:g}"] for row in stated) / len(stated)
-            means = [row.get(f"stated_{low:g}") or 0.5 * (low + high) for row in stated]
+            right = sum(number(row, f"right_{low:g}") for row in stated) / len(stated)
+            means = [
+                number(row, f"stated_{low:g}") if row.get(f"stated_{low:g}") else middle
+                for row in stated
+            ]
             found[f"{low:g}"] = Bin(
                 low,
                 high,
@@ -80,28 +87,23 @@ def _bins(rows: Sequence[Row]) -> dict[str, Bin]:
                 right,
                 *wilson(right, len(stated)),
             )
-    told = sum(
-        (row.get("called_crossed") or 0) + (row.get("called_bounced") or 0)
-        for row in rows
-    )
+    told = _count(rows, "called_crossed") + _count(rows, "called_bounced")
     if told:
-        right = (
-            1.0
-            - sum(
-                (row.get("false_alarms") or 0) + (row.get("missed_bounces") or 0)
-                for row in rows
-            )
-            / told
-        )
+        wrong = _count(rows, "false_alarms") + _count(rows, "missed_bounces")
+        right = 1.0 - wrong / told
         found[VERDICTS] = Bin(
-            SAID[-1],
+            CONFIDENCE_BINS[-1],
             1.0,
-            1.0 - 0.5 * (1.0 - SAID[-1]),
-            int(told),
+            1.0 - 0.5 * (1.0 - CONFIDENCE_BINS[-1]),
+            told,
             right,
-            *wilson(right, int(told)),
+            *wilson(right, told),
         )
     return found
+
+
+def _count(rows: Sequence[Row], column: str) -> int:
+    return sum(int(row.get(column) or 0) for row in rows)
 
 
 def in_words(estimator: str, bins: dict[str, Bin]) -> str:
@@ -150,13 +152,12 @@ def draw_reliability(found: dict[str, dict[str, Bin]]) -> Figure:
     for index, (estimator, bins) in enumerate(found.items()):
         marker, fill = MARKERS[index % len(MARKERS)]
         for key, one in bins.items():
-            style: dict[str, Any] = {"color": INK, "linewidth": 1.0, "zorder": 3}
-            axes.plot([one.stated] * 2, [one.least, one.most], **style)
+            axes.plot(
+                [one.stated] * 2, [one.least, one.most], c=INK, linewidth=1.0, zorder=3
+            )
             if key != VERDICTS:
                 axes.plot(
-                    [one.low, one.high],
-                    [one.right] * 2,
-                    **style | {"color": MID, "zorder": 2},
+                    [one.low, one.high], [one.right] * 2, c=MID, linewidth=1.0, zorder=2
                 )
             shape, face = ("D", PAPER) if key == VERDICTS else (marker, fill)
             axes.plot(
@@ -215,9 +216,11 @@ def draw_reliability(found: dict[str, dict[str, Bin]]) -> Figure:
     return figure
 
 
-def _forward(share: Any) -> Any:
-    return -np.log10(np.maximum(1.0 - share + END, 0.1 * END))
+def _forward(share: Array) -> Array:
+    place: Array = -np.log10(np.maximum(1.0 - share + END, 0.1 * END))
+    return place
 
 
-def _backward(place: Any) -> Any:
-    return 1.0 + END - 10.0**-place
+def _backward(place: Array) -> Array:
+    share: Array = 1.0 + END - 10.0**-place
+    return share

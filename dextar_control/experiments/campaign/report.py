@@ -11,9 +11,9 @@ from rich import box
 from rich.table import Table
 
 from dextar_control.experiments.campaign.reliability import VERDICTS, Bin
+from dextar_control.experiments.campaign.rows import Row, number, text
 from dextar_control.experiments.campaign.summary import Group
-from dextar_control.experiments.campaign.trial import SAID
-from dextar_control.experiments.campaign.worker import Row
+from dextar_control.experiments.campaign.trial import CONFIDENCE_BINS
 
 LENGTHS = {"max_error", "median_error", "max_end_error"}  # bars in m, said in mm
 SHARES = {
@@ -141,7 +141,7 @@ def reliability_table(found: dict[str, dict[str, Bin]]) -> str:
     """How often the estimators that tell the side were right, by the confidence that
     they stated.
     """
-    names = [*(f"{odds:g}" for odds in SAID), VERDICTS]
+    names = [*(f"{odds:g}" for odds in CONFIDENCE_BINS), VERDICTS]
     lines = [
         [estimator, *(_share_right(bins.get(name)) for name in names)]
         for estimator, bins in found.items()
@@ -180,16 +180,16 @@ def failures(rows: Iterable[Row]) -> list[list[str]]:
     """Cells of each row that is no success, in the order of ``FAILURE_HEADINGS``."""
     return [
         [
-            row["key"],
-            row["case"],
+            text(row, "key"),
+            text(row, "case"),
             f"{row['law']} / {row['estimator']}",
-            row["plant"],
-            str(row["index"]),
-            f"{1e3 * row['point_x']:.1f}, {1e3 * row['point_y']:.1f}",
-            row["working_mode"],
-            row["family"],
-            f"{row['direction']:+d}",
-            mm(math.nan if row.get("max_error") is None else row["max_error"]),
+            text(row, "plant"),
+            text(row, "index"),
+            f"{1e3 * number(row, 'point_x'):.1f}, {1e3 * number(row, 'point_y'):.1f}",
+            text(row, "working_mode"),
+            text(row, "family"),
+            f"{number(row, 'direction'):+.0f}",
+            mm(number(row, "max_error")),
             reason_of(row),
         ]
         for row in rows
@@ -220,8 +220,8 @@ def percent(share: float) -> str:
     """A share in percent; 100 only if it is all."""
     if not math.isfinite(share):
         return "-"
-    text = f"{100.0 * share:.1f}"
-    return "99.9" if text == "100.0" and share < 1.0 else text.removesuffix(".0")
+    shown = f"{100.0 * share:.1f}"
+    return "99.9" if shown == "100.0" and share < 1.0 else shown.removesuffix(".0")
 
 
 def mm(length: float) -> str:
@@ -252,5 +252,5 @@ def _markdown(headings: Sequence[str], rows: Iterable[Sequence[str]], left: int)
     """A table whose first columns are aligned to the left."""
     rule = "|".join(["---"] * left + ["---:"] * (len(headings) - left))
     lines = [[*headings], *([cell.replace("|", "\\|") for cell in row] for row in rows)]
-    text = [f"| {' | '.join(line)} |" for line in lines]
-    return "\n".join([text[0], f"|{rule}|", *text[1:]])
+    drawn = [f"| {' | '.join(line)} |" for line in lines]
+    return "\n".join([drawn[0], f"|{rule}|", *drawn[1:]])

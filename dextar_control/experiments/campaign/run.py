@@ -10,7 +10,6 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from rich.progress import (
     BarColumn,
@@ -26,9 +25,9 @@ from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.experiments.campaign import design
 from dextar_control.experiments.campaign.config import CampaignConfig
 from dextar_control.experiments.campaign.design import Trial
-from dextar_control.experiments.campaign.loading import resolve
 from dextar_control.experiments.campaign.outcome import judge
 from dextar_control.experiments.campaign.pool import Pool, check_workers
+from dextar_control.experiments.campaign.rig import resolve
 from dextar_control.experiments.campaign.selection import check_names
 from dextar_control.experiments.campaign.store import Store, read_rows
 from dextar_control.experiments.campaign.worker import Job, plan_trials, run_trials
@@ -46,7 +45,7 @@ class Campaign:
     trials: dict[str, Trial]  # by key, in the order in which they run
 
     @property
-    def manifest(self) -> dict[str, Any]:
+    def manifest(self) -> dict[str, object]:
         """What the rows of a folder are of."""
         return {
             "version": design.version(),

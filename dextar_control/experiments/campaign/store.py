@@ -9,14 +9,13 @@ import json
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from dextar_control.contract.errors import CampaignError
 from dextar_control.contract.plain_data import as_plain
-from dextar_control.experiments.campaign.worker import Row
+from dextar_control.experiments.campaign.rows import Cell, Row, text
 
 MANIFEST, ROWS, TABLE = "campaign.json", "rows.jsonl", "rows.parquet"
 
@@ -24,7 +23,7 @@ MANIFEST, ROWS, TABLE = "campaign.json", "rows.jsonl", "rows.parquet"
 class Store:
     """The folder of one campaign, held by one process at a time; a context manager."""
 
-    def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
+    def __init__(self, folder: Path, manifest: Mapping[str, object]) -> None:
         """Open a folder, new or of the same campaign.
 
         Args:
@@ -61,18 +60,18 @@ class Store:
     def append(self, rows: Iterable[Row]) -> None:
         """Rows with their ``key``; on the disk when this returns."""
         rows = list(rows)
-        text = "".join(
+        lines = "".join(
             json.dumps(as_plain(row), allow_nan=False) + "\n" for row in rows
         )
         try:
-            self._file.write(text.encode())
+            self._file.write(lines.encode())
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError as error:
             raise CampaignError(
                 f"cannot write into {self.folder / ROWS}: {error.strerror or error}"
             ) from error
-        self.rows.update({row["key"]: as_plain(row) for row in rows})
+        self.rows.update({text(row, "key"): as_plain(row) for row in rows})
 
     def write_table(self, keys: Iterable[str]) -> Path:
         """All rows as a Parquet file, in the order of the keys."""
@@ -83,13 +82,13 @@ class Store:
         part.replace(path)
         return path
 
-    def write_text(self, name: str, text: str) -> Path:
+    def write_text(self, name: str, content: str) -> Path:
         """A text file of the folder."""
         path = self.folder / name
-        path.write_text(text, encoding="utf-8")
+        path.write_text(content, encoding="utf-8")
         return path
 
-    def _check(self, manifest: Mapping[str, Any]) -> None:
+    def _check(self, manifest: Mapping[str, object]) -> None:
         path = self.folder / MANIFEST
         wanted = json.loads(json.dumps(manifest))
         if path.is_file():
@@ -156,7 +155,7 @@ def as_table(rows: list[Row]) -> pa.Table:
     return pa.table(columns)
 
 
-def _column(values: list[Any]) -> pa.Array:
+def _column(values: list[Cell]) -> pa.Array:
     kinds = {type(value) for value in values if value is not None}
     if kinds == {int, float}:
         return pa.array(values, pa.float64())
@@ -167,7 +166,7 @@ def _column(values: list[Any]) -> pa.Array:
     return pa.array(values, pa.float64() if not kinds else None)
 
 
-def _difference(found: Any, wanted: Any, where: str = "") -> str:
+def _difference(found: object, wanted: object, where: str = "") -> str:
     """The first place where two pieces of plain data differ, in words."""
     if isinstance(found, dict) and isinstance(wanted, dict):
         for key in {**wanted, **found}:
@@ -185,6 +184,6 @@ def _difference(found: Any, wanted: Any, where: str = "") -> str:
     )
 
 
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+def _short(value: object) -> str:
+    shown = json.dumps(value)
+    return shown if len(shown) <= 60 else f"{shown[:57]}..."

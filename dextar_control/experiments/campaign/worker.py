@@ -8,14 +8,13 @@ import importlib
 import time
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from dextar_control.contract.errors import CampaignError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.experiments.campaign.design import Trial, code_digest
-from dextar_control.experiments.campaign.loading import resolve
-
-Row = dict[str, Any]
+from dextar_control.experiments.campaign.rig import RigMaker, resolve
+from dextar_control.experiments.campaign.rows import Row, failed_row
 
 
 class Job(NamedTuple):
@@ -58,18 +57,13 @@ def plan_trials(job: Job, trials: Sequence[Trial]) -> list[Row]:
     return [{} for _ in trials]
 
 
-def failed_row(reason: str) -> Row:
-    """Results of a trial that has none."""
-    return {"success": False, "reason": reason}
-
-
 def _in_words(error: BaseException) -> str:
     said = " ".join(str(error).split())
     return f"{type(error).__name__}: {said}" if said else type(error).__name__
 
 
 @lru_cache(maxsize=8)
-def _prepared(job: Job) -> Any:
+def _prepared(job: Job) -> RigMaker:
     mine = code_digest(job.rig, job.trial)
     if mine != job.code:
         raise CampaignError(

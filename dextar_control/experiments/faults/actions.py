@@ -11,23 +11,32 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.client import Client
+from rclpy.publisher import Publisher
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.topics import JOINT_COMMANDS
 from dextar_control.experiments.faults.bag_check import finished
-from dextar_control.experiments.faults.cases import Case
+from dextar_control.experiments.faults.cases import FaultCase
+from dextar_control.experiments.faults.events import CrossingRecord, Network
 from dextar_control.experiments.faults.judgement import Evidence, Outcome
-from dextar_control.experiments.faults.link import Link, Shape, Transport, Window
-from dextar_control.experiments.faults.operator import parameter
+from dextar_control.experiments.faults.link import (
+    FaultWindow,
+    MessageLink,
+    MessageShape,
+    Transport,
+)
+from dextar_control.experiments.faults.monitor import parameters
 from dextar_control.experiments.faults.stack import Stack
 from dextar_control.experiments.processes import NodesError
 from dextar_control.nodekit.cdr import NANOSECONDS
@@ -95,7 +104,7 @@ class Action:
     grace = 0
     refused = False
 
-    def __init__(self, case: Case, stack: Stack) -> None:
+    def __init__(self, case: FaultCase, stack: Stack) -> None:
         self.case, self.stack = case, stack
 
     @property
@@ -134,7 +143,7 @@ class Action:
         """A line for each of these that should have been finished and is not."""
         return []
 
-    def extra(self, records: list[dict[str, Any]], evidence: Evidence) -> None:
+    def extra(self, records: list[CrossingRecord], evidence: Evidence) -> None:
         """Add to the records what only this kind has."""
 
 
@@ -144,11 +153,11 @@ class LinkAction(Action):
     def prepare(self, chance: random.Random) -> None:
         """Find the links."""
         super().prepare(chance)
-        injector = self.stack.operator.injector
+        injector = self.stack.monitor.injector
         if injector is None:
             raise NodesError("no injector stands between rig and controller")
         ways = {"states": injector.states, "commands": injector.commands}
-        self._links: list[Link[bytes]] = [ways[way] for way in self.case.ways]
+        self._links: list[MessageLink[bytes]] = [ways[way] for way in self.case.ways]
         self._before = [dict(link.counts) for link in self._links]
         if self.case.window is not None:
             self.grace = round((self.case.window.lasting + REACTION) * NANOSECONDS)
@@ -159,7 +168,11 @@ class LinkAction(Action):
             lasting = round(self.case.window.lasting * NANOSECONDS)
             for link in self._links:
                 for at in times:
-                    link.add(Window(at, at + lasting, Shape(self.case.window.shape)))
+                    link.add(
+                        FaultWindow(
+                            at, at + lasting, MessageShape(self.case.window.shape)
+                        )
+                    )
         else:
             for link in self._links:
                 link.configure(
@@ -209,7 +222,7 @@ class KillAction(Action):
             self._killed = now
             self.stack.processes.send(self._node, signal.Signals[self.case.kill.signal])
         return (
-            Trouble(self._killed, Outcome.LIMP)
+            Trouble(self._killed, Outcome.NO_TORQUE)
             if self._node == "controller" and self.done
             else None
         )
@@ -222,7 +235,7 @@ class KillAction(Action):
         """Start it again."""
         if not self._killed:
             return
-        if not self.stack.operator.until(
+        if not self.stack.monitor.until(
             lambda: self.stack.processes.ended(self._node), END_PATIENCE
         ):
             raise NodesError(
@@ -234,7 +247,7 @@ class KillAction(Action):
         """The killed recorder's."""
         if self._node != "recorder" or self._bag is None or not self._killed:
             return []
-        self.stack.operator.until(
+        self.stack.monitor.until(
             lambda: self.stack.processes.ended(self._node), END_PATIENCE
         )
         return [self._bag]
@@ -250,7 +263,7 @@ class KillAction(Action):
             for path in unfinished
         ]
 
-    def extra(self, records: list[dict[str, Any]], evidence: Evidence) -> None:
+    def extra(self, records: list[CrossingRecord], evidence: Evidence) -> None:
         """Torque after the commander's last word, for the figure; how much of a
         recording was lost.
         """
@@ -278,13 +291,13 @@ class CommanderAction(Action):
     def arm(self, times: Sequence[int]) -> None:
         """Once, at the first time."""
         self._at, self._sent, self._begun = times[0], 0, 0
-        self._publisher: Any = None
+        self._publisher: Publisher | None = None
         self._template = template(JOINT_COMMANDS)
 
     @property
     def done(self) -> bool:
         """Whether it was there for long enough."""
-        return bool(self._begun) and self.stack.operator.now >= self._begun + round(
+        return bool(self._begun) and self.stack.monitor.now >= self._begun + round(
             SECOND_LASTS * NANOSECONDS
         )
 
@@ -293,7 +306,7 @@ class CommanderAction(Action):
         if now >= self._at and now > self._sent:
             if self._publisher is None:
                 self._begun = now
-                self._publisher = self.stack.operator.create_publisher(
+                self._publisher = self.stack.monitor.create_publisher(
                     JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS)
                 )
             self._publisher.publish(self._template.pack(now, SECOND_TORQUE))
@@ -302,12 +315,12 @@ class CommanderAction(Action):
 
     def release(self) -> None:
         """Leave the topic."""
-        operator = self.stack.operator
+        monitor = self.stack.monitor
         if self._publisher is not None:
-            operator.destroy_publisher(self._publisher)
+            monitor.destroy_publisher(self._publisher)
             self._publisher = None
-            operator.until(
-                lambda: operator.count_publishers(JOINT_COMMANDS.name) <= 1,
+            monitor.until(
+                lambda: monitor.count_publishers(JOINT_COMMANDS.name) <= 1,
                 END_PATIENCE,
             )
 
@@ -322,33 +335,33 @@ class FloodAction(Action):
     def prepare(self, chance: random.Random) -> None:
         """Clients of services that change nothing."""
         super().prepare(chance)
-        operator = self.stack.operator
-        self._calls: list[tuple[Any, Any]] = [
-            (operator.client(SetBool, "controller/enable"), SetBool.Request(data=True)),
+        monitor = self.stack.monitor
+        self._calls: list[tuple[Client, object]] = [
+            (monitor.client(SetBool, "controller/enable"), SetBool.Request(data=True)),
             (
-                operator.client(GetParameters, "controller/get_parameters"),
+                monitor.client(GetParameters, "controller/get_parameters"),
                 GetParameters.Request(names=["law", "zone"]),
             ),
             (
-                operator.client(SetParameters, "controller/set_parameters"),
+                monitor.client(SetParameters, "controller/set_parameters"),
                 SetParameters.Request(),
             ),
-            (operator.client(Trigger, "plant/step"), Trigger.Request()),
+            (monitor.client(Trigger, "plant/step"), Trigger.Request()),
             (
-                operator.client(GetParameters, "plant/get_parameters"),
+                monitor.client(GetParameters, "plant/get_parameters"),
                 GetParameters.Request(names=["mode"]),
             ),
             (
-                operator.client(GetParameters, "trajectory_server/get_parameters"),
+                monitor.client(GetParameters, "trajectory_server/get_parameters"),
                 GetParameters.Request(names=["repeat"]),
             ),
         ]
-        if not operator.until(
+        if not monitor.until(
             lambda: all(client.service_is_ready() for client, _ in self._calls),
             START_PATIENCE,
         ):
             raise NodesError("not every service is there to be flooded")
-        self._pending: list[tuple[str, Any]] = []
+        self._pending: list[tuple[str, Future]] = []
         self._sent = self._answered = 0
         self._begun = 0.0
 
@@ -374,7 +387,7 @@ class FloodAction(Action):
     def release(self) -> None:
         """Wait for the answers still to come."""
         self._begun = 0.0
-        self.stack.operator.until(
+        self.stack.monitor.until(
             lambda: all(future.done() for _, future in self._pending), END_PATIENCE
         )
         self._count()
@@ -396,7 +409,7 @@ class ParameterAction(Action):
     def arm(self, times: Sequence[int]) -> None:
         """At each time."""
         self._times, self.refused, self._asked = list(times), False, 0
-        self._futures: list[tuple[Any, bool]] = []
+        self._futures: list[tuple[Future, bool]] = []
 
     @property
     def done(self) -> bool:
@@ -412,14 +425,9 @@ class ParameterAction(Action):
             self._ask(self.chance.choice(REFUSED), valid=False)
         return None
 
-    def _ask(self, values: dict[str, Any], *, valid: bool) -> None:
-        client = self.stack.operator.client(SetParameters, "controller/set_parameters")
-        request = SetParameters.Request(
-            parameters=[
-                parameter(name.replace("__", "."), value)
-                for name, value in values.items()
-            ]
-        )
+    def _ask(self, values: Mapping[str, int | float], *, valid: bool) -> None:
+        client = self.stack.monitor.client(SetParameters, "controller/set_parameters")
+        request = SetParameters.Request(parameters=parameters(values))
         self._futures.append((client.call_async(request), valid))
         self._asked += 1
 
@@ -427,7 +435,7 @@ class ParameterAction(Action):
         """Take the answers; a valid change refused or an invalid one taken is a fault
         of the controller.
         """
-        self.stack.operator.until(
+        self.stack.monitor.until(
             lambda: all(future.done() for future, _ in self._futures), END_PATIENCE
         )
         right = 0
@@ -450,7 +458,7 @@ class ParameterAction(Action):
     def restore(self) -> None:
         """The gains of the parameter file."""
         defaults = node_defaults("controller")
-        self.stack.operator.change_parameters(
+        self.stack.monitor.change_parameters(
             "controller", **{name: float(defaults[name]) for name in GAINS}
         )
 
@@ -465,10 +473,10 @@ class DiskAction(Action):
         super().prepare(chance)
         stack = self.stack
         stack.processes.stop("recorder")
-        stack.operator.until(lambda: False, 0.3)
+        stack.monitor.until(lambda: False, 0.3)
         self._bag = stack.bag()
         size = round(1e6 * self.case.disk * chance.uniform(0.5, 1.0))
-        stack.operator.status.pop("recorder", None)
+        stack.monitor.status.pop("recorder", None)
         if can_mount():
             disk = stack.folder / "small_disk"
             disk.mkdir(exist_ok=True)
@@ -488,9 +496,9 @@ class DiskAction(Action):
             limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
             stack.start_recorder(path=self._bag, limit=limit, compression="none")
         stack.processes.may_end("recorder")
-        if not stack.operator.until(
+        if not stack.monitor.until(
             lambda: (
-                "recorder" in stack.operator.status or stack.processes.ended("recorder")
+                "recorder" in stack.monitor.status or stack.processes.ended("recorder")
             ),
             START_PATIENCE,
         ):
@@ -503,7 +511,7 @@ class DiskAction(Action):
 
     def release(self) -> None:
         """A robot that stopped early leaves the recorder to fill the disk."""
-        self.stack.operator.until(lambda: self.done, END_PATIENCE)
+        self.stack.monitor.until(lambda: self.done, END_PATIENCE)
 
     def took_effect(self) -> bool:
         """Whether the recorder has given up."""
@@ -541,7 +549,8 @@ class NetworkAction(Action):
 
     @staticmethod
     def _ask(quality: dict[str, float]) -> dict[str, int]:
-        print(json.dumps({"event": "network", "quality": quality}), flush=True)
+        event: Network = {"event": "network", "quality": quality}
+        print(json.dumps(event), flush=True)
         counts: dict[str, int] = json.loads(sys.stdin.readline())
         return counts
 
@@ -558,7 +567,7 @@ def can_mount() -> bool:
     )
 
 
-KINDS: dict[str, Callable[[Case, Stack], Action]] = {
+KINDS: dict[str, Callable[[FaultCase, Stack], Action]] = {
     "transport": LinkAction,
     "window": LinkAction,
     "kill": KillAction,
@@ -570,6 +579,6 @@ KINDS: dict[str, Callable[[Case, Stack], Action]] = {
 }
 
 
-def make_action(case: Case, stack: Stack) -> Action:
+def make_action(case: FaultCase, stack: Stack) -> Action:
     """What does a case's fault."""
     return KINDS[case.kind](case, stack)

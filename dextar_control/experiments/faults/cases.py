@@ -13,7 +13,7 @@ from dextar_control.contract.errors import DextarError
 from dextar_control.contract.validation import Section, load_yaml, problem, unknown
 from dextar_control.experiments.faults.frames import LinkQuality
 from dextar_control.experiments.faults.judgement import Outcome
-from dextar_control.experiments.faults.link import Shape, Transport
+from dextar_control.experiments.faults.link import MessageShape, Transport
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Node = Literal["plant", "controller", "trajectory_server", "recorder"]
@@ -30,14 +30,14 @@ KINDS = (
 )
 
 
-class Kill(Section):
+class KillSettings(Section):
     """A signal to one node."""
 
     node: Node
     signal: Literal["SIGKILL", "SIGTERM"]
 
 
-class Window(Section):
+class WindowSettings(Section):
     """A span of time in which each message has one shape."""
 
     shape: str
@@ -46,13 +46,13 @@ class Window(Section):
     @field_validator("shape")
     @classmethod
     def _known_shape(cls, shape: str) -> str:
-        known = [item.value for item in Shape]
+        known = [item.value for item in MessageShape]
         if shape not in known:
             raise problem(unknown(shape, known, "shape"))
         return shape
 
 
-class Case(Section):
+class FaultCase(Section):
     """One fault: exactly one of the ``KINDS``.
 
     ``crossings`` faulted ones are tried in a full run, ``quick`` in a quick one (0
@@ -69,8 +69,8 @@ class Case(Section):
     clock: Literal["lockstep", "realtime"] = "lockstep"
     ways: Annotated[list[Way], Field(min_length=1)] = ["states"]
     transport: dict[str, Number] | None = None
-    window: Window | None = None
-    kill: Kill | None = None
+    window: WindowSettings | None = None
+    kill: KillSettings | None = None
     commander: bool = False
     flood: Number = Field(default=0.0, ge=0.0, le=10_000.0)
     parameters: bool = False
@@ -98,7 +98,7 @@ class Case(Section):
         return expect
 
     @model_validator(mode="after")
-    def _one_fault(self) -> Case:
+    def _one_fault(self) -> FaultCase:
         kinds = [kind for kind in KINDS if getattr(self, kind)]
         if len(kinds) != 1:
             raise problem(
@@ -119,7 +119,7 @@ class Case(Section):
         return self
 
 
-class Trip(Section):
+class TripSettings(Section):
     """The return trip that is made again and again: seconds one way, and at rest."""
 
     duration: Number = Field(gt=0.02, le=60.0)
@@ -130,8 +130,8 @@ class FaultConfig(Section):
     """Everything a run of faults is made of."""
 
     seed: int = Field(default=0, ge=0, lt=2**32)
-    trip: Trip
-    cases: dict[str, Case] = Field(min_length=1)
+    trip: TripSettings
+    cases: dict[str, FaultCase] = Field(min_length=1)
 
 
 def load_cases(path: str | Path) -> FaultConfig:

@@ -15,7 +15,7 @@ SHADES = {
     Outcome.REFUSED: (LIGHT["wash"], "..."),
     Outcome.SAFE_STOP: (LIGHT["link"], ""),
     Outcome.FAULT: (LIGHT["mid"], ""),
-    Outcome.LIMP: (LIGHT["soft"], ""),
+    Outcome.NO_TORQUE: (LIGHT["soft"], ""),
     Outcome.MISSED: (LIGHT["ink"], "xxx"),
     Outcome.DISTURBED: (LIGHT["paper"], "///"),
 }

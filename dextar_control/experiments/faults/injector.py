@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any
 
+from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
@@ -27,8 +27,8 @@ from dextar_control.experiments.faults.link import (
     STAMP_EARLINESS,
     STAMP_SHIFT,
     Delivery,
-    Link,
-    Shape,
+    MessageLink,
+    MessageShape,
 )
 from dextar_control.nodekit.cdr import NANOSECONDS, CdrTemplate, from_time, to_time
 from dextar_control.nodekit.node import qos
@@ -41,9 +41,9 @@ REMAPPINGS = (
 )
 ANSWERED = (
     None,
-    Shape.STEP,
-    Shape.STAMP_FUTURE,
-    Shape.STAMP_EARLY,
+    MessageShape.STEP,
+    MessageShape.STAMP_FUTURE,
+    MessageShape.STAMP_EARLY,
 )  # states that a controller answers
 PATIENCE = 2.0  # s on the steady clock for an answer of a controller that answers
 # s for one of a controller that did not answer last, or to a state that need not be
@@ -57,29 +57,29 @@ def stamp_of(raw: bytes) -> int:
     return seconds * NANOSECONDS + int.from_bytes(raw[8:12], "little")
 
 
-def reshape(raw: bytes, shape: Shape, began: int) -> bytes:
+def reshape(raw: bytes, shape: MessageShape, began: int) -> bytes:
     """A joint state or command in another shape; ``began`` is the frozen stamp, ns."""
     message = deserialize_message(raw, JointState)
     numbers = message.position if len(message.position) else message.effort
     values = list(numbers)
     stamp = from_time(message.header.stamp)
-    if shape is Shape.NAN:
+    if shape is MessageShape.NAN:
         values[0] = math.nan
-    elif shape is Shape.INFINITY:
+    elif shape is MessageShape.INFINITY:
         values[1] = math.inf
-    elif shape is Shape.NAMES:
+    elif shape is MessageShape.NAMES:
         message.name = ["joint_1", "joint_2"]
-    elif shape is Shape.SIZES:
+    elif shape is MessageShape.SIZES:
         values = values[:1]
-    elif shape is Shape.STAMP_BACK:
+    elif shape is MessageShape.STAMP_BACK:
         message.header.stamp = to_time(max(stamp - STAMP_SHIFT, 0))
-    elif shape is Shape.STAMP_FUTURE:
+    elif shape is MessageShape.STAMP_FUTURE:
         message.header.stamp = to_time(stamp + STAMP_SHIFT)
-    elif shape is Shape.STAMP_EARLY:
+    elif shape is MessageShape.STAMP_EARLY:
         message.header.stamp = to_time(max(stamp - STAMP_EARLINESS, 0))
-    elif shape is Shape.STAMP_FROZEN:
+    elif shape is MessageShape.STAMP_FROZEN:
         message.header.stamp = to_time(began)
-    elif shape is Shape.STEP:
+    elif shape is MessageShape.STEP:
         values[0] += ENCODER_STEP
     if len(message.position):
         message.position = values
@@ -103,9 +103,9 @@ class Injector:
         unanswered: states that were delivered whole and not answered in time.
     """
 
-    def __init__(self, node: Any, *, lockstep: bool) -> None:
-        self.states: Link[bytes] = Link()
-        self.commands: Link[bytes] = Link()
+    def __init__(self, node: Node, *, lockstep: bool) -> None:
+        self.states: MessageLink[bytes] = MessageLink()
+        self.commands: MessageLink[bytes] = MessageLink()
         self.now = -1
         self.bad_stamps: list[int] = []
         self.unanswered = 0
@@ -239,7 +239,8 @@ class Injector:
             raw = self._shaped(delivery)
             self._to_rig.publish(raw)
             self._answered_at_rig |= (
-                delivery.shape in (None, Shape.STEP) and stamp_of(raw) == self.now
+                delivery.shape in (None, MessageShape.STEP)
+                and stamp_of(raw) == self.now
             )
 
     def _settle(self) -> None:

@@ -11,11 +11,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.symbols.types import Array
+
+Stamps = NDArray[np.int64]
 
 DEAD_AFTER = 0.1  # s without a usable command from which on there must be no torque
 NO_TORQUE = 1e-9  # N m
@@ -34,7 +37,7 @@ class Outcome(str, Enum):
     )
     SAFE_STOP = "safe stop"
     FAULT = "fault"
-    LIMP = "no torque"  # the commander is gone, and the robot without torque
+    NO_TORQUE = "no torque"  # the commander is gone, and the robot without torque
     # the true robot is not on the planned side, and the controller goes on: never
     # expected
     MISSED = "missed"
@@ -86,15 +89,15 @@ class Evidence:
         period: between two states, ns.
     """
 
-    stamps: np.ndarray
-    joints: np.ndarray
-    torque: np.ndarray
-    command_stamps: np.ndarray
-    command_torque: np.ndarray
+    stamps: Stamps
+    joints: Array
+    torque: Array
+    command_stamps: Stamps
+    command_torque: Array
     period: int
 
 
-def true_side(joints: np.ndarray) -> np.ndarray:
+def true_side(joints: Array) -> Array:
     """Sign of r_1 x r_2, r_i along distal link i, of joints (n, 4): the assembly mode,
     shape (n,).
     """
@@ -103,7 +106,7 @@ def true_side(joints: np.ndarray) -> np.ndarray:
     )
 
 
-def true_position(robot: RobotParameters, joints: np.ndarray) -> np.ndarray:
+def true_position(robot: RobotParameters, joints: Array) -> Array:
     """End effector (n, 2), m, of joints (n, 4), along the left leg."""
     first, second = joints[:, 0], joints[:, 0] + joints[:, 1]
     near, far = robot.left.proximal_length, robot.left.distal_length
@@ -165,7 +168,7 @@ def torque_beyond(evidence: Evidence, limit: float) -> tuple[int, list[str]]:
 
 
 def not_finite(
-    stamps: np.ndarray, torque: np.ndarray, bad_stamps: Iterable[int], limit: float
+    stamps: Stamps, torque: Array, bad_stamps: Iterable[int], limit: float
 ) -> tuple[int, list[str]]:
     """Commands that are not finite or beyond the limit, or answer a state that was not
     finite with a torque.
@@ -195,14 +198,14 @@ def not_finite(
     return len(stamps), lines
 
 
-def paused(times: np.ndarray, limit: float) -> bool:
+def paused(times: Stamps, limit: float) -> bool:
     """Whether a publisher was silent for longer than the limit, s; ``times`` of
     publication, ns, ascending.
     """
     return bool(len(times) > 1 and np.diff(times).max() > limit * NANOSECONDS)
 
 
-def _spans(mask: np.ndarray) -> list[tuple[int, int]]:
+def _spans(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     edges = np.flatnonzero(
         np.diff(np.concatenate([[False], mask, [False]]).astype(int))
     )
@@ -213,7 +216,7 @@ def _spans(mask: np.ndarray) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True)
-class Seen:
+class NodeReports:
     """What the nodes said during one trip.
 
     Attributes:
@@ -234,7 +237,7 @@ class Seen:
     silent: Collection[str] = ()
 
     def report(self, wanted: str) -> bool:
-        """Whether one way of reporting (see ``cases.Case``) was used."""
+        """Whether one way of reporting (see ``cases.FaultCase``) was used."""
         place, _, words = wanted.partition("~")
         if place == "answer":
             return any(words in answer for answer in self.answers)
@@ -256,8 +259,8 @@ class Seen:
         return [way for way in wanted if self.report(way)]
 
 
-def _number(text: Any) -> float:
+def _number(text: str | None) -> float:
     try:
-        return float(text)
-    except (TypeError, ValueError):
+        return float(text or 0.0)
+    except ValueError:
         return 0.0

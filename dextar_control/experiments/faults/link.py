@@ -20,7 +20,7 @@ Item = TypeVar("Item")
 NANOSECONDS = 1.0e9
 
 
-class Shape(Enum):
+class MessageShape(Enum):
     """What is wrong with the messages of a window."""
 
     OUTAGE = "outage"  # none arrives
@@ -40,7 +40,7 @@ class Shape(Enum):
 STAMP_SHIFT = 50_000_000  # ns
 STAMP_EARLINESS = 900_000  # ns
 ENCODER_STEP = 0.05  # rad
-NON_FINITE = (Shape.NAN, Shape.INFINITY)
+NON_FINITE = (MessageShape.NAN, MessageShape.INFINITY)
 
 
 @dataclass(frozen=True)
@@ -79,12 +79,12 @@ class Transport:
                 )
 
 
-class Window(NamedTuple):
+class FaultWindow(NamedTuple):
     """A span of time, ns, half open, in which each message has one shape."""
 
     begin: int
     end: int
-    shape: Shape
+    shape: MessageShape
 
 
 class Delivery(NamedTuple, Generic[Item]):
@@ -97,11 +97,11 @@ class Delivery(NamedTuple, Generic[Item]):
     """
 
     item: Item
-    shape: Shape | None
+    shape: MessageShape | None
     began: int
 
 
-class Link(Generic[Item]):
+class MessageLink(Generic[Item]):
     """A line of messages with chance and windows.
 
     Args:
@@ -129,8 +129,8 @@ class Link(Generic[Item]):
         self._line: list[tuple[int, int, Delivery[Item]]] = []
         self._number = 0
         self._last_due = 0
-        self._windows: list[Window] = []
-        self._began: dict[Window, int] = {}
+        self._windows: list[FaultWindow] = []
+        self._began: dict[FaultWindow, int] = {}
         self.configure(transport or Transport(), seed)
 
     def configure(self, transport: Transport, seed: int) -> None:
@@ -145,7 +145,7 @@ class Link(Generic[Item]):
         """What happens to each message."""
         return self._transport
 
-    def add(self, window: Window) -> None:
+    def add(self, window: FaultWindow) -> None:
         """Give the messages sent in this window its shape."""
         self._windows.append(window)
 
@@ -177,7 +177,7 @@ class Link(Generic[Item]):
             (window for window in self._windows if window.begin <= time < window.end),
             None,
         )
-        if window is not None and window.shape is Shape.OUTAGE:
+        if window is not None and window.shape is MessageShape.OUTAGE:
             counts["lost_in_outage"] += 1
             return
         if lost:

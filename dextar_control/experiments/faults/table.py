@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from rich.table import Table
 
 from dextar_control.experiments.faults.cases import FaultConfig
+from dextar_control.experiments.faults.events import CrossingRecord, Event
 from dextar_control.experiments.faults.judgement import Check, Outcome
 
 HEAD = (
@@ -121,30 +121,28 @@ class Summary:
             or any(case.unexpected for case in self.cases.values())
         )
 
-    def take(self, event: Mapping[str, Any]) -> None:
+    def take(self, event: Event) -> None:
         """Count one event of a session."""
-        kind, name = event["event"], event.get("case", "")
-        if kind == "record":
-            self._take_record(self.cases[name], event)
-        elif kind == "checks":
+        if event["event"] == "record":
+            self._take_record(self.cases[event["case"]], event)
+        elif event["event"] == "checks":
             self.looked.update(event["looked"])
             self.violations += [(check, text) for check, text in event["violations"]]
-        elif kind == "failed":
+        elif event["event"] == "failed":
+            case = self.cases.get(event["case"])
             self.failures.append(
-                f"{self.cases[name].title}: {event['text']}"
-                if name in self.cases
-                else event["text"]
+                f"{case.title}: {event['text']}" if case else event["text"]
             )
-        elif kind == "note":
-            self.notes.append(f"{self.cases[name].title}: {event['text']}")
+        elif event["event"] == "note":
+            self.notes.append(f"{self.cases[event['case']].title}: {event['text']}")
 
     @staticmethod
-    def _take_record(case: CaseCount, record: Mapping[str, Any]) -> None:
+    def _take_record(case: CaseCount, record: CrossingRecord) -> None:
         outcome = record["outcome"]
         case.outcomes[outcome] += 1
         case.places[record["where"]] += 1
         case.reported.update(record["reported"])
-        error = record.get("true_error")
+        error = record["true_error"]
         if (
             error is not None
             and not math.isnan(error)
@@ -153,8 +151,8 @@ class Summary:
             case.worst_error = (
                 error if math.isnan(case.worst_error) else max(case.worst_error, error)
             )
-        if record.get("curve"):
-            case.curves.append(record["curve"])
+        if curve := record.get("curve"):
+            case.curves.append(curve)
         where = f"{1e3 * record['offset']:+.0f} ms from the crossing"
         if not record["expected"]:
             case.unexpected.append(
@@ -163,7 +161,7 @@ class Summary:
         if not record["recovered"]:
             case.unexpected.append(f"not brought back to HOLD after {outcome}, {where}")
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Everything as plain data."""
         return {
             "crossings": self.count,

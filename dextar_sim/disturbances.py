@@ -9,7 +9,7 @@ from dextar_control.contract.errors import ParameterError
 from dextar_sim.state import AnyPlant
 
 
-class Happenings:
+class Disturbances:
     """Of one run; a reset begins it anew, without the load.
 
     Args:

@@ -17,7 +17,7 @@ UNNUMBERED = (0, 2**64 - 1)
 """What a middleware gives that does not count messages."""
 
 
-class Speakers:
+class CommanderArbiter:
     """Whether the commands that come are those of one publisher.
 
     The middleware's graph keeps a publisher that was killed for its lease (Fast DDS: up
@@ -61,7 +61,7 @@ class Speakers:
         self._heard = 0
         self._since = 0
 
-    def look(self, now: int) -> None:
+    def count_publishers(self, now: int) -> None:
         """Count the publishers, at a steady time (ns); one more than before has to stay
         silent for ``SPEAKING`` first.
         """
@@ -71,7 +71,7 @@ class Speakers:
         elif self.count > before:
             self._since = now
 
-    def clear(self, now: int) -> bool:
+    def accepts(self, now: int) -> bool:
         """Whether commands are taken: there is one publisher, or the others are
         silent.
         """
@@ -84,7 +84,7 @@ class Speakers:
         )
         return alone and (self._lossless or now - self._heard <= SPEAKING)
 
-    def hear(self, number: int | None, states: int, now: int) -> bool:
+    def take(self, number: int | None, states: int, now: int) -> bool:
         """Whether a message may be taken.
 
         Args:
@@ -100,15 +100,15 @@ class Speakers:
         self._number, self._states, self._heard = number, states, now
         if last is None:
             self._since = now
-            self.look(now)
+            self.count_publishers(now)
             return self.count <= 1
         rise = number - last
         if rise == 1 or (not self._lossless and 0 < rise <= most):
             if silent and not self._lossless:
                 self._since = now
-            return self.clear(now)
+            return self.accepts(now)
         self._since = now
-        self.look(now)
+        self.count_publishers(now)
         if self.count <= 1:
             return rise > 0 or silent
         self.several |= rise <= 0 and not silent

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
+from dextar_control.experiments.campaign.rig import RigInterface
 from dextar_control.identification.calibration import calibrate_recorded
 from dextar_control.identification.identification import identify_recorded
 from dextar_control.identification.recorded import Recorded
@@ -27,7 +27,7 @@ START = np.array([-0.025, 0.115])  # m, of the exciting motion: the A of every t
 EXCITE, DWELL = 20.0, 0.2  # s
 
 
-def record(robot: RobotParameters, plan: Plan, rig: Any) -> Recorded:
+def record_motion(robot: RobotParameters, plan: Plan, rig: RigInterface) -> Recorded:
     """A plan run in a plain loop, as its bag would tell it.
 
     Args:
@@ -74,9 +74,9 @@ def record(robot: RobotParameters, plan: Plan, rig: Any) -> Recorded:
     )
 
 
-def learnt(
+def calibrated_description(
     robot: RobotParameters,
-    rig: Callable[[], Any],
+    rig: Callable[[], RigInterface],
     *,
     calibrated: bool,
     identified: bool,
@@ -96,7 +96,7 @@ def learnt(
         try:
             found, told["identified"] = (
                 identify_recorded(
-                    found, [record(robot, _exciting(robot), rig())]
+                    found, [record_motion(robot, _exciting(robot), rig())]
                 ).after,
                 True,
             )
@@ -106,7 +106,7 @@ def learnt(
 
 
 def _calibrated(
-    robot: RobotParameters, rig: Callable[[], Any]
+    robot: RobotParameters, rig: Callable[[], RigInterface]
 ) -> tuple[RobotParameters, bool]:
     """The calibrated description, and whether there is one.
 
@@ -117,7 +117,7 @@ def _calibrated(
     told, motions = False, list[Recorded]()
     for _ in range(TOURS):
         motions.append(
-            record(robot, _tour(robot, CROSSINGS * (-1) ** len(motions)), rig())
+            record_motion(robot, _tour(robot, CROSSINGS * (-1) ** len(motions)), rig())
         )
         try:
             calibration = calibrate_recorded(robot, motions)
