@@ -1,5 +1,5 @@
-"""A mechanism of any kind as a PyBullet plant: motors in, joint and platform states
-out. No ROS here.
+"""A PyBullet plant of any mechanism: motor torques go in, joint and platform states
+come out. No ROS here.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dextar_sim.urdf import bodies_of
 
 
 class BodyPlant:
-    """The bodies that a mechanism describes, headless by default.
+    """Simulates the bodies that a mechanism describes.
 
     PyBullet's semi-implicit Euler (kick, then drift) is the second-order leapfrog seen
     half a drift later. The positions it holds are therefore half a substep ahead, q +
@@ -127,8 +127,8 @@ class BodyPlant:
         self._read()
 
     def become(self, values: Mapping[str, object]) -> None:
-        """Go on from where it is and as fast, with other values of the mechanism's
-        parameters but for its friction.
+        """Keep positions and speeds, and take other values of the mechanism's
+        parameters, its friction excepted.
         """
         held = self._states
         bodies = bodies_of(self.mechanism, values)
@@ -192,13 +192,13 @@ class BodyPlant:
             )
 
     def encoder_angles(self) -> list[float]:
-        """Where the encoders' discs stand, rad (m)."""
+        """Return the angles of the encoders' discs, (n,), rad (m)."""
         q_a: list[float] = self.state().q_a.tolist()
         return q_a if self._effects is None else self._effects.encoder_angles(q_a)
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:
-        """Strike the platform with an impulse along its coordinates (N s, shape (n,))
-        during the next step's first substep.
+        """Strike the platform with an impulse along its coordinates, (n,), N s, during
+        the next step's first substep.
         """
         self._impulse = np.array(impulse, dtype=np.float64)
 
@@ -254,8 +254,8 @@ class BodyPlant:
     def _step_each(
         self, first: Sequence[float], last: Sequence[float], late: int
     ) -> None:
-        """One call of PyBullet for each substep, the first ``late`` of them under
-        another torque.
+        """Call PyBullet for each substep, the first ``late`` of them under another
+        torque.
 
         Friction is viscous q_dot + coulomb tanh(q_dot / coulomb_speed), N m (N).
         """
@@ -289,7 +289,9 @@ class BodyPlant:
         last: Sequence[float],
         late: int,
     ) -> None:
-        """One call of PyBullet for each substep, under what acts at the joints."""
+        """Call PyBullet for each substep, under the torques of the effects at the
+        joints.
+        """
         client, body, joints, states = (
             self._client,
             self._body,
@@ -318,7 +320,7 @@ class BodyPlant:
             p.stepSimulation(client)
 
     def _divide(self, divided: bool) -> None:
-        """Whether one call of PyBullet is a whole period or a substep."""
+        """Let one call of PyBullet be a whole period, or a substep."""
         self._divided = divided
         if divided:
             world.set_step(self._client, self.period, self.substeps)
@@ -326,7 +328,9 @@ class BodyPlant:
             world.set_step(self._client, self._substep)
 
     def _strike(self, impulse: Array, net: Sequence[float]) -> None:
-        """A force on the platform over the coming substep, and the motors."""
+        """Apply a force on the platform over the coming substep, and the motor
+        torques.
+        """
         forces = self._pushed(impulse)
         forces[self._motors] += net
         p.setJointMotorControlArray(
@@ -338,8 +342,8 @@ class BodyPlant:
         )
 
     def _pushed(self, impulse: Array) -> Array:
-        """What a force on the platform over a substep is at all joints as PyBullet
-        holds them.
+        """Return the torques at all joints, where PyBullet holds them, that a force on
+        the platform over a substep equals.
         """
         forces: Array = self._fast["push"](
             self._p, [state[0] for state in self._states], impulse / self._substep
@@ -351,7 +355,7 @@ class BodyPlant:
         self._state: PlantState | None = None
 
     def state(self) -> PlantState:
-        """The true state now."""
+        """Return the true state now."""
         if self._state is None:
             truth = self._truth
             truth.arguments.held[:] = [state[0] for state in self._states]
@@ -362,7 +366,7 @@ class BodyPlant:
         return self._state
 
     def close(self) -> None:
-        """Leave PyBullet; harmless when repeated."""
+        """Leave PyBullet; repeating it does no harm."""
         if self._client >= 0:
             world.release(self._client, self._window)
         self._client = -1

@@ -1,5 +1,5 @@
-"""The five-bar in platform coordinates as a second plant: exact constraints,
-fourth-order steps. No ROS here.
+"""A second plant of the five-bar, in platform coordinates: its constraints are exact
+and its steps of fourth order. No ROS here.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ both legs stretched or folded.
 
 
 class CartesianPlant:
-    """The same surface as ``dextar_sim.plant.Plant`` over the platform's own equations
-    of motion.
+    """Offers what ``dextar_sim.plant.Plant`` does, over the platform's own equations of
+    motion.
 
     Args:
         robot: the description.
@@ -130,20 +130,20 @@ class CartesianPlant:
         return self.state()
 
     def take_up(self, mass: float) -> None:
-        """Load the end effector with a mass, kg, that moves as it does."""
+        """Load the end effector with a mass, kg, that moves with it."""
         self.robot = self.robot.replace(
             end_effector_mass=self.robot.end_effector_mass + mass
         )
         self._motion.carry(self.robot.end_effector_mass)
 
     def encoder_angles(self) -> list[float]:
-        """Where the encoders' discs stand, rad."""
+        """Return the angles of the encoders' discs, (2,), rad."""
         q_a: list[float] = self.state().q_a.tolist()
         return q_a if self._effects is None else self._effects.encoder_angles(q_a)
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:
-        """Strike the end effector with an impulse (N s, shape (2,)) during the next
-        step's first substep.
+        """Strike the end effector with an impulse, (2,), N s, during the next step's
+        first substep.
         """
         self._push = (
             float(impulse[0]) / self._substep,
@@ -193,8 +193,8 @@ class CartesianPlant:
         last: Sequence[float],
         late: int,
     ) -> float:
-        """One substep after the other, each under what acts at the joints; the least
-        |sin delta| met.
+        """Step through the substeps, each under the torques of the effects; return the
+        least |sin delta| met.
         """
         now, push, least = self._motion.state, self._push, 1.0
         for substep in range(self.substeps):
@@ -207,8 +207,8 @@ class CartesianPlant:
         return least
 
     def acceleration(self, torque: Sequence[float]) -> Array:
-        """Platform acceleration (m/s^2, shape (2,)) now, off Type 1, of a plant without
-        effects.
+        """Return the platform's acceleration now, (2,), m/s^2, of a plant without
+        effects off Type 1.
 
         Args:
             torque: of the motors, N m, shape (2,), saturated first.
@@ -224,11 +224,11 @@ class CartesianPlant:
             )
 
     def state(self) -> PlantState:
-        """The true state now."""
+        """Return the true state now."""
         if self._state is None:
             self._motion.state.time = self._steps * self.period
             self._state = self._motion.state.copy()
         return self._state
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: this plant holds nothing."""

@@ -1,4 +1,4 @@
-"""One publisher that speaks on a topic, told from others that are silent, by the
+"""Decide whose commands are taken where several publishers offer some, by the
 middleware's message numbers. No ROS here.
 """
 
@@ -18,7 +18,7 @@ UNNUMBERED = (0, 2**64 - 1)
 
 
 class CommanderArbiter:
-    """Whether the commands that come are those of one publisher.
+    """Decides whether the commands that come are those of one publisher.
 
     The middleware's graph keeps a publisher that was killed for its lease (Fast DDS: up
     to 20 s), and messages carry no name of their publisher, but each publisher numbers
@@ -62,7 +62,7 @@ class CommanderArbiter:
         self._since = 0
 
     def count_publishers(self, now: int) -> None:
-        """Count the publishers, at a steady time (ns); one more than before has to stay
+        """Count the publishers at a steady time, ns; one more than before has to stay
         silent for ``SPEAKING`` first.
         """
         before, self.count = self.count, self._publishers()
@@ -72,8 +72,8 @@ class CommanderArbiter:
             self._since = now
 
     def accepts(self, now: int) -> bool:
-        """Whether commands are taken: there is one publisher, or the others are
-        silent.
+        """Tell whether commands are taken at a steady time, ns: there is one publisher,
+        or the others are silent.
         """
         if self.count <= 1:
             return True
@@ -85,7 +85,7 @@ class CommanderArbiter:
         return alone and (self._lossless or now - self._heard <= SPEAKING)
 
     def take(self, number: int | None, states: int, now: int) -> bool:
-        """Whether a message may be taken.
+        """Tell whether a message may be taken, and count it.
 
         Args:
             number: that its publisher gave it; None or one of ``UNNUMBERED`` where

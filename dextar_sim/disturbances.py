@@ -1,4 +1,6 @@
-"""What happens to a robot on its way: a load that it takes up, and a push."""
+"""Disturbances of a simulated robot on its way: a payload that it takes up, and a
+push.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,8 @@ from dextar_sim.state import AnyPlant
 
 
 class Disturbances:
-    """Of one run; a reset begins it anew, without the load.
+    """Applies the disturbances of one run; a reset begins them anew, without the
+    payload.
 
     Args:
         payload: mass at the end effector, kg.
@@ -51,13 +54,13 @@ class Disturbances:
         self._carried = 0.0
 
     def reset(self, plant: AnyPlant) -> None:
-        """Take the load off again."""
+        """Take the payload off again."""
         if self._carried:
             plant.take_up(-self._carried)
         self._carried = 0.0
 
     def before(self, time: float, plant: AnyPlant) -> None:
-        """What begins or goes on in the period after ``time``, s."""
+        """Apply what begins or goes on in the period after ``time``, s."""
         if self._payload > self._carried and time >= self._from - 0.5 * plant.period:
             plant.take_up(self._payload)
             self._carried = self._payload

@@ -1,5 +1,5 @@
-"""What makes a simulated rig unlike its drawing, and what acts at its joints over one
-substep then: on symbols.
+"""Effects of drives, transmissions and friction that act at the joints of a simulated
+five-bar over one substep, on symbols.
 
 Drive, transmission and friction are torques at the joints that hold over a substep.
 Angles are taken half a substep ahead and rates at its begin, which is the leapfrog: a
@@ -42,7 +42,8 @@ FASTEST = 1.0
 
 @dataclass(frozen=True)
 class Effects:
-    """What the robot's description does not say of the drives, the same at each motor.
+    """Describes the drives beyond what the robot's description says, the same at each
+    motor.
 
     Each field is the plant's parameter of its name, with its meaning and unit; see
     ``parameters.PARAMETERS``.
@@ -72,7 +73,7 @@ class Effects:
 
     @property
     def of_drive(self) -> bool:
-        """Whether a drive is more than a torque."""
+        """Whether a drive does more than pass on its torque."""
         return any((self.backlash, self.cogging, self.drive_lag, self.torque_step))
 
 
@@ -80,14 +81,14 @@ NO_EFFECTS = Effects()
 
 
 class Compliance(NamedTuple):
-    """Of a leg's transmission: N m/rad and N m s/rad; 0 is rigid."""
+    """The compliance of a leg's transmission: N m/rad and N m s/rad; 0 is rigid."""
 
     stiffness: float
     damping: float
 
 
 def compliance(leg: LegParameters, effects: Effects) -> Compliance:
-    """The description's, or that of teeth with backlash.
+    """Return a leg's compliance: the description's, or that of teeth with backlash.
 
     Raises:
         ParameterError: a compliant transmission moves no rotor.
@@ -113,8 +114,9 @@ def compliance(leg: LegParameters, effects: Effects) -> Compliance:
 
 
 def without_rotors(robot: RobotParameters, effects: Effects) -> RobotParameters:
-    """The robot's links alone: rotors behind a compliant transmission turn by
-    themselves, friction acts from outside.
+    """Return the robot's links alone: without the rotors behind a compliant
+    transmission, which turn by themselves, and without motor friction, which acts from
+    outside.
     """
     changes: dict[str, float] = {}
     for side, leg in zip(robot.sides, robot.legs, strict=True):
@@ -125,8 +127,8 @@ def without_rotors(robot: RobotParameters, effects: Effects) -> RobotParameters:
 
 
 def has_joint_effects(robot: RobotParameters, effects: Effects) -> bool:
-    """Whether more acts at the joints than constant torques and smooth friction of the
-    motors.
+    """Tell whether more acts at the joints than constant torques and smooth friction of
+    the motors.
     """
     passive = [robot.pin_viscous_friction, robot.pin_coulomb_friction]
     for leg in robot.legs:
@@ -140,7 +142,7 @@ def has_joint_effects(robot: RobotParameters, effects: Effects) -> bool:
 
 
 class FrictionElement(NamedTuple):
-    """A place where two bodies rub: between them turns a sum of joints' rates.
+    """A place where two bodies rub; a sum of joint rates turns between them.
 
     Attributes:
         name: of the place.
@@ -159,7 +161,7 @@ class FrictionElement(NamedTuple):
 def friction_elements(
     robot: RobotParameters, effects: Effects
 ) -> list[FrictionElement]:
-    """Of the motors, the elbows and the pin, those that have friction.
+    """List those of the motors, the elbows and the pin that have friction.
 
     The least inertia is that of the two bodies turning freely against each other.
     """
@@ -209,8 +211,8 @@ def friction_elements(
 
 @lru_cache
 def acting(places: int) -> Library:
-    """``act``: the torques at the joints of a five-bar over one substep, and what they
-    leave behind.
+    """Return ``act``: the torques at the joints of a five-bar over one substep, and the
+    memory that they leave behind.
 
     Args:
         places: that rub.
@@ -264,8 +266,8 @@ def acting(places: int) -> Library:
 
 
 class JointEffects:
-    """All of it at the joints of one five-bar, with what it remembers from substep to
-    substep.
+    """Computes all effects at the joints of one five-bar, and keeps their memory from
+    substep to substep.
 
     Args:
         robot: the whole description.
@@ -352,25 +354,29 @@ class JointEffects:
         self._at_motor = effects.encoder_at == "motor" and bool(self._compliant.any())
 
     def reset(self, q_a: Sequence[float], q_a_dot: Sequence[float]) -> None:
-        """Begin with rotors that turn with the links, no torque and unbent friction."""
+        """Begin with rotors that turn with the links, no torque and unbent friction;
+        q_a, (2,), rad, and its rates, rad/s.
+        """
         self._memory.numbers[:], self._bristles[:] = 0.0, 0.0
         self._memory.rotor = np.asarray(q_a) + 0.5 * self._h * np.asarray(q_a_dot)
         self._memory.rotor_dot = q_a_dot
 
     def act(self, command: Sequence[float]) -> None:
-        """Over the coming substep, under motor commands (2,), N m; ``joints`` and
-        ``joints_dot`` are those at its begin.
+        """Compute the forces over the coming substep under motor commands, (2,), N m,
+        from ``joints`` and ``joints_dot`` at its begin.
         """
         self._command[:] = command
         self._act.run()
 
     @property
     def motor_torque(self) -> Array:
-        """(2,) of the motors at the end of the last substep, N m."""
+        """Torque of the motors at the end of the last substep, (2,), N m."""
         return np.array(self._memory.torque)
 
     def encoder_angles(self, q_a: Sequence[float]) -> list[float]:
-        """Where the encoders' discs stand, rad, at joint angles ``q_a``."""
+        """Return the angles of the encoders' discs, (2,), rad, at joint angles ``q_a``,
+        (2,), rad.
+        """
         if not self._at_motor:
             return list(q_a)
         rotor = self._memory.rotor - 0.5 * self._h * self._memory.rotor_dot
@@ -379,8 +385,8 @@ class JointEffects:
 
 
 def _motor(place: FrictionElement, robot: RobotParameters, effects: Effects) -> Motor:
-    """As its friction's steepness is checked: sticking friction brings a steepness that
-    is sound by itself.
+    """Return a place of friction as its steepness is checked; sticking friction brings
+    a steepness that is sound by itself.
     """
     smooth = effects.friction == "smooth"
     if not place.inertia > 0.0:

@@ -1,4 +1,4 @@
-"""Where links and joints of the five-bar are: the simulator's own exact geometry.
+"""The simulator's own exact geometry of the five-bar's links and joints.
 
 Angles are those of the contract's joints q11, q12, q21, q22: active joints from the x
 axis of frame base, passive ones relative to their proximal link, counter-clockwise, in
@@ -19,12 +19,12 @@ _LEAST_SINE = 1.0e-9
 
 
 def bases(robot: RobotParameters) -> tuple[Point, Point]:
-    """The motor axes (left, right), m."""
+    """Return the motor axes (left, right), m."""
     return robot.left.axis, robot.right.axis
 
 
 def elbow(leg: LegParameters, q: float, base: Point) -> Point:
-    """The elbow of a leg at active angle q, m."""
+    """Return the elbow of a leg at active angle q (rad), m."""
     return base[0] + leg.proximal_length * math.cos(q), base[
         1
     ] + leg.proximal_length * math.sin(q)
@@ -33,8 +33,8 @@ def elbow(leg: LegParameters, q: float, base: Point) -> Point:
 def _intersection(
     first: Point, second: Point, radius_1: float, radius_2: float, side: int
 ) -> Point | None:
-    """The common point of two circles left (side +1) or right (-1) of the line first ->
-    second.
+    """Return the common point of two circles left (side +1) or right (-1) of the line
+    first -> second.
     """
     dx, dy = second[0] - first[0], second[1] - first[1]
     distance = math.hypot(dx, dy)
@@ -51,13 +51,16 @@ def _intersection(
 
 
 def _distal_angle(q: float, elbow_point: Point, x: Sequence[float]) -> float:
-    """Angle of the distal link relative to the proximal one, in [-pi, pi]."""
+    """Return the angle of the distal link relative to the proximal one, in [-pi, pi],
+    rad.
+    """
     angle = math.atan2(x[1] - elbow_point[1], x[0] - elbow_point[0]) - q
     return math.remainder(angle, 2.0 * math.pi)
 
 
 def joints_at(robot: RobotParameters, x: Sequence[float]) -> list[float]:
-    """The four joint angles with the end effector at x, in the robot's working mode.
+    """Return the four joint angles with the end effector at x, in the robot's working
+    mode.
 
     Args:
         robot: the description.
@@ -95,7 +98,7 @@ def joints_at(robot: RobotParameters, x: Sequence[float]) -> list[float]:
 def joints_of(
     robot: RobotParameters, q_a: Sequence[float], assembly_mode: int
 ) -> list[float]:
-    """The four joint angles at active angles q_a, in the given assembly mode.
+    """Return the four joint angles at active angles q_a, in the given assembly mode.
 
     Args:
         robot: the description.
@@ -131,7 +134,8 @@ def joints_of(
 def joints_dot_at(
     robot: RobotParameters, joints: Sequence[float], x_dot: Sequence[float]
 ) -> list[float]:
-    """The four joint velocities with which both distal tips move at x_dot.
+    """Return the four joint velocities, rad/s, with which both distal tips move at
+    x_dot.
 
     Each leg: x_dot = l1 n_1 q_dot + l2 n_2 omega, with u along and n left of a link.
         The parts along

@@ -1,4 +1,4 @@
-"""The plant as a rig would stand on the network: motor commands in, joint states out.
+"""The plant node: like a rig it takes motor commands and publishes joint states.
 
 One sample is a state k at stamp k, published; the command that answers it; and the
 physics from k to k+1 under it. In lockstep the command is waited for. In real time the
@@ -72,7 +72,7 @@ IDLE_WAIT = 0.05
 
 
 class Reported(NamedTuple):
-    """What stood in a report, from which the next one counts."""
+    """The counters at a report, from which the next report counts."""
 
     ran: int  # ns, steady, without the pauses
     steps: int
@@ -81,7 +81,8 @@ class Reported(NamedTuple):
 
 
 class PlantNode(DextarNode):
-    """Simulated five-bar with the topics of a real one, plus the truth under ``sim/``.
+    """Simulates a five-bar with the topics of a real one, and publishes the truth under
+    ``sim/``.
 
     Raises:
         ParameterError: a parameter is out of its range, or a window is wanted without a
@@ -254,17 +255,17 @@ class PlantNode(DextarNode):
 
     @property
     def paused(self) -> bool:
-        """No sample is due, neither running nor stepping."""
+        """Whether no sample is due, neither running nor stepping."""
         return self._budget == 0
 
     @property
     def sample_ready(self) -> bool:
-        """The next state is computed and not yet published."""
+        """Whether the next state is computed and not yet published."""
         return self._sample is not None
 
     @property
     def awaited(self) -> bool:
-        """Somebody commands, and has not answered the published state yet."""
+        """Whether somebody commands, and has not answered the published state yet."""
         newest = self._newest
         return (
             not self.answered
@@ -273,8 +274,8 @@ class PlantNode(DextarNode):
         )
 
     def begin(self) -> None:
-        """Prepare the first state: stamp 0 in lockstep, the system clock's now in real
-        time.
+        """Prepare the first state: its stamp is 0 in lockstep, the system clock's time
+        in real time.
         """
         if self._index < 0:
             self._first_stamp = 0 if self.lockstep else time.time_ns()
@@ -282,8 +283,8 @@ class PlantNode(DextarNode):
             self._prepare(np.zeros(2))
 
     def advance(self) -> None:
-        """The physics of one period under the command the drives hold, and the state
-        after it.
+        """Simulate one period under the command that the drives hold, and prepare the
+        state after it.
         """
         if not self._commanded and self._newest is not None:
             self.counts["late_ticks"] += 1
@@ -302,8 +303,8 @@ class PlantNode(DextarNode):
         self._prepare(applied)
 
     def _ran(self) -> int | None:
-        """The drives' steady clock, ns, which a pause stops; None in lockstep, where
-        simulated time alone counts.
+        """Return the drives' steady clock, ns, which a pause stops; None in lockstep,
+        where simulated time alone counts.
         """
         return None if self.lockstep else self.schedule.ran(time.monotonic_ns())
 
@@ -334,8 +335,8 @@ class PlantNode(DextarNode):
             )
 
     def publish(self) -> None:
-        """Send the prepared state, all topics in one burst, and before it the external
-        pose that arrives then.
+        """Send the prepared state on all topics in one burst, and before it the
+        external pose that arrives then.
         """
         if self._sample is None:
             return
@@ -365,13 +366,15 @@ class PlantNode(DextarNode):
             publisher.publish(raw)
 
     def listen(self) -> None:
-        """Take the commands that have come; about 1 us when there is none."""
+        """Take the commands that have come; this costs about 1 us when there is
+        none.
+        """
         take = self._commands.handle.take_message
         while (taken := take(self._command_type, True)) is not None:
             self._on_command(*taken)
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a command comes, at most for so long."""
+        """Sleep until a command comes, at most for so long, s."""
         self.wait_for(self._commands, seconds)
 
     def _on_command(self, raw: bytes, info: Mapping[str, int]) -> None:
@@ -408,7 +411,7 @@ class PlantNode(DextarNode):
         self._commanded = self._commanded or answers
 
     def _read_command(self, raw: bytes) -> TorqueCommand | Acknowledgement:
-        """A command, or in lockstep an acknowledgement, whose stamp is that of a
+        """Return a command, or in lockstep an acknowledgement, whose stamp is that of a
         published state.
 
         In real time a stamp of the sender's own clock counts as an answer to the state
@@ -445,7 +448,7 @@ class PlantNode(DextarNode):
         self._hold.reset()
 
     def _complaint(self) -> str:
-        """What is wrong with who commands."""
+        """Say what is wrong with the publishers of commands."""
         count, name = self._arbiter.count, self._command_name
         if count <= 1:
             return f"a message on {name} is numbered as another publisher's"
@@ -487,8 +490,8 @@ class PlantNode(DextarNode):
     def _on_reset(
         self, _: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        """Start pose at rest as the next sample, without torque; earlier states'
-        commands no longer count.
+        """Put the robot at its start at rest as the next sample, without torque;
+        commands for earlier states no longer count.
         """
         self._disturbances.reset(self.plant)
         self.plant.reset(self.values["task.start"])
@@ -506,8 +509,8 @@ class PlantNode(DextarNode):
         return response
 
     def report(self) -> None:
-        """Counters since the start on ``/diagnostics``; the real-time factor, and what
-        is judged, since the last report.
+        """Publish the counters since the start on ``/diagnostics``, with the real-time
+        factor and the judgement since the last report.
         """
         before, counts = self._reported, self.counts
         steps, late, refused = (
@@ -550,7 +553,7 @@ class PlantNode(DextarNode):
         )
 
     def _trouble(self, before: Reported, after: Reported) -> str:
-        """What is wrong since the report before, the worst of it; empty when nothing
+        """Say the worst that is wrong since the report before; empty when nothing
         is.
         """
         commanders = self._arbiter.count
@@ -589,7 +592,7 @@ class PlantNode(DextarNode):
         )
 
     def close(self) -> None:
-        """The last report, the pace that was kept, then PyBullet."""
+        """Report for the last time, log the pace that was kept, and leave PyBullet."""
         self.report()
         ran, simulated = (
             1.0e-9 * self.schedule.ran(time.monotonic_ns()),
@@ -620,7 +623,7 @@ def spin(node: PlantNode, executor: Executor, stop: StopSignal) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry; the process's exit code."""
+    """Run the node as a console command; the process's exit code."""
     return run_node(PlantNode, args, spin)
 
 

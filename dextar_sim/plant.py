@@ -1,5 +1,5 @@
-"""The five-bar as a PyBullet plant: two 2R legs and one point-to-point constraint at
-the end effector. No ROS here.
+"""The five-bar as a PyBullet plant: two 2R legs, pinned together at the end effector.
+No ROS here.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ FIVE_BAR = mechanism_named("five_bar")
 
 
 class Plant(BodyPlant):
-    """Placed by the simulator's own geometry, which knows both assembly modes and says
-    what does not reach.
+    """Simulates the five-bar, placed by the simulator's own geometry, which knows both
+    assembly modes and says what does not reach.
 
     Args:
         robot: the description.
@@ -66,7 +66,7 @@ class Plant(BodyPlant):
         )
 
     def take_up(self, mass: float) -> None:
-        """Load the end effector with a mass, kg, that moves as it does."""
+        """Load the end effector with a mass, kg, that moves with it."""
         loaded = {"end_effector_mass": self.robot.end_effector_mass + mass}
         self.robot, self._links = (
             self.robot.replace(**loaded),
@@ -112,5 +112,7 @@ class Plant(BodyPlant):
 
 
 def urdf_of(robot: RobotParameters) -> str:
-    """Of a five-bar to look at: both legs; what closes the loop is not in it."""
+    """Return the URDF of a five-bar to look at: both legs, without the pin that closes
+    the loop.
+    """
     return urdf(FIVE_BAR.name, bodies_of(FIVE_BAR, flatten(robot)), visual=True)

@@ -1,5 +1,5 @@
-"""Equations of motion of the five-bar in platform coordinates, and their fourth-order
-steps: on symbols.
+"""Equations of motion of the five-bar in platform coordinates, and their steps of
+fourth order, on symbols.
 
 Principle of virtual power with the end effector's position x as the coordinates. Each
 leg's links turn at theta_1 (proximal) and theta_2 (distal) from the x axis; u is the
@@ -48,7 +48,7 @@ STATE = state_layout(2, 4)
 
 @lru_cache
 def drive_layout(torques: int) -> Layout:
-    """Of torques at the two motors, or at all four joints."""
+    """Return the layout of torques at the two motors, or at all four joints."""
     return Layout(
         "drive",
         2,
@@ -67,15 +67,15 @@ Terms = list[Term]
 
 
 def _lesser(value: Term, least: Term) -> Term:
-    """The value unless it is at least ``least``: nan where the value is."""
+    """Return the lesser of both, and nan where the value is nan."""
     return ca.if_else(value >= least, least, value)
 
 
 def _elbow(
     x: Term, y: Term, base: Terms, proximal: Term, distal: Term, side: Term
 ) -> tuple[Term, Term, Term, Term]:
-    """cos and sin of theta_1 and theta_2 with the elbow on a side of the line base ->
-    (x, y); nan out of reach.
+    """Return cos and sin of theta_1 and theta_2 with the elbow on a side of the line
+    base -> (x, y); nan out of reach.
     """
     dx, dy = x - base[0], y - base[1]
     square = dx * dx + dy * dy
@@ -95,7 +95,7 @@ def _acceleration(
     legs: list[Terms],
     shared: Terms,
 ) -> tuple[Term, Term, Term]:
-    """z_ddot and the least |sin delta| of the legs outside the coordinates.
+    """Return z_ddot and the least |sin delta| of the legs outside the coordinates.
 
     Args:
         z, z_dot: x and y, m and m/s, or theta_1 and theta_2 of one leg, rad and rad/s.
@@ -221,8 +221,8 @@ def _substep(
     legs: list[Terms],
     shared: Terms,
 ) -> tuple[Terms, Terms, Term]:
-    """One Runge-Kutta step of fourth order: coordinates, rates, and the least |sin
-    delta| met.
+    """Make one Runge-Kutta step of fourth order; return coordinates, rates, and the
+    least |sin delta| met.
     """
 
     def rate(place: Terms, speed: Terms) -> tuple[Terms, Term]:
@@ -255,8 +255,8 @@ def _substep(
 def _placed(
     z: Terms, z_dot: Terms, chart: int, sides: Terms, joints: Terms, legs: list[Terms]
 ) -> tuple[Terms, Terms, Terms, Term]:
-    """Platform (x, y, x_dot, y_dot), joints beside the turns they had, their rates, and
-    the least |sin delta|.
+    """Return the platform (x, y, x_dot, y_dot), the joints beside the turns they had,
+    their rates, and the least |sin delta|.
     """
     (a, b), (a_dot, b_dot) = z, z_dot
     x, y, vx, vy = a, b, a_dot, b_dot
@@ -296,8 +296,8 @@ def _placed(
 
 @lru_cache
 def motion(substeps: int, torques: int) -> Library:
-    """``period_CHART`` for each chart and ``acceleration``, compiled where that can be
-    done.
+    """Return ``period_CHART`` for each chart, and ``acceleration``, compiled where that
+    can be done.
 
     Args:
         substeps: Runge-Kutta steps in one period.
@@ -390,8 +390,8 @@ def motion(substeps: int, torques: int) -> Library:
 def _begun(
     chart: int, now: dict[str, Term], drive: dict[str, Term], substeps: int
 ) -> dict[str, Term]:
-    """Coordinates, rates and elbows' sides of a state, and motor torques and push of
-    each substep, in columns.
+    """Return coordinates, rates and elbows' sides of a state, and motor torques and
+    push of each substep, in columns.
     """
     joints, rates = now["joints"], now["joints_dot"]
     z, z_dot = now["x"], now["x_dot"]
@@ -415,8 +415,8 @@ def _begun(
 
 
 def _sides(joints: Term) -> Term:
-    """An elbow lies left of the line base -> end effector (+1) where the distal link
-    turns right.
+    """Return the elbows' sides: one lies left of the line base -> end effector (+1)
+    where its distal link turns right.
     """
     return ca.vertcat(
         *(ca.if_else(ca.sin(joints[k]) >= 0.0, -1.0, 1.0) for k in (1, 3))
@@ -426,7 +426,9 @@ def _sides(joints: Term) -> Term:
 def _period(
     name: str, begun: ca.Function, step: ca.Function, place: ca.Function, substeps: int
 ) -> ca.Function:
-    """From state to state: substeps one after the other, then the joints."""
+    """Compose the function from state to state: substeps one after the other, then the
+    joints.
+    """
     drive_size = begun.numel_in("drive")
     sizes = {
         "state": STATE.size,
@@ -466,7 +468,7 @@ def _period(
 
 
 class PlatformMotion:
-    """Steps of one robot, from joints to joints.
+    """Steps one robot from joints to joints.
 
     Args:
         robot: the description.
@@ -516,14 +518,17 @@ class PlatformMotion:
         x: Sequence[float],
         x_dot: Sequence[float],
     ) -> None:
-        """Begin here."""
+        """Begin at these joints, (4,), rad and rad/s, and this end effector, (2,), m
+        and m/s.
+        """
         now = self.state
         now.joints, now.joints_dot, now.x, now.x_dot = joints, joints_dot, x, x_dot
         now.q_a, now.q_a_dot = joints[::2], joints_dot[::2]
         self._sines = abs(math.sin(joints[1])), abs(math.sin(joints[3]))
 
     def advance(self, first: Row, last: Row, late: int, blow: Row) -> float:
-        """One period; the least |sin delta| met, nan when lost.
+        """Advance one period; return the least |sin delta| met, nan when the motion is
+        lost.
 
         Args:
             first, last: torques of the first ``late`` substeps and of the others, N m.
@@ -546,12 +551,12 @@ class PlatformMotion:
         return float(least)
 
     def carry(self, mass: float) -> None:
-        """The end effector's mass, kg, from now on."""
+        """Let the end effector have this mass, kg, from now on."""
         self._numbers["shared"][0] = mass
 
     def acceleration(self, motors: Row) -> Array:
-        """Of the platform now, m/s^2, shape (2,), off Type 1, under torques before
-        friction, N m.
+        """Return the platform's acceleration now, (2,), m/s^2, off Type 1, under
+        torques before friction, (2,), N m.
         """
         found, now = self._acceleration.arguments, self.state
         sines = np.sin(now.joints[1::2])
@@ -566,7 +571,7 @@ class PlatformMotion:
 
 
 def leg_row(robot: RobotParameters, index: int) -> Row:
-    """What the motion takes of a leg.
+    """List the numbers of a leg that the motion takes.
 
     Returns:
         Base x and y (m), then of the proximal and the distal link length (m), mass

@@ -1,5 +1,5 @@
-"""A recorded motion in PyBullet's window: the linkage set from frame to frame, nothing
-simulated.
+"""Show a recorded motion in PyBullet's window: the linkage is set from frame to frame,
+nothing is simulated.
 
 Started as ``python -m dextar_sim.replay MOTION.npz``; ``dextar replay --window`` makes
 the file.
@@ -177,7 +177,7 @@ class Player:
 
 
 def read_motion(file: Path) -> RecordedMotion:
-    """The motion in a file.
+    """Read the motion from a file.
 
     Raises:
         ParameterError: the file cannot be read, or lacks an array.
@@ -194,7 +194,7 @@ def read_motion(file: Path) -> RecordedMotion:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Show a motion file; 0, or 2 when it cannot be shown."""
+    """Show a motion file; return 0, or 2 when it cannot be shown."""
     parser = argparse.ArgumentParser(
         prog="dextar_sim.replay", description="Show a motion file in PyBullet's window."
     )

@@ -1,5 +1,5 @@
-"""A rig in a plain loop: a plant and everything that stands between it and its
-controller. No ROS here.
+"""A rig in a plain loop: a plant, and what stands between it and its controller. No ROS
+here.
 
 After a reset, again and again: ``sample = rig.read()``, then ``rig.write(torque)`` with
 the controller's answer, or None where the sample was lost.
@@ -67,8 +67,8 @@ class JointSample(NamedTuple):
 
 
 class Rig:
-    """A plant behind encoders, a lossy line, drives with a delay and a watchdog, and
-    perhaps a camera.
+    """Simulates a plant behind encoders, a lossy line, drives with a delay and a
+    watchdog, and perhaps a camera.
 
     A run repeats bit for bit from its seed: each reset starts all chance anew.
 
@@ -187,7 +187,7 @@ class Rig:
         self._begin()
 
     def _begin(self) -> None:
-        """All between plant and controller as new, and the first sample."""
+        """Renew what stands between plant and controller, and take the first sample."""
         self._encoder, self._camera, self._stamps = (
             self._new_encoder(),
             self._new_camera(),
@@ -208,7 +208,7 @@ class Rig:
 
     @property
     def time(self) -> float:
-        """Of the present sample, s."""
+        """Time of the present sample, s."""
         return self._index * self.period
 
     @property
@@ -218,7 +218,9 @@ class Rig:
 
     @property
     def refused(self) -> int:
-        """Commands since the reset that were not finite: the one before went on."""
+        """Commands since the reset that were not finite, in whose place the one before
+        went on.
+        """
         return self._hold.refused
 
     @property
@@ -229,8 +231,8 @@ class Rig:
     def reset(
         self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
     ) -> PlantState:
-        """Put the end effector at x (m) with velocity x_dot (m/s) in the robot's
-        working mode, at time 0.
+        """Put the end effector at x, (2,), m, with velocity x_dot, (2,), m/s, in the
+        robot's working mode, at time 0.
 
         Raises:
             GeometryError: a leg does not reach x, or cannot move at x_dot there.
@@ -246,7 +248,8 @@ class Rig:
         assembly_mode: int,
         x_dot: Sequence[float] = (0.0, 0.0),
     ) -> PlantState:
-        """Put the active joints at q_a (rad) in the given assembly mode, at time 0.
+        """Put the active joints at q_a, (2,), rad, in the given assembly mode, at time
+        0.
 
         Where the true geometry is not the model's, this is how a rig starts where its
         encoders say.
@@ -279,7 +282,7 @@ class Rig:
             self._pose = None
 
     def read(self) -> JointSample | None:
-        """The present sample; None when it was lost."""
+        """Return the present sample; None when it was lost."""
         return self._sample
 
     def write(self, torque: Sequence[float] | None) -> Array:
@@ -309,15 +312,15 @@ class Rig:
         return applied
 
     def strike(self, impulse: Sequence[float]) -> None:
-        """Strike the end effector with an impulse (N s, shape (2,)) during the coming
+        """Strike the end effector with an impulse, (2,), N s, during the coming
         period's first substep.
         """
         self.plant.apply_impulse(impulse)
 
     def truth(self) -> PlantState:
-        """The true state now."""
+        """Return the true state now."""
         return self.plant.state()
 
     def close(self) -> None:
-        """Let go of the plant; harmless when repeated."""
+        """Let go of the plant; repeating it does no harm."""
         self.plant.close()

@@ -1,5 +1,5 @@
-"""What stands between plant and controller on a rig: encoder, camera, transport delay,
-drive-side watchdog.
+"""What stands between plant and controller on a rig: encoders, camera, transport delay,
+and the drives' watchdog.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def check_probability(name: str, value: float) -> None:
 
 
 class Encoder:
-    """Quantised joint positions and the velocity a drive derives from them.
+    """Gives quantised joint positions, and the velocity that a drive derives from them.
 
     Noise is added before quantisation; the velocity is the difference of quantised
     positions through a first-order low-pass of the given cutoff.
@@ -102,12 +102,14 @@ class Encoder:
         self._velocity: list[float] = []
 
     def reset(self) -> None:
-        """Forget the last sample: the next one is at rest. The noise goes on."""
+        """Forget the last sample, so that the next one is at rest; the noise goes
+        on.
+        """
         self._last = None
 
     def position(self, q_a: Sequence[float]) -> list[float]:
-        """Measured positions (rad) of true ones (rad, shape (n,)); no sample for the
-        velocity.
+        """Return measured positions, (n,), rad, of true ones, (n,), rad, without a
+        sample for the velocity.
         """
         values: Sequence[float] = q_a
         if self._is_off:
@@ -129,7 +131,7 @@ class Encoder:
         )
 
     def read(self, q_a: Sequence[float]) -> tuple[Array, Array]:
-        """One sample.
+        """Take one sample.
 
         Args:
             q_a: true joint positions, rad, shape (n,).
@@ -153,7 +155,7 @@ class Encoder:
 
 
 class StampError:
-    """By how much the stamp of a sample is off: evenly distributed, each anew.
+    """Draws the error of each sample's stamp, evenly distributed.
 
     Args:
         error: largest, s; below half of the period, so that stamps rise.
@@ -174,7 +176,7 @@ class StampError:
         self._random = random.Random(seed)
 
     def next(self) -> float:
-        """Of the next sample, s."""
+        """Return the error of the next sample's stamp, s."""
         return self._random.uniform(-self._error, self._error) if self._error else 0.0
 
 
@@ -191,7 +193,8 @@ class Measurement(NamedTuple):
 
 
 class PoseSensor:
-    """A camera on the end effector: its own rate, latency, noise and gaps.
+    """Simulates a camera on the end effector, with its own rate, latency, noise and
+    gaps.
 
     An exposure falls on the first sample at or after it is due; its result arrives at
     the first sample that is at least the delay later, in the order of the exposures.
@@ -245,8 +248,8 @@ class PoseSensor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what is under way; the coming sample is the first. Noise and dropout
-        go on.
+        """Forget what is under way, and count the coming sample as the first; noise and
+        dropout go on.
         """
         self._line: deque[Measurement] = deque()
         self._first: int | None = None
@@ -254,7 +257,7 @@ class PoseSensor:
         self._due = 0
 
     def sense(self, sample: int, x: Sequence[float]) -> Measurement | None:
-        """Look at one sample, and hand out the measurement that arrives with it.
+        """Look at one sample, and return the measurement that arrives with it.
 
         Args:
             sample: its number, one more at each call.
@@ -286,7 +289,7 @@ class PoseSensor:
 
 
 class CommandDelay(Generic[Item]):
-    """What was put in comes out whole periods later; None before anything did.
+    """Gives what was put in some periods ago; None before anything was.
 
     Args:
         periods: of delay; 0 passes through.
@@ -328,7 +331,7 @@ class TorqueCommand(NamedTuple):
 
 
 class Acknowledgement(NamedTuple):
-    """In lockstep, in the place of a command: none comes for this state.
+    """Says in lockstep, in the place of a command, that none comes for this state.
 
     Attributes:
         stamp: of the state, ns.
@@ -338,8 +341,8 @@ class Acknowledgement(NamedTuple):
 
 
 class CommandHold:
-    """The drive: holds the last command, saturates it, and lets go when it has grown
-    old.
+    """Is the drive: it holds the last command, saturates it, and lets go of it when it
+    has grown old.
 
     A command's age is counted from the stamp of the state it answers, in simulated
     time, so that a controller that answers old states is caught like one that fell
@@ -377,8 +380,8 @@ class CommandHold:
         self._tripped = False
 
     def receive(self, command: TorqueCommand) -> bool:
-        """Hold this command from now on; False when it is not finite and the last one
-        stays.
+        """Hold this command from now on; return False when it is not finite and the
+        last one stays.
         """
         first, second = command.torque
         if not (math.isfinite(first) and math.isfinite(second)):
@@ -388,7 +391,7 @@ class CommandHold:
         return True
 
     def torque(self, stamp: int, now: int | None = None) -> tuple[float, float]:
-        """Motor torque (N m); zero without a fresh command.
+        """Return the motor torque, (2,), N m; zero without a fresh command.
 
         Args:
             stamp: simulated time, ns.

@@ -1,4 +1,4 @@
-"""Where the bodies of a mechanism are at positions of their joints: on symbols, and as
+"""Where the bodies of a mechanism are at given joint positions: on symbols, and as
 functions that a plant calls.
 """
 
@@ -20,7 +20,7 @@ Frame = tuple[Symbol, Symbol]
 
 
 def placed(frame: Frame, place: Symbol) -> Symbol:
-    """A place (2,), m, of a frame in the frame of the ground."""
+    """Return a place, (2,), m, of a frame in the frame of the ground."""
     origin, angle = frame
     cosine, sine = ca.cos(angle), ca.sin(angle)
     return origin + ca.vertcat(
@@ -29,7 +29,7 @@ def placed(frame: Frame, place: Symbol) -> Symbol:
 
 
 def frames(bodies: Bodies, joints: Symbol) -> list[Frame]:
-    """Of each link at positions (m,) of all joints, rad or m."""
+    """List the frame of each link at positions, (m,), of all joints, rad or m."""
     found: list[Frame] = []
     for link, joint in zip(bodies.links, ca.vertsplit(joints), strict=True):
         parent = (
@@ -47,7 +47,7 @@ def frames(bodies: Bodies, joints: Symbol) -> list[Frame]:
 
 
 def gaps(bodies: Bodies, joints: Symbol) -> Symbol:
-    """(2, pins) from one place of each pin to the other, m."""
+    """Return the distances, (2, pins), m, from one place of each pin to the other."""
     at = frames(bodies, joints)
     return ca.horzcat(
         *(
@@ -59,7 +59,8 @@ def gaps(bodies: Bodies, joints: Symbol) -> Symbol:
 
 @lru_cache
 def functions_of(mechanism: Mechanism) -> Mapping[str, ca.Function]:
-    """What a plant asks of a mechanism that has bodies, interpreted.
+    """Return the functions that a plant asks of a mechanism that has bodies,
+    interpreted.
 
     closed: x, x_dot -> q_a, joints, joints_dot. truth: joints as held, joints_dot, lead
         (s) by which held is ahead,

@@ -138,12 +138,14 @@ def test_a_trial_is_plain_data(trials: list[Trial]) -> None:
 def test_the_digest_of_the_code_sees_every_room_of_the_mathematics(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    home = Path(design.__file__).resolve().parents[1]
+    home = Path(design.__file__).resolve().parents[2]
     shutil.copytree(
         home, tmp_path / "copy", ignore=shutil.ignore_patterns("__pycache__")
     )
     monkeypatch.setattr(
-        design, "__file__", str(tmp_path / "copy" / "campaign" / "design.py")
+        design,
+        "__file__",
+        str(tmp_path / "copy" / "experiments" / "campaign" / "design.py"),
     )
     seen = {code_digest("dextar_sim.rig:Rig", "campaign_fake")}
     for room in (

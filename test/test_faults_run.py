@@ -154,8 +154,8 @@ def test_a_session_that_is_being_started_while_the_run_is_stopped_is_ended_too(
 ) -> None:
     """The signal comes between the start of the process and the moment it is known."""
     config = validate(FaultConfig, CASES, "cases")
-    worker = run.Worker(
-        run.Plan("lockstep", {"states_nan": 1}),
+    worker = run.SessionRunner(
+        run.SessionPlan("lockstep", {"states_nan": 1}),
         tmp_path,
         config,
         1,

@@ -1,5 +1,5 @@
-"""What a tick, a round trip and a plant step cost, each beside something bare of the
-same minute.
+"""Measure what a tick, a round trip and a plant step cost, each beside something bare
+in the same minute.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ WARM_UP = 200  # answers that do not count
 
 
 def bench_tick() -> dict[str, tuple[float, float]]:
-    """(p50, p99) of one control tick along the trip and of one numpy pinv of 2 x 2,
-    microseconds.
+    """Return (p50, p99) of one control tick along the trip, and of one numpy pinv of 2
+    x 2, microseconds.
     """
     robot = load_robot(config_file(ROBOT_FILE))
     task = node_defaults("trajectory_server")
@@ -133,15 +133,15 @@ class _Pinger(Node):
         self._sent.clear()
 
     def send(self) -> None:
-        """One state, stamped now."""
+        """Publish one state, stamped now."""
         raw = self._template.pack(time.time_ns(), self._values)
         self._sent[raw[STAMP]] = time.perf_counter()
         self._publisher.publish(raw)
 
 
 def _round_trips(module: str, seconds: float) -> tuple[list[float], int]:
-    """Round trips against one process, s, and how many states were not answered within
-    their period.
+    """Return the round trips against one process, s, and how many states were not
+    answered within their period.
     """
     pinger, executor = _Pinger(), make_executor()
     executor.add_node(pinger)
@@ -182,8 +182,8 @@ def _tick(pinger: _Pinger, executor: Executor, deadline: float) -> None:
 
 
 def bench_round_trip(seconds: float) -> dict[str, tuple[float, float, int]]:
-    """(p50, p99) microseconds and unanswered states, of the bare echo and of the
-    controller.
+    """Return (p50, p99), microseconds, and the unanswered states, of the bare echo and
+    of the controller.
     """
     modules = {
         "echo": "dextar_control.experiments.echo",
@@ -204,7 +204,7 @@ def bench_round_trip(seconds: float) -> dict[str, tuple[float, float, int]]:
 
 
 def run_bench(seconds: float) -> int:
-    """Measure and print; the exit code."""
+    """Measure and print; return the exit code."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     console = Terminal()

@@ -1,5 +1,5 @@
-"""What the running nodes cost, and whether the demo is right on a busy machine:
-``dextar bench --nodes``, ``--demos``.
+"""Measure what the running nodes cost, and whether the demo is right on a busy machine
+(``dextar bench``, with ``--demos``).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Usage(NamedTuple):
 
 
 class RealTimeStack:
-    """Nodes that run in real time while the controller holds the robot.
+    """Runs nodes in real time while the controller holds the robot.
 
     Args:
         processes: that are to run them.
@@ -186,8 +186,8 @@ def bench_panel(seconds: float, viewers: int = 1) -> PanelCost:
 
 
 def watch_panel(address: str, seconds: float, stops: int) -> tuple[float, list[float]]:
-    """Look on as a page does, and ask for stops evenly: pictures in a second, and s
-    from asking to the controller's answer.
+    """Look on as a page does, and ask for stops evenly; return the pictures in a
+    second, and s from asking to the controller's answer.
     """
 
     async def run() -> tuple[float, list[float]]:
@@ -218,8 +218,8 @@ def watch_panel(address: str, seconds: float, stops: int) -> tuple[float, list[f
 
 
 def fingerprint(folder: Path) -> str:
-    """Of the joint states in a demo's bag up to the end of its trip, all bytes in
-    order; when it stops after that is chance.
+    """Return a digest of the joint states in a demo's bag up to the end of its trip,
+    all bytes in order; when it stops after that is chance.
     """
     from mcap.reader import make_reader
 
@@ -237,7 +237,8 @@ def fingerprint(folder: Path) -> str:
 
 
 def bench_demos(count: int, busy: int, arguments: list[str]) -> int:
-    """Demos one after the other beside busy processes, a line for each; the exit code.
+    """Run demos one after the other beside busy processes, and print a line for each;
+    return the exit code.
 
     Args:
         count: of demos.
@@ -292,8 +293,8 @@ def bench_demos(count: int, busy: int, arguments: list[str]) -> int:
 
 
 def bench_imports() -> dict[str, float]:
-    """Wall time of a new process, best of three, s: ``dextar --help``, the mathematics,
-    a bare ``import numpy`` beside.
+    """Return the wall time of a new process, best of three, s: ``dextar --help``, the
+    mathematics, and a bare ``import numpy``.
     """
     commands = {
         "dextar --help": ["-m", "dextar_control.cli.main", "--help"],

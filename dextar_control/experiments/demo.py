@@ -1,5 +1,5 @@
-"""The demo: four nodes and the panel as separate processes, one return trip, its bag
-analysed.
+"""The demo starts four nodes and the panel, has one return trip made, and analyses its
+bag.
 """
 
 from __future__ import annotations
@@ -64,7 +64,9 @@ SAFE_STOP_LINGER = 1.5  # s in which a safe stop is over
 
 
 def run_demo(arguments: argparse.Namespace) -> int:
-    """Run the demo of parsed arguments (see ``dextar demo --help``); the exit code."""
+    """Run the demo of parsed arguments (see ``dextar demo --help``); return the exit
+    code.
+    """
     console = Terminal()
     files = _parameter_files(arguments)
     robot = load_robot(files["controller"][0])
@@ -166,7 +168,7 @@ def _load_analysis() -> None:
 
 
 def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
-    """NAME:=VALUE of each node."""
+    """List NAME:=VALUE of each node."""
     given: dict[str, dict[str, object]] = {name: {} for name in NODES}
     given["plant"] |= {
         "mode": "realtime" if arguments.real_time else "lockstep",
@@ -206,7 +208,7 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
 
 
 def _changes(node: str, texts: Sequence[str]) -> dict[str, object]:
-    """The values in NAME:=VALUE of one node."""
+    """Return the values in NAME:=VALUE of one node."""
     parts = [text.partition(":=") for text in texts]
     return {
         name: parse_value(value, f"-p {node}.{name}:={value}")
@@ -217,8 +219,8 @@ def _changes(node: str, texts: Sequence[str]) -> dict[str, object]:
 def _stand_at_start(
     console: Terminal, robot: RobotParameters, task: Task, values: dict[str, list[str]]
 ) -> Array:
-    """Plan the trip through the point, so that the robot can be put where it begins, m,
-    and on that side of the locus.
+    """Plan the trip through the point, and put the robot where it begins, (2,), m, and
+    on that side of the locus.
 
     The trajectory server makes the same plan again.
     """
@@ -243,8 +245,8 @@ def _stand_at_start(
 def _place_as_read(
     robot: RobotParameters, true: RobotParameters, start: Array
 ) -> Array:
-    """(2,) m, where a simulated robot stands whose encoders read what the described
-    one's do where the trip starts.
+    """Return where a simulated robot stands, (2,), m, whose encoders read what the
+    described robot's do at the start of the trip.
     """
     model = Model.of(robot)
     q_a = (
@@ -262,8 +264,8 @@ def _place_as_read(
 
 
 def _parameter_files(arguments: argparse.Namespace) -> dict[str, tuple[Path, Path]]:
-    """The files of the robot and of the nodes' parameters, which each node reads for
-    itself.
+    """Return the files of the robot and of the nodes' parameters, which each node reads
+    for itself.
     """
     robot, nodes = (
         arguments.robot or config_file(ROBOT_FILE),
@@ -302,7 +304,9 @@ def _make_folder(output: Path) -> Path:
 
 
 def _link_latest(folder: Path) -> None:
-    """``latest`` beside the run's folder leads to it, once the run has begun."""
+    """Let the link ``latest`` beside the run's folder lead to it, once the run has
+    begun.
+    """
     latest = folder.parent / "latest"
     try:
         if latest.is_symlink():
@@ -319,8 +323,8 @@ def _link_latest(folder: Path) -> None:
 def _wait_until_ready(
     console: Terminal, monitor: Monitor, processes: Processes
 ) -> None:
-    """Recorder recording with everybody's parameters, trajectory accepted, plant
-    paused.
+    """Wait until the recorder has everybody's parameters, the trajectory is accepted
+    and the plant can be resumed.
     """
     deadline, told = time.monotonic() + START_TIMEOUT, False
     pause = monitor.client(SetBool, "plant/pause")
@@ -357,7 +361,7 @@ def _wait_until_ready(
 
 
 def _follow(console: Terminal, monitor: Monitor, processes: Processes) -> None:
-    """Progress until the trip is done or the controller gave up."""
+    """Show the progress until the trip is done or the controller gives up."""
     deadline = time.monotonic() + RUN_TIMEOUT
     columns = (
         TextColumn("{task.description}"),

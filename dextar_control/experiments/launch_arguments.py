@@ -1,4 +1,4 @@
-"""The launch file's arguments: their meaning, and what they may be, checked before
+"""The launch file's arguments: their meaning and what they may be, checked before
 anything is compiled or started.
 """
 
@@ -134,8 +134,8 @@ launch file sets it.
 
 
 def read(given: Mapping[str, str]) -> dict[str, Value]:
-    """The arguments' values, of their types; an empty text stands for what is left to
-    the parameter files.
+    """Return the arguments' values in their types; an empty text stands for what is
+    left to the parameter files.
 
     Args:
         given: as typed; others than ``ARGUMENTS`` are passed over.
@@ -163,7 +163,7 @@ def read(given: Mapping[str, str]) -> dict[str, Value]:
 
 
 def changes(values: Mapping[str, Value]) -> dict[str, dict[str, Value]]:
-    """The nodes that are to be started, and what the arguments change of their
+    """Return the nodes that are to be started, and what the arguments change of their
     parameters.
 
     Args:
@@ -229,8 +229,8 @@ def check_nodes(values: Mapping[str, Value]) -> None:
 
 
 def misspelt(given: Iterable[str]) -> list[str]:
-    """Sentences about names that are no arguments and look like one; launch itself says
-    nothing about them.
+    """Write sentences about names that are no arguments and look like one; launch
+    itself says nothing about them.
     """
     told = []
     for name in given:
@@ -291,8 +291,8 @@ def _number(spec: Parameter, text: str, fail: Callable[[str], ParameterError]) -
 
 
 def _checked_file(text: str, fail: Callable[[str], ParameterError]) -> str:
-    """The path; raises where no node could take it: launch finds that out only when the
-    nodes start.
+    """Return the path, or raise where no node could take it: launch finds that out only
+    when the nodes start.
     """
     try:
         path = Path(text).expanduser()

@@ -1,4 +1,4 @@
-"""A node beside a stack that hears what the nodes tell of themselves and calls their
+"""A monitor beside a stack hears what the nodes tell of themselves and calls their
 services.
 """
 
@@ -148,7 +148,7 @@ def start_ros() -> None:
 
 @contextlib.contextmanager
 def monitoring(name: str) -> Iterator[Monitor]:
-    """A context in which ROS runs in this process, with a monitor of this name."""
+    """Run ROS in this process, with a monitor of this name, while the context lasts."""
     start_ros()
     with contextlib.closing(Monitor(name)) as monitor:
         yield monitor

@@ -47,7 +47,7 @@ class NodeProcess(Protocol):
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """The process id."""
 
     def poll(self) -> int | None:
         """Give the exit code; None while it runs."""
@@ -117,7 +117,7 @@ def node_arguments(
 
 
 class Processes:
-    """The running nodes of one stack, by name; a context that ends them.
+    """Runs the nodes of one stack, by name; leaving it as a context ends them.
 
     Args:
         folder: of the logs.

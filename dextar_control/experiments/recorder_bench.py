@@ -1,4 +1,4 @@
-"""Does the recorder keep up beside the running stack? ``python -m
+"""Measure whether the recorder keeps up beside the running stack: ``python -m
 dextar_control.experiments.recorder_bench 600``.
 
 Runs plant (with a camera at the loop's rate), controller, trajectory server and
@@ -43,7 +43,7 @@ STARTING = 120.0  # s until the nodes have to be there
 
 
 class TopicCount(NamedTuple):
-    """One topic of a bag."""
+    """The messages of one topic of a bag."""
 
     topic: str
     messages: int
@@ -52,8 +52,8 @@ class TopicCount(NamedTuple):
 
 
 def topic_counts(bag: Path) -> list[TopicCount]:
-    """Per topic with one publisher, the numbers missing between the first and the last
-    one in the bag.
+    """Count, for each topic with one publisher, the numbers missing between the first
+    and the last one in the bag.
     """
     numbers: dict[str, list[int]] = {}
     counts: dict[str, dict[str, int]] = {}
@@ -81,7 +81,7 @@ def topic_counts(bag: Path) -> list[TopicCount]:
 
 
 def run(seconds: int, output: Path, reliable: bool) -> int:
-    """Measure and print; 0 when nothing is missing."""
+    """Measure and print; return 0 when nothing is missing."""
     console = Terminal()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     choose_domain()
@@ -168,13 +168,13 @@ def _wait_for_all(monitor: Monitor, processes: Processes, output: Path) -> None:
 
 
 def _memory(pid: int) -> float:
-    """Largest resident size, MB."""
+    """Return the largest resident size of a process, MB."""
     status = Path(f"/proc/{pid}/status").read_text()
     return int(status.partition("VmHWM:")[2].split()[0]) / 1024.0
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Console entry."""
+    """Run the bench as a console command."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("seconds", type=int, nargs="?", default=600)
     parser.add_argument(

@@ -1,5 +1,5 @@
-"""The parameters with which nodes would start, checked by the nodes' own rules before
-any of them is started.
+"""Check the parameters with which nodes would start by the nodes' own rules, before any
+of them is started.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ KINDS: dict[str, type[DextarNode]] = {kind.NAME: kind for kind in NODES}
 def check_start(
     node: str, changes: Mapping[str, object], *files: Path, namespace: str = ""
 ) -> dict[str, object]:
-    """The values of a node's parameters.
+    """Return the values of a node's parameters.
 
     The plant is of another room and says its own limits itself: of its parameters only
         names and types are checked.

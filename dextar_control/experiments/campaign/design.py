@@ -33,7 +33,7 @@ class CrossingPoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Trial:
-    """Everything that determines one row.
+    """Holds everything that determines one row.
 
     Attributes:
         index: of the crossing point.
@@ -73,7 +73,7 @@ class Trial:
         return self.index, self.direction
 
     def columns(self) -> Row:
-        """One flat cell for each attribute; mappings as JSON text."""
+        """Return one flat cell for each attribute; mappings as JSON text."""
         cells = dataclasses.asdict(self)
         cells["point_x"], cells["point_y"] = cells.pop("point")
         cells["working_mode"] = "".join(
@@ -87,7 +87,8 @@ class Trial:
 def trials_of(
     config: CampaignConfig, points: Sequence[CrossingPoint]
 ) -> Iterator[Trial]:
-    """The trials, those with the same crossing point and direction one after the other.
+    """Give the trials, those with the same crossing point and direction one after the
+    other.
 
     The seed of a row depends on the campaign's seed, the point, the direction and the
     row's number among the seeds alone: laws, estimators and cases meet the same random
@@ -140,8 +141,8 @@ def _at(
 
 
 def row_key(robot: RobotParameters, rig: str, trial: Trial) -> str:
-    """Digest of all that determines a row: the trial, the robot, the rig and the
-    package's version.
+    """Return a digest of all that determines a row: the trial, the robot, the rig and
+    the package's version.
     """
     return digest([dataclasses.asdict(trial), flatten(robot), rig, version()])[
         :KEY_LENGTH
@@ -149,12 +150,12 @@ def row_key(robot: RobotParameters, rig: str, trial: Trial) -> str:
 
 
 def digest(content: object) -> str:
-    """SHA-256 of plain data, independent of the order of keys."""
+    """Return the SHA-256 of plain data, independent of the order of keys."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def version() -> str:
-    """Of the installed package."""
+    """Return the version of the installed package."""
     try:
         return importlib.metadata.version("dextar")
     except importlib.metadata.PackageNotFoundError:
@@ -175,14 +176,14 @@ NUMBERS = (
 
 
 def code_digest(rig: str, trial: str) -> str:
-    """Digest of the sources that a row's numbers come from: contract, mathematics, the
-    trial and the rig's package.
+    """Return a digest of the sources that a row's numbers come from: contract,
+    mathematics, the trial and the rig's package.
 
     Args:
         rig: ``module:Class``.
         trial: the module that runs a trial.
     """
-    home = Path(__file__).resolve().parents[1]
+    home = Path(__file__).resolve().parents[2]
     sources = [source for room in NUMBERS for source in home.glob(f"{room}/*.py")]
     for module, whole_folder in ((rig.partition(":")[0], True), (trial, False)):
         spec = importlib.util.find_spec(module)

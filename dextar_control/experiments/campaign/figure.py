@@ -1,4 +1,4 @@
-"""Success, error and torque against each perturbation, by law and estimator."""
+"""Draw success, error and torque against each perturbation, by law and estimator."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class MarkerStyle(TypedDict, total=False):
 
 @matplotlib.rc_context(matplotlib_settings(LIGHT))
 def draw_summary(config: CampaignConfig, groups: Sequence[Group], plant: str) -> Figure:
-    """The figure of one plant: a row for each case, a marker for each combination, a
-    line for each bar.
+    """Draw one plant: a row for each case, a marker for each combination, a line for
+    each bar.
     """
     groups = [group for group in groups if group.plant == plant]
     names = [
@@ -103,8 +103,8 @@ def draw_summary(config: CampaignConfig, groups: Sequence[Group], plant: str) ->
 
 @matplotlib.rc_context(matplotlib_settings(LIGHT))
 def draw_frontier(config: CampaignConfig, groups: Sequence[Group]) -> Figure:
-    """Share of the trials that crossed, and that were ok, over the levels of each
-    sweep, by the default combination.
+    """Draw the share of the trials that crossed, and that were ok, over the levels of
+    each sweep, by the default combination.
     """
     default, columns = config.default, 3
     found = {

@@ -1,5 +1,5 @@
-"""What a campaign leaves behind: columnar file, summary, failures, figure, and the
-verdict on its bars.
+"""Write what a campaign leaves behind: columnar file, summary, failures, figures, and
+the verdict on its bars.
 """
 
 from __future__ import annotations
@@ -203,7 +203,7 @@ def _page(
     figures: Sequence[Figure],
     others: dict[str, Figure],
 ) -> str:
-    """All of it in one page that opens offline."""
+    """Put all of it on one page that opens offline."""
     verdict, missed = judged
     many = len({group.plant for group in groups}) > 1
     columns = [

@@ -44,7 +44,7 @@ class _Batch(NamedTuple):
 
 
 def core_count() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return (
         len(os.sched_getaffinity(0))
         if hasattr(os, "sched_getaffinity")
@@ -53,7 +53,7 @@ def core_count() -> int:
 
 
 def check_workers(workers: int | None, scheduler: str | None) -> None:
-    """Whether there can be a ``Pool`` of them, without starting any.
+    """Check that there can be a ``Pool`` of them, without starting any.
 
     Raises:
         ParameterError: there are too few, or workers and scheduler contradict each
@@ -69,7 +69,7 @@ def check_workers(workers: int | None, scheduler: str | None) -> None:
 
 
 class Pool:
-    """Worker processes that may die; a context manager."""
+    """Runs trials in worker processes that may die; a context manager."""
 
     def __init__(
         self, workers: int | None = None, scheduler: str | None = None
@@ -115,7 +115,7 @@ class Pool:
     def map(
         self, call: Call, job: Job, batches: Iterable[Sequence[Trial]]
     ) -> Iterator[tuple[Sequence[Trial], list[Row]]]:
-        """Each batch with its rows, in the order in which they are done.
+        """Give each batch with its rows, in the order in which they are done.
 
         The trials of a batch whose worker died run again one by one, no two of them at
             the same time: what
@@ -170,8 +170,8 @@ class Pool:
             self._client.cancel(list(running))
 
     def _next(self, done: as_completed) -> Future[list[Row]]:
-        """What is done next. Dask now and then starts no other worker for one that
-        died: without any one is asked for.
+        """Wait for the batch that is done next; where a worker died and Dask started no
+        other, ask for one.
 
         Raises:
             CampaignError: none comes.
@@ -214,7 +214,7 @@ class Pool:
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """A signal that asks to end waits until the block is done.
+    """Hold back signals that ask to end until the block is done.
 
     Threads and processes that start in it, and theirs, never see a signal of the
     terminal (Ctrl-C, hang-up): who started them ends them. The tracker of
@@ -266,7 +266,7 @@ def _connected(scheduler: str) -> Client:
 
 
 def _result(future: Future[list[Row]]) -> list[Row] | None:
-    """Rows of a batch, None if its worker died."""
+    """Return the rows of a batch, None if its worker died."""
     if future.status == "cancelled" or future.status == "lost":
         raise CampaignError("the connection to the Dask scheduler is lost")
     error = future.exception()

@@ -25,7 +25,7 @@ VERDICTS = "verdicts"
 
 
 class Bin(NamedTuple):
-    """Stated confidences of one range.
+    """The stated confidences of one range.
 
     Attributes:
         low, high: of the range, from and below.
@@ -46,7 +46,7 @@ class Bin(NamedTuple):
 
 
 def wilson(right: float, count: int) -> tuple[float, float]:
-    """95 % interval of a share that was found in a number of trials."""
+    """Return the 95 % interval of a share that was found in a number of trials."""
     z = SURE * SURE / count
     middle, half = (
         right + 0.5 * z,
@@ -56,8 +56,8 @@ def wilson(right: float, count: int) -> tuple[float, float]:
 
 
 def reliability(rows: Iterable[Row]) -> dict[str, dict[str, Bin]]:
-    """Per estimator that tells the side, the ranges that were stated, by their lower
-    end, and its verdicts.
+    """Collect, for each estimator that tells the side, the ranges that it stated, by
+    their lower end, and its verdicts.
     """
     of: dict[str, list[Row]] = {}
     for row in rows:
@@ -107,8 +107,8 @@ def _count(rows: Sequence[Row], column: str) -> int:
 
 
 def in_words(estimator: str, bins: dict[str, Bin]) -> str:
-    """Where an estimator is surer than it is right, beyond what chance explains, in one
-    sentence.
+    """Say in one sentence where an estimator is surer than it is right, beyond what
+    chance explains.
     """
     over = [
         one for key, one in bins.items() if key != VERDICTS and one.most < one.stated
@@ -130,8 +130,8 @@ def in_words(estimator: str, bins: dict[str, Bin]) -> str:
 
 @matplotlib.rc_context(matplotlib_settings(LIGHT))
 def draw_reliability(found: dict[str, dict[str, Bin]]) -> Figure:
-    """Share right over stated confidence, both on a scale that is logarithmic in the
-    chance to be wrong.
+    """Draw the share right over the stated confidence, both on a scale that is
+    logarithmic in the chance to be wrong.
     """
     figure = Figure(figsize=(4.8, 4.8), layout="constrained")
     FigureCanvasAgg(figure)

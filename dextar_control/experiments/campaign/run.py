@@ -1,4 +1,4 @@
-"""A campaign from its file to its folder: plan, run what is missing, judge."""
+"""Run a campaign from its file to its folder: plan, run what is missing, judge."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ TRIAL_MODULE = "dextar_control.experiments.campaign.trial"
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign file with all that follows from it."""
+    """Holds a campaign file with all that follows from it."""
 
     config: CampaignConfig
     job: Job
@@ -55,8 +55,8 @@ class Campaign:
         }
 
     def folder(self, path: Path) -> Path:
-        """Where the campaign of a file goes unless it is told: the same campaign always
-        into the same folder.
+        """Return where the campaign of a file goes unless it is told: the same campaign
+        always into the same folder.
         """
         return Path("runs") / f"{path.stem}-{design.digest(self.manifest)[:8]}"
 
@@ -64,7 +64,7 @@ class Campaign:
 def prepare(
     config: CampaignConfig, path: Path, trial_module: str = TRIAL_MODULE
 ) -> Campaign:
-    """The trials of a campaign.
+    """Prepare the trials of a campaign.
 
     Args:
         config: checked by itself; the names of its rig's plants stand in ``PLANTS`` of
@@ -202,8 +202,8 @@ def _run(
 
 
 def _distinct_plans(trials: Iterable[Trial]) -> list[Trial]:
-    """One trial for each plan that trials with the same crossing point and direction
-    need.
+    """Choose one trial for each plan that trials with the same crossing point and
+    direction need.
     """
     return list(
         {

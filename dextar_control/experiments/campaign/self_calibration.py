@@ -1,5 +1,5 @@
-"""A robot's description once its recordings were learnt from: a tour that calibrates
-it, a motion that identifies it.
+"""Calibrate and identify a simulated robot by its own recordings: a tour that
+calibrates it, a motion that identifies it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ EXCITE, DWELL = 20.0, 0.2  # s
 
 
 def record_motion(robot: RobotParameters, plan: Plan, rig: RigInterface) -> Recorded:
-    """A plan run in a plain loop, as its bag would tell it.
+    """Run a plan in a plain loop, and return what its bag would tell.
 
     Args:
         robot: as the controller knows it.
@@ -81,8 +81,8 @@ def calibrated_description(
     calibrated: bool,
     identified: bool,
 ) -> tuple[RobotParameters, dict[str, bool]]:
-    """The description after a recorded tour and an exciting motion, and whether each
-    fit was told enough.
+    """Return the description after a recorded tour and an exciting motion, and whether
+    each fit was told enough.
 
     Args:
         robot: as it is drawn, in the working mode of the recordings.
@@ -108,7 +108,7 @@ def calibrated_description(
 def _calibrated(
     robot: RobotParameters, rig: Callable[[], RigInterface]
 ) -> tuple[RobotParameters, bool]:
-    """The calibrated description, and whether there is one.
+    """Return the calibrated description, and whether there is one.
 
     Where a tour ended too early to tell anything another one goes the other way round,
     and both are taken together; where it told all but the difference of the distal

@@ -1,5 +1,5 @@
-"""A campaign's folder: what it is of, its rows appended as they come, and the columnar
-file in the end.
+"""A campaign's folder: its manifest, its rows, which are appended as they come, and the
+columnar file in the end.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ MANIFEST, ROWS, TABLE = "campaign.json", "rows.jsonl", "rows.parquet"
 
 
 class Store:
-    """The folder of one campaign, held by one process at a time; a context manager."""
+    """Holds the folder of one campaign, for one process at a time; a context
+    manager.
+    """
 
     def __init__(self, folder: Path, manifest: Mapping[str, object]) -> None:
         """Open a folder, new or of the same campaign.
@@ -58,7 +60,7 @@ class Store:
         self._file.close()
 
     def append(self, rows: Iterable[Row]) -> None:
-        """Rows with their ``key``; on the disk when this returns."""
+        """Append rows with their ``key``; they are on the disk when this returns."""
         rows = list(rows)
         lines = "".join(
             json.dumps(as_plain(row), allow_nan=False) + "\n" for row in rows
@@ -74,7 +76,7 @@ class Store:
         self.rows.update({text(row, "key"): as_plain(row) for row in rows})
 
     def write_table(self, keys: Iterable[str]) -> Path:
-        """All rows as a Parquet file, in the order of the keys."""
+        """Write all rows as a Parquet file, in the order of the keys."""
         path = self.folder / TABLE
         rows = [self.rows[key] for key in keys if key in self.rows]
         part = path.with_suffix(".part")
@@ -83,7 +85,7 @@ class Store:
         return path
 
     def write_text(self, name: str, content: str) -> Path:
-        """A text file of the folder."""
+        """Write a text file of the folder."""
         path = self.folder / name
         path.write_text(content, encoding="utf-8")
         return path
@@ -113,7 +115,7 @@ class Store:
             part.replace(path)
 
     def _kept(self) -> dict[str, Row]:
-        """Rows of an earlier run; a last line that broke off is cut away."""
+        """Read the rows of an earlier run, and cut off a last line that broke off."""
         self._file.seek(0)
         content = self._file.read()
         whole = content.rfind(b"\n") + 1
@@ -123,7 +125,8 @@ class Store:
 
 
 def read_rows(folder: Path) -> dict[str, Row]:
-    """Rows of a folder by key, without holding it; none if there is no such folder.
+    """Read the rows of a folder by key, without holding it; none if there is no such
+    folder.
 
     Raises:
         CampaignError: a line is not a row.
@@ -149,7 +152,7 @@ def _rows(path: Path, content: bytes) -> dict[str, Row]:
 
 
 def as_table(rows: list[Row]) -> pa.Table:
-    """Rows as columns, those that some rows lack filled with nulls."""
+    """Make a table of rows, with nulls where rows lack a column."""
     names = dict.fromkeys(name for row in rows for name in row)
     columns = {name: _column([row.get(name) for row in rows]) for name in names}
     return pa.table(columns)
@@ -167,7 +170,7 @@ def _column(values: list[Cell]) -> pa.Array:
 
 
 def _difference(found: object, wanted: object, where: str = "") -> str:
-    """The first place where two pieces of plain data differ, in words."""
+    """Say where two pieces of plain data differ first."""
     if isinstance(found, dict) and isinstance(wanted, dict):
         for key in {**wanted, **found}:
             name = f"{where}.{key}" if where else str(key)

@@ -29,7 +29,7 @@ class BarVerdict(NamedTuple):
 
 @dataclass(frozen=True)
 class Group:
-    """The rows of one case, law, estimator and plant.
+    """Holds the statistics of the rows of one case, law, estimator and plant.
 
     Shares are of all rows; a trial without a plan, a raised exception and a dead worker
     count as not crossed. Errors and torques are of the rows that have them; nan if none
@@ -73,7 +73,7 @@ class Group:
 
     @property
     def missed(self) -> list[BarVerdict]:
-        """Bars that do not hold."""
+        """The bars that do not hold."""
         return [verdict for verdict in self.verdicts if not verdict.holds]
 
 
@@ -98,8 +98,8 @@ MEASURES = {
 
 
 def summarise(config: CampaignConfig, rows: Iterable[Row]) -> list[Group]:
-    """One group for each case, plant and combination, in the order of the campaign
-    file.
+    """Summarise one group for each case, plant and combination, in the order of the
+    campaign file.
     """
     sorted_rows: dict[tuple[str, str, str, str], list[Row]] = {}
     for row in rows:
@@ -135,14 +135,14 @@ def summarise(config: CampaignConfig, rows: Iterable[Row]) -> list[Group]:
 
 
 def crossed_all(row: Row) -> bool:
-    """Whether the true robot crossed at each planned crossing."""
+    """Tell whether the true robot crossed at each planned crossing."""
     planned = number(row, "crossings_planned")
     return planned > 0 and number(row, "crossed") >= planned
 
 
 def real_time_factor(rows: Iterable[Row]) -> float:
-    """Simulated over wall time of a worker, which has one core: the median over the
-    rows, nan without any.
+    """Return simulated over wall time of a worker, which has one core: the median over
+    the rows, nan without any.
     """
     times = [(number(row, "simulated_time"), number(row, "wall_time")) for row in rows]
     factors = [
@@ -152,7 +152,7 @@ def real_time_factor(rows: Iterable[Row]) -> float:
 
 
 def as_json(group: Group) -> dict[str, object]:
-    """Plain data; numbers that are not finite as None."""
+    """Return a group as plain data, with None for numbers that are not finite."""
     verdicts = [verdict._asdict() for verdict in group.verdicts]
     data: dict[str, object] = as_plain(
         {**dataclasses.asdict(group), "verdicts": verdicts}

@@ -102,7 +102,7 @@ RIG_OPTIONS = (
 def sample_points(
     robot: RobotParameters, count: int, folded: int, seed: int
 ) -> list[CrossingPoint]:
-    """Crossing points spread over the locus."""
+    """Spread crossing points over the locus."""
     from dextar_control.experiments.campaign.design import CrossingPoint
 
     return [
@@ -121,7 +121,7 @@ def built_robot(
     generator: np.random.Generator,
     sides: np.random.Generator,
 ) -> RobotParameters:
-    """A robot as it was built and not as it was drawn.
+    """Return a robot as it was built and not as it was drawn.
 
     ``masses``: each mass and inertia is off by an evenly distributed share of up to
     this. ``geometry``: the four lengths and both coordinates of both motor axes, eight
@@ -161,8 +161,8 @@ def built_robot(
 def controller_model(
     robot: RobotParameters, perturbation: Mapping[str, float]
 ) -> RobotParameters:
-    """The controller's model: of the perturbation it knows the modelled share of the
-    friction, and perhaps the belt.
+    """Return the controller's model, which knows of the perturbation the modelled share
+    of the friction, and perhaps the belt.
     """
     changes = _friction_and_belt(
         robot,
@@ -182,7 +182,9 @@ def _friction_and_belt(
     *,
     belt: bool,
 ) -> dict[str, float]:
-    """Of the perturbation, with these shares of the friction."""
+    """Return the changes that the perturbation makes with these shares of the
+    friction.
+    """
     changes: dict[str, float] = {}
     for side, leg in zip(robot.sides, robot.legs, strict=True):
         if "coulomb" in perturbation:
@@ -204,8 +206,8 @@ def _friction_and_belt(
 
 
 def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
-    """The trip of a trial whose robot learns nothing first, by what the controller
-    knows of it.
+    """Plan the trip of a trial whose robot is not calibrated first, by what the
+    controller knows of it.
 
     Those of one process that ask for the same share one.
 
@@ -219,7 +221,7 @@ def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
 
 
 def _plan_for(robot: RobotParameters, trial: Trial) -> Plan:
-    """The trip that is planned for a robot as it is known."""
+    """Plan the trip for a robot as the controller knows it."""
     criterion = (
         Criterion.ZERO_WRENCH if trial.law == "multi_model" else Criterion.RECIPROCAL
     )
@@ -251,7 +253,7 @@ def _planned(
 
 
 def run_trial(robot: RobotParameters, trial: Trial, rig: RigMaker) -> Row:
-    """One row of results.
+    """Run a trial, and return its row of results.
 
     Args:
         robot: as the controller knows it but for working mode and friction.
@@ -338,7 +340,7 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: RigMaker) -> Row:
 
 
 def _rig_options(perturbation: Mapping[str, float]) -> dict[str, float | str]:
-    """Of the rig, by its own names."""
+    """Return the perturbation's options of the rig, by the rig's names."""
     options: dict[str, float | str] = {
         name: perturbation[name] for name in RIG_OPTIONS if name in perturbation
     }
@@ -353,7 +355,7 @@ def _rig_options(perturbation: Mapping[str, float]) -> dict[str, float | str]:
 
 
 class Strike(NamedTuple):
-    """A blow, or a push: a blow in each of several periods."""
+    """A blow, or a push, which is a blow in each of several periods."""
 
     time: float  # s
     impulse: Array  # (2,) N s, of a blow, N of a push
@@ -383,7 +385,7 @@ def _strike_of(
     generator: np.random.Generator,
     sides: np.random.Generator,
 ) -> Strike | None:
-    """What hits the robot at the first crossing, if anything does.
+    """Return what hits the robot at the first crossing, if anything does.
 
     A push acts along t_s, or across it. A bounce turns the motion round: of the planned
         velocity the part along t_s, which the
@@ -496,8 +498,8 @@ def _drive(
 def s_around_crossing(
     certificate: Certificate, log: Log, index: int
 ) -> tuple[float, float]:
-    """True s before and after a planned crossing, where the plan is clear of the
-    locus.
+    """Return the true s before and after a planned crossing, where the plan is clear of
+    the locus.
     """
     first, last = np.searchsorted(log.time, clear_times(certificate, index))
     return float(log.s[max(first - 1, 0)]), float(log.s[min(last, len(log.s) - 1)])
@@ -597,8 +599,8 @@ def _stated_confidences(log: Log) -> Row:
 
 
 def _on_side(log: Log, time_of_verdict: float, sign: float) -> bool:
-    """Whether the true robot was on the planned side when the verdict fell; true where
-    none did.
+    """Tell whether the true robot was on the planned side when the verdict fell; true
+    where none did.
     """
     if math.isnan(time_of_verdict):
         return True
@@ -630,8 +632,8 @@ def _reason(loop: ControlLoop, crossed: list[bool], error: Array) -> str:
 
 
 def _turned(log: Log, sign: float) -> bool:
-    """Whether the true robot went back from the locus after the blow, before it came
-    well clear of it on the other side.
+    """Tell whether the true robot went back from the locus after the blow, before it
+    came well clear of it on the other side.
 
     One that was only slowed crosses late, and one that was left standing near the locus
     is on neither side.
@@ -646,8 +648,8 @@ def _turned(log: Log, sign: float) -> bool:
 def _bounce(
     loop: ControlLoop, log: Log, sign: float, on_side: bool, planned: float
 ) -> Row:
-    """What became of a run that was struck; ``recognised`` is None when the blow did
-    not turn the robot round.
+    """Judge a run that was struck; ``recognised`` is None when the blow did not turn
+    the robot round.
 
     Args:
         sign: of s behind the planned crossing.

@@ -1,6 +1,4 @@
-"""What a worker process does: a few trials, each of which may fail without the
-others.
-"""
+"""Run a few trials in a worker process, each of which may fail without the others."""
 
 from __future__ import annotations
 
@@ -27,7 +25,9 @@ class Job(NamedTuple):
 
 
 def run_trials(job: Job, trials: Sequence[Trial]) -> list[Row]:
-    """Results of each trial; one that raises yields a row with the reason."""
+    """Return the results of each trial; one that raises yields a row with the
+    reason.
+    """
     rig = _prepared(job)
     run = importlib.import_module(job.trial).run_trial
     rows = []
@@ -44,8 +44,8 @@ def run_trials(job: Job, trials: Sequence[Trial]) -> list[Row]:
 
 
 def plan_trials(job: Job, trials: Sequence[Trial]) -> list[Row]:
-    """Plans of the trials into the planner's cache; what cannot be planned says so when
-    it is run.
+    """Put the plans of the trials into the planner's cache; what cannot be planned says
+    so when it is run.
     """
     _prepared(job)
     plan = importlib.import_module(job.trial).plan_trial

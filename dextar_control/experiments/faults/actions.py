@@ -1,4 +1,4 @@
-"""How each kind of fault is done to the nodes during one trip, and undone after it."""
+"""Do each kind of fault to the nodes during one trip, and undo it after the trip."""
 
 from __future__ import annotations
 
@@ -90,8 +90,8 @@ class Trouble(NamedTuple):
 
 
 class Action:
-    """A fault of one kind: prepared, armed once the trip has begun, polled, released,
-    and its damage repaired.
+    """Does a fault of one kind: it is prepared, armed once the trip has begun, polled,
+    released, and its damage repaired.
 
     Attributes:
         single: one crossing of the trip is faulted, not each.
@@ -113,34 +113,34 @@ class Action:
         return True
 
     def prepare(self, chance: random.Random) -> None:
-        """Before the trip begins."""
+        """Prepare the fault before the trip begins."""
         self.chance = chance
 
     def arm(self, times: Sequence[int]) -> None:
-        """The trip has begun; ``times`` at which the faults are due, ns of the rig's
-        clock.
+        """Take the ``times`` at which the faults are due, ns of the rig's clock; the
+        trip has begun.
         """
 
     def poll(self, now: int) -> Trouble | None:
-        """In each turn; a trouble that only this fault's maker can know."""
+        """Act in each turn; return a trouble that only this action can know."""
         return None
 
     def release(self) -> None:
-        """No more faults."""
+        """Do no more faults."""
 
     def took_effect(self) -> bool:
-        """Whether anything was done that somebody must have noticed."""
+        """Tell whether anything was done that somebody must have noticed."""
         return True
 
     def restore(self) -> None:
         """Repair what ``Stack.recover`` does not."""
 
     def bags(self) -> list[Path]:
-        """Recordings that ended in this trip."""
+        """List the recordings that ended in this trip."""
         return []
 
     def broken_bags(self) -> list[str]:
-        """A line for each of these that should have been finished and is not."""
+        """Write a line for each of these that should have been finished and is not."""
         return []
 
     def extra(self, records: list[CrossingRecord], evidence: Evidence) -> None:
@@ -148,7 +148,7 @@ class Action:
 
 
 class LinkAction(Action):
-    """``transport`` and ``window``, by the injector."""
+    """Does ``transport`` and ``window`` faults, by the injector."""
 
     def prepare(self, chance: random.Random) -> None:
         """Find the links."""
@@ -163,7 +163,7 @@ class LinkAction(Action):
             self.grace = round((self.case.window.lasting + REACTION) * NANOSECONDS)
 
     def arm(self, times: Sequence[int]) -> None:
-        """Windows at the times, or the transport from now on."""
+        """Put windows at the times, or change the transport from now on."""
         if self.case.window is not None:
             lasting = round(self.case.window.lasting * NANOSECONDS)
             for link in self._links:
@@ -180,13 +180,13 @@ class LinkAction(Action):
                 )
 
     def release(self) -> None:
-        """Whole links."""
+        """Make the links whole."""
         for link in self._links:
             link.configure(Transport(), 0)
             link.clear_windows()
 
     def took_effect(self) -> bool:
-        """Whether a message was touched."""
+        """Tell whether a message was touched."""
         transport = Transport(**self.case.transport or {})
         if transport.delay or transport.jitter:
             return True
@@ -199,13 +199,13 @@ class LinkAction(Action):
 
 
 class KillAction(Action):
-    """A signal to a node, and its start again."""
+    """Sends a signal to a node, and starts it again."""
 
     single = True
     grace = round(1.0 * NANOSECONDS)
 
     def arm(self, times: Sequence[int]) -> None:
-        """Once, at the first time."""
+        """Choose the first time, for the fault is done once."""
         assert self.case.kill is not None
         self._node, self._at, self._killed = self.case.kill.node, times[0], 0
         self._bag = self.stack.current_bag()
@@ -216,7 +216,7 @@ class KillAction(Action):
         return bool(self._killed) and self.stack.processes.ended(self._node)
 
     def poll(self, now: int) -> Trouble | None:
-        """Kill; a killed commander leaves a robot without torque."""
+        """Kill the node; a killed controller leaves a robot without torque."""
         assert self.case.kill is not None
         if not self._killed and now >= self._at:
             self._killed = now
@@ -228,11 +228,11 @@ class KillAction(Action):
         )
 
     def took_effect(self) -> bool:
-        """Whether it was killed."""
+        """Tell whether the node was killed."""
         return bool(self._killed)
 
     def restore(self) -> None:
-        """Start it again."""
+        """Start the node again."""
         if not self._killed:
             return
         if not self.stack.monitor.until(
@@ -244,7 +244,7 @@ class KillAction(Action):
         self.stack.restart(self._node)
 
     def bags(self) -> list[Path]:
-        """The killed recorder's."""
+        """Return the bag of a killed recorder."""
         if self._node != "recorder" or self._bag is None or not self._killed:
             return []
         self.stack.monitor.until(
@@ -253,7 +253,9 @@ class KillAction(Action):
         return [self._bag]
 
     def broken_bags(self) -> list[str]:
-        """SIGTERM asks a recorder to finish its file."""
+        """Write a line where the recorder did not finish its file although SIGTERM
+        asked for it.
+        """
         assert self.case.kill is not None
         if self.case.kill.signal != "SIGTERM":
             return []
@@ -264,9 +266,7 @@ class KillAction(Action):
         ]
 
     def extra(self, records: list[CrossingRecord], evidence: Evidence) -> None:
-        """Torque after the commander's last word, for the figure; how much of a
-        recording was lost.
-        """
+        """Add the torque after the controller's last command, for the figure."""
         if self._node == "controller" and records:
             last = (
                 evidence.command_stamps[-1]
@@ -283,13 +283,13 @@ class KillAction(Action):
 
 
 class CommanderAction(Action):
-    """A second publisher on the command topic that commands a torque."""
+    """Publishes a torque on the command topic as a second commander."""
 
     single = True
     grace = round(1.0 * NANOSECONDS)
 
     def arm(self, times: Sequence[int]) -> None:
-        """Once, at the first time."""
+        """Choose the first time, for the fault is done once."""
         self._at, self._sent, self._begun = times[0], 0, 0
         self._publisher: Publisher | None = None
         self._template = template(JOINT_COMMANDS)
@@ -325,15 +325,15 @@ class CommanderAction(Action):
             )
 
     def took_effect(self) -> bool:
-        """Whether it commanded."""
+        """Tell whether it commanded."""
         return bool(self._begun)
 
 
 class FloodAction(Action):
-    """More service calls than anybody needs, to every node."""
+    """Calls more services than anybody needs, of every node."""
 
     def prepare(self, chance: random.Random) -> None:
-        """Clients of services that change nothing."""
+        """Make the clients of services that change nothing."""
         super().prepare(chance)
         monitor = self.stack.monitor
         self._calls: list[tuple[Client, object]] = [
@@ -366,11 +366,11 @@ class FloodAction(Action):
         self._begun = 0.0
 
     def arm(self, times: Sequence[int]) -> None:
-        """From now on."""
+        """Begin now."""
         self._begun = time.monotonic()
 
     def poll(self, now: int) -> Trouble | None:
-        """As many calls as are due."""
+        """Call as many services as are due."""
         self._count()
         due = int(self.case.flood * (time.monotonic() - self._begun))
         while self._begun and self._sent < due and len(self._pending) < MOST_PENDING:
@@ -397,17 +397,17 @@ class FloodAction(Action):
             self.stack.answers.append("every call was answered")
 
     def took_effect(self) -> bool:
-        """Whether anything was asked."""
+        """Tell whether anything was asked."""
         return self._sent > 0
 
 
 class ParameterAction(Action):
-    """A gain that may be changed live, and a value that must be refused, while the
+    """Sets a gain that may be changed live, and a value that must be refused, while the
     robot crosses.
     """
 
     def arm(self, times: Sequence[int]) -> None:
-        """At each time."""
+        """Take the times, at each of which both are asked."""
         self._times, self.refused, self._asked = list(times), False, 0
         self._futures: list[tuple[Future, bool]] = []
 
@@ -417,7 +417,7 @@ class ParameterAction(Action):
         return not self._times
 
     def poll(self, now: int) -> Trouble | None:
-        """One valid and one invalid change at each time."""
+        """Ask for one valid and one invalid change at each time."""
         if self._times and now >= self._times[0]:
             self._times.pop(0)
             name, (low, high) = self.chance.choice(list(GAINS.items()))
@@ -456,7 +456,7 @@ class ParameterAction(Action):
             self.stack.answers.append("each answer as it should be")
 
     def restore(self) -> None:
-        """The gains of the parameter file."""
+        """Set the gains of the parameter file again."""
         defaults = node_defaults("controller")
         self.stack.monitor.change_parameters(
             "controller", **{name: float(defaults[name]) for name in GAINS}
@@ -464,11 +464,11 @@ class ParameterAction(Action):
 
 
 class DiskAction(Action):
-    """A disk under the recorder that becomes full while the robot crosses."""
+    """Lets the disk under the recorder become full while the robot crosses."""
 
     def prepare(self, chance: random.Random) -> None:
-        """Another recorder, on a disk of its own; by a limit on the file's size where
-        no such disk can be made.
+        """Start another recorder on a small disk of its own, or with a limit on the
+        file's size where no such disk can be made.
         """
         super().prepare(chance)
         stack = self.stack
@@ -510,32 +510,36 @@ class DiskAction(Action):
         return self.stack.processes.ended("recorder")
 
     def release(self) -> None:
-        """A robot that stopped early leaves the recorder to fill the disk."""
+        """Wait until the recorder has filled the disk, also after a robot that stopped
+        early.
+        """
         self.stack.monitor.until(lambda: self.done, END_PATIENCE)
 
     def took_effect(self) -> bool:
-        """Whether the recorder has given up."""
+        """Tell whether the recorder has given up."""
         return self.done
 
     def restore(self) -> None:
-        """A recorder with room."""
+        """Start a recorder with room."""
         self.stack.processes.stop("recorder")
         self.stack.restart("recorder")
 
     def bags(self) -> list[Path]:
-        """What was saved from the small disk."""
+        """Return what was saved from the small disk."""
         return [self._bag] if self.done else []
 
 
 class NetworkAction(Action):
-    """A bad link between two network namespaces, which the parent process holds."""
+    """Makes the link between two network namespaces bad, which the parent process
+    holds.
+    """
 
     def arm(self, times: Sequence[int]) -> None:
-        """From now on."""
+        """Make the link bad from now on."""
         self._counts = self._ask(self.case.network or {})
 
     def release(self) -> None:
-        """A whole link."""
+        """Make the link whole."""
         after = self._ask({})
         self._took = any(
             after[key] > self._counts[key]
@@ -544,7 +548,7 @@ class NetworkAction(Action):
         self._took |= bool({"delay", "jitter"} & set(self.case.network or {}))
 
     def took_effect(self) -> bool:
-        """Whether a frame was touched."""
+        """Tell whether a frame was touched."""
         return self._took
 
     @staticmethod
@@ -556,7 +560,7 @@ class NetworkAction(Action):
 
 
 def can_mount() -> bool:
-    """Whether this process may mount a disk in a namespace of its own."""
+    """Tell whether this process may mount a disk in a namespace of its own."""
     if os.geteuid() != 0 or shutil.which("unshare") is None:
         return False
     return (
@@ -580,5 +584,5 @@ KINDS: dict[str, Callable[[FaultCase, Stack], Action]] = {
 
 
 def make_action(case: FaultCase, stack: Stack) -> Action:
-    """What does a case's fault."""
+    """Return the action that does a case's fault."""
     return KINDS[case.kind](case, stack)

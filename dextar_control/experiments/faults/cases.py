@@ -1,5 +1,5 @@
-"""The cases of ``config/faults.yaml``: which fault, where, how often, what may come of
-it and who must say so.
+"""The cases of ``config/faults.yaml``: which fault is done, where, how often, what may
+come of it and who must report it.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ KINDS = (
 
 
 class KillSettings(Section):
-    """A signal to one node."""
+    """Names a signal to one node."""
 
     node: Node
     signal: Literal["SIGKILL", "SIGTERM"]
 
 
 class WindowSettings(Section):
-    """A span of time in which each message has one shape."""
+    """Describes a span of time in which each message has one shape."""
 
     shape: str
     lasting: Number = Field(gt=0.0, le=1.0)
@@ -53,7 +53,7 @@ class WindowSettings(Section):
 
 
 class FaultCase(Section):
-    """One fault: exactly one of the ``KINDS``.
+    """Describes one fault: exactly one of the ``KINDS``.
 
     ``crossings`` faulted ones are tried in a full run, ``quick`` in a quick one (0
     leaves the case out); ``trips`` return trips make one trajectory. An outcome that is
@@ -84,7 +84,7 @@ class FaultCase(Section):
 
     @property
     def kind(self) -> str:
-        """Which of the faults it is."""
+        """The kind of fault that it is."""
         return next(kind for kind in KINDS if getattr(self, kind))
 
     @field_validator("expect")
@@ -120,14 +120,16 @@ class FaultCase(Section):
 
 
 class TripSettings(Section):
-    """The return trip that is made again and again: seconds one way, and at rest."""
+    """Describes the return trip that is made again and again: seconds one way, and at
+    rest.
+    """
 
     duration: Number = Field(gt=0.02, le=60.0)
     dwell: Number = Field(ge=0.01, le=60.0)
 
 
 class FaultConfig(Section):
-    """Everything a run of faults is made of."""
+    """Holds everything that a run of faults is made of."""
 
     seed: int = Field(default=0, ge=0, lt=2**32)
     trip: TripSettings
@@ -135,7 +137,7 @@ class FaultConfig(Section):
 
 
 def load_cases(path: str | Path) -> FaultConfig:
-    """The cases of a YAML file.
+    """Load the cases of a YAML file.
 
     Raises:
         ParameterError: the file cannot be read, or something in it is unknown, missing

@@ -1,5 +1,5 @@
-"""Between rig and controller: states one way, commands the other, each through a faulty
-link.
+"""The injector between rig and controller passes states one way and commands the other,
+each through a faulty link.
 
 The rig's topics are remapped to ``rig/joint_states`` and ``rig/joint_commands``; the
 controller keeps the contract's. Messages pass as the bytes they are; only one that gets
@@ -52,13 +52,15 @@ SHORT_PATIENCE = 0.01
 
 
 def stamp_of(raw: bytes) -> int:
-    """The stamp, ns, of a message whose first field is a header."""
+    """Return the stamp, ns, of a message whose first field is a header."""
     seconds = int.from_bytes(raw[4:8], "little", signed=True)
     return seconds * NANOSECONDS + int.from_bytes(raw[8:12], "little")
 
 
 def reshape(raw: bytes, shape: MessageShape, began: int) -> bytes:
-    """A joint state or command in another shape; ``began`` is the frozen stamp, ns."""
+    """Return a joint state or command in another shape; ``began`` is the frozen stamp,
+    ns.
+    """
     message = deserialize_message(raw, JointState)
     numbers = message.position if len(message.position) else message.effort
     values = list(numbers)
@@ -89,7 +91,7 @@ def reshape(raw: bytes, shape: MessageShape, began: int) -> bytes:
 
 
 class Injector:
-    """The two links on the wire.
+    """Passes messages through its two links.
 
     Args:
         node: on which the entities are made; its executor drives the injector.
@@ -140,8 +142,8 @@ class Injector:
         )
 
     def clock(self) -> int:
-        """The links' time, ns: the rig's, in real time with what has passed since its
-        last state.
+        """Return the links' time, ns: the rig's, in real time with what has passed
+        since its last state.
         """
         return (
             self.now
@@ -150,15 +152,13 @@ class Injector:
         )
 
     def clear(self) -> None:
-        """Links without windows and with nothing under way, as after a restart of the
-        rig.
-        """
+        """Forget windows and what is under way, as after a restart of the rig."""
         self.states.clear()
         self.commands.clear()
         self.bad_stamps.clear()
 
     def forget_rig(self) -> None:
-        """The rig was restarted: its stamps begin anew."""
+        """Begin anew with a rig that was restarted, whose stamps do."""
         self.clear()
         self.now = -1
         self._waiting, self._newest_delivered = None, -1
@@ -195,7 +195,9 @@ class Injector:
         self._settle()
 
     def poll(self) -> None:
-        """What is due by time alone; to be called in each turn of the loop."""
+        """Pass on what is due by time alone; this is called in each turn of the
+        loop.
+        """
         if not self._lockstep:
             self._deliver_states()
             self._deliver_commands()
@@ -203,7 +205,7 @@ class Injector:
             self._settle()
 
     def left(self) -> float:
-        """Seconds until ``poll`` has something to do, at most 0.05."""
+        """Return the seconds until ``poll`` has something to do, at most 0.05."""
         if self._lockstep:
             return (
                 0.05

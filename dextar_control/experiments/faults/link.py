@@ -1,5 +1,5 @@
-"""One direction of a faulty transport, driven by the receiver's clock: what arrives,
-when, and in which shape.
+"""One direction of a faulty transport, driven by the receiver's clock: which messages
+arrive, when, and in which shape.
 
 It knows no ROS: messages are opaque, time is whatever integer nanoseconds its user
 counts. From one seed the fate of the n-th message is always the same.
@@ -45,7 +45,7 @@ NON_FINITE = (MessageShape.NAN, MessageShape.INFINITY)
 
 @dataclass(frozen=True)
 class Transport:
-    """What a link does to each message, independently of the others.
+    """Says what a link does to each message, independently of the others.
 
     Attributes:
         drop: probability that it is lost.
@@ -102,7 +102,7 @@ class Delivery(NamedTuple, Generic[Item]):
 
 
 class MessageLink(Generic[Item]):
-    """A line of messages with chance and windows.
+    """Passes messages in one direction, subject to chance and windows.
 
     Args:
         transport: what happens to each message.
@@ -134,7 +134,7 @@ class MessageLink(Generic[Item]):
         self.configure(transport or Transport(), seed)
 
     def configure(self, transport: Transport, seed: int) -> None:
-        """Another behaviour from the next message on; what is under way arrives as it
+        """Behave otherwise from the next message on; what is under way arrives as it
         was going to.
         """
         self._transport = transport
@@ -204,5 +204,5 @@ class MessageLink(Generic[Item]):
             yield heapq.heappop(self._line)[2]
 
     def next_due(self) -> int | None:
-        """When the next message arrives, ns."""
+        """Return when the next message arrives, ns."""
         return self._line[0][0] if self._line else None

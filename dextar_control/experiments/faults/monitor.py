@@ -39,7 +39,7 @@ PHASE = CRITERION_NAMES.index("phase")
 
 
 class SampleReader:
-    """The samples of one topic, decoded as they come.
+    """Reads the samples of one topic, and decodes them as they come.
 
     Args:
         monitor: that subscribes.
@@ -158,7 +158,7 @@ class StackMonitor(Monitor):
 
     @property
     def phase(self) -> int:
-        """The controller's, by its last answered state; -1 before the first."""
+        """The controller's phase by its last answered state; -1 before the first."""
         return int(self.criterion.rows[-1][PHASE]) if self.criterion.rows else -1
 
     @property

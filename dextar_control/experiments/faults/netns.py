@@ -45,8 +45,8 @@ HOLDER = (
 
 
 class FaultyLink:
-    """A context: namespaces ``a`` and ``b``, and frames between them lost, late, out of
-    order or twice.
+    """Holds namespaces ``a`` and ``b`` as a context; frames between them are lost,
+    late, out of order or doubled.
 
     Args:
         seed: of the faults; the n-th frame of a direction has the same fate each time.
@@ -159,7 +159,7 @@ class FaultyLink:
             )
 
     def inside(self, side: Side) -> list[str]:
-        """Command words that put what follows them on one side."""
+        """Return the command words that put what follows them on one side."""
         return self._inside(side)
 
     def _inside(self, name: str) -> list[str]:
@@ -173,8 +173,8 @@ class FaultyLink:
 
     @staticmethod
     def environment() -> dict[str, str]:
-        """What a ROS process inside needs: discovery by multicast, and no shared memory
-        past the link.
+        """Return the environment that a ROS process inside needs: discovery by
+        multicast, and no shared memory past the link.
         """
         kept = {
             name: value
@@ -207,7 +207,7 @@ class FaultyLink:
 
     @contextlib.contextmanager
     def outage(self) -> Iterator[None]:
-        """A context in which no frame passes in either direction."""
+        """Let no frame pass in either direction while the context lasts."""
         before = dict(self.qualities)
         try:
             for direction in before:
@@ -218,7 +218,7 @@ class FaultyLink:
                 self.set_quality(direction, **asdict(quality))  # type: ignore[arg-type]
 
     def statistics(self) -> dict[str, LinkStatistics]:
-        """Frames so far, by direction.
+        """Return the counts of the frames so far, by direction.
 
         Raises:
             LinkError: the relay is gone.
@@ -243,7 +243,7 @@ class FaultyLink:
         return counts
 
     def helper_pids(self) -> list[int]:
-        """Process ids of the relay and of what holds the namespaces."""
+        """Return the process ids of the relay and of what holds the namespaces."""
         own = [self._relay] if self._relay is not None else []
         return [process.pid for process in [*own, *self._holders.values()]]
 
@@ -269,7 +269,7 @@ def _start(command: list[str]) -> subprocess.Popen[str]:
 
 
 def _answer(process: subprocess.Popen[str]) -> str:
-    """The next line that a helper says, empty when it says none."""
+    """Return the next line that a helper says, empty when it says none."""
     assert process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], START_TIMEOUT)
     return process.stdout.readline().strip() if ready else ""

@@ -1,5 +1,5 @@
-"""A run of faults: sessions as processes, some side by side, their events counted,
-shown and written.
+"""A run of faults: its sessions are processes, some side by side, whose events are
+counted, shown and written.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ RESOLUTION = 130  # dots per inch
 
 @dataclass
 class SessionPlan:
-    """Cases for sessions of one kind.
+    """The cases for sessions of one kind.
 
     Attributes:
         kind: ``lockstep``, ``realtime`` or ``network``.
@@ -95,7 +95,7 @@ class SessionRunner(threading.Thread):
         self._stopped = False
 
     def run(self) -> None:
-        """Sessions until nothing is left or a case was begun too often."""
+        """Run sessions until nothing is left or a case was begun too often."""
         number = 0
         try:
             while not self._stopped and (
@@ -210,7 +210,7 @@ class SessionRunner(threading.Thread):
 
 
 def _apply(link: FaultyLink, quality: dict[str, float]) -> dict[str, int]:
-    """Give both directions a quality; the frames so far, both together."""
+    """Give both directions a quality; return the frames so far, both together."""
     clean = {"loss": 0.0, "delay": 0.0, "jitter": 0.0, "reorder": 0.0, "duplicate": 0.0}
     directions: tuple[Literal["a_to_b", "b_to_a"], ...] = ("a_to_b", "b_to_a")
     for direction in directions:
@@ -222,7 +222,7 @@ def _apply(link: FaultyLink, quality: dict[str, float]) -> dict[str, int]:
 def select(
     config: FaultConfig, names: Sequence[str], count: int | None, quick: bool
 ) -> dict[str, int]:
-    """How many crossings of which case.
+    """Select how many crossings of which case are tried.
 
     Args:
         config: the cases.
@@ -255,8 +255,8 @@ def select(
 def session_plans(
     config: FaultConfig, counts: dict[str, int], jobs: int
 ) -> list[list[SessionPlan]]:
-    """Plans that run side by side, one group after the other: the machine's noise
-    matters in real time only.
+    """Plan sessions that run side by side, one group after the other: the machine's
+    noise matters in real time only.
     """
     kinds: dict[str, dict[str, int]] = {"lockstep": {}, "realtime": {}, "network": {}}
     for name, count in counts.items():
@@ -280,7 +280,9 @@ def session_plans(
 
 
 def _cost(config: FaultConfig, name: str, count: int) -> float:
-    """Seconds, roughly: a fault that ends the trip costs a recovery."""
+    """Estimate the seconds that a case takes: a fault that ends the trip costs a
+    recovery.
+    """
     return count * (0.5 if config.cases[name].trips > 1 else 2.5)
 
 
@@ -294,7 +296,7 @@ def run_faults(
     jobs: int,
     output: Path,
 ) -> int:
-    """Try the faults, print the table, write the folder; the exit code.
+    """Try the faults, print the table, write the folder; return the exit code.
 
     Raises:
         ParameterError: a wrong case or file.

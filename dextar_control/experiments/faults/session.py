@@ -1,4 +1,4 @@
-"""One set of nodes and the cases tried on it; a process of its own that tells its
+"""One set of nodes and the cases tried on it, as a process of its own that tells its
 results as lines of JSON.
 
 ``python -m dextar_control.experiments.faults.session`` reads a ``Request`` as one line
@@ -61,7 +61,7 @@ PHASE = CRITERION_NAMES.index("phase")
 
 
 class Session(Stack):
-    """The nodes, and the cases on them."""
+    """Tries cases on the nodes of a stack."""
 
     def __init__(self, request: SessionRequest) -> None:
         super().__init__(request)
@@ -73,8 +73,8 @@ class Session(Stack):
         self._plans: dict[int, Plan] = {}
 
     def plan(self, trips: int) -> Plan:
-        """The trajectory of so many return trips, as the server plans it from the same
-        numbers.
+        """Return the trajectory of so many return trips, as the server plans it from
+        the same numbers.
         """
         if trips not in self._plans:
             task, trip = node_defaults("trajectory_server"), self.config.trip
@@ -85,7 +85,7 @@ class Session(Stack):
         return self._plans[trips]
 
     def run_case(self, name: str, count: int) -> Iterator[Event]:
-        """Events of one case: a record for each faulted crossing, the checks of each
+        """Try one case; give a record for each faulted crossing, and the checks of each
         trip.
         """
         case = self.config.cases[name]
@@ -141,8 +141,8 @@ class Session(Stack):
     def trip(
         self, name: str, case: FaultCase, action: Action, trips: int, left: int
     ) -> tuple[list[CrossingRecord], Tally]:
-        """One trajectory with faults in its crossings; their records and the checks on
-        everything seen.
+        """Make one trajectory with faults in its crossings; return their records and
+        the checks on everything seen.
         """
         monitor, plan = self.monitor, self.plan(trips)
         self.processes.check()
@@ -217,8 +217,8 @@ class Session(Stack):
         return records, tally
 
     def _start(self, plan: Plan) -> tuple[int, float]:
-        """``_serve``, once more where the last trip left the robot off its start or its
-        side unknown.
+        """Serve the plan, once more where the last trip left the robot off its start or
+        its side unknown.
         """
         try:
             return self._serve(plan)
@@ -228,7 +228,9 @@ class Session(Stack):
             return self._serve(plan)
 
     def _serve(self, plan: Plan) -> tuple[int, float]:
-        """(stamp of the start, s that the way to the start takes before the plan)."""
+        """Serve the plan; return the stamp of its start, ns, and the time that the way
+        to the start takes before it, s.
+        """
         monitor = self.monitor
         refused = monitor.get("controller", "trajectory")
         for _ in range(
@@ -342,7 +344,7 @@ class Session(Stack):
         action: Action,
         until: int,
     ) -> tuple[Evidence, list[CrossingRecord]]:
-        """What became of each faulted crossing, told by the true joints."""
+        """Judge what became of each faulted crossing, by the true joints."""
         monitor = self.monitor
         stamps, rows = monitor.truth.table(12)
         rows, stamps = rows[stamps <= until], stamps[stamps <= until]
@@ -428,7 +430,7 @@ class Session(Stack):
         return evidence, records
 
     def _first_trouble(self, trouble: Trouble | None) -> Trouble | None:
-        """The first answered state without control, where there is one."""
+        """Return the first answered state without control, where there is one."""
         stamps, rows = self.monitor.criterion.stamps, self.monitor.criterion.rows
         for stamp, row in zip(stamps[1:], rows[1:], strict=True):
             if int(row[PHASE]) in (Phase.FAULT, Phase.SAFE_STOP):
@@ -443,8 +445,8 @@ class Session(Stack):
     def _true_error(
         self, plan: Plan, evidence: Evidence, start: int, shift: float, crossing: int
     ) -> float:
-        """Largest distance (m) of the true end effector from the reference, around one
-        crossing.
+        """Return the largest distance of the true end effector from the reference
+        around one crossing, m.
         """
         half = round(SPREAD * NANOSECONDS)
         near = (evidence.stamps >= crossing - half) & (
@@ -471,7 +473,7 @@ class Session(Stack):
         tally.count(Check.BAG, 0, action.broken_bags())
 
     def close(self) -> Tally:
-        """End the nodes; the check of what was recorded meanwhile."""
+        """End the nodes, and check what was recorded meanwhile."""
         tally = Tally()
         self.processes.stop_all()
         self.monitor.close()
@@ -488,8 +490,8 @@ def say(event: Event) -> None:
 
 
 def main() -> int:
-    """The exit code: 0 when every case was tried to its end, 128 + a signal's number
-    when one ended them.
+    """Run the session; return 0 when every case was tried to its end, 128 + a signal's
+    number when one ended them.
     """
     request = SessionRequest(**json.loads(sys.stdin.readline()))
     code = 0

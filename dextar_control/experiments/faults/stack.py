@@ -1,5 +1,5 @@
 """The nodes that faults are done to, the recorder among them, and what an operator does
-to have the robot back.
+to recover the robot.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class SessionRequest:
 
 
 class Stack:
-    """The nodes of one request, and a monitor beside them.
+    """Runs the nodes of one request, with a monitor beside them.
 
     Attributes:
         folder: of logs and bags.
@@ -112,8 +112,8 @@ class Stack:
         }
 
     def bag(self) -> Path:
-        """Path of the next recording, in a folder of its own: a bag's metadata belong
-        to it alone.
+        """Return the path of the next recording, in a folder of its own: a bag's
+        metadata belong to it alone.
         """
         self.bags += 1
         path = self._bag_path()
@@ -124,7 +124,7 @@ class Stack:
         return self.folder / f"bag-{self.bags}" / "run.mcap"
 
     def current_bag(self) -> Path | None:
-        """Path of the recording under way."""
+        """Return the path of the recording under way."""
         return self._bag_path() if self.bags else None
 
     def start_recorder(
@@ -135,7 +135,7 @@ class Stack:
         limit: Callable[[], None] | None = None,
         **more: str,
     ) -> Path:
-        """Start the recorder; its bag."""
+        """Start the recorder; return the path of its bag."""
         path = path or self.bag()
         extra = [
             part
@@ -175,15 +175,15 @@ class Stack:
             )
 
     def holding(self) -> bool:
-        """Whether the controller says, and its answers show, that it holds."""
+        """Tell whether the controller says, and its answers show, that it holds."""
         return (
             self.monitor.get("controller", "phase") == Phase.HOLD.name
             and self.monitor.phase == Phase.HOLD
         )
 
     def recover(self, *, disable: bool = False) -> bool:
-        """What an operator does: side told, reset, the robot back to its start, enable;
-        whether it then holds.
+        """Recover the robot as an operator does: tell the side, reset, put the robot at
+        its start, enable; tell whether it then holds.
 
         The drives take commands again once one commander alone has spoken for a while,
         whoever the middleware still counts as publisher: that is waited for.
@@ -218,7 +218,9 @@ class Stack:
         return self.holding()
 
     def restart(self, name: str) -> None:
-        """Start a node that ended; a controller without torque until it is enabled."""
+        """Start a node that ended; a controller is without torque until it is
+        enabled.
+        """
         monitor = self.monitor
         monitor.wait(LAST_WORDS)  # of the one that ended
         monitor.status.pop(name, None)
@@ -246,7 +248,9 @@ class Stack:
             monitor.call(SetBool, "plant/pause", data=False)
 
     def linger(self, seconds: float) -> None:
-        """Let the rig's clock go on, or the steady one where it does not."""
+        """Let the rig's clock go on for some time, s, or the steady one where it does
+        not.
+        """
         until = self.monitor.now + round(seconds * NANOSECONDS)
         patience = 10.0 * seconds + 1.0 if self.lockstep else max(1.5 * seconds, 0.5)
         self.monitor.until(lambda: self.monitor.now >= until, patience)
