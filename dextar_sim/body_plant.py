@@ -100,10 +100,8 @@ class BodyPlant:
         self._substep = period / substeps
         self._truth = self._fast["truth"]
         self._layout = state_layout(mechanism.n, len(joints))
-        self._truth.arguments.p[:], self._truth.arguments.lead[:] = (
-            self._p,
-            0.5 * self._substep,
-        )
+        self._truth.arguments.p[:] = self._p
+        self._truth.arguments.lead[:] = 0.5 * self._substep
         if window and not os.environ.get("DISPLAY"):
             raise ParameterError("window = true needs a display; DISPLAY is not set")
         self._window = window
@@ -292,19 +290,15 @@ class BodyPlant:
         """Call PyBullet for each substep, under the torques of the effects at the
         joints.
         """
-        client, body, joints, states = (
-            self._client,
-            self._body,
-            self._joints,
-            self._states,
-        )
+        client = self._client
+        body = self._body
+        joints = self._joints
+        states = self._states
         for substep in range(self.substeps):
             if substep:
                 states = p.getJointStates(body, joints, client)
-            effects.joints[:], effects.joints_dot[:] = (
-                [state[0] for state in states],
-                [state[1] for state in states],
-            )
+            effects.joints[:] = [state[0] for state in states]
+            effects.joints_dot[:] = [state[1] for state in states]
             effects.act(first if substep < late else last)
             forces = effects.forces
             if self._impulse is not None:

@@ -12,7 +12,6 @@ import numpy as np
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.symbols.types import Array
-from dextar_sim import geometry
 from dextar_sim.effects import (
     NO_EFFECTS,
     Effects,
@@ -20,6 +19,7 @@ from dextar_sim.effects import (
     has_joint_effects,
     without_rotors,
 )
+from dextar_sim.geometry import FiveBarPlacing, joints_dot_at, tip_of
 from dextar_sim.platform_motion import PlatformMotion
 from dextar_sim.state import PlantState, check_steps, leg_motors, saturated
 
@@ -29,7 +29,7 @@ both legs stretched or folded.
 """
 
 
-class CartesianPlant:
+class CartesianPlant(FiveBarPlacing):
     """Offers what ``dextar_sim.plant.Plant`` does, over the platform's own equations of
     motion.
 
@@ -74,54 +74,10 @@ class CartesianPlant:
         self._push: tuple[float, float] = (0.0, 0.0)
         self._state: PlantState | None = None
 
-    def reset(
-        self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
-    ) -> PlantState:
-        """Put the end effector at x with velocity x_dot, in the robot's working mode,
-        at time 0.
-
-        Args:
-            x: end effector position, m, shape (2,).
-            x_dot: end effector velocity, m/s, shape (2,).
-
-        Raises:
-            GeometryError: a leg does not reach x, or cannot move at x_dot there.
-            StateError: both legs are stretched or folded.
-        """
-        return self._place(geometry.joints_at(self.robot, x), x_dot)
-
-    def reset_joints(
-        self,
-        q_a: Sequence[float],
-        assembly_mode: int,
-        x_dot: Sequence[float] = (0.0, 0.0),
-    ) -> PlantState:
-        """Put the active joints at q_a (rad, shape (2,)) in the given assembly mode, at
-        time 0.
-
-        Args:
-            q_a: active angles q11, q21.
-            assembly_mode: sign of r_1 x r_2, r_i from elbow i to the end effector.
-            x_dot: end effector velocity, m/s, shape (2,).
-
-        Raises:
-            GeometryError: the distal links do not meet there, or the elbows coincide.
-            StateError: both legs are stretched or folded.
-        """
-        return self._place(geometry.joints_of(self.robot, q_a, assembly_mode), x_dot)
-
-    def _place(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
-        joints_dot = geometry.joints_dot_at(self.robot, joints, x_dot)
+    def _begin_at(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
+        joints_dot = joints_dot_at(self.robot, joints, x_dot)
         self._check(max(abs(math.sin(joints[1])), abs(math.sin(joints[3]))), 0.0)
-        left, right = geometry.tips(
-            geometry.shape(self.robot), tuple(map(float, joints)), (0.0, 0.0, 0.0, 0.0)
-        )
-        self._motion.place(
-            joints,
-            joints_dot,
-            [0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1])],
-            x_dot,
-        )
+        self._motion.place(joints, joints_dot, tip_of(self.robot, joints), x_dot)
         if self._effects is not None:
             self._effects.reset(joints[::2], joints_dot[::2])
         self._steps = 0

@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 
 from dextar_control.contract.errors import ParameterError
+from dextar_sim.sensors import check_nonnegative
 from dextar_sim.state import AnyPlant
 
 
@@ -35,22 +36,18 @@ class Disturbances:
         push_time: float = 0.0,
         push_duration: float = 0.0,
     ) -> None:
-        for name, value in (
-            ("payload", payload),
-            ("payload_time", payload_time),
-            ("push_time", push_time),
-            ("push_duration", push_duration),
-        ):
-            if not (value >= 0.0 and math.isfinite(value)):
-                raise ParameterError(f"{name} = {value}; it must be >= 0")
+        check_nonnegative(
+            payload=payload,
+            payload_time=payload_time,
+            push_time=push_time,
+            push_duration=push_duration,
+        )
         if not all(map(math.isfinite, push)):
             raise ParameterError(f"push = {list(push)} N; it must be finite")
         self._payload, self._from = payload, payload_time
-        self._push, self._begin, self._end = (
-            push,
-            push_time,
-            push_time + (push_duration if any(push) else 0.0),
-        )
+        self._push = push
+        self._begin = push_time
+        self._end = push_time + (push_duration if any(push) else 0.0)
         self._carried = 0.0
 
     def reset(self, plant: AnyPlant) -> None:

@@ -29,6 +29,7 @@ from dextar_control.symbols.functions import (
 from dextar_control.symbols.types import Array
 from dextar_sim.drive import DRIVE, MEMORY, drive_step
 from dextar_sim.friction import ELEMENTS, bristle_of, friction_torque
+from dextar_sim.sensors import check_nonnegative
 from dextar_sim.state import Motor, check_steps, proximal_inertia
 
 FRICTIONS = "stick", "smooth"
@@ -64,12 +65,12 @@ class Effects:
                     f"{name} = {getattr(self, name)!r}; it must be one of"
                     f" {', '.join(known)}"
                 )
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not isinstance(value, str) and not (
-                value >= 0.0 and math.isfinite(value)
-            ):
-                raise ParameterError(f"{field.name} = {value}; it must be >= 0")
+        numbers = {
+            field.name: value
+            for field in fields(self)
+            if not isinstance(value := getattr(self, field.name), str)
+        }
+        check_nonnegative(**numbers)
 
     @property
     def of_drive(self) -> bool:
@@ -218,15 +219,11 @@ def acting(places: int) -> Library:
         places: that rub.
     """
     (memory_vector, memory), (drive_vector, drive) = MEMORY.symbols(), DRIVE.symbols()
-    joints, joints_dot, command = (
-        ca.SX.sym("joints", 4),
-        ca.SX.sym("joints_dot", 4),
-        ca.SX.sym("command", 2),
-    )
-    rows, element = (
-        ca.SX.sym("rows", 4 * places),
-        ca.SX.sym("elements", places * len(ELEMENTS)),
-    )
+    joints = ca.SX.sym("joints", 4)
+    joints_dot = ca.SX.sym("joints_dot", 4)
+    command = ca.SX.sym("command", 2)
+    rows = ca.SX.sym("rows", 4 * places)
+    element = ca.SX.sym("elements", places * len(ELEMENTS))
     bristles, h, lead = ca.SX.sym("bristles", places), ca.SX.sym("h"), ca.SX.sym("lead")
     held = joints + lead * joints_dot
     torque, after = drive_step(
@@ -294,10 +291,8 @@ class JointEffects:
     ) -> None:
         check_steps(period, substeps, [])
         self._h = h = period / substeps
-        found, transmissions = (
-            friction_elements(robot, effects),
-            [compliance(leg, effects) for leg in robot.legs],
-        )
+        found = friction_elements(robot, effects)
+        transmissions = [compliance(leg, effects) for leg in robot.legs]
         _check_transmissions(robot, effects, period, substeps)
         check_steps(period, substeps, [_motor(each, robot, effects) for each in found])
         library, count = acting(len(found)), len(found)
@@ -329,11 +324,9 @@ class JointEffects:
         ):
             setattr(drive, name, float(getattr(effects, name)))
         self._memory, self._bristles = MEMORY.make(), np.zeros(count)
-        self.joints, self.joints_dot, self._command = (
-            np.zeros(4),
-            np.zeros(4),
-            np.zeros(2),
-        )
+        self.joints = np.zeros(4)
+        self.joints_dot = np.zeros(4)
+        self._command = np.zeros(2)
         self._act: Fast = library.fast(
             "act",
             joints=self.joints,

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from dextar_control.contract.errors import GeometryError
 from dextar_control.contract.robot import LegParameters, RobotParameters
+from dextar_sim.state import PlantState
 
 Point = tuple[float, float]
 _SIDES = ("left", "right")
@@ -173,71 +174,63 @@ def joints_dot_at(
     return rates
 
 
-def _tip(
-    base_x: float,
-    base_y: float,
-    l1: float,
-    l2: float,
-    q: float,
-    passive: float,
-    rate: float,
-    passive_rate: float,
-) -> tuple[float, float, float, float]:
-    total, total_rate = q + passive, rate + passive_rate
-    cos_1, sin_1, cos_2, sin_2 = (
-        math.cos(q),
-        math.sin(q),
-        math.cos(total),
-        math.sin(total),
-    )
-    return (
-        base_x + l1 * cos_1 + l2 * cos_2,
-        base_y + l1 * sin_1 + l2 * sin_2,
-        -l1 * sin_1 * rate - l2 * sin_2 * total_rate,
-        l1 * cos_1 * rate + l2 * cos_2 * total_rate,
-    )
-
-
-def shape(robot: RobotParameters) -> tuple[float, ...]:
-    """What ``tips`` takes of a robot: x, y of the motor axis and both lengths, left and
-    right, m.
-    """
-    return tuple(
-        float(value)
-        for leg, base in zip(robot.legs, bases(robot), strict=True)
-        for value in (*base, leg.proximal_length, leg.distal_length)
-    )
-
-
-def tips(
-    shape: tuple[float, ...], joints: tuple[float, ...], joints_dot: tuple[float, ...]
-) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
-    """Position (m) and velocity (m/s) of the left and the right distal tip: x, y,
-    x_dot, y_dot of each.
+def tip_of(robot: RobotParameters, joints: Sequence[float]) -> Point:
+    """Return the end effector, midway between both distal tips, m.
 
     Args:
-        shape: of the robot.
-        joints, joints_dot: q11, q12, q21, q22, rad and rad/s.
+        robot: the description.
+        joints: q11, q12, q21, q22, rad.
     """
-    return (
-        _tip(
-            shape[0],
-            shape[1],
-            shape[2],
-            shape[3],
-            joints[0],
-            joints[1],
-            joints_dot[0],
-            joints_dot[1],
-        ),
-        _tip(
-            shape[4],
-            shape[5],
-            shape[6],
-            shape[7],
-            joints[2],
-            joints[3],
-            joints_dot[2],
-            joints_dot[3],
-        ),
-    )
+    x: list[float] = []
+    y: list[float] = []
+    for leg, base, q, passive in zip(
+        robot.legs, bases(robot), joints[::2], joints[1::2], strict=True
+    ):
+        total = q + passive
+        l1, l2 = leg.proximal_length, leg.distal_length
+        x.append(base[0] + l1 * math.cos(q) + l2 * math.cos(total))
+        y.append(base[1] + l1 * math.sin(q) + l2 * math.sin(total))
+    return 0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1])
+
+
+class FiveBarPlacing:
+    """Puts a plant of the five-bar where it is to begin."""
+
+    robot: RobotParameters
+
+    def reset(
+        self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
+    ) -> PlantState:
+        """Put the end effector at x in the robot's working mode, at time 0.
+
+        Args:
+            x: end effector position, (2,), m.
+            x_dot: end effector velocity, (2,), m/s.
+
+        Raises:
+            GeometryError: a leg does not reach x, or cannot move at x_dot there.
+            StateError: both legs are stretched or folded, which this plant excludes.
+        """
+        return self._begin_at(joints_at(self.robot, x), x_dot)
+
+    def reset_joints(
+        self,
+        q_a: Sequence[float],
+        assembly_mode: int,
+        x_dot: Sequence[float] = (0.0, 0.0),
+    ) -> PlantState:
+        """Put the active joints at q_a in the given assembly mode, at time 0.
+
+        Args:
+            q_a: active angles q11, q21, (2,), rad.
+            assembly_mode: sign of r_1 x r_2, r_i from elbow i to the end effector.
+            x_dot: end effector velocity, (2,), m/s.
+
+        Raises:
+            GeometryError: the distal links do not meet there, or the elbows coincide.
+            StateError: both legs are stretched or folded, which this plant excludes.
+        """
+        return self._begin_at(joints_of(self.robot, q_a, assembly_mode), x_dot)
+
+    def _begin_at(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
+        raise NotImplementedError

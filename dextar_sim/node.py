@@ -466,10 +466,8 @@ class PlantNode(DextarNode):
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
         self._budget = 0 if request.data else None
-        response.success, response.message = (
-            True,
-            "paused" if request.data else "running",
-        )
+        response.success = True
+        response.message = "paused" if request.data else "running"
         return response
 
     def _on_step(
@@ -477,10 +475,8 @@ class PlantNode(DextarNode):
     ) -> Trigger.Response:
         if self._budget is None:
             pause = f"{self.get_fully_qualified_name()}/pause"
-            response.success, response.message = (
-                False,
-                f"not paused; call {pause} with data true first",
-            )
+            response.success = False
+            response.message = f"not paused; call {pause} with data true first"
             return response
         count = self.values["step_count"]
         self._budget += count
@@ -513,11 +509,9 @@ class PlantNode(DextarNode):
         factor and the judgement since the last report.
         """
         before, counts = self._reported, self.counts
-        steps, late, refused = (
-            max(self._index, 0),
-            counts["late_ticks"],
-            counts["commands_refused"],
-        )
+        steps = max(self._index, 0)
+        late = counts["late_ticks"]
+        refused = counts["commands_refused"]
         self._reported = after = Reported(
             self.schedule.ran(time.monotonic_ns()), steps, late, refused
         )
@@ -526,10 +520,8 @@ class PlantNode(DextarNode):
             if after.ran > before.ran
             else 0.0
         )
-        commanders, taken = (
-            self._arbiter.count,
-            self._arbiter.accepts(time.monotonic_ns()),
-        )
+        commanders = self._arbiter.count
+        taken = self._arbiter.accepts(time.monotonic_ns())
         message = self._trouble(before, after)
         level = DiagnosticStatus.WARN if message else DiagnosticStatus.OK
         self.publish_diagnostics(
@@ -594,10 +586,8 @@ class PlantNode(DextarNode):
     def close(self) -> None:
         """Report for the last time, log the pace that was kept, and leave PyBullet."""
         self.report()
-        ran, simulated = (
-            1.0e-9 * self.schedule.ran(time.monotonic_ns()),
-            1.0e-9 * self.period_ns * max(self._index, 0),
-        )
+        ran = 1.0e-9 * self.schedule.ran(time.monotonic_ns())
+        simulated = 1.0e-9 * self.period_ns * max(self._index, 0)
         if simulated and ran:
             self.get_logger().info(
                 f"simulated {simulated:.3f} s in {ran:.3f} s: {simulated / ran:.2f} x"

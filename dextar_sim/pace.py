@@ -145,10 +145,8 @@ class Schedule:
 
     def __init__(self, period: int) -> None:
         self._period = period
-        self._shortest, self._patient = (
-            round(SHORTEST * period),
-            round(PATIENT * period),
-        )
+        self._shortest = round(SHORTEST * period)
+        self._patient = round(PATIENT * period)
         self._most_behind = max(MOST_BEHIND, period)
         self._due = 0
         self._last = 0

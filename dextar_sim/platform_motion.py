@@ -114,22 +114,16 @@ def _acceleration(
     if chart != PLATFORM:
         l1, l2 = legs[chart][2], legs[chart][6]
         w1, w2 = z_dot
-        cos_1, sin_1, cos_2, sin_2 = (
-            ca.cos(z[0]),
-            ca.sin(z[0]),
-            ca.cos(z[1]),
-            ca.sin(z[1]),
-        )
-        x, y = (
-            legs[chart][0] + l1 * cos_1 + l2 * cos_2,
-            legs[chart][1] + l1 * sin_1 + l2 * sin_2,
-        )
+        cos_1 = ca.cos(z[0])
+        sin_1 = ca.sin(z[0])
+        cos_2 = ca.cos(z[1])
+        sin_2 = ca.sin(z[1])
+        x = legs[chart][0] + l1 * cos_1 + l2 * cos_2
+        y = legs[chart][1] + l1 * sin_1 + l2 * sin_2
         g_xx, g_xy, g_yx, g_yy = -l1 * sin_1, -l2 * sin_2, l1 * cos_1, l2 * cos_2
         vx, vy = g_xx * w1 + g_xy * w2, g_yx * w1 + g_yy * w2
-        c_x, c_y = (
-            -l1 * cos_1 * w1 * w1 - l2 * cos_2 * w2 * w2,
-            -l1 * sin_1 * w1 * w1 - l2 * sin_2 * w2 * w2,
-        )
+        c_x = -l1 * cos_1 * w1 * w1 - l2 * cos_2 * w2 * w2
+        c_y = -l1 * sin_1 * w1 * w1 - l2 * sin_2 * w2 * w2
     least = one
     m_11 = mass * (g_xx * g_xx + g_yx * g_yx)
     m_12 = mass * (g_xx * g_xy + g_yx * g_yy)
@@ -139,12 +133,10 @@ def _acceleration(
     for i in range(2):
         *base, l1, m1, c1, i1, l2, m2, c2, i2, viscous, coulomb = legs[i]
         if i == chart:
-            cos_1, sin_1, cos_2, sin_2 = (
-                ca.cos(z[0]),
-                ca.sin(z[0]),
-                ca.cos(z[1]),
-                ca.sin(z[1]),
-            )
+            cos_1 = ca.cos(z[0])
+            sin_1 = ca.sin(z[0])
+            cos_2 = ca.cos(z[1])
+            sin_2 = ca.sin(z[1])
             j11, j12, j21, j22 = one, zero, zero, one
             w1, w2 = z_dot
             inward_1, inward_2 = w1 * w1, w2 * w2
@@ -183,14 +175,10 @@ def _acceleration(
         m_12 += i1 * j11 * j12 + i2 * j21 * j22
         m_22 += i1 * j12 * j12 + i2 * j22 * j22
         for m, arm_1, arm_2 in ((m1, c1, zero), (m2, l1, c2)):
-            x1, x2 = (
-                -arm_1 * sin_1 * j11 - arm_2 * sin_2 * j21,
-                -arm_1 * sin_1 * j12 - arm_2 * sin_2 * j22,
-            )
-            y1, y2 = (
-                arm_1 * cos_1 * j11 + arm_2 * cos_2 * j21,
-                arm_1 * cos_1 * j12 + arm_2 * cos_2 * j22,
-            )
+            x1 = -arm_1 * sin_1 * j11 - arm_2 * sin_2 * j21
+            x2 = -arm_1 * sin_1 * j12 - arm_2 * sin_2 * j22
+            y1 = arm_1 * cos_1 * j11 + arm_2 * cos_2 * j21
+            y2 = arm_1 * cos_1 * j12 + arm_2 * cos_2 * j22
             b_x = -arm_1 * (sin_1 * g1 + cos_1 * inward_1) - arm_2 * (
                 sin_2 * g2 + cos_2 * inward_2
             )
@@ -262,14 +250,10 @@ def _placed(
     x, y, vx, vy = a, b, a_dot, b_dot
     if chart != PLATFORM:
         base_x, base_y, l1, *_, l2 = legs[chart][:7]
-        x, y = (
-            base_x + l1 * ca.cos(a) + l2 * ca.cos(b),
-            base_y + l1 * ca.sin(a) + l2 * ca.sin(b),
-        )
-        vx, vy = (
-            -l1 * ca.sin(a) * a_dot - l2 * ca.sin(b) * b_dot,
-            l1 * ca.cos(a) * a_dot + l2 * ca.cos(b) * b_dot,
-        )
+        x = base_x + l1 * ca.cos(a) + l2 * ca.cos(b)
+        y = base_y + l1 * ca.sin(a) + l2 * ca.sin(b)
+        vx = -l1 * ca.sin(a) * a_dot - l2 * ca.sin(b) * b_dot
+        vy = l1 * ca.cos(a) * a_dot + l2 * ca.cos(b) * b_dot
     found, rates, least = [], [], ca.SX(1.0)
     for i in range(2):
         if i == chart:
@@ -307,11 +291,9 @@ def motion(substeps: int, torques: int) -> Library:
         ca.SX.sym(name, 2) for name in ("z", "z_dot", "sides", "push")
     )
     motors = ca.SX.sym("motors", torques)
-    (now_vector, now), (drive_vector, drive), h = (
-        STATE.symbols(),
-        drive_layout(torques).symbols(),
-        ca.SX.sym("h"),
-    )
+    (now_vector, now) = STATE.symbols()
+    (drive_vector, drive) = drive_layout(torques).symbols()
+    h = ca.SX.sym("h")
     robot, shared = ca.SX.sym("legs", 2 * LEG_NUMBERS), ca.SX.sym("shared", 4)
     vectors = (z, z_dot, sides, motors, push, now["joints"], shared)
     parts: list[Terms] = [
@@ -490,11 +472,9 @@ class PlatformMotion:
                 [robot.end_effector_mass, *robot.gravity, robot.coulomb_speed]
             ),
         }
-        library, drive, self._told = (
-            motion(substeps, torques),
-            np.zeros(layout.size),
-            np.zeros(3),
-        )
+        library = motion(substeps, torques)
+        drive = np.zeros(layout.size)
+        self._told = np.zeros(3)
         places = {
             "state": self.state.numbers,
             "state_next": self.state.numbers,
@@ -560,12 +540,10 @@ class PlatformMotion:
         """
         found, now = self._acceleration.arguments, self.state
         sines = np.sin(now.joints[1::2])
-        found.z[:], found.z_dot[:], found.sides[:], found.motors[:] = (
-            now.x,
-            now.x_dot,
-            np.where(sines >= 0.0, -1.0, 1.0),
-            motors,
-        )
+        found.z[:] = now.x
+        found.z_dot[:] = now.x_dot
+        found.sides[:] = np.where(sines >= 0.0, -1.0, 1.0)
+        found.motors[:] = motors
         self._acceleration.run()
         return np.array(self._acceleration.results.z_ddot)
 

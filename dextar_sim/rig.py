@@ -188,17 +188,13 @@ class Rig:
 
     def _begin(self) -> None:
         """Renew what stands between plant and controller, and take the first sample."""
-        self._encoder, self._camera, self._stamps = (
-            self._new_encoder(),
-            self._new_camera(),
-            self._new_stamps(),
-        )
+        self._encoder = self._new_encoder()
+        self._camera = self._new_camera()
+        self._stamps = self._new_stamps()
         self._delay.reset()
         self._hold = CommandHold(self._timeout, self.plant.max_torque)
-        self._losses, self._lateness = (
-            random.Random(self._seeds[2]),
-            random.Random(self._seeds[3]),
-        )
+        self._losses = random.Random(self._seeds[2])
+        self._lateness = random.Random(self._seeds[3])
         self._newest: TorqueCommand | None = None
         self._applied = (0.0, 0.0)
         self._index = 0
@@ -270,10 +266,8 @@ class Rig:
                 self._pose = MeasuredPose(
                     arrived.sample * self.period, np.array(arrived.x)
                 )
-        q_a, told = (
-            self._encoder.position(self.plant.encoder_angles()),
-            self._index * self.period + self._stamps.next(),
-        )
+        q_a = self._encoder.position(self.plant.encoder_angles())
+        told = self._index * self.period + self._stamps.next()
         if self._loss and self._losses.random() < self._loss:
             self.samples_lost += 1
             self._sample: JointSample | None = None

@@ -23,6 +23,21 @@ _ROUNDING = 1.0e-9
 """Share of a sample that a time may be off and still fall on it."""
 
 
+def check_nonnegative(what: str = "", **values: float) -> None:
+    """Refuse numbers that are negative or not finite.
+
+    Args:
+        what: they are of, before their names in the message.
+        values: by name.
+
+    Raises:
+        ParameterError: one is not >= 0.
+    """
+    for name, value in values.items():
+        if not (value >= 0.0 and math.isfinite(value)):
+            raise ParameterError(f"{what} {name} = {value}; it must be >= 0".lstrip())
+
+
 def check_probability(name: str, value: float) -> None:
     """Refuse what is no probability.
 
@@ -66,15 +81,14 @@ class Encoder:
         eccentricity: float = 0.0,
         seed: int = 0,
     ) -> None:
-        for name, value in (
-            ("resolution", resolution),
-            ("velocity_cutoff", velocity_cutoff),
-            ("position_noise", position_noise),
-            ("homing_error", homing_error),
-            ("eccentricity", eccentricity),
-        ):
-            if not (value >= 0.0 and math.isfinite(value)):
-                raise ParameterError(f"encoder {name} = {value}; it must be >= 0")
+        check_nonnegative(
+            "encoder",
+            resolution=resolution,
+            velocity_cutoff=velocity_cutoff,
+            position_noise=position_noise,
+            homing_error=homing_error,
+            eccentricity=eccentricity,
+        )
         if not (period > 0.0 and math.isfinite(period)):
             raise ParameterError(f"encoder period = {period} s; it must be > 0")
         self._period = period
@@ -85,18 +99,14 @@ class Encoder:
             else 1.0
         )
         self._noise = position_noise
-        self._random, mounted = (
-            np.random.default_rng(seed),
-            np.random.default_rng([seed, 1]),
-        )
+        self._random = np.random.default_rng(seed)
+        mounted = np.random.default_rng([seed, 1])
         sides = mounted.choice((-1.0, 1.0), len(offset)).tolist()
         self._offset = [
             at + homing_error * side for at, side in zip(offset, sides, strict=True)
         ]
-        self._eccentricity, self._phase = (
-            eccentricity,
-            mounted.uniform(0.0, 2.0 * math.pi, len(offset)).tolist(),
-        )
+        self._eccentricity = eccentricity
+        self._phase = mounted.uniform(0.0, 2.0 * math.pi, len(offset)).tolist()
         self._is_off = bool(eccentricity or any(self._offset))
         self._last: list[float] | None = None
         self._velocity: list[float] = []
@@ -225,9 +235,7 @@ class PoseSensor:
     ) -> None:
         if not (period > 0.0 and math.isfinite(period)):
             raise ParameterError(f"pose period = {period} s; it must be > 0")
-        for name, value in (("rate", rate), ("delay", delay), ("noise", noise)):
-            if not (value >= 0.0 and math.isfinite(value)):
-                raise ParameterError(f"pose {name} = {value}; it must be >= 0")
+        check_nonnegative("pose", rate=rate, delay=delay, noise=noise)
         if rate * period > 1.0 + _ROUNDING:
             raise ParameterError(
                 f"pose rate = {rate} Hz; it must be <= {1.0 / period:g} Hz, that of the"

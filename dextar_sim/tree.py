@@ -72,17 +72,13 @@ def functions_of(mechanism: Mechanism) -> Mapping[str, ca.Function]:
     assert bodies is not None
     names, n = [link.joint for link in bodies.links], mechanism.n
     x, x_dot, force = (ca.SX.sym(name, n) for name in ("x", "x_dot", "force"))
-    held, joints_dot, lead = (
-        ca.SX.sym("held", len(names)),
-        ca.SX.sym("joints_dot", len(names)),
-        ca.SX.sym("lead"),
-    )
+    held = ca.SX.sym("held", len(names))
+    joints_dot = ca.SX.sym("joints_dot", len(names))
+    lead = ca.SX.sym("lead")
     q_a = mechanism.inverse_geometric_model(x, p)
     closed = mechanism.tree_joints(q_a, x, p)
-    joints, motors = (
-        held - lead * joints_dot,
-        [names.index(joint.name) for joint in mechanism.joints],
-    )
+    joints = held - lead * joints_dot
+    motors = [names.index(joint.name) for joint in mechanism.joints]
     platform = mechanism.tree_platform(joints, p)
     time, m = ca.SX.sym("time"), len(names)
     state = state_layout(n, m).join(

@@ -68,10 +68,7 @@ class RealTimeStack:
     """
 
     def __init__(
-        self,
-        processes: Processes,
-        monitor: Monitor,
-        nodes: Mapping[str, Sequence[str]],
+        self, processes: Processes, monitor: Monitor, nodes: Mapping[str, Sequence[str]]
     ) -> None:
         self._processes, self.monitor, self._nodes = processes, monitor, nodes
         for name, values in nodes.items():
@@ -104,11 +101,7 @@ class RealTimeStack:
 @contextlib.contextmanager
 def _holding(folder: str, **nodes: Sequence[str]) -> Iterator[RealTimeStack]:
     """A context in which plant, controller and further nodes hold the robot."""
-    given = {
-        "plant": ["mode:=realtime"],
-        "controller": ["healthy_time:=0.1"],
-        **nodes,
-    }
+    given = {"plant": ["mode:=realtime"], "controller": ["healthy_time:=0.1"], **nodes}
     with Processes(Path(folder)) as processes, monitoring("bench") as monitor:
         yield RealTimeStack(processes, monitor, given)
 
@@ -272,10 +265,8 @@ def bench_demos(count: int, busy: int, arguments: list[str]) -> int:
                 assert demo.stdout is not None
                 for line in demo.stdout:
                     if VERDICT in line:
-                        verdict, told = (
-                            time.monotonic() - begin,
-                            line.strip(" │\n").removeprefix(VERDICT).strip(" │"),
-                        )
+                        verdict = time.monotonic() - begin
+                        told = line.strip(" │\n").removeprefix(VERDICT).strip(" │")
                 code = demo.wait(timeout=SPENT_TIMEOUT)
             states = fingerprint(output / "latest")
             kinds.add(states)

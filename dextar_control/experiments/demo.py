@@ -34,11 +34,7 @@ from dextar_control.contract.yaml_text import assignment, load_parameters, parse
 from dextar_control.control.prepare import prepare
 from dextar_control.experiments.launch_arguments import PACE
 from dextar_control.experiments.monitor import Monitor, monitoring
-from dextar_control.experiments.processes import (
-    NodesError,
-    Processes,
-    node_arguments,
-)
+from dextar_control.experiments.processes import NodesError, Processes, node_arguments
 from dextar_control.experiments.start_check import check_start
 from dextar_control.model.model import Model
 from dextar_control.nodekit.domain import choose_domain
@@ -267,10 +263,8 @@ def _parameter_files(arguments: argparse.Namespace) -> dict[str, tuple[Path, Pat
     """Return the files of the robot and of the nodes' parameters, which each node reads
     for itself.
     """
-    robot, nodes = (
-        arguments.robot or config_file(ROBOT_FILE),
-        arguments.params or config_file(NODES_FILE),
-    )
+    robot = arguments.robot or config_file(ROBOT_FILE)
+    nodes = arguments.params or config_file(NODES_FILE)
     true = arguments.plant_robot or robot
     for path, what in (
         (robot, "robot file"),
@@ -332,10 +326,8 @@ def _wait_until_ready(
         while True:
             monitor.turn()
             processes.check()
-            note, address = (
-                monitor.get("controller", "trajectory"),
-                monitor.get(PANEL, "address"),
-            )
+            note = monitor.get("controller", "trajectory")
+            address = monitor.get(PANEL, "address")
             planning = monitor.get("trajectory_server", "planning")
             working.now(f"planning: {planning}" if planning else STARTING)
             if refusal := monitor.get("trajectory_server", "error"):

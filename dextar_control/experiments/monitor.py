@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -33,16 +33,11 @@ class ServiceType(Protocol):
         """The class of its requests."""
 
 
-class Reply(Protocol):
+class Reply(NamedTuple):
     """What Trigger and SetBool answer."""
 
-    @property
-    def success(self) -> bool:
-        """Whether it was done."""
-
-    @property
-    def message(self) -> str:
-        """What is said of it."""
+    success: bool
+    message: str
 
 
 class Monitor(Node):
@@ -132,8 +127,8 @@ class Monitor(Node):
         Raises:
             NodesError: nobody offers it, or no answer comes within ``patience``, s.
         """
-        reply: Reply = self.ask(kind, name, patience, **fields).result()
-        return reply
+        answer = self.ask(kind, name, patience, **fields).result()
+        return Reply(answer.success, answer.message)
 
     def close(self) -> None:
         """Leave ROS with the whole process."""

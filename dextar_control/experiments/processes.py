@@ -15,7 +15,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
 
 from dextar_control.contract import signals
 from dextar_control.contract.errors import DextarError
@@ -42,25 +41,8 @@ class NodesError(DextarError):
     """
 
 
-class NodeProcess(Protocol):
-    """What the runner needs of a process, as ``subprocess.Popen`` has it."""
-
-    @property
-    def pid(self) -> int:
-        """The process id."""
-
-    def poll(self) -> int | None:
-        """Give the exit code; None while it runs."""
-
-    def send_signal(self, sig: int) -> None:
-        """Send a signal unless it has ended."""
-
-    def wait(self, timeout: float | None = None) -> int:
-        """Give the exit code once it has ended; TimeoutExpired after a time, s."""
-
-
 class _Fork:
-    """A fork of this process, which therefore must not run threads or ROS."""
+    """A fork of this process, used like a Popen; no thread and no ROS may run yet."""
 
     def __init__(self, run: Callable[[], None], name: str) -> None:
         self._process = multiprocessing.get_context("fork").Process(
@@ -142,7 +124,7 @@ class Processes:
         self._folder, self._forked = folder, forked
         self._prefix = prefix or {}
         self._modules = {**MODULES, **(modules or {})}
-        self._running: dict[str, NodeProcess] = {}
+        self._running: dict[str, subprocess.Popen[bytes] | _Fork] = {}
         self._offsets: dict[str, int] = {}
 
     def __enter__(self) -> Processes:

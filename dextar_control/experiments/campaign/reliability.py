@@ -48,10 +48,8 @@ class Bin(NamedTuple):
 def wilson(right: float, count: int) -> tuple[float, float]:
     """Return the 95 % interval of a share that was found in a number of trials."""
     z = SURE * SURE / count
-    middle, half = (
-        right + 0.5 * z,
-        SURE * math.sqrt(right * (1.0 - right) / count + 0.25 * z / count),
-    )
+    middle = right + 0.5 * z
+    half = SURE * math.sqrt(right * (1.0 - right) / count + 0.25 * z / count)
     return max((middle - half) / (1.0 + z), 0.0), min((middle + half) / (1.0 + z), 1.0)
 
 
@@ -69,10 +67,8 @@ def reliability(rows: Iterable[Row]) -> dict[str, dict[str, Bin]]:
 def _bins(rows: Sequence[Row]) -> dict[str, Bin]:
     found = {}
     for low, high in zip(CONFIDENCE_BINS, (*CONFIDENCE_BINS[1:], 1.0), strict=True):
-        stated, middle = (
-            [row for row in rows if row[f"said_{low:g}"]],
-            0.5 * (low + high),
-        )
+        stated = [row for row in rows if row[f"said_{low:g}"]]
+        middle = 0.5 * (low + high)
         if stated:
             right = sum(number(row, f"right_{low:g}") for row in stated) / len(stated)
             means = [

@@ -94,12 +94,10 @@ def calibrated_description(
         found, told["calibrated"] = _calibrated(robot, rig)
     if identified:
         try:
-            found, told["identified"] = (
-                identify_recorded(
-                    found, [record_motion(robot, _exciting(robot), rig())]
-                ).after,
-                True,
-            )
+            found = identify_recorded(
+                found, [record_motion(robot, _exciting(robot), rig())]
+            ).after
+            told["identified"] = True
         except CalibrationError:
             told["identified"] = False
     return found, told

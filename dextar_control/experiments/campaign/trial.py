@@ -194,10 +194,8 @@ def _friction_and_belt(
                 "pin_coulomb_friction"
             ] = passive * perturbation["passive"]
         if belt and perturbation.get("belt"):
-            stiffness, ratio = (
-                perturbation["belt"],
-                perturbation.get("belt_damping", BELT_DAMPING),
-            )
+            stiffness = perturbation["belt"]
+            ratio = perturbation.get("belt_damping", BELT_DAMPING)
             changes[f"{side}.transmission_stiffness"] = stiffness
             changes[f"{side}.transmission_damping"] = (
                 2.0 * ratio * math.sqrt(stiffness * leg.rotor_inertia)
@@ -263,17 +261,13 @@ def run_trial(robot: RobotParameters, trial: Trial, rig: RigMaker) -> Row:
     """
     begin = time.perf_counter()
     perturbation = dict(trial.perturbation)
-    generator, sides = (
-        np.random.default_rng(trial.seed),
-        np.random.default_rng([trial.seed, 1]),
-    )
+    generator = np.random.default_rng(trial.seed)
+    sides = np.random.default_rng([trial.seed, 1])
     drawn, mode = robot, {"working_mode": trial.working_mode}
     built = built_robot(robot.replace(**mode), perturbation, generator, sides)
     options = _rig_options(perturbation)
-    robot, told = (
-        controller_model(drawn.replace(**mode), perturbation),
-        dict[str, bool](),
-    )
+    robot = controller_model(drawn.replace(**mode), perturbation)
+    told = dict[str, bool]()
     try:
         if perturbation.get("calibrated") or perturbation.get("identified"):
             recorder = partial(

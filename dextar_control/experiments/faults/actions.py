@@ -320,8 +320,7 @@ class CommanderAction(Action):
             monitor.destroy_publisher(self._publisher)
             self._publisher = None
             monitor.until(
-                lambda: monitor.count_publishers(JOINT_COMMANDS.name) <= 1,
-                END_PATIENCE,
+                lambda: monitor.count_publishers(JOINT_COMMANDS.name) <= 1, END_PATIENCE
             )
 
     def took_effect(self) -> bool:

@@ -41,10 +41,8 @@ class LinkQuality:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value, limit = (
-                getattr(self, field.name),
-                LONGEST if field.name in TIMES else 1.0,
-            )
+            value = getattr(self, field.name)
+            limit = LONGEST if field.name in TIMES else 1.0
             if not (math.isfinite(value) and 0.0 <= value <= limit):
                 raise LinkError(
                     f"link quality '{field.name}' = {value}; it must lie in [0,"

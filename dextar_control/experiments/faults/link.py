@@ -163,11 +163,9 @@ class MessageLink(Generic[Item]):
     def send(self, time: int, item: Item) -> None:
         """Put in one message at a time, ns."""
         transport, draw, counts = self._transport, self._random.random, self.counts
-        lost, twice, held = (
-            draw() < transport.drop,
-            draw() < transport.duplicate,
-            draw() < transport.reorder,
-        )
+        lost = draw() < transport.drop
+        twice = draw() < transport.duplicate
+        held = draw() < transport.reorder
         late, back = (
             draw(),
             draw(),

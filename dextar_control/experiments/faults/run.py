@@ -84,13 +84,11 @@ class SessionRunner(threading.Thread):
         label: str,
     ) -> None:
         super().__init__(name=label, daemon=True)
-        self._plan, self._folder, self._config, self._seed, self._events = (
-            plan,
-            folder,
-            config,
-            seed,
-            events,
-        )
+        self._plan = plan
+        self._folder = folder
+        self._config = config
+        self._seed = seed
+        self._events = events
         self._process: subprocess.Popen[str] | None = None
         self._stopped = False
 

@@ -19,11 +19,7 @@ from dextar_control.experiments.faults.injector import REMAPPINGS
 from dextar_control.experiments.faults.link import Transport
 from dextar_control.experiments.faults.monitor import StackMonitor
 from dextar_control.experiments.monitor import start_ros
-from dextar_control.experiments.processes import (
-    NodesError,
-    Processes,
-    node_arguments,
-)
+from dextar_control.experiments.processes import NodesError, Processes, node_arguments
 from dextar_control.nodekit.cdr import NANOSECONDS
 
 START_TIMEOUT = 120.0  # s, on a busy machine
