@@ -28,11 +28,9 @@ class Luenberger(Estimator):
 
     def observe(self, dt: float, q_a: Array, tau: Array) -> None:
         """Predict, then correct."""
-        now, model = self.estimate, self.model
-        x_ddot = model.platform_dynamics(
-            model.place(now.x).q_a, now.x, now.x_dot, tau
-        ).x_ddot
-        x, x_dot = now.x + dt * (now.x_dot + 0.5 * dt * x_ddot), now.x_dot + dt * x_ddot
+        model, x, x_dot = self.model, self.estimate.x, self.estimate.x_dot
+        x_ddot = model.platform_dynamics(model.place(x).q_a, x, x_dot, tau).x_ddot
+        x, x_dot = x + dt * (x_dot + 0.5 * dt * x_ddot), x_dot + dt * x_ddot
         expected = model.place(x).q_a
         J = model.state(expected, x, x_dot).J_inv
         off = np.remainder(q_a - expected + np.pi, 2.0 * np.pi) - np.pi

@@ -182,7 +182,7 @@ def code_digest(rig: str, trial: str, own: Sequence[str] = ()) -> str:
         trial: the module that runs a trial.
         own: laws and estimators of the user's own, ``module:attribute``.
     """
-    home = Path(__file__).resolve().parents[1]
+    home = Path(__file__).resolve().parents[2]
     sources = [source for room in NUMBERS for source in home.glob(f"{room}/*.py")]
     for module, whole_folder in (
         (trial, False),
