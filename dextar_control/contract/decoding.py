@@ -7,7 +7,6 @@ from __future__ import annotations
 import dataclasses
 import struct
 from functools import cache
-from typing import Any
 
 import numpy as np
 from rosbags.serde import SerdeError
@@ -28,7 +27,7 @@ def types() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def read_message(raw: bytes, type_name: str) -> Any:
+def read_message(raw: bytes, type_name: str) -> object:
     """A message from CDR bytes in rosbags' classes: the fields of rclpy's, read without
     holding other threads up.
 
@@ -90,7 +89,7 @@ def _readable(content: bytes, error: UnicodeDecodeError) -> bytes:
     raise error
 
 
-def places_of(message: Any, type_name: str) -> dict[str, tuple[int, str]]:
+def places_of(message: object, type_name: str) -> dict[str, tuple[int, str]]:
     """Where the floats and times of a message lie in the bytes that the library writes
     of it: found by marks, not assumed.
 
@@ -110,7 +109,7 @@ def places_of(message: Any, type_name: str) -> dict[str, tuple[int, str]]:
     return {path: (marked.index(mark), kind) for path, mark, kind in marks}
 
 
-def _mark(message: Any, path: str, marks: list[tuple[str, bytes, str]]) -> Any:
+def _mark(message: object, path: str, marks: list[tuple[str, bytes, str]]) -> object:
     """A copy of the message with a mark for each of its numbers."""
 
     def number(here: str) -> float:
@@ -123,7 +122,8 @@ def _mark(message: Any, path: str, marks: list[tuple[str, bytes, str]]) -> Any:
         marks.append((here, struct.pack("<I", value), kind))
         return value
 
-    changed: dict[str, Any] = {}
+    changed: dict[str, object] = {}
+    assert dataclasses.is_dataclass(message) and not isinstance(message, type)
     for field in dataclasses.fields(message):
         name, value = field.name, getattr(message, field.name)
         here = f"{path}{name}"
@@ -145,6 +145,4 @@ def _mark(message: Any, path: str, marks: list[tuple[str, bytes, str]]) -> Any:
             ]
         else:
             changed[name] = value
-    return type(message)(
-        **{name: value for name, value in changed.items() if name != "__msgtype__"}
-    )
+    return dataclasses.replace(message, **changed)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import inspect
 import textwrap
 from collections.abc import Iterable
-from typing import Any
+from typing import ClassVar, Protocol
 
 from dextar_control.contract import resources
 from dextar_control.contract.parameters import Parameter
@@ -25,15 +25,24 @@ def first_paragraph(text: str | None) -> str:
     )
 
 
-def node_help(node: Any) -> str:
-    """The whole text.
+class DescribedNode(Protocol):
+    """What the help of a node is made of, beside its docstring.
 
-    Args:
-        node: a node's class, with ``NAME``, and ``PARAMETERS`` and ``ROBOT`` where it
-            has parameters.
+    Attributes:
+        NAME: node name; empty where the package's tables do not know it.
+        PARAMETERS: the node's parameters.
+        ROBOT: whether the node takes the robot description.
     """
+
+    NAME: ClassVar[str]
+    PARAMETERS: ClassVar[tuple[Parameter, ...]]
+    ROBOT: ClassVar[bool]
+
+
+def node_help(node: type[DescribedNode]) -> str:
+    """Return the whole text that ``--help`` prints of a node's class."""
     about = textwrap.fill(first_paragraph(node.__doc__), WIDTH)
-    name = getattr(node, "NAME", "")
+    name = node.NAME
     if name not in NODES:
         command = f"ros2 run dextar {name}" if name else node.__name__
         return f"usage: {command} [-h] [--ros-args ROS_ARGUMENT ...]\n\n{about}"
@@ -124,7 +133,7 @@ def _words(spec: Parameter) -> str:
     )
 
 
-def _value(default: Any) -> str:
+def _value(default: object) -> str:
     """As it is typed behind NAME:=."""
     if isinstance(default, bool):
         return str(default).lower()

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from dextar_control.contract import resources
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.robot import PREFIX, ROBOT_KEYS
 
 
@@ -67,7 +67,9 @@ SCHEDULING = (
 """
 
 
-def check_value(spec: Parameter, value: Any, default: Any) -> Any:
+def check_value(
+    spec: Parameter, value: ParameterValue, default: ParameterValue
+) -> ParameterValue:
     """The value in the type of its default.
 
     Raises:
@@ -126,8 +128,12 @@ def check_value(spec: Parameter, value: Any, default: Any) -> Any:
 
 
 def settled(
-    node: str, specs: Sequence[Parameter], overrides: Mapping[str, Any], *, robot: bool
-) -> dict[str, Any]:
+    node: str,
+    specs: Sequence[Parameter],
+    overrides: Mapping[str, ParameterValue],
+    *,
+    robot: bool,
+) -> dict[str, ParameterValue]:
     """The values of a node's parameters, as the node itself takes them at its start.
 
     Args:

@@ -7,9 +7,9 @@ from __future__ import annotations
 import sys
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.yaml_text import load_parameters, parameters_of
 
 NODES_FILE = "crossing.yaml"
@@ -44,7 +44,7 @@ def config_file(name: str) -> Path:
     return share_folder() / "config" / name
 
 
-def node_defaults(node: str, *paths: Path) -> dict[str, Any]:
+def node_defaults(node: str, *paths: Path) -> dict[str, ParameterValue]:
     """Parameters of one node in ROS 2 parameter files, dotted, as the node itself would
     get them.
 
@@ -72,5 +72,5 @@ def _version(path: Path) -> tuple[int, int]:
 @lru_cache(maxsize=64)
 def _node_defaults(
     node: str, files: tuple[tuple[Path, tuple[int, int]], ...]
-) -> dict[str, Any]:
+) -> dict[str, ParameterValue]:
     return parameters_of(node, load_parameters(*(path for path, _ in files)))

@@ -9,9 +9,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, get_type_hints
 
 from dextar_control.contract.errors import ParameterError, StateError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.yaml_text import dump_document, load_parameters
 
 PREFIX = "robot."  # of the robot's parameters in a node
@@ -233,7 +234,7 @@ class RobotParameters:
             leg.max_angle for leg in self.legs
         )
 
-    def replace(self, **changes: Any) -> RobotParameters:
+    def replace(self, **changes: ParameterValue) -> RobotParameters:
         """A copy with dotted or plain keys changed, e.g.
         ``replace(**{"left.distal_mass": 0.1})``; see ``changed``.
         """
@@ -270,7 +271,7 @@ _MOST = {
 }  # in SI units, either way: what is larger was meant in mm, g, g mm^2 or degrees
 
 
-def _check(key: str, value: Any) -> None:
+def _check(key: str, value: ParameterValue) -> None:
     name = key.rpartition(".")[2]
     full = f"robot.{key}"
     if name == "name":
@@ -302,9 +303,12 @@ def _check(key: str, value: Any) -> None:
         raise ParameterError(f"{full} = {value}; it must be >= 0")
 
 
-def flatten(robot: RobotParameters) -> dict[str, Any]:
+def flatten(robot: RobotParameters) -> dict[str, ParameterValue]:
     """Dotted keys (``left.distal_mass``) to values, in the order of the description."""
-    flat: dict[str, Any] = {"name": robot.name, "base_distance": robot.base_distance}
+    flat: dict[str, ParameterValue] = {
+        "name": robot.name,
+        "base_distance": robot.base_distance,
+    }
     for field in dataclasses.fields(robot):
         value = getattr(robot, field.name)
         if isinstance(value, LegParameters):
@@ -364,7 +368,7 @@ _UNSAID: dict[str, float] = {
 }  # what a description need not say: no range, offset, compliance or passive friction
 
 
-def _convert(key: str, value: Any) -> Any:
+def _convert(key: str, value: ParameterValue) -> ParameterValue:
     try:
         if key == "name":
             return str(value)
@@ -384,7 +388,9 @@ def _convert(key: str, value: Any) -> Any:
         raise ParameterError(f"robot.{key} = {value!r}; it must be {wanted}") from error
 
 
-def changed(flat: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def changed(
+    flat: Mapping[str, ParameterValue], changes: Mapping[str, ParameterValue]
+) -> dict[str, ParameterValue]:
     """Dotted keys with some changed: a new base_distance puts the axes at its ends, two
     known axes have their own.
     """
@@ -400,7 +406,7 @@ def changed(flat: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
     return merged
 
 
-def _with_axes(flat: Mapping[str, Any]) -> dict[str, Any]:
+def _with_axes(flat: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
     """Both motor axes; where one is not said it lies at (-+base_distance/2, 0)."""
     found = dict(flat)
     if "base_distance" not in found:
@@ -422,7 +428,7 @@ def _with_axes(flat: Mapping[str, Any]) -> dict[str, Any]:
     return ends | found
 
 
-def from_flat(flat: Mapping[str, Any]) -> RobotParameters:
+def from_flat(flat: Mapping[str, ParameterValue]) -> RobotParameters:
     """A robot from dotted keys.
 
     Raises:
@@ -449,7 +455,9 @@ def from_flat(flat: Mapping[str, Any]) -> RobotParameters:
             else f"s {', '.join(map(repr, names))} are"
         )
         raise ParameterError(f"robot parameter{told} missing")
-    values: dict[str, Any] = {key: _convert(key, flat[key]) for key in wanted}
+    values: dict[str, ParameterValue] = {
+        key: _convert(key, flat[key]) for key in wanted
+    }
     for side in ("left", "right"):
         values[side] = LegParameters(
             **{key: values.pop(f"{side}.{key}") for key in _LEG_KEYS}
@@ -485,9 +493,9 @@ def load_robot(path: str | Path) -> RobotParameters:
         raise ParameterError(f"robot file {path}: {error}") from error
 
 
-def robot_text(flat: Mapping[str, Any]) -> str:
+def robot_text(flat: Mapping[str, ParameterValue]) -> str:
     """A robot's dotted keys as the ROS 2 parameter file that ``load_robot`` reads."""
-    nested: dict[str, Any] = {}
+    nested: dict[str, ParameterValue] = {}
     for name, value in flat.items():
         *groups, last = name.split(".")
         place = nested

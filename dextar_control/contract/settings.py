@@ -8,10 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from enum import IntEnum
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.resources import NODES_FILE, config_file, node_defaults
 
 Choice = TypeVar("Choice", bound=IntEnum)
@@ -646,7 +647,7 @@ class Settings:
     torque_rate_time: float
 
     @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> Settings:
+    def from_values(cls, values: Mapping[str, ParameterValue]) -> Settings:
         """Settings from parameter values; law and estimator by name or as enums, other
         keys are ignored.
 
@@ -662,7 +663,7 @@ class Settings:
         return cls(**taken)
 
 
-def choice(kind: type[Choice], name: str, value: Any) -> Choice:
+def choice(kind: type[Choice], name: str, value: object) -> Choice:
     """A member of an enum by its name in lower case, or as it is.
 
     Raises:

@@ -16,7 +16,8 @@ import sys
 import threading
 import weakref
 from collections.abc import Callable, Iterator
-from typing import Any, TextIO
+from types import FrameType
+from typing import TextIO
 
 from dextar_control.contract.errors import DextarError
 
@@ -29,7 +30,7 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 RAISE_AGAIN = 0.5  # s after which an interrupt that was swallowed is raised again
 START_GRACE = 3.0  # s from a signal during a node's start to its end
 
-Handler = Callable[[int, Any], object] | signal.Handlers
+Handler = Callable[[int, FrameType | None], object] | int | signal.Handlers | None
 
 
 class Interrupted(KeyboardInterrupt):
@@ -59,7 +60,7 @@ def caused_by_interrupt(error: BaseException) -> KeyboardInterrupt | None:
     return seen
 
 
-def install(handler: Handler, always: tuple[int, ...] = ()) -> dict[int, Any]:
+def install(handler: Handler, always: tuple[int, ...] = ()) -> dict[int, Handler]:
     """Take every ending signal; what each one did before.
 
     One that the parent had ignored (``nohup``, a script's background job) stays
@@ -71,7 +72,7 @@ def install(handler: Handler, always: tuple[int, ...] = ()) -> dict[int, Any]:
     """
     if threading.current_thread() is not threading.main_thread():
         return {}
-    found: dict[int, Any] = {number: signal.getsignal(number) for number in ENDING}
+    found: dict[int, Handler] = {number: signal.getsignal(number) for number in ENDING}
     before = {
         number: old
         for number, old in found.items()
@@ -82,7 +83,7 @@ def install(handler: Handler, always: tuple[int, ...] = ()) -> dict[int, Any]:
     return before
 
 
-def restore(before: dict[int, Any]) -> None:
+def restore(before: dict[int, Handler]) -> None:
     """Undo ``install``."""
     for number, handler in before.items():
         if handler is not None:  # one that Python did not set

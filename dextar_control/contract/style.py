@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import html as markup
 import re
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 LIGHT = {
     "paper": "#ffffff",
@@ -182,7 +182,9 @@ def css() -> str:
     )
 
 
-def matplotlib_settings(palette: dict[str, str], size: float = 9.0) -> Any:
+def matplotlib_settings(
+    palette: dict[str, str], size: float = 9.0
+) -> dict[str, object]:
     """Settings of a figure on this palette, in a font of this size, points."""
     return {
         "figure.facecolor": palette["paper"],
@@ -213,7 +215,7 @@ def matplotlib_settings(palette: dict[str, str], size: float = 9.0) -> Any:
 
 def matplotlib_line(
     line: Line, palette: dict[str, str], scale: float = 0.75
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """The arguments of Matplotlib's ``plot`` for a line; its widths times ``scale`` are
     points.
     """

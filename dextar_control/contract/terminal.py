@@ -15,7 +15,7 @@ import sys
 import time
 import warnings
 from collections.abc import Iterator
-from typing import Any
+from typing import IO, Literal
 
 from rich.console import Console
 from rich.progress import (
@@ -33,6 +33,7 @@ from rich.text import Text
 FILE_WIDTH = (
     4000  # characters of a line where the output is no terminal: no table needs so many
 )
+ColorSystem = Literal["auto", "standard", "256", "truecolor", "windows"]
 LINE_PERIOD = (
     10.0  # s between two lines about what is under way, where the output is no terminal
 )
@@ -87,18 +88,29 @@ class Terminal(Console):
 
     Args:
         stderr: write to the error output.
-        options: as of rich's Console.
+        file, width, force_terminal, color_system: as of rich's Console.
     """
 
-    def __init__(self, *, stderr: bool = False, **options: Any) -> None:
+    def __init__(
+        self,
+        *,
+        stderr: bool = False,
+        file: IO[str] | None = None,
+        width: int | None = None,
+        force_terminal: bool | None = None,
+        color_system: ColorSystem | None = "auto",
+    ) -> None:
         super().__init__(
-            stderr=stderr, markup=False, highlight=False, emoji=False, **options
+            stderr=stderr,
+            file=file,
+            width=width,
+            force_terminal=force_terminal,
+            color_system=color_system,
+            markup=False,
+            highlight=False,
+            emoji=False,
         )
-        if (
-            not self.is_terminal
-            and "width" not in options
-            and "COLUMNS" not in os.environ
-        ):
+        if not self.is_terminal and width is None and "COLUMNS" not in os.environ:
             self.width = FILE_WIDTH
 
     def on_broken_pipe(self) -> None:
@@ -107,9 +119,10 @@ class Terminal(Console):
         """
         raise  # noqa: PLE0704  called where it is caught
 
-    def render_str(self, text: str, **options: Any) -> Text:
+    def render_str(self, text: str, **options: object) -> Text:
         """As rich does, without control characters in the text."""
-        return super().render_str(text.translate(_PICTURES), **options)
+        plain_text = text.translate(_PICTURES)
+        return super().render_str(plain_text, **options)  # type: ignore[arg-type]
 
     def working(self, text: str) -> Working:
         """What is done now, for as long as the context lasts."""
@@ -158,15 +171,15 @@ class Steps(Progress):
         self._told: dict[TaskID, str] = {}
         self._since = time.monotonic()
 
-    def add_task(self, description: str, *arguments: Any, **fields: Any) -> TaskID:
+    def add_task(self, description: str, *options: object, **fields: object) -> TaskID:
         """As rich does."""
-        task = super().add_task(description, *arguments, **fields)
+        task = super().add_task(description, *options, **fields)  # type: ignore[arg-type]
         self._tell(task)
         return task
 
-    def update(self, task_id: TaskID, **changes: Any) -> None:
+    def update(self, task_id: TaskID, **changes: object) -> None:
         """As rich does."""
-        super().update(task_id, **changes)
+        super().update(task_id, **changes)  # type: ignore[arg-type]
         self._tell(task_id)
 
     def advance(self, task_id: TaskID, advance: float = 1) -> None:

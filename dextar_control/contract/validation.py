@@ -5,7 +5,7 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
@@ -26,7 +26,7 @@ def load_yaml(model: type[M], path: str | Path, what: str) -> M:
     return validate(model, load_document(path, what), f"{what} {path}")
 
 
-def validate(model: type[M], data: Any, source: str) -> M:
+def validate(model: type[M], data: object, source: str) -> M:
     """A model from plain data.
 
     Raises:
@@ -64,7 +64,7 @@ def unknown(name: str, known: Collection[str], what: str) -> str:
     return f"unknown {what} '{name}'; known are: {', '.join(known)}"
 
 
-class Section(BaseModel):
+class Section(BaseModel):  # type: ignore[explicit-any]  # pydantic's own, unseen
     """A part of a YAML file: a mapping of known keys to values of the right types,
     which stay as they are.
     """
@@ -73,7 +73,7 @@ class Section(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _known_keys(cls, data: Any) -> Any:
+    def _known_keys(cls, data: object) -> object:
         if not isinstance(data, Mapping):
             raise problem(
                 f"it must be a mapping with some of: {', '.join(cls.model_fields)}"

@@ -21,11 +21,12 @@ from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
 from sys import float_info
-from typing import Any
+from typing import cast
 
 import yaml
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plain_data import ParameterValue, Plain
 
 MOST_BYTES = 4_000_000
 WRITER_PATIENCE = 5.0  # s until a pipe has a writer
@@ -35,7 +36,7 @@ PLAIN_TAG = "plain"
 MERGE = "<<"
 QUOTED = ("'", '"')
 PARAMETERS = "ros__parameters"
-Sections = dict[str, dict[str, Any]]
+Sections = dict[str, dict[str, ParameterValue]]
 """Parameters by the pattern of the nodes' names, in the order in which they are
 applied.
 """
@@ -130,7 +131,7 @@ def _line(content: bytes, place: int) -> int:
     return content.count(b"\n", 0, place) + 1
 
 
-def load_document(path: str | Path, what: str) -> Any:
+def load_document(path: str | Path, what: str) -> Plain:
     """What a YAML file holds, as plain data.
 
     Args:
@@ -213,19 +214,19 @@ def _mode(path: str) -> int:
 
 
 def parameters_of(
-    node: str, sections: Mapping[str, Mapping[str, Any]]
-) -> dict[str, Any]:
+    node: str, sections: Mapping[str, Mapping[str, ParameterValue]]
+) -> dict[str, ParameterValue]:
     """Parameters of the node with this full name (``/controller``, ``/left/plant``), as
     rcl matches and overrides them.
     """
-    values: dict[str, Any] = {}
+    values: dict[str, ParameterValue] = {}
     for pattern, section in sections.items():
         if _matches(pattern.strip("/").split("/"), node.strip("/").split("/")):
             values.update(section)
     return values
 
 
-def parse_value(text: str, source: str) -> Any:
+def parse_value(text: str, source: str) -> ParameterValue:
     """The value in ``NAME:=VALUE`` as rcl reads it; ``source`` names it in messages.
 
     Raises:
@@ -237,7 +238,7 @@ def parse_value(text: str, source: str) -> Any:
     return _value(nodes[0], source)
 
 
-def assignment(name: str, value: Any) -> str:
+def assignment(name: str, value: object) -> str:
     """``NAME:=VALUE`` for ``ros2 run ... --ros-args -p``, quoted so that the node gets
     this very value.
 
@@ -251,7 +252,7 @@ def assignment(name: str, value: Any) -> str:
     return f"{name}:={as_yaml(value)}"
 
 
-def as_yaml(value: Any) -> str:
+def as_yaml(value: object) -> str:
     """A parameter's value in one line of YAML, whichever characters a text holds.
 
     Raises:
@@ -275,7 +276,7 @@ def as_yaml(value: Any) -> str:
     ).rstrip("\n")
 
 
-def dump_document(document: Any) -> str:
+def dump_document(document: object) -> str:
     """Plain data as YAML, words quoted where another reader might take them for
     numbers: rcl and PyYAML read the same.
     """
@@ -304,18 +305,19 @@ _Dumper.add_representer(str, _represent_text)
 class _Loader(yaml.SafeLoader):
     """Leaves open what a scalar is; only an explicit tag is kept."""
 
-    def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
-        return (
-            PLAIN_TAG
-            if kind is yaml.ScalarNode
-            else super().resolve(kind, value, implicit)
-        )
+    def resolve(
+        self, kind: type[yaml.Node], value: str | None, implicit: tuple[bool, bool]
+    ) -> str:
+        if kind is yaml.ScalarNode:
+            return PLAIN_TAG
+        resolved: str = super().resolve(kind, value, implicit)
+        return resolved
 
 
 class _ParameterLoader(_Loader):
     """As rcl: no aliases."""
 
-    def compose_node(self, parent: Any, index: Any) -> Any:
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             event = self.peek_event()
             raise yaml.MarkedYAMLError(
@@ -399,13 +401,13 @@ def _empty(node: yaml.Node) -> bool:
     )
 
 
-def _plain(node: yaml.Node, source: str, seen: dict[int, Any]) -> Any:
+def _plain(node: yaml.Node, source: str, seen: dict[int, Plain]) -> Plain:
     """Plain data; a key twice is a mistake. ``seen`` holds what an alias may name
     again.
     """
     if id(node) in seen:
         return seen[id(node)]
-    value: Any
+    value: Plain
     if isinstance(node, yaml.ScalarNode):
         null = node.style is None and node.value in _NULL and node.tag != STRING_TAG
         value = _value_of(node)
@@ -422,9 +424,9 @@ def _plain(node: yaml.Node, source: str, seen: dict[int, Any]) -> Any:
     return seen.setdefault(id(node), value)
 
 
-def _mapping(node: yaml.Node, source: str, seen: dict[int, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    merged: dict[str, Any] = {}  # by YAML's <<, under the mapping's own keys
+def _mapping(node: yaml.Node, source: str, seen: dict[int, Plain]) -> dict[str, Plain]:
+    found: dict[str, Plain] = {}
+    merged: dict[str, Plain] = {}  # by YAML's <<, under the mapping's own keys
     for key, value in node.value:
         if not isinstance(key, yaml.ScalarNode):
             raise ParameterError(f"{_at(source, key)}: {_kind(key)} cannot be a key")
@@ -433,7 +435,7 @@ def _mapping(node: yaml.Node, source: str, seen: dict[int, Any]) -> dict[str, An
                 f"{_at(source, key)}: the key '{key.value}' stands there twice"
             )
         if key.value == MERGE and isinstance(value, yaml.MappingNode):
-            merged |= _plain(value, source, seen)
+            merged |= cast(dict[str, Plain], _plain(value, source, seen))
         else:
             found[key.value] = _plain(value, source, seen)
     return merged | found
@@ -466,7 +468,7 @@ def _add_sections(
 
 
 def _flatten(
-    flat: dict[str, Any], node: yaml.MappingNode, prefix: str, source: str
+    flat: dict[str, ParameterValue], node: yaml.MappingNode, prefix: str, source: str
 ) -> None:
     names = [_key(key, source) for key, _ in node.value]
     for row, (key, value) in enumerate(node.value):
@@ -483,7 +485,7 @@ def _flatten(
             flat[name] = _value(value, source)
 
 
-def _value(node: yaml.Node, source: str) -> Any:
+def _value(node: yaml.Node, source: str) -> ParameterValue:
     """A scalar or a list of scalars of one type; an empty list, whose type nobody
     knows, reaches a node as None.
     """
