@@ -13,11 +13,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import rclpy
 from rclpy.duration import Duration, Infinite
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import (
     QoSCompatibility,
     QoSProfile,
@@ -25,6 +25,8 @@ from rclpy.qos import (
     qos_check_compatible,
 )
 from rclpy.signals import SignalHandlerOptions
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.utilities import try_shutdown
 from rich.progress import BarColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
@@ -83,13 +85,13 @@ class RigWatch(Node):
             start_parameter_services=False,
         )
         self._topic = EFFORT_COMMANDS if arrays else JOINT_COMMANDS
-        self._kind: Any = Float64MultiArray if arrays else JointState
+        self._kind = Float64MultiArray if arrays else JointState
         profile = qos(JOINT_STATES, reliable=False, depth=DEPTH)
         self._states = self.create_subscription(
             JointState, states or JOINT_STATES.name, lambda _: None, profile
         )
         self._commands_name = self.resolve_topic_name(commands or self._topic.name)
-        self._commands: Any = None
+        self._commands: Publisher | None = None
         self._stamp = 0
         self._unstepped = UnsteppedClock()
 
@@ -143,7 +145,9 @@ class RigWatch(Node):
         )
 
     def _ends(
-        self, infos: Sequence[Any], check: Callable[[QoSProfile], Any] | None
+        self,
+        infos: Sequence[TopicEndpointInfo],
+        check: Callable[[QoSProfile], tuple[QoSCompatibility, str]] | None,
     ) -> tuple[Endpoint, ...]:
         found = []
         own = f"{self.get_namespace().rstrip('/')}/{self.get_name()}"
@@ -209,6 +213,7 @@ class RigWatch(Node):
 
     def command(self, torque: Torque) -> None:
         """Torques, N m, in answer to the newest state."""
+        assert self._commands is not None
         if self._kind is Float64MultiArray:
             self._commands.publish(Float64MultiArray(data=list(torque)))
             return
@@ -246,7 +251,7 @@ def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigWatch, StopSignal
     except DextarError:
         raise
     except Exception as error:  # rcl raises its own types for bad names
-        rclpy.try_shutdown()
+        try_shutdown()
         raise ParameterError(" ".join(str(error).replace("^", "").split())) from error
     stop = StopSignal()
     stop.starting = False
@@ -255,7 +260,7 @@ def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigWatch, StopSignal
     finally:
         node.release()
         node.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()
         stop.restore()
 
 

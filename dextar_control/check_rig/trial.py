@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dextar_control.check_rig.limits import Limits
-from dextar_control.check_rig.samples import NANOSECOND, Sample
+from dextar_control.check_rig.samples import NANOSECOND, Array, Sample
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import JOINT_NAMES, joint_positions
 
@@ -116,9 +116,9 @@ class Trial:
     worst_delay: float = 0.0
     finished: bool = False
     _start: int = 0
-    _origin: np.ndarray | None = None
-    _last: np.ndarray | None = None
-    _recent: deque[tuple[Sample, np.ndarray]] = field(default_factory=deque)
+    _origin: Array | None = None
+    _last: Array | None = None
+    _recent: deque[tuple[Sample, Array]] = field(default_factory=deque)
 
     def __post_init__(self) -> None:
         self._ends = np.cumsum([segment.duration for segment in self.segments])
@@ -207,7 +207,7 @@ class Trial:
             )
         self._watch_speed(sample, q_a)
 
-    def _watch_speed(self, sample: Sample, q_a: np.ndarray) -> None:
+    def _watch_speed(self, sample: Sample, q_a: Array) -> None:
         """Over a window; of stamps and arrivals the longer time counts, because states
         arrive in bursts.
         """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 SUMMARY = "run A -> B -> A through the singularity in simulation, record and draw it"
 DESCRIPTION = (
@@ -18,7 +17,7 @@ EXCITE = 20.0  # s
 ESTIMATORS = ("observer", "dgm", "plain", "external")
 
 
-def add_excite(group: Any) -> None:
+def add_excite(group: argparse._MutuallyExclusiveGroup) -> None:
     """``--excite`` among the arguments that say where to."""
 
     def seconds(text: str) -> float:

@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any
 
 from dextar_control.contract.errors import DextarError
 
@@ -40,7 +39,7 @@ def find_browser() -> str | None:
 
 class _Pdf(argparse.Action):
     def __call__(
-        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, *_: Any
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, *_: object
     ) -> None:
         if find_browser() is None:
             parser.error(

@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import html as markup
 import re
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from matplotlib.typing import RcKeyType
 
 LIGHT = {
     "paper": "#ffffff",
@@ -184,7 +187,7 @@ def css() -> str:
 
 def matplotlib_settings(
     palette: dict[str, str], size: float = 9.0
-) -> dict[str, object]:
+) -> dict[RcKeyType, object]:
     """Settings of a figure on this palette, in a font of this size, points."""
     return {
         "figure.facecolor": palette["paper"],

@@ -310,7 +310,7 @@ class _Loader(yaml.SafeLoader):
     ) -> str:
         if kind is yaml.ScalarNode:
             return PLAIN_TAG
-        resolved: str = super().resolve(kind, value, implicit)
+        resolved: str = yaml.SafeLoader.resolve(self, kind, value, implicit)
         return resolved
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from operator import itemgetter
-from typing import Any
+from typing import TypeVar
 
 from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
@@ -14,6 +14,7 @@ from dextar_control.contract.decoding import places_of, types
 from dextar_control.contract.decoding import read_message as read_message
 
 NANOSECONDS = 1_000_000_000
+T = TypeVar("T")
 
 
 def to_time(stamp: int) -> Time:
@@ -23,10 +24,10 @@ def to_time(stamp: int) -> Time:
 
 def from_time(time: Time) -> int:
     """A ROS stamp to integer nanoseconds."""
-    return time.sec * NANOSECONDS + time.nanosec
+    return int(time.sec * NANOSECONDS + time.nanosec)
 
 
-def canonical(message: Any) -> bytes:
+def canonical(message: object) -> bytes:
     """A message as CDR bytes of exact length with zeros where CDR leaves bytes
     undefined.
 
@@ -40,19 +41,19 @@ def canonical(message: Any) -> bytes:
     return bytes(types().serialize_cdr(*_of_library(message)))
 
 
-def places_in(message: Any) -> dict[str, tuple[int, str]]:
+def places_in(message: object) -> dict[str, tuple[int, str]]:
     """Where floats and times lie in ``canonical``; see ``places_of``."""
     return places_of(*_of_library(message))
 
 
-def _of_library(message: Any) -> tuple[Any, str]:
+def _of_library(message: object) -> tuple[object, str]:
     """A message in rosbags' classes, and its type's name."""
     package = type(message).__module__.partition(".")[0]
     name = f"{package}/msg/{type(message).__name__}"
     return read_message(bytes(serialize_message(message)), name), name
 
 
-def _chosen(places: Sequence[int]) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
+def _chosen(places: Sequence[int]) -> Callable[[Sequence[T]], tuple[T, ...]]:
     """Takes a tuple's elements at these places, also of fewer than two, as a tuple."""
     if len(places) > 1:
         return itemgetter(*places)
@@ -72,7 +73,7 @@ class CdrTemplate:
 
     def __init__(
         self,
-        message: Any,
+        message: object,
         values: Sequence[str] = (),
         *,
         stamp: str = "header.stamp",

@@ -4,6 +4,8 @@ in which order.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
@@ -83,7 +85,7 @@ def _end_effector(topic: Topic) -> CdrTemplate:
     )
 
 
-_TEMPLATES = {
+_TEMPLATES: dict[str, Callable[[Topic], CdrTemplate]] = {
     JOINT_STATES.name: _joint_states,
     SIM_JOINT_STATES.name: _joint_states,
     JOINT_COMMANDS.name: lambda topic: CdrTemplate(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -30,8 +30,8 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
     serves the services: the node polls ``desk``.
     """
 
-    def __init__(self, **options: Any) -> None:
-        DextarNode.__init__(self, served=False, **options)
+    def __init__(self) -> None:
+        DextarNode.__init__(self, served=False)
         LifecycleNodeMixin.__init__(self)
         self.transition_error: DextarError | None = None
         self._service_change_state.callback = self._on_change_state
@@ -55,7 +55,7 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
         """Make a transition, one of ``lifecycle_msgs/msg/Transition``; False where it
         is refused, and the log says why.
         """
-        triggers = {
+        triggers: dict[int, Callable[[], TransitionCallbackReturn]] = {
             Transition.TRANSITION_CONFIGURE: self.trigger_configure,
             Transition.TRANSITION_ACTIVATE: self.trigger_activate,
             Transition.TRANSITION_DEACTIVATE: self.trigger_deactivate,

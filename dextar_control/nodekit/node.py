@@ -9,9 +9,9 @@ import re
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar, TypeVar, cast
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -21,13 +21,18 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
+from rclpy.subscription import Subscription
+from rclpy.utilities import remove_ros_args, try_shutdown
 
 from dextar_control.contract import resources
 from dextar_control.contract.caches import prepare_environment
@@ -35,6 +40,7 @@ from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.help import node_help
 from dextar_control.contract.parameters import Parameter, check_value, settled
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.robot import (
     PREFIX,
     ROBOT_KEYS,
@@ -50,9 +56,14 @@ from dextar_control.nodekit.services import ServiceDesk
 EXIT_USAGE = 2
 LAST_SAMPLES = 1.0  # s given to readers that want every sample, when a node ends
 COMPLAINT_PERIOD = 1.0  # s between two lines about services that failed
+N = TypeVar("N", bound="RunnableNode")
+Take = Callable[[type[object], bool], "tuple[bytes, dict[str, int]] | None"]
+"""``take_message`` of a subscription to raw messages: bytes, and what the middleware
+says of them.
+"""
 
 
-def _robot_defaults(node: str) -> dict[str, Any]:
+def _robot_defaults(node: str) -> dict[str, ParameterValue]:
     """The shipped description, by its keys."""
     shipped = resources.node_defaults(node, resources.config_file(resources.ROBOT_FILE))
     return {
@@ -80,34 +91,62 @@ def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoS
     )
 
 
-class DextarNode(Node):
-    """A node with checked parameters, a diagnostics publisher and an exit code.
+class RunnableNode(Node):
+    """A node that ``run_node`` can run: with an exit code, and an end of its own.
 
     Each kind of node says of itself:
         NAME: node name, and its section in ``config/crossing.yaml``.
         PARAMETERS: the node's parameters.
         ROBOT: whether the node takes the robot description.
 
+    Attributes:
+        exit_code: of the process, once the node has ended.
+        finished: whether the node wants to end.
+    """
+
+    NAME: ClassVar[str] = ""
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
+    ROBOT: ClassVar[bool] = False
+    exit_code = 0
+    finished = False
+
+    def destroy_node(self) -> None:
+        """Leave the graph."""
+        Node.destroy_node(self)
+
+    def finish(self, exit_code: int = 0) -> None:
+        """Leave the spin loop with this exit code."""
+        self.exit_code = exit_code
+        self.finished = True
+
+    def close(self) -> None:
+        """Leave the outside world as it should be left; called once, before the node is
+        destroyed.
+        """
+
+
+class DextarNode(RunnableNode):
+    """A node with checked parameters, a diagnostics publisher and an exit code.
+
     Args:
         served: whether the executor serves the services, those of parameters too;
             otherwise the node calls ``desk.poll`` when it has time for some.
+        cli_args: ROS arguments of this node alone.
 
     Raises:
         ParameterError: an override is unknown, of another type or out of its bounds.
     """
 
-    NAME: ClassVar[str]
-    PARAMETERS: ClassVar[tuple[Parameter, ...]]
-    ROBOT: ClassVar[bool] = True
+    ROBOT = True
 
-    def __init__(self, *, served: bool = True, **options: Any) -> None:
+    def __init__(
+        self, *, served: bool = True, cli_args: list[str] | None = None
+    ) -> None:
         name, robot = self.NAME, self.ROBOT
         self._polled: set[int] = set()
-        self._waits: Any = None
+        self._waits: rclpy_implementation.WaitSet | None = None
         self._served_by_executor = served
-        super().__init__(name, **options)
-        self.exit_code = 0
-        self.finished = False
+        super().__init__(name, cli_args=cli_args)
         self._specs = {spec.name: spec for spec in self.PARAMETERS}
         self._defaults = resources.node_defaults(name)
         overrides = {
@@ -152,15 +191,20 @@ class DextarNode(Node):
         )
 
     @property
-    def subscriptions(self) -> Any:
+    def subscriptions(self) -> Iterator[Subscription]:
         """What the executor serves: not the polled ones."""
         return (
             entity for entity in super().subscriptions if id(entity) not in self._polled
         )
 
     def create_polled_subscription(
-        self, message_type: Any, name: str, profile: QoSProfile, *, raw: bool = False
-    ) -> Any:
+        self,
+        message_type: type[object],
+        name: str,
+        profile: QoSProfile,
+        *,
+        raw: bool = False,
+    ) -> Subscription:
         """A subscription that no executor serves.
 
         ``subscription.handle.take_message(message_type, raw)`` gives (message, info) or
@@ -173,7 +217,7 @@ class DextarNode(Node):
         return subscription
 
     @property
-    def services(self) -> Any:
+    def services(self) -> Iterator[Service]:
         """What the executor serves: not the polled ones."""
         return (
             entity
@@ -181,7 +225,7 @@ class DextarNode(Node):
             if self._served_by_executor and id(entity) not in self._polled
         )
 
-    def create_polled_service(self, service_type: Any, name: str) -> Any:
+    def create_polled_service(self, service_type: type[object], name: str) -> Service:
         """A service that no executor serves, so that it may answer later than it is
         asked.
 
@@ -193,7 +237,7 @@ class DextarNode(Node):
         self._polled.add(id(service))
         return service
 
-    def wait_for(self, subscription: Any, seconds: float) -> None:
+    def wait_for(self, subscription: Subscription, seconds: float) -> None:
         """Sleep until a polled subscription holds a message, at most for so long; about
         0.02 ms of processor time.
         """
@@ -206,16 +250,18 @@ class DextarNode(Node):
             self._waits.add_subscription(subscription.handle)
             self._waits.wait(max(0, round(1.0e9 * seconds)))
 
-    def destroy_subscription(self, subscription: Any) -> bool:
+    def destroy_subscription(self, subscription: Subscription) -> bool:
         """Also of a polled one; another may get its identity."""
         self._polled.discard(id(subscription))
         return bool(super().destroy_subscription(subscription))
 
-    def _declare(self, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
+    def _declare(
+        self, name: str, value: ParameterValue, descriptor: ParameterDescriptor
+    ) -> None:
         self.declare_parameter(name, value, descriptor, ignore_override=True)
 
-    def _on_set(self, parameters: list[Any]) -> SetParametersResult:
-        changes: dict[str, Any] = {}
+    def _on_set(self, parameters: list[RosParameter]) -> SetParametersResult:
+        changes: dict[str, ParameterValue] = {}
         before = dict(self.values)
         try:
             for parameter in parameters:
@@ -240,7 +286,7 @@ class DextarNode(Node):
         """
         return "while the node runs"
 
-    def on_parameters(self, changes: Mapping[str, Any]) -> None:
+    def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
         """Take live changes, already in ``values``; raise a DextarError to refuse them
         all.
         """
@@ -274,7 +320,7 @@ class DextarNode(Node):
         )
 
     def publish_diagnostics(
-        self, level: bytes, message: str, values: Mapping[str, Any]
+        self, level: bytes, message: str, values: Mapping[str, object]
     ) -> None:
         """One DiagnosticStatus on ``/diagnostics``, numbers as their shortest exact
         text.
@@ -292,18 +338,8 @@ class DextarNode(Node):
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
-    def finish(self, exit_code: int = 0) -> None:
-        """Leave the spin loop with this exit code."""
-        self.exit_code = exit_code
-        self.finished = True
 
-    def close(self) -> None:
-        """Leave the outside world as it should be left; called once, before the node is
-        destroyed.
-        """
-
-
-def _descriptor(spec: Parameter, value: Any) -> ParameterDescriptor:
+def _descriptor(spec: Parameter, value: ParameterValue) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=spec.measured, dynamic_typing=True)
     if spec.choices:
         descriptor.additional_constraints = f"one of: {', '.join(spec.choices)}"
@@ -322,16 +358,17 @@ def _descriptor(spec: Parameter, value: Any) -> ParameterDescriptor:
     return descriptor
 
 
-def make_executor(kind: str = "events") -> Any:
+def make_executor(kind: str = "events") -> Executor:
     """The events executor where this rclpy has it, else the single-threaded one."""
     if kind == "events":
         try:
             from rclpy.experimental.events_executor import EventsExecutor
 
-            return EventsExecutor()
+            events: Executor = EventsExecutor()
+            return events
         except ImportError:
             pass
-    return rclpy.executors.SingleThreadedExecutor()
+    return SingleThreadedExecutor()
 
 
 def prepare_middleware() -> None:
@@ -347,9 +384,9 @@ def prepare_middleware() -> None:
 
 
 def run_node(
-    make: Callable[[], Any],
+    make: type[N],
     args: list[str] | None = None,
-    spin: Callable[[Any, Any, StopSignal], None] | None = None,
+    spin: Callable[[N, Executor, StopSignal], None] | None = None,
 ) -> int:
     """Run one node until a signal or its own end; the process's exit code.
 
@@ -357,21 +394,21 @@ def run_node(
     ROS itself, is started.
 
     Args:
-        make: builds the node.
+        make: the node's class.
         args: command line without the program's name, ``sys.argv``'s when None.
         spin: the node's own loop ``spin(node, executor, stop)``; the default hands
             events to callbacks.
     """
     prepare_environment()
     stop = StopSignal()
-    node: Any = None
+    node: N | None = None
     try:
         words = sys.argv[1:] if args is None else args
         if (code := _answer(make, words)) is not None:
             return code
         prepare_middleware()
         rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
-        node = make()
+        node = cast(Callable[[], N], make)()
         stop.starting = False
         executor = make_executor()
         executor.add_node(node)
@@ -382,7 +419,7 @@ def run_node(
             _wait_for_readers(node)
             executor.remove_node(node)
             executor.shutdown()
-        return int(node.exit_code)
+        return node.exit_code
     except DextarError as error:
         return _refuse(str(error))
     except BaseException as error:
@@ -402,7 +439,7 @@ def run_node(
     finally:
         if node is not None:
             node.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()
 
 
 def _wait_for_readers(node: Node) -> None:
@@ -416,7 +453,7 @@ def _wait_for_readers(node: Node) -> None:
         )
 
 
-def _answer(make: Callable[[], Any], words: list[str]) -> int | None:
+def _answer(make: type[RunnableNode], words: list[str]) -> int | None:
     """Help, or the refusal of what neither the node nor rcl takes; None where the node
     is to be started.
     """
@@ -483,6 +520,6 @@ def _in_one_line(error: BaseException) -> str:
     return text
 
 
-def _spin(node: DextarNode, executor: Any, stop: StopSignal) -> None:
+def _spin(node: RunnableNode, executor: Executor, stop: StopSignal) -> None:
     while not stop and not node.finished:
         executor.spin_once(timeout_sec=0.05)

@@ -8,7 +8,8 @@ import contextlib
 import ctypes
 import os
 from collections.abc import Callable, Mapping
-from typing import Any
+
+from dextar_control.contract.plain_data import ParameterValue
 
 PR_SET_TIMERSLACK = 29  # of Linux' prctl
 MCL_CURRENT, MCL_FUTURE = 1, 2  # of mlockall
@@ -33,7 +34,9 @@ def stand_back() -> None:
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
-def ask_kernel(values: Mapping[str, Any], warn: Callable[[str], object]) -> None:
+def ask_kernel(
+    values: Mapping[str, ParameterValue], warn: Callable[[str], object]
+) -> None:
     """Priority, processors and memory as the parameters of a node ask for them, for all
     threads that the process has.
 

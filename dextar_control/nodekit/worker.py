@@ -7,11 +7,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import TypeVar
 
 from dextar_control.contract.errors import DextarError
 
-Done = Callable[[Any, DextarError | None], None]
+T = TypeVar("T")
+Done = Callable[[T | None, DextarError | None], None]
 
 
 class GivenUp(DextarError):
@@ -34,13 +35,14 @@ class Worker:
         self.stage = ""
         self._closing = False
         self._threads = ThreadPoolExecutor(max_workers=1)
-        self._jobs: deque[tuple[Future[Any], Done]] = deque()
+        self._jobs: deque[tuple[Callable[[], bool], Callable[[], None]]] = deque()
 
-    def submit(self, work: Callable[[], Any], done: Done) -> None:
+    def submit(self, work: Callable[[], T], done: Done[T]) -> None:
         """Do ``work``; afterwards ``poll`` calls ``done(result, None)`` or ``done(None,
         error)``.
         """
-        self._jobs.append((self._threads.submit(work), done))
+        future = self._threads.submit(work)
+        self._jobs.append((future.done, lambda: _hand_over(future, done)))
 
     def progress(self, fraction: float, stage: str) -> None:
         """What a job under way calls.
@@ -56,17 +58,21 @@ class Worker:
         """Take the results that are there, in the order in which they were asked
         for.
         """
-        while self._jobs and self._jobs[0][0].done():
-            future, done = self._jobs.popleft()
+        while self._jobs and self._jobs[0][0]():
+            _, hand_over = self._jobs.popleft()
             self.fraction, self.stage = 0.0, ""
-            try:
-                result = future.result()
-            except DextarError as error:
-                done(None, error)
-            else:
-                done(result, None)
+            hand_over()
 
     def close(self) -> None:
         """Give up what is under way at its next progress, and all that waits."""
         self._closing = True
         self._threads.shutdown(wait=False, cancel_futures=True)
+
+
+def _hand_over(future: Future[T], done: Done[T]) -> None:
+    try:
+        result = future.result()
+    except DextarError as error:
+        done(None, error)
+    else:
+        done(result, None)

@@ -9,18 +9,21 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
+from rclpy.executors import Executor
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import DextarError, ParameterError, StateError
 from dextar_control.contract.parameters import SCHEDULING, Parameter
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.settings import SETTINGS, Estimation, Settings
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
@@ -42,6 +45,7 @@ from dextar_control.nodes.progress import crossing_line, trip_line
 from dextar_control.nodes.reference import ReferenceReader
 from dextar_control.nodes.statistics import Statistics
 from dextar_control.planning.certificate import Certificate
+from dextar_control.symbols.types import Array
 
 PARAMETERS = (
     *SCHEDULING,
@@ -143,6 +147,7 @@ MOST_AT_ONCE = 10  # states that are answered before what else is due
 SERVED_PER_WATCH = 2
 DIAGNOSTICS_PERIOD = 0.2  # s
 TELL_PERIOD = 1.0  # s between two lines about the external pose
+R = TypeVar("R", SetBool.Response, Trigger.Response)
 LATCHED = (Phase.SAFE_STOP, Phase.FAULT)  # left by ~/reset only
 
 
@@ -189,7 +194,7 @@ class ControllerNode(ManagedNode):
         self._largest_error = 0.0
         self._pose_note = ""
         self._pose_told = -math.inf
-        self._states: Any = None
+        self._states: Subscription | None = None
         self._state_topic = self.resolve_topic_name(JOINT_STATES.name)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(Trigger, "~/stop", self._on_stop)
@@ -301,6 +306,7 @@ class ControllerNode(ManagedNode):
             self._closers.pop()()
 
     def _close_states(self) -> None:
+        assert self._states is not None
         self.destroy_subscription(self._states)
         self._states = None
 
@@ -317,7 +323,7 @@ class ControllerNode(ManagedNode):
             enabled=False,
         )
 
-    def on_parameters(self, changes: Mapping[str, Any]) -> None:
+    def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
         """Take live gains, limits or, without torque, the assembly mode; what is not
         live waits for ``configure``.
         """
@@ -336,7 +342,7 @@ class ControllerNode(ManagedNode):
         else:
             self._tell_mode(changes)
 
-    def _tell_mode(self, changes: Mapping[str, Any]) -> None:
+    def _tell_mode(self, changes: Mapping[str, ParameterValue]) -> None:
         if "assembly_mode" in changes:
             if self._loop is not None:
                 self._loop.set_assembly_mode(changes["assembly_mode"])
@@ -346,7 +352,7 @@ class ControllerNode(ManagedNode):
         """The steady clock, s; None in lockstep, where states may come at any pace."""
         return None if self._lockstep else time.perf_counter()
 
-    def turn(self, executor: Any) -> None:
+    def turn(self, executor: Executor) -> None:
         """The states that have come, or come soon, and what is due besides: that is
         done, in parts, when they are answered.
 
@@ -433,7 +439,7 @@ class ControllerNode(ManagedNode):
                 self._reference.refuse(self._refusal)
                 self._diagnose()
 
-    def _read_state(self, raw: bytes) -> tuple[int, np.ndarray]:
+    def _read_state(self, raw: bytes) -> tuple[int, Array]:
         """Stamp, ns, and active joints (2,), rad, of a joint state."""
         known = self._states_in.unpack(raw)
         if known is not None:
@@ -724,7 +730,7 @@ class ControllerNode(ManagedNode):
             )
         return self._answer(response, loop is not None and loop.phase is Phase.IDLE)
 
-    def _answer(self, response: Any, success: bool, message: str = "") -> Any:
+    def _answer(self, response: R, success: bool, message: str = "") -> R:
         """A service's response, once the change of phase is told."""
         loop = self._loop
         if (
@@ -858,12 +864,12 @@ class ControllerNode(ManagedNode):
         self._diagnose()
 
 
-def _check_mode(values: Mapping[str, Any]) -> None:
+def _check_mode(values: Mapping[str, ParameterValue]) -> None:
     if values["assembly_mode"] == 0:
         raise ParameterError("parameter 'assembly_mode' = 0; it must be +1 or -1")
 
 
-def spin(node: ControllerNode, executor: Any, stop: StopSignal) -> None:
+def spin(node: ControllerNode, executor: Executor, stop: StopSignal) -> None:
     """The node's own loop, until a signal."""
     precise_timers()
     ask_kernel(node.values, node.get_logger().warning)

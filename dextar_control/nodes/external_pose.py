@@ -4,6 +4,7 @@ without waiting, refused in words.
 
 from __future__ import annotations
 
+from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import deserialize_message
 
 from dextar_control.contract.errors import StateError
@@ -13,7 +14,6 @@ from dextar_control.nodekit.cdr import NANOSECONDS, from_time
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodekit.node import DextarNode, qos
 from dextar_control.nodes import messages
-from dextar_control.nodes.messages import PoseStamped
 
 # measurements that may wait: one is taken with each joint state, the oldest first
 DEPTH = 5

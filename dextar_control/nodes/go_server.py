@@ -7,17 +7,17 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from typing import Any
+from collections.abc import Callable
 
 from dextar_interfaces.action import Go
-from rclpy.action import ActionServer, CancelResponse
-from rclpy.action.server import ServerGoalHandle
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
+from rclpy.executors import Executor, MultiThreadedExecutor
 
 from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.signals import Interrupted, StopSignal
 from dextar_control.contract.topics import GO
-from dextar_control.nodekit.node import run_node
+from dextar_control.nodekit.node import RunnableNode, run_node
 from dextar_control.nodes.operator import TICK, Operator, Trip, task_values
 
 LAST_RESULT = 1.0  # s in which the result of a trip that a signal ended is sent
@@ -42,7 +42,7 @@ class Ending:
             raise Interrupted
 
 
-class GoServer(Operator):
+class GoServer(Operator, RunnableNode):
     """Offers the action go: starts a trip of the robot whose nodes run in this
     namespace, and follows it to its end.
 
@@ -52,7 +52,6 @@ class GoServer(Operator):
     """
 
     NAME = "go_server"
-    exit_code = 0
 
     def __init__(self) -> None:
         self.signals: StopSignal | None = None
@@ -89,16 +88,17 @@ class GoServer(Operator):
             self.busy.release()
         result.message = "\n".join(lines)
         self.get_logger().info(result.message)
-        (
-            goal.succeed
-            if good
-            else goal.canceled
-            if goal.is_cancel_requested
-            else goal.abort
-        )()
+        if good:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
         return result
 
-    def _go(self, goal: ServerGoalHandle, result: Go.Result, say: Any) -> bool:
+    def _go(
+        self, goal: ServerGoalHandle, result: Go.Result, say: Callable[[str], None]
+    ) -> bool:
         """Start the goal's trip and follow it; whether it was done and every planned
         crossing crossed.
         """
@@ -139,7 +139,7 @@ class GoServer(Operator):
         self._server.destroy()
 
 
-def values_of(request: Go.Goal) -> dict[str, Any]:
+def values_of(request: Go.Goal) -> dict[str, ParameterValue]:
     """The trajectory server's parameters that a goal asks for.
 
     Raises:
@@ -167,7 +167,7 @@ def values_of(request: Go.Goal) -> dict[str, Any]:
     )
 
 
-def spin(node: GoServer, _: Any, stop: StopSignal) -> None:
+def spin(node: GoServer, _: Executor, stop: StopSignal) -> None:
     """Serve goals until a signal; a trip that is under way then is stopped first."""
     node.signals = stop
     executor = MultiThreadedExecutor(num_threads=2)  # a trip takes one, the other hears

@@ -5,7 +5,6 @@ value and the limit.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -127,7 +126,7 @@ def to_path(trajectory: Trajectory, times: Array) -> Path:
     """A trajectory as a Path whose poses are stamped with the time from its start."""
     path = Path(header=Header(frame_id=BASE_FRAME))
     for time, p in zip(times, trajectory.table(times)[0], strict=True):
-        pose: Any = PoseStamped(
+        pose = PoseStamped(
             header=Header(
                 stamp=to_time(round(float(time) * NANOSECONDS)), frame_id=BASE_FRAME
             )

@@ -11,18 +11,22 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, Protocol
+from typing import Protocol
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.utilities import try_shutdown
 from rich.progress import BarColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.signals import EXIT_FAILED, StopSignal, tell
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, plain
 from dextar_control.contract.topics import DIAGNOSTICS, NODES
@@ -81,7 +85,7 @@ class Operator(Node):
         self.stop = stop
         self.status: dict[str, dict[str, str]] = {}
         self._heard: dict[str, float] = {}
-        self._clients_of: dict[str, Any] = {}
+        self._clients_of: dict[str, Client] = {}
         self.create_subscription(
             DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS)
         )
@@ -206,13 +210,15 @@ class Operator(Node):
                     " robot a namespace (one that was killed counts for up to 20 s)"
                 )
 
-    def _client(self, kind: Any, name: str) -> Any:
+    def _client(self, kind: type[object], name: str) -> Client:
         self._clients_of[name] = self._clients_of.get(name) or self.create_client(
             kind, name
         )
         return self._clients_of[name]
 
-    def ask(self, kind: Any, name: str, request: Any, *, through: bool = False) -> Any:
+    def ask(
+        self, kind: type[object], name: str, request: object, *, through: bool = False
+    ) -> Future:
         """The answer of a service, as a future.
 
         Raises:
@@ -223,7 +229,9 @@ class Operator(Node):
             raise Unreached(self._missing(name.partition("/")[0]))
         return client.call_async(request)
 
-    def call(self, kind: Any, name: str, request: Any, *, through: bool = False) -> Any:
+    def call(
+        self, kind: type[object], name: str, request: object, *, through: bool = False
+    ) -> object:
         """The answer of a service.
 
         Raises:
@@ -240,7 +248,9 @@ class Operator(Node):
             )
         return future.result()
 
-    def set_parameters_of(self, node: str, values: Mapping[str, Any]) -> None:
+    def set_parameters_of(
+        self, node: str, values: Mapping[str, ParameterValue]
+    ) -> None:
         """Set parameters of a node, all or none.
 
         Raises:
@@ -251,13 +261,13 @@ class Operator(Node):
             for name, value in values.items()
         ]
         request = SetParametersAtomically.Request(parameters=parameters)
-        result = self.call(
+        answer: SetParametersAtomically.Response = self.call(
             SetParametersAtomically, f"{node}/set_parameters_atomically", request
-        ).result
-        if not result.successful:
-            raise ParameterError(result.reason)
+        )
+        if not answer.result.successful:
+            raise ParameterError(answer.result.reason)
 
-    def prepare(self, values: Mapping[str, Any]) -> None:
+    def prepare(self, values: Mapping[str, ParameterValue]) -> None:
         """See that a trip can begin, and set the task; what is not given stays as it
         was set last.
 
@@ -339,7 +349,7 @@ class Operator(Node):
         recorder = self.status.get("recorder", {})
         return recorder.get("bag", "") if recorder.get("recording") == "True" else ""
 
-    def ask_controller(self, kind: Any, name: str, request: Any) -> str:
+    def ask_controller(self, kind: type[object], name: str, request: object) -> str:
         """Have the controller do something at once; its state afterwards, in words.
 
         Raises:
@@ -347,7 +357,7 @@ class Operator(Node):
         """
         self.find("controller")
         self.alone("controller")
-        answer = self.call(kind, f"controller/{name}", request)
+        answer: Trigger.Response = self.call(kind, f"controller/{name}", request)
         if not answer.success:
             raise Unreached(answer.message)
         since = time.monotonic()
@@ -356,7 +366,7 @@ class Operator(Node):
 
     def trip(
         self,
-        values: Mapping[str, Any],
+        values: Mapping[str, ParameterValue],
         show: Callable[[str, float], None],
         say: Callable[[str], object],
     ) -> bool:
@@ -393,23 +403,22 @@ class Operator(Node):
         return f"{text}: {step}" if step else text
 
 
-def kind_of(value: Any) -> Parameter.Type:
+def kind_of(value: ParameterValue) -> Parameter.Type:
     """A parameter's type; an empty list is one of floats."""
-    return (
-        Parameter.Type.DOUBLE_ARRAY
-        if isinstance(value, list)
-        else Parameter.Type.from_parameter_value(value)
-    )
+    if isinstance(value, list):
+        return Parameter.Type.DOUBLE_ARRAY
+    found: Parameter.Type = Parameter.Type.from_parameter_value(value)
+    return found
 
 
-def task_values(asked: Mapping[str, Any]) -> dict[str, Any]:
+def task_values(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
     """The trajectory server's parameters that were asked for; one kind of task switches
     the others off.
 
     Args:
         asked: tour, point, excite, duration and repeat; None where it was not.
     """
-    values: dict[str, Any] = {}
+    values: dict[str, ParameterValue] = {}
     if any(asked[name] is not None for name in ("tour", "point", "excite")):
         values = {
             "tour": asked["tour"] or 0,
@@ -436,14 +445,14 @@ def operator(namespace: str) -> Iterator[Operator]:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         node = Operator(namespace, stop)
     except Exception as error:  # rcl raises its own types for bad names
-        rclpy.try_shutdown()
+        try_shutdown()
         stop.restore()
         raise ParameterError(" ".join(str(error).replace("^", "").split())) from error
     try:
         yield node
     finally:
         node.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()
         stop.restore()
 
 
@@ -672,7 +681,7 @@ def reset(arguments: argparse.Namespace) -> int:
 
 
 def _ask_controller(
-    arguments: argparse.Namespace, kind: Any, name: str, request: Any
+    arguments: argparse.Namespace, kind: type[object], name: str, request: object
 ) -> int:
     with operator(arguments.namespace) as me:
         say(me.ask_controller(kind, name, request))

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from typing import Any
 
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -182,15 +181,9 @@ class Outputs:
 
     def close(self) -> None:
         """Destroy the publishers."""
-        publishers: list[Any] = [
-            self._commands,
-            self._states,
-            self._criterion,
-            self._efforts,
-        ]
-        for publisher in [
-            *publishers,
-            *(self._readable.publishers if self._readable is not None else ()),
-        ]:
+        publishers = [self._commands, self._states, self._criterion, self._efforts]
+        if self._readable is not None:
+            publishers += self._readable.publishers
+        for publisher in publishers:
             if publisher is not None:
                 self._node.destroy_publisher(publisher)

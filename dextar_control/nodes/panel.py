@@ -9,16 +9,18 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.executors import Executor
 
 from dextar_control.contract import style
 from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import (
@@ -30,13 +32,13 @@ from dextar_control.contract.topics import (
 from dextar_control.nodekit.node import DextarNode, run_node
 from dextar_control.nodekit.scheduling import stand_back
 from dextar_control.nodekit.worker import GivenUp, Worker
-from dextar_control.nodes.newest import UNCHANGED, Newest
+from dextar_control.nodes.newest import Newest
 from dextar_control.nodes.panel_operator import SPECS, PanelOperator, task_of
 from dextar_control.nodes.scene import Scene, View
 from dextar_control.nodes.task import Task, in_words, plan_from
 from dextar_control.panel.server import Answer, PanelServer
 from dextar_control.panel.words import mend, shown_margins
-from dextar_control.planning.locus import nearest_point
+from dextar_control.planning.locus import LocusPoint, nearest_point
 from dextar_control.symbols.types import Array
 
 PARAMETERS = (
@@ -54,6 +56,7 @@ PARAMETERS = (
     ),
     Parameter("rate", "The page is renewed at this rate.", 5.0, 60.0, unit="Hz"),
 )
+Told = Callable[[bool, str, Mapping[str, object]], None]
 OPTIONS = {"--host": "host", "--port": "port"}
 """Of the command ``dextar panel``, for short; ``--namespace`` besides."""
 
@@ -130,7 +133,7 @@ class PanelNode(DextarNode):
             )
         self.get_logger().info(f"the panel is at {self.server.address}")
 
-    def setup(self) -> dict[str, Any]:
+    def setup(self) -> dict[str, object]:
         """What a page draws once: robot, locus, and what may be set."""
         low, high = self._scene.workspace
         arcs = [
@@ -175,12 +178,14 @@ class PanelNode(DextarNode):
         """The page that was made last."""
         return self._report
 
-    def ask(self, name: str, asked: Mapping[str, Any], answer: Answer) -> None:
+    def ask(
+        self, name: str, asked: Mapping[str, ParameterValue], answer: Answer
+    ) -> None:
         """What the driver asks for; see ``panel_operator``."""
         assert self._loop is not None
         loop, me = self._loop, self.operator
 
-        def told(ok: bool, text: str, more: Mapping[str, Any] | None = None) -> None:
+        def told(ok: bool, text: str, more: Mapping[str, object] | None = None) -> None:
             with contextlib.suppress(RuntimeError):  # the panel has ended meanwhile
                 loop.call_soon_threadsafe(answer, ok, text, more or {})
 
@@ -204,7 +209,7 @@ class PanelNode(DextarNode):
             raise KeyError(name)
         requests[name]()
 
-    def _plan(self, changes: Mapping[str, Any], told: Callable[..., None]) -> None:
+    def _plan(self, changes: Mapping[str, ParameterValue], told: Told) -> None:
         """Plan as the trajectory server would, from where the robot stands; the newest
         wish counts.
         """
@@ -220,7 +225,7 @@ class PanelNode(DextarNode):
                 raise GivenUp("another plan is wanted")
             self._worker.progress(fraction, stage)
 
-        def work() -> dict[str, Any]:
+        def work() -> dict[str, object]:
             progress(0.0, "planning")
             plan = task.plan(self.robot, progress)
             if origin is not None:
@@ -248,7 +253,7 @@ class PanelNode(DextarNode):
                 ],
             }
 
-        def done(plan: dict[str, Any] | None, error: DextarError | None) -> None:
+        def done(plan: dict[str, object] | None, error: DextarError | None) -> None:
             if plan is None:
                 told(
                     False,
@@ -263,15 +268,15 @@ class PanelNode(DextarNode):
 
         self._worker.submit(work, done)
 
-    def _near(self, point: Any, told: Callable[..., None]) -> None:
+    def _near(self, point: Sequence[float], told: Told) -> None:
         """The point of the locus nearest to a place."""
         x = np.array(point, dtype=float)
 
-        def done(found: Any, error: DextarError | None) -> None:
+        def done(found: LocusPoint | None, error: DextarError | None) -> None:
             told(
                 error is None,
                 str(error or "the nearest point of the locus"),
-                {} if error else {"point": _rounded(found.x)},
+                {} if found is None else {"point": _rounded(found.x)},
             )
 
         self._worker.submit(lambda: nearest_point(self.robot, x), done)
@@ -283,7 +288,7 @@ class PanelNode(DextarNode):
         )
         return x if np.isfinite(x).all() else None
 
-    def _make_report(self, told: Callable[..., None]) -> None:
+    def _make_report(self, told: Told) -> None:
         """Have the last recording analysed, in a process of its own."""
         if not self._bag:
             raise DextarError(
@@ -293,7 +298,7 @@ class PanelNode(DextarNode):
             raise DextarError("the report is being made")
         self._reporting = asyncio.ensure_future(self._analyze(Path(self._bag), told))
 
-    async def _analyze(self, bag: Path, told: Callable[..., None]) -> None:
+    async def _analyze(self, bag: Path, told: Told) -> None:
         command = [
             "-n",
             "10",
@@ -316,20 +321,10 @@ class PanelNode(DextarNode):
             .splitlines()
         )
         page = bag.parent / "report.html"
-        if (
-            process.returncode not in (0, 1) or not page.is_file()
-        ):  # 1: the run is no success, or not whole
-            told(
-                False,
-                (
-                    said[-1]
-                    if said
-                    else (
-                        f"the analysis of {bag} ended with exit code"
-                        f" {process.returncode}"
-                    )
-                ),
-            )
+        # 1: the run is no success, or not whole
+        if process.returncode not in (0, 1) or not page.is_file():
+            ended = f"the analysis of {bag} ended with exit code {process.returncode}"
+            told(False, said[-1] if said else ended, {})
             return
         self._report = page
         told(True, f"{page} is made", {"report": True})
@@ -339,9 +334,8 @@ class PanelNode(DextarNode):
         if not self._newest:
             return
         try:
-            trajectory = self._newest.take()
-            if trajectory is not UNCHANGED:
-                self._scene.set_path(trajectory)
+            if (taken := self._newest.take()) is not None:
+                self._scene.set_path(*taken)
                 self.send_path()
             view = self._newest.view()
             state = None if view is None else self._state(view)
@@ -365,7 +359,7 @@ class PanelNode(DextarNode):
             keep=True,
         )
 
-    def _state(self, view: View) -> dict[str, Any]:
+    def _state(self, view: View) -> dict[str, object]:
         x = self._scene.platform(view)
         t_s, s = self._scene.kernel(view, x)
         joints, told = (
@@ -506,7 +500,7 @@ class PanelNode(DextarNode):
         super().destroy_node()
 
 
-def _seconds(stamp: Any) -> float:
+def _seconds(stamp: Time) -> float:
     return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
@@ -514,24 +508,25 @@ def _round(value: float) -> float:
     return round(float(value), DIGITS) + 0.0  # no minus nothing
 
 
-def _rounded(values: Array) -> Any:
-    return np.round(values, DIGITS).tolist()
+def _rounded(values: Array) -> list[object]:
+    rounded: list[object] = np.round(values, DIGITS).tolist()
+    return rounded
 
 
-def _spec(node: str, spec: Parameter) -> dict[str, Any]:
+def _spec(node: str, spec: Parameter) -> dict[str, object]:
     """A parameter as a page sets it."""
     default = node_defaults(node)[spec.name]
     return {**spec.__dict__, "default": default}
 
 
-def _flag(asked: Mapping[str, Any], name: str) -> bool:
+def _flag(asked: Mapping[str, ParameterValue], name: str) -> bool:
     value = asked[name]
     if not isinstance(value, bool):
         raise ParameterError(f"'{name}' = {value!r}; it must be true or false")
     return value
 
 
-def spin(node: PanelNode, executor: Any, stop: StopSignal) -> None:
+def spin(node: PanelNode, executor: Executor, stop: StopSignal) -> None:
     """The server in this thread, ROS in another, until a signal."""
     executor.add_node(node.operator)
     ended = threading.Event()

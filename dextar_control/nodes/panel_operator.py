@@ -9,7 +9,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -19,10 +18,10 @@ from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import DextarError, ParameterError
-from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.parameters import Parameter, check_value
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.signals import Interrupted
-from dextar_control.nodekit.node import check_value
 from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
 from dextar_control.nodes import controller, recorder, trajectory_server
 from dextar_control.nodes.operator import MOVING, TICK, Operator, Unreached, task_values
@@ -137,7 +136,7 @@ class PanelOperator(Operator):
         return self.heard_since(name, time.monotonic() - SILENT)
 
     @property
-    def values(self) -> dict[str, dict[str, Any]]:
+    def values(self) -> dict[str, dict[str, ParameterValue]]:
         """Of each node the parameters of its table."""
         return {
             name: {
@@ -180,7 +179,7 @@ class PanelOperator(Operator):
         )
 
     def go(
-        self, values: Mapping[str, Any], answer: Callable[[bool, str], None]
+        self, values: Mapping[str, ParameterValue], answer: Callable[[bool, str], None]
     ) -> None:
         """A trip; answered when it has ended.
 
@@ -206,7 +205,10 @@ class PanelOperator(Operator):
         self._do("trip", work, answer)
 
     def put(
-        self, node: str, values: Mapping[str, Any], answer: Callable[[bool, str], None]
+        self,
+        node: str,
+        values: Mapping[str, ParameterValue],
+        answer: Callable[[bool, str], None],
     ) -> None:
         """Live parameters of a node; law and estimator of the controller too, which is
         built anew for them, without torque.
@@ -257,7 +259,7 @@ class PanelOperator(Operator):
             self.set_parameters_of("recorder", labels)
             if (self.status["recorder"].get("recording") == "True") == on:
                 return "name and notes are set"
-            told = self.call(
+            told: Trigger.Response = self.call(
                 Trigger, f"recorder/{'start' if on else 'stop'}", Trigger.Request()
             )
             if not told.success:
@@ -266,7 +268,7 @@ class PanelOperator(Operator):
 
         self._do("desk", work, answer)
 
-    def _rebuild(self, values: Mapping[str, Any]) -> None:
+    def _rebuild(self, values: Mapping[str, ParameterValue]) -> None:
         """The controller with another law or estimator: it lets go of the robot first,
         and asks for torque as at its start.
         """
@@ -289,7 +291,10 @@ class PanelOperator(Operator):
 
     def _change(self, label: str) -> None:
         request = ChangeState.Request(transition=Transition(label=label))
-        if not self.call(ChangeState, "controller/change_state", request).success:
+        answer: ChangeState.Response = self.call(
+            ChangeState, "controller/change_state", request
+        )
+        if not answer.success:
             raise Unreached(f"the controller does not {label}; its log says why")
 
     def _do(self, thread: str, work: Job, answer: Callable[[bool, str], None]) -> None:
@@ -320,7 +325,7 @@ class PanelOperator(Operator):
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def task_of(asked: Mapping[str, Any]) -> dict[str, Any]:
+def task_of(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
     """The trajectory server's parameters of a task that a page asks for.
 
     Args:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
-from typing import Any
+from typing import Protocol
 
 from builtin_interfaces.msg import Duration
 
@@ -19,6 +19,10 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.nodekit.cdr import NANOSECONDS, to_time
 from dextar_control.nodekit.node import DextarNode, qos
+
+
+class _Message(Protocol):
+    def get_fields_and_field_types(self) -> dict[str, str]: ...
 
 
 class Readable:
@@ -72,7 +76,7 @@ class Readable:
             publisher.publish(message)
 
 
-def fill(message: Any, values: Sequence[float]) -> None:
+def fill(message: _Message, values: Sequence[float]) -> None:
     """Put numbers into a message's fields in their order; a field of two takes two."""
     left = iter(values)
     for name, kind in message.get_fields_and_field_types().items():

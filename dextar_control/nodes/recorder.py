@@ -9,14 +9,16 @@ from collections import Counter
 from collections.abc import Mapping
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.executors import Executor
 from std_srvs.srv import Trigger
 
-from dextar_control.bags.writer import COMPRESSIONS, Sample
+from dextar_control.bags.mcap_file import Sample
+from dextar_control.bags.writer import COMPRESSIONS
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import DIAGNOSTICS, TOPICS
 from dextar_control.nodekit.node import DextarNode, run_node
@@ -128,8 +130,8 @@ class RecorderNode(DextarNode):
     PARAMETERS = SPECS
     ROBOT = False
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
+    def __init__(self) -> None:
+        super().__init__()
         if 0 < self.values["max_bag_size"] < LEAST_SPLIT:
             size = self.values["max_bag_size"]
             raise ParameterError(
@@ -163,7 +165,7 @@ class RecorderNode(DextarNode):
         self.create_timer(ASK_PERIOD, self._ask, clock=self.steady_clock)
         self.create_timer(1.0, self._on_second, clock=self.steady_clock)
 
-    def on_parameters(self, changes: Mapping[str, Any]) -> None:
+    def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
         """Name, notes and tags as they are set last."""
         if self._recording is not None:
             self._recording.record.labels.update(
@@ -389,11 +391,8 @@ class RecorderNode(DextarNode):
             self._recording.hear_parameter_event(data, received)
 
     def _publish_diagnostics(self) -> None:
-        level, message, values = (
-            DiagnosticStatus.OK,
-            "not recording",
-            {"recording": False},
-        )
+        values: dict[str, object] = {"recording": False}
+        level, message = DiagnosticStatus.OK, "not recording"
         if self._recording is not None:
             level, message, values = self._recording.status()
         self._missing = self._parameters_missing()
@@ -402,7 +401,7 @@ class RecorderNode(DextarNode):
         )
 
 
-def _spin(node: RecorderNode, executor: Any, stop: StopSignal) -> None:
+def _spin(node: RecorderNode, executor: Executor, stop: StopSignal) -> None:
     node.begin()
     while not stop and not node.finished:
         executor.spin_once(timeout_sec=POLL_PERIOD)

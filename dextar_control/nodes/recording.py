@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import ParameterEvent
@@ -17,7 +16,9 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 from dextar_control.bags.run_record import METADATA_NAME, RunRecord
 from dextar_control.bags.writer import BagWriter
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.topics import TOPICS
+from dextar_control.nodekit.node import DextarNode
 from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
 from dextar_control.nodekit.qos_profiles import describe
 from dextar_control.nodes.taps import Tap
@@ -47,7 +48,7 @@ class Recording:
 
     def __init__(
         self,
-        node: Any,
+        node: DextarNode,
         path: Path,
         taps: Sequence[Tap],
         snapshots: Sequence[ParameterSnapshot],
@@ -65,7 +66,7 @@ class Recording:
             {key: values[key] for key in LABELS}, get_rmw_implementation_identifier()
         )
         self._node, self._taps, self._snapshots = node, taps, snapshots
-        self._known: tuple[Any, ...] = ()
+        self._known: tuple[object, ...] = ()
         self._seconds = 0
         for snapshot in snapshots:
             snapshot.renew()
@@ -131,7 +132,7 @@ class Recording:
             self.record.custom_data(self._parameters()),
         )
 
-    def status(self) -> tuple[bytes, str, dict[str, Any]]:
+    def status(self) -> tuple[bytes, str, dict[str, object]]:
         """Level, message and values for ``/diagnostics``."""
         writer = self.writer
         level, message = DiagnosticStatus.OK, f"recording to {writer.path}"
@@ -148,7 +149,7 @@ class Recording:
             level, message = DiagnosticStatus.WARN, f"{self.lost} samples lost"
         elif lasts < LOW_SPACE:
             level, message = DiagnosticStatus.WARN, f"the disk is full in {lasts:.0f} s"
-        values = {
+        values: dict[str, object] = {
             "recording": writer.error is None,
             "bag": writer.path,
             "bytes": writer.size,
@@ -199,7 +200,7 @@ class Recording:
             for tap in self._taps
         }
 
-    def _parameters(self) -> Mapping[str, dict[str, Any]]:
+    def _parameters(self) -> Mapping[str, dict[str, ParameterValue]]:
         node = self._node
         others = {
             snapshot.target: snapshot.values

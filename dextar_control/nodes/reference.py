@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
@@ -100,7 +100,7 @@ class ReferenceReader:
     def poll(
         self,
         loop: ControlLoop,
-        limits: Mapping[str, Any],
+        limits: Mapping[str, float],
         clock: float,
         now: float,
         keep: bool,
@@ -210,7 +210,7 @@ class ReferenceReader:
                 " s: if this machine's clock was set back just now serve it again,"
                 " else synchronise the clock of the server's machine with this one's"
             )
-        message = read_message(raw, TRAJECTORY.type)
+        message: MultiDOFJointTrajectory = read_message(raw, TRAJECTORY.type)
         if len(message.points) == 0:
             return None
         if len(message.points) > MAX_TRAJECTORY_POINTS:

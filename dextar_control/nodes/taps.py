@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 from collections import deque
 from collections.abc import Callable
-from typing import Any
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -13,7 +12,7 @@ from dextar_control.bags.mcap_file import Sample
 from dextar_control.bags.message_definitions import definition, type_hash
 from dextar_control.contract.topics import Topic
 from dextar_control.nodekit.loss_count import LossCount
-from dextar_control.nodekit.node import DextarNode, qos
+from dextar_control.nodekit.node import DextarNode, Take, qos
 
 HISTORY = 10000  # samples each reader holds between two polls: 10 s at 1 kHz
 SLOW = (
@@ -81,7 +80,7 @@ class Tap:
         self.message_type = message_type
         self.listen = listen
         self.losses = LossCount(lambda: node.count_publishers(self.name))
-        self.take: Callable[[Any, bool], Any] = subscription.handle.take_message
+        self.take: Take = subscription.handle.take_message
         self.kept: deque[Sample] | None = (
             deque(maxlen=1) if topic.latched and profile.depth == 1 else None
         )

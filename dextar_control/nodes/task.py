@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError, TrajectoryError
 from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import certify
@@ -176,7 +176,7 @@ class Task:
     criterion: Criterion
 
     @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> Task:
+    def from_values(cls, values: Mapping[str, ParameterValue]) -> Task:
         """From parameter values, each of them checked by itself.
 
         Raises:
@@ -321,7 +321,7 @@ def plan_from(robot: RobotParameters, origin: Array, plan: Plan, speed: float) -
     return Plan(trajectory, certify(robot, trajectory, max_residual=PLAN_RESIDUAL))
 
 
-def _pair(numbers: Any) -> tuple[float, float]:
+def _pair(numbers: Sequence[float]) -> tuple[float, float]:
     return float(numbers[0]), float(numbers[1])
 
 

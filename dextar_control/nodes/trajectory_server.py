@@ -8,22 +8,26 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.srv import GetPlan
+from rclpy.service import Service
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from dextar_control.contract.errors import DextarError, TrajectoryError
 from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.plain_data import ParameterValue
+from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import (
     DIAGNOSTICS,
     MAX_TRAJECTORY_POINTS,
     TRAJECTORY,
 )
 from dextar_control.nodekit.node import EXIT_USAGE, DextarNode, qos, run_node
+from dextar_control.nodekit.services import type_of
 from dextar_control.nodekit.worker import Done, GivenUp, Worker
 from dextar_control.nodes import messages, task
 from dextar_control.nodes.next_step import command, why_not
@@ -122,7 +126,7 @@ class TrajectoryServer(DextarNode):
         self.create_subscription(
             DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS)
         )
-        self._requests: list[tuple[Any, Callable[[Any, Any, Any], None]]] = [
+        self._requests = [
             (self.create_polled_service(Trigger, "~/plan"), self._on_plan),
             (self.create_polled_service(Trigger, "~/start"), self._on_start),
             (self.create_polled_service(GetPlan, "~/get_plan"), self._on_get_plan),
@@ -133,7 +137,7 @@ class TrajectoryServer(DextarNode):
         self.create_timer(POLL_PERIOD, self._poll, clock=self.steady_clock)
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
 
-    def on_parameters(self, changes: Mapping[str, Any]) -> None:
+    def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
         """A changed task is planned before it is served."""
         self._task = Task.from_values(self.values)
 
@@ -143,7 +147,7 @@ class TrajectoryServer(DextarNode):
         """
         for service, answer in self._requests:
             while (
-                taken := service.handle.service_take_request(service.srv_type.Request)
+                taken := service.handle.service_take_request(type_of(service).Request)
             )[1] is not None:
                 answer(service, *taken)
         self._worker.poll()
@@ -200,7 +204,7 @@ class TrajectoryServer(DextarNode):
 
         return work
 
-    def _submit_trip(self, done: Done) -> None:
+    def _submit_trip(self, done: Done[Served]) -> None:
         """Plan the trip from where the robot stands, for ``done`` to serve it, unless
         ``~/stop`` is called before.
         """
@@ -312,7 +316,7 @@ class TrajectoryServer(DextarNode):
         self._diagnose()
         return self._error
 
-    def _on_plan(self, service: Any, _: Trigger.Request, header: Any) -> None:
+    def _on_plan(self, service: Service, _: Trigger.Request, header: object) -> None:
         def done(planned: tuple[Task, Plan] | None, error: DextarError | None) -> None:
             self._take(planned)
             message = (
@@ -326,7 +330,7 @@ class TrajectoryServer(DextarNode):
 
         self._worker.submit(self._plan_of(self._task), done)
 
-    def _on_start(self, service: Any, _: Trigger.Request, header: Any) -> None:
+    def _on_start(self, service: Service, _: Trigger.Request, header: object) -> None:
         def done(served: Served | None, error: DextarError | None) -> None:
             message = self._note(error) if served is None else self._publish(served)
             service.send_response(
@@ -346,7 +350,9 @@ class TrajectoryServer(DextarNode):
             return
         self._submit_trip(done)
 
-    def _on_get_plan(self, service: Any, request: GetPlan.Request, header: Any) -> None:
+    def _on_get_plan(
+        self, service: Service, request: GetPlan.Request, header: object
+    ) -> None:
         ends = [request.start.pose.position, request.goal.pose.position]
         start, goal = (np.array([point.x, point.y]) for point in ends)
         wanted = self._task
@@ -440,7 +446,9 @@ def served_times(
         TrajectoryError: even COARSEST apart there are more than MAX_TRAJECTORY_POINTS.
     """
     while True:
-        times = np.union1d(sample_times(trajectory, period), certificate.crossing_times)
+        times: Array = np.union1d(
+            sample_times(trajectory, period), certificate.crossing_times
+        )
         times = times[np.concatenate([[True], np.diff(times) > 2e-9])]
         if len(times) <= MAX_TRAJECTORY_POINTS:
             return times
@@ -453,7 +461,7 @@ def served_times(
         period = min(period * len(times) / MAX_TRAJECTORY_POINTS * 1.01, COARSEST)
 
 
-def _draw(robot: Any, plan: Plan, path: Path) -> None:
+def _draw(robot: RobotParameters, plan: Plan, path: Path) -> None:
     """Raises: TrajectoryError: the picture cannot be written."""
     from dextar_control.analysis.plan_figure import draw_plan
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from tornado.httpserver import HTTPServer
@@ -23,9 +23,10 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from dextar_control.contract import style
 from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.panel.access import Access
 
-Answer = Callable[[bool, str, Mapping[str, Any]], None]
+Answer = Callable[[bool, str, Mapping[str, object]], None]
 PORTS_TRIED = 10  # from the wanted one on
 PING, PATIENCE = (
     6.0,
@@ -56,10 +57,12 @@ class Backend(Protocol):
     do not wait.
     """
 
-    def setup(self) -> Mapping[str, Any]:
+    def setup(self) -> Mapping[str, object]:
         """What a page needs once."""
 
-    def ask(self, name: str, arguments: Mapping[str, Any], answer: Answer) -> None:
+    def ask(
+        self, name: str, arguments: Mapping[str, ParameterValue], answer: Answer
+    ) -> None:
         """A command of the driver, or a stop of anybody; ``answer`` is called in the
         server's thread.
         """
@@ -74,12 +77,12 @@ class Backend(Protocol):
         """The last run's page, where one has been made."""
 
 
-def to_json(value: Any) -> str:
+def to_json(value: object) -> str:
     """JSON that every browser reads: a number that is not finite is null."""
     return json.dumps(_plain(value), separators=(",", ":"), allow_nan=False)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
@@ -139,7 +142,9 @@ class PanelServer:
         """Answer requests, in the loop that runs."""
         self._http.add_sockets(self._sockets)
 
-    def send(self, kind: str, value: Mapping[str, Any], *, keep: bool = False) -> None:
+    def send(
+        self, kind: str, value: Mapping[str, object], *, keep: bool = False
+    ) -> None:
         """To every page; one that is still busy with the last message is passed over,
         unless this is kept for it.
         """
@@ -333,7 +338,7 @@ class Stream(_Guarded, WebSocketHandler):
         """The page is gone, or asleep for too long."""
         self.server.left(self)
 
-    def say(self, kind: str, value: Mapping[str, Any]) -> None:
+    def say(self, kind: str, value: Mapping[str, object]) -> None:
         """To this page alone."""
         number = value.get("number", "")  # answers are all of them kept
         self.push(f"{kind}{number}", to_json({"kind": kind, **value}), True)
@@ -392,6 +397,6 @@ class Stream(_Guarded, WebSocketHandler):
                 answer(False, f"'{name}' cannot be done with that: {error!r}", {})
 
     def _answer(
-        self, number: int, ok: bool, text: str, more: Mapping[str, Any]
+        self, number: int, ok: bool, text: str, more: Mapping[str, object]
     ) -> None:
         self.say("answer", {"number": number, "ok": ok, "text": text, **more})

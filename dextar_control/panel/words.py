@@ -5,15 +5,24 @@ its watches are to their limits.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TypedDict
 
 GREATER = ("locus",)  # watches whose value is to stay above the limit
 SILENT = 2.0  # s without a joint state that are told
 WITH_TORQUE = ("APPROACH", "HOLD", "TRACK", "CROSSING")
 
 
+class Margin(TypedDict):
+    """How near a watch is to its limit: value and limit as told, and the share used."""
+
+    name: str
+    value: str
+    limit: str
+    used: float  # 0 to 1
+
+
 def mend(
-    namespace: str, told: Mapping[str, str], nodes: Mapping[str, Any]
+    namespace: str, told: Mapping[str, str], nodes: Mapping[str, object]
 ) -> tuple[str, str]:
     """Why there is no torque, or none that follows the robot, in a sentence, and the
     panel's command that mends it; else empty.
@@ -80,11 +89,9 @@ def mend(
     return f"The torque is switched off{because}.", "enable"
 
 
-def shown_margins(told: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Of each watch that the controller tells: name, value and limit as told, and what
-    share of the limit is used up, 0 to 1.
-    """
-    rows = []
+def shown_margins(told: Mapping[str, str]) -> list[Margin]:
+    """Return the margin of each watch that the controller tells, the smallest first."""
+    rows: list[Margin] = []
     for key, text in told.items():
         if not key.startswith("watch_"):
             continue
