@@ -10,10 +10,7 @@ from __future__ import annotations
 
 import html as markup
 import re
-from typing import TYPE_CHECKING, NamedTuple
-
-if TYPE_CHECKING:
-    from matplotlib.typing import RcKeyType
+from typing import Any, NamedTuple, TypeAlias
 
 LIGHT = {
     "paper": "#ffffff",
@@ -185,9 +182,11 @@ def css() -> str:
     )
 
 
-def matplotlib_settings(
-    palette: dict[str, str], size: float = 9.0
-) -> dict[RcKeyType, object]:
+# Its keys are Matplotlib's own literals, and no room below the figures imports it.
+FigureSettings: TypeAlias = Any  # type: ignore[explicit-any]
+
+
+def matplotlib_settings(palette: dict[str, str], size: float = 9.0) -> FigureSettings:
     """Settings of a figure on this palette, in a font of this size, points."""
     return {
         "figure.facecolor": palette["paper"],
