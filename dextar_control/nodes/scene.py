@@ -15,8 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import BASE_FRAME, PHASES
-from dextar_control.mechanisms.five_bar_locus import Family
-from dextar_control.planning.locus import trace_locus
+from dextar_control.planning.locus import Family, trace_locus
 from dextar_control.planning.model import planning_model
 from dextar_control.planning.trajectory import Trajectory
 from dextar_control.symbols.types import Array
