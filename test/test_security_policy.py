@@ -22,7 +22,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rig import PATIENCE, start, stop
 
-from dextar_control.check_rig.client import RigWatch
+from dextar_control.check_rig.client import RigClient
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.topics import (
@@ -327,7 +327,7 @@ def test_commands_and_states_have_one_publisher_each(system: System) -> None:
     [
         ("demo", _Monitor),
         ("operator", lambda: Operator("", SimpleNamespace())),
-        ("check_rig", lambda: RigWatch("", "", "", arrays=False)),
+        ("check_rig", lambda: RigClient("", "", "", arrays=False)),
     ],
     ids=["demo", "operator", "check_rig"],
 )

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from dextar_control.check_rig.limits import Limits
 from dextar_control.check_rig.report import (
     TORQUE_LINES,
-    Line,
+    CheckLine,
     Result,
     in_order,
     skipped,
 )
-from dextar_control.check_rig.samples import Graph, Sample
+from dextar_control.check_rig.samples import Graph, JointSample
 from dextar_control.check_rig.stream import judge_graph, judge_stream, judge_velocity
 from dextar_control.check_rig.torque import TorqueTests
 from dextar_control.contract.robot import RobotParameters
@@ -37,11 +37,11 @@ NEEDED_FOR_TORQUE = (
 
 def watch_lines(
     graph: Graph,
-    samples: Sequence[Sample],
+    samples: Sequence[JointSample],
     robot: RobotParameters,
     limits: Limits,
     duration: float,
-) -> list[Line]:
+) -> list[CheckLine]:
     """The lines that need no torque, the velocity's apart.
 
     Args:
@@ -54,7 +54,7 @@ def watch_lines(
     return judge_graph(graph) + judge_stream(samples, robot, limits, duration)
 
 
-def torque_obstacle(lines: Sequence[Line]) -> str:
+def torque_obstacle(lines: Sequence[CheckLine]) -> str:
     """Why no torque may be sent after these lines; empty when it may."""
     results = {line.name: line.result for line in lines}
     bad = [name for name in NEEDED_FOR_TORQUE if results.get(name) is Result.FAIL]
@@ -68,7 +68,7 @@ def torque_obstacle(lines: Sequence[Line]) -> str:
     )
 
 
-def torque_tests(lines: Sequence[Line], limits: Limits) -> TorqueTests:
+def torque_tests(lines: Sequence[CheckLine], limits: Limits) -> TorqueTests:
     """The tests that may follow a quiet watch."""
     has_effort = any(
         line.name == "effort feedback" and line.result is Result.PASS for line in lines
@@ -77,8 +77,10 @@ def torque_tests(lines: Sequence[Line], limits: Limits) -> TorqueTests:
 
 
 def report(
-    lines: Sequence[Line], samples: Sequence[Sample], torque: TorqueTests | str
-) -> list[Line]:
+    lines: Sequence[CheckLine],
+    samples: Sequence[JointSample],
+    torque: TorqueTests | str,
+) -> list[CheckLine]:
     """All lines, in order.
 
     Args:

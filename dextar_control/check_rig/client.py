@@ -40,8 +40,8 @@ from dextar_control.check_rig.check import (
     watch_lines,
 )
 from dextar_control.check_rig.limits import MIN_SAMPLES, Limits
-from dextar_control.check_rig.report import LINES, Line, Result, failed, has_failed
-from dextar_control.check_rig.samples import Endpoint, Graph, Sample
+from dextar_control.check_rig.report import LINES, CheckLine, Result, failed, has_failed
+from dextar_control.check_rig.samples import Endpoint, Graph, JointSample
 from dextar_control.check_rig.torque import TorqueTests
 from dextar_control.check_rig.trial import NO_TORQUE, Torque
 from dextar_control.contract.caches import check_file
@@ -65,7 +65,7 @@ LAST_WORD = 1.0  # s until the last zero must be acknowledged
 DEPTH = 4000  # states held between two looks
 
 
-class RigWatch(Node):
+class RigClient(Node):
     """Reads a driver's states without an executor, and commands it once ``open`` was
     called.
 
@@ -101,14 +101,14 @@ class RigWatch(Node):
         """
         return self._unstepped.now()
 
-    def take(self) -> Iterator[Sample]:
+    def take(self) -> Iterator[JointSample]:
         """The states that have arrived."""
         while (
             taken := self._states.handle.take_message(JointState, False)
         ) is not None:
             message, info = taken
             self._stamp = from_time(message.header.stamp)
-            yield Sample(
+            yield JointSample(
                 self._unstepped.arrival(info["received_timestamp"]),
                 self._stamp,
                 tuple(message.name),
@@ -238,14 +238,14 @@ class RigWatch(Node):
 
 
 @contextmanager
-def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigWatch, StopSignal]]:
+def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigClient, StopSignal]]:
     """The node, with signals as a flag; whatever happens, zero torque is the last
     command.
     """
     try:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         arrays = arguments.command_interface == "effort_array"
-        node = RigWatch(
+        node = RigClient(
             arguments.namespace, arguments.states, arguments.commands, arrays=arrays
         )
     except DextarError:
@@ -335,13 +335,13 @@ def _check(stop: StopSignal) -> None:
 
 
 def _look(
-    console: Terminal, node: RigWatch, stop: StopSignal, wait: float, duration: float
-) -> tuple[Graph, list[Sample]]:
+    console: Terminal, node: RigClient, stop: StopSignal, wait: float, duration: float
+) -> tuple[Graph, list[JointSample]]:
     """The graph, and the states of a quiet watch that begins with the first of them, or
     when it has not come.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    samples: list[Sample] = []
+    samples: list[JointSample] = []
     with Steps(*columns, console=console, transient=True) as progress:
         bar = progress.add_task(
             f"looking for {node.graph().states}", total=wait + SETTLE + duration
@@ -364,7 +364,7 @@ def _look(
         return _settled(node, begun + DISCOVERY, stop), samples
 
 
-def _settled(node: RigWatch, earliest: float, stop: StopSignal | None = None) -> Graph:
+def _settled(node: RigClient, earliest: float, stop: StopSignal | None = None) -> Graph:
     """The graph once everybody has a name: a node's endpoints are often found before
     it.
     """
@@ -413,8 +413,8 @@ def _permission(
 
 
 def _torque(
-    console: Terminal, node: RigWatch, stop: StopSignal, tests: TorqueTests
-) -> Line | None:
+    console: Terminal, node: RigClient, stop: StopSignal, tests: TorqueTests
+) -> CheckLine | None:
     """Run the tests with torque; the line that another commander or another driver
     earns, or None.
     """
@@ -458,7 +458,7 @@ def _torque(
     return None
 
 
-def _answer(node: RigWatch, tests: TorqueTests) -> None:
+def _answer(node: RigClient, tests: TorqueTests) -> None:
     """Let the tests see what arrived; command what they want."""
     torque = None
     for sample in node.take():
@@ -472,7 +472,7 @@ def _answer(node: RigWatch, tests: TorqueTests) -> None:
         time.sleep(POLL)
 
 
-def _second(node: RigWatch) -> Line:
+def _second(node: RigClient) -> CheckLine:
     names = ", ".join(end.node for end in _settled(node, 0.0).commanders) or "unknown"
     return failed(
         "only commander",
@@ -481,7 +481,7 @@ def _second(node: RigWatch) -> Line:
     )
 
 
-def _second_driver(node: RigWatch) -> Line:
+def _second_driver(node: RigClient) -> CheckLine:
     names = (
         ", ".join(sorted(end.node for end in _settled(node, 0.0).drivers)) or "unknown"
     )
@@ -500,7 +500,7 @@ STYLES = {
 }
 
 
-def table(lines: Sequence[Line], graph: Graph) -> Table:
+def table(lines: Sequence[CheckLine], graph: Graph) -> Table:
     """The report for a person."""
     grid = Table(title=title(f"{graph.states}, {graph.commands}"), show_lines=False)
     for name in ("line", "", "measured", "limit"):
@@ -515,7 +515,7 @@ def table(lines: Sequence[Line], graph: Graph) -> Table:
     return grid
 
 
-def _note(console: Terminal, lines: Sequence[Line]) -> None:
+def _note(console: Terminal, lines: Sequence[CheckLine]) -> None:
     counts = {result: sum(line.result is result for line in lines) for result in Result}
     notes = (
         f", {counts[Result.NOTE]} noted: not needed by the controller"
@@ -535,7 +535,9 @@ def _note(console: Terminal, lines: Sequence[Line]) -> None:
             console.print(text)
 
 
-def _write(path: Path, lines: Sequence[Line], graph: Graph, limits: Limits) -> None:
+def _write(
+    path: Path, lines: Sequence[CheckLine], graph: Graph, limits: Limits
+) -> None:
     document = {
         "passed": not has_failed(lines),
         "states": graph.states,

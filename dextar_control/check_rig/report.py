@@ -17,7 +17,7 @@ class Result(Enum):
 
 
 @dataclass(frozen=True)
-class Line:
+class CheckLine:
     """One requirement and what was found.
 
     Attributes:
@@ -80,39 +80,39 @@ TORQUE_LINES = ("response q11", "response q21", "watchdog", "refuses NaN")
 """Those that need torque on the robot."""
 
 
-def passed(name: str, measured: str, limit: str = "", **numbers: float) -> Line:
+def passed(name: str, measured: str, limit: str = "", **numbers: float) -> CheckLine:
     """The requirement is met."""
-    return Line(name, Result.PASS, measured, limit, numbers)
+    return CheckLine(name, Result.PASS, measured, limit, numbers)
 
 
-def failed(name: str, measured: str, limit: str = "", **numbers: float) -> Line:
+def failed(name: str, measured: str, limit: str = "", **numbers: float) -> CheckLine:
     """The requirement is not met."""
-    return Line(name, Result.FAIL, measured, limit, numbers)
+    return CheckLine(name, Result.FAIL, measured, limit, numbers)
 
 
-def skipped(name: str, reason: str) -> Line:
+def skipped(name: str, reason: str) -> CheckLine:
     """The requirement could not be tried, and why."""
-    return Line(name, Result.SKIP, reason)
+    return CheckLine(name, Result.SKIP, reason)
 
 
-def noted(name: str, measured: str, limit: str = "", **numbers: float) -> Line:
+def noted(name: str, measured: str, limit: str = "", **numbers: float) -> CheckLine:
     """The requirement is not met, but the controller does without."""
-    return Line(name, Result.NOTE, measured, limit, numbers)
+    return CheckLine(name, Result.NOTE, measured, limit, numbers)
 
 
 def judged(
     ok: bool, name: str, measured: str, limit: str = "", **numbers: float
-) -> Line:
+) -> CheckLine:
     """PASS or FAIL."""
-    return Line(name, Result.PASS if ok else Result.FAIL, measured, limit, numbers)
+    return CheckLine(name, Result.PASS if ok else Result.FAIL, measured, limit, numbers)
 
 
-def has_failed(lines: Iterable[Line]) -> bool:
+def has_failed(lines: Iterable[CheckLine]) -> bool:
     """Whether any line failed."""
     return any(line.result is Result.FAIL for line in lines)
 
 
-def in_order(lines: Iterable[Line]) -> list[Line]:
+def in_order(lines: Iterable[CheckLine]) -> list[CheckLine]:
     """Sorted as in ``LINES``."""
     order = list(LINES)
     return sorted(lines, key=lambda line: order.index(line.name))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dextar_control.check_rig.limits import EFFORT_SHARE, MIN_DOUBLET, MIN_MOVE, Limits
-from dextar_control.check_rig.report import Line, failed, judged, skipped
+from dextar_control.check_rig.report import CheckLine, failed, judged, skipped
 from dextar_control.check_rig.samples import (
     NANOSECOND,
     Array,
@@ -13,14 +13,14 @@ from dextar_control.check_rig.samples import (
     joint_angles,
     times,
 )
-from dextar_control.check_rig.trial import Torque, Trial
+from dextar_control.check_rig.trial import Torque, TorqueTrial
 from dextar_control.contract.robot import JOINT_NAMES
 
 SETTLED = 0.5  # of a pulse, after which the effort counts
 FEW = 3  # states of a pulse that are needed after that
 
 
-def response_line(trial: Trial, limits: Limits) -> Line:
+def response_line(trial: TorqueTrial, limits: Limits) -> CheckLine:
     """The line ``response`` of a doublet's joint: effort, and movement in the torque's
     direction.
     """
@@ -67,7 +67,7 @@ def response_line(trial: Trial, limits: Limits) -> Line:
     )
 
 
-def movements(trial: Trial) -> tuple[float, float, float]:
+def movements(trial: TorqueTrial) -> tuple[float, float, float]:
     """(up, down, noise), rad: what the first pulse, by + and by - torque each, moves
     the joint in the torque's direction.
 
@@ -103,7 +103,7 @@ def _twice(t: Array, held: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(first[:-1] * dt + 0.5 * held[:-1] * dt**2)])
 
 
-def _effort_at(trial: Trial, segment: str) -> Array | None:
+def _effort_at(trial: TorqueTrial, segment: str) -> Array | None:
     """Median efforts (2,) of both motors in the settled part of a segment; None when
     there are none.
     """
@@ -117,7 +117,7 @@ def _follows(effort: Array, joint: int, torque: float, tolerance: float) -> bool
     return bool((np.abs(effort - wanted) <= tolerance).all())
 
 
-def watchdog_line(trial: Trial, limits: Limits) -> Line:
+def watchdog_line(trial: TorqueTrial, limits: Limits) -> CheckLine:
     """The line ``watchdog`` of a silence."""
     limit = (
         f"{1e3 * limits.watchdog_limit:.1f} ms ({1e3 * limits.watchdog:g} declared, and"
@@ -163,7 +163,7 @@ def _largest(efforts: Array) -> float:
     return float(np.abs(efforts[-1]).max()) if len(efforts) else 0.0
 
 
-def nan_line(trial: Trial, limits: Limits, *, responds: bool) -> Line:
+def nan_line(trial: TorqueTrial, limits: Limits, *, responds: bool) -> CheckLine:
     """The line ``refuses NaN``.
 
     Args:

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 NANOSECOND = 1.0e-9  # s
 
 
-class Sample(NamedTuple):
+class JointSample(NamedTuple):
     """One joint state.
 
     Attributes:
@@ -70,7 +70,9 @@ class Graph(NamedTuple):
     commanders: tuple[Endpoint, ...]
 
 
-def by_name(samples: Iterable[Sample], field: str) -> tuple[list[Sample], Array]:
+def by_name(
+    samples: Iterable[JointSample], field: str
+) -> tuple[list[JointSample], Array]:
     """The samples that have finite numbers for both joints in a field, and these
     numbers, (n, 2), in the contract's order.
     """
@@ -88,7 +90,7 @@ def by_name(samples: Iterable[Sample], field: str) -> tuple[list[Sample], Array]
     return kept, np.array(rows, dtype=np.float64).reshape(-1, 2)
 
 
-def joint_angles(samples: Iterable[Sample]) -> tuple[list[Sample], Array]:
+def joint_angles(samples: Iterable[JointSample]) -> tuple[list[JointSample], Array]:
     """The samples that the controller can use, and their joint angles (n, 2), rad,
     without the encoders' whole turns.
 
@@ -105,7 +107,7 @@ def joint_angles(samples: Iterable[Sample]) -> tuple[list[Sample], Array]:
     return kept, np.unwrap(np.array(rows, dtype=np.float64).reshape(-1, 2), axis=0)
 
 
-def times(samples: Sequence[Sample]) -> Array:
+def times(samples: Sequence[JointSample]) -> Array:
     """When the samples were taken, s from the first: their stamps where these rise,
     else their arrivals.
     """

@@ -16,13 +16,20 @@ from dextar_control.check_rig.limits import (
     VELOCITY_WINDOW,
     Limits,
 )
-from dextar_control.check_rig.report import Line, failed, judged, noted, passed, skipped
+from dextar_control.check_rig.report import (
+    CheckLine,
+    failed,
+    judged,
+    noted,
+    passed,
+    skipped,
+)
 from dextar_control.check_rig.samples import (
     NANOSECOND,
     Array,
     Endpoint,
     Graph,
-    Sample,
+    JointSample,
     by_name,
     joint_angles,
     times,
@@ -57,7 +64,7 @@ POSES = 200  # of a watch, at which the working mode is looked at
 QUICK = 10.0
 
 
-def judge_graph(graph: Graph) -> list[Line]:
+def judge_graph(graph: Graph) -> list[CheckLine]:
     """Topics, types, QoS, and who else commands."""
     drivers, readers = graph.drivers, graph.readers
     found = (
@@ -102,7 +109,7 @@ def judge_graph(graph: Graph) -> list[Line]:
     return lines
 
 
-def _qos(drivers: Sequence[Endpoint], readers: Sequence[Endpoint]) -> Line:
+def _qos(drivers: Sequence[Endpoint], readers: Sequence[Endpoint]) -> CheckLine:
     limit = "states reliable; commands match a reliable, volatile publisher"
     troubles = [
         f"{end.node}: {end.mismatch}" for end in (*drivers, *readers) if end.mismatch
@@ -132,8 +139,11 @@ def _who(ends: Sequence[Endpoint], role: str) -> str:
 
 
 def judge_stream(
-    samples: Sequence[Sample], robot: RobotParameters, limits: Limits, duration: float
-) -> list[Line]:
+    samples: Sequence[JointSample],
+    robot: RobotParameters,
+    limits: Limits,
+    duration: float,
+) -> list[CheckLine]:
     """Everything that states alone tell, except the velocity, which a movement tells
     better (``judge_velocity``).
 
@@ -172,7 +182,7 @@ def judge_stream(
     return lines
 
 
-def _no_stream(samples: Sequence[Sample], new: int, duration: float) -> Line:
+def _no_stream(samples: Sequence[JointSample], new: int, duration: float) -> CheckLine:
     limit = f"at least {MIN_STATES} new ones"
     if not samples:
         return failed("states", f"none in {duration:.1f} s", limit, states=0)
@@ -189,7 +199,7 @@ def _no_stream(samples: Sequence[Sample], new: int, duration: float) -> Line:
     return failed("states", text, limit, states=new)
 
 
-def _names(samples: Sequence[Sample]) -> Line:
+def _names(samples: Sequence[JointSample]) -> CheckLine:
     limit = " and ".join(JOINT_NAMES)
     wrong = [
         sample.names
@@ -230,7 +240,7 @@ def _names(samples: Sequence[Sample]) -> Line:
     )
 
 
-def _sizes(samples: Sequence[Sample]) -> Line:
+def _sizes(samples: Sequence[JointSample]) -> CheckLine:
     wrong = [sample for sample in samples if len(sample.position) != len(sample.names)]
     odd = [
         sample
@@ -261,7 +271,7 @@ def _sizes(samples: Sequence[Sample]) -> Line:
     return passed("array sizes", sizes, "as many as names", wrong=0)
 
 
-def _numbers(samples: Sequence[Sample]) -> Line:
+def _numbers(samples: Sequence[JointSample]) -> CheckLine:
     """Positions of both joints, which the controller needs; what else is not finite is
     a remark.
     """
@@ -296,7 +306,7 @@ def _numbers(samples: Sequence[Sample]) -> Line:
     )
 
 
-def _measured(samples: Sequence[Sample]) -> list[Sample]:
+def _measured(samples: Sequence[JointSample]) -> list[JointSample]:
     """The states with a position of both joints, finite or not."""
     return [
         s
@@ -306,7 +316,7 @@ def _measured(samples: Sequence[Sample]) -> list[Sample]:
     ]
 
 
-def _pace(samples: Sequence[Sample], limits: Limits) -> list[Line]:
+def _pace(samples: Sequence[JointSample], limits: Limits) -> list[CheckLine]:
     intervals = NANOSECOND * np.diff([sample.arrival for sample in samples])
     rate = 1.0 / max(float(intervals.mean()), NANOSECOND)
     jitter = float(np.percentile(np.abs(intervals - limits.period), 99))
@@ -346,7 +356,7 @@ def _pace(samples: Sequence[Sample], limits: Limits) -> list[Line]:
     ]
 
 
-def _stamps(samples: Sequence[Sample], limits: Limits) -> list[Line]:
+def _stamps(samples: Sequence[JointSample], limits: Limits) -> list[CheckLine]:
     stamps = np.array([sample.stamp for sample in samples], dtype=np.int64)
     arrivals = np.array([sample.arrival for sample in samples], dtype=np.int64)
     ages = NANOSECOND * (arrivals - stamps)
@@ -375,7 +385,7 @@ def _stamps(samples: Sequence[Sample], limits: Limits) -> list[Line]:
     ]
 
 
-def _rise(samples: Sequence[Sample], limits: Limits) -> Line:
+def _rise(samples: Sequence[JointSample], limits: Limits) -> CheckLine:
     """A step back is a fault of the controller; a repetition only begins its healthy
     time anew.
     """
@@ -438,7 +448,9 @@ def _closing(robot: RobotParameters) -> tuple[float, float]:
     return abs(lengths[0] - lengths[1]), sum(lengths)
 
 
-def _closes(samples: Sequence[Sample], robot: RobotParameters, limits: Limits) -> Line:
+def _closes(
+    samples: Sequence[JointSample], robot: RobotParameters, limits: Limits
+) -> CheckLine:
     _, q_a = joint_angles(samples)
     if not len(q_a):
         return skipped("closes", "no state has finite positions of both joints")
@@ -461,8 +473,8 @@ def _closes(samples: Sequence[Sample], robot: RobotParameters, limits: Limits) -
 
 
 def _mode_and_range(
-    samples: Sequence[Sample], robot: RobotParameters, limits: Limits
-) -> Line:
+    samples: Sequence[JointSample], robot: RobotParameters, limits: Limits
+) -> CheckLine:
     """By the controller's rules for its first state, and for each one under torque."""
     _, q_a = joint_angles(samples)
     if not len(q_a):
@@ -534,7 +546,7 @@ def _in_mode(model: Model, q_a: Array, assembly_mode: int) -> bool:
     return bool(np.hypot(*off) < SAME_JOINTS)
 
 
-def _effort(samples: Sequence[Sample]) -> Line:
+def _effort(samples: Sequence[JointSample]) -> CheckLine:
     without = len(samples) - len(by_name(samples, "effort")[0])
     text = f"{without} of {len(samples)} states without"
     if without:
@@ -546,7 +558,7 @@ def _effort(samples: Sequence[Sample]) -> Line:
     return passed("effort feedback", text, "0", without=0)
 
 
-def judge_velocity(stretches: Sequence[Sequence[Sample]]) -> Line:
+def judge_velocity(stretches: Sequence[Sequence[JointSample]]) -> CheckLine:
     """Whether velocities integrate to positions, over windows of ``VELOCITY_WINDOW``
     without a long gap.
 

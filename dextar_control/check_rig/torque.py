@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from dextar_control.check_rig.limits import Limits
-from dextar_control.check_rig.report import TORQUE_LINES, Line, Result, skipped
+from dextar_control.check_rig.report import TORQUE_LINES, CheckLine, Result, skipped
 from dextar_control.check_rig.response import nan_line, response_line, watchdog_line
-from dextar_control.check_rig.samples import Sample
+from dextar_control.check_rig.samples import JointSample
 from dextar_control.check_rig.trial import (
     NO_TORQUE,
     Torque,
-    Trial,
+    TorqueTrial,
     doublet,
     nan_and_on,
     silence,
@@ -46,12 +46,12 @@ class TorqueTests:
     def __init__(self, limits: Limits, *, has_effort: bool) -> None:
         self._limits = limits
         self._has_effort = has_effort
-        self.lines: list[Line] = []
-        self.trials: list[Trial] = []
+        self.lines: list[CheckLine] = []
+        self.trials: list[TorqueTrial] = []
         self.finished = False
         self._tries = 1
         self._steps = self._sequence()
-        self._judge: Callable[[Trial], Line] = lambda trial: response_line(
+        self._judge: Callable[[TorqueTrial], CheckLine] = lambda trial: response_line(
             trial, limits
         )
         self._next()
@@ -72,7 +72,7 @@ class TorqueTests:
         )
         return sum(segment.duration for part in parts for segment in part)
 
-    def update(self, now: int, sample: Sample | None) -> Torque | None:
+    def update(self, now: int, sample: JointSample | None) -> Torque | None:
         """What to command now, N m; None for nothing.
 
         Args:
@@ -91,7 +91,7 @@ class TorqueTests:
             )
             if again and not trial.trouble and self._tries < TRIES:
                 self._tries += 1
-                self.trials[-1] = Trial(trial.joint, trial.segments, trial.limits)
+                self.trials[-1] = TorqueTrial(trial.joint, trial.segments, trial.limits)
                 return answer
             self.lines.append(
                 line
@@ -121,11 +121,11 @@ class TorqueTests:
         else:
             self.trials.append(trial)
 
-    def _sequence(self) -> Iterator[Trial]:
+    def _sequence(self) -> Iterator[TorqueTrial]:
         limits = self._limits
         for joint in (0, 1):
             self._judge = lambda trial: response_line(trial, limits)
-            yield Trial(joint, doublet(joint, limits), limits)
+            yield TorqueTrial(joint, doublet(joint, limits), limits)
         good = [
             joint for joint, line in enumerate(self.lines) if line.result is Result.PASS
         ]
@@ -139,7 +139,7 @@ class TorqueTests:
             )
         else:
             self._judge = lambda trial: watchdog_line(trial, limits)
-            yield Trial(good[0], silence(good[0], limits), limits)
+            yield TorqueTrial(good[0], silence(good[0], limits), limits)
             if self.lines[-1].numbers.get("gone") == 0.0:
                 self.stop(
                     "the drive keeps its torque when commands stop: too risky to go on"
@@ -148,4 +148,4 @@ class TorqueTests:
         self._judge = lambda trial: nan_line(trial, limits, responds=bool(good))
         joint = good[0] if good else 0
         script = nan_and_on(joint, limits) if good else nan_and_on(joint, limits)[:2]
-        yield Trial(joint, script, limits)
+        yield TorqueTrial(joint, script, limits)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dextar_control.check_rig.limits import Limits
-from dextar_control.check_rig.samples import NANOSECOND, Array, Sample
+from dextar_control.check_rig.samples import NANOSECOND, Array, JointSample
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import JOINT_NAMES, joint_positions
 
@@ -88,7 +88,7 @@ def nan_and_on(joint: int, limits: Limits) -> list[Segment]:
 
 
 @dataclass
-class Trial:
+class TorqueTrial:
     """Answers states segment by segment, and stops at once when the robot leaves its
     limits.
 
@@ -108,7 +108,7 @@ class Trial:
     joint: int
     segments: Sequence[Segment]
     limits: Limits
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[JointSample] = field(default_factory=list)
     answers: list[Torque | None] = field(default_factory=list)
     places: list[int] = field(default_factory=list)
     sent: int = 0
@@ -118,12 +118,12 @@ class Trial:
     _start: int = 0
     _origin: Array | None = None
     _last: Array | None = None
-    _recent: deque[tuple[Sample, Array]] = field(default_factory=deque)
+    _recent: deque[tuple[JointSample, Array]] = field(default_factory=deque)
 
     def __post_init__(self) -> None:
         self._ends = np.cumsum([segment.duration for segment in self.segments])
 
-    def update(self, now: int, sample: Sample | None) -> Torque | None:
+    def update(self, now: int, sample: JointSample | None) -> Torque | None:
         """What to command now: in answer to a state, or None.
 
         Args:
@@ -170,7 +170,7 @@ class Trial:
         """
         return self.worst_delay > DISTURBED * self.limits.pulse
 
-    def of(self, name: str, share: float = 0.0) -> list[Sample]:
+    def of(self, name: str, share: float = 0.0) -> list[JointSample]:
         """The states of a segment after this share of its duration."""
         place = next(
             index for index, segment in enumerate(self.segments) if segment.name == name
@@ -186,7 +186,7 @@ class Trial:
         self.trouble = self.trouble or trouble
         self.finished = True
 
-    def _watch(self, sample: Sample) -> None:
+    def _watch(self, sample: JointSample) -> None:
         """End the test when the controller could not use the state, or a joint is too
         far from the start or too quick.
         """
@@ -207,7 +207,7 @@ class Trial:
             )
         self._watch_speed(sample, q_a)
 
-    def _watch_speed(self, sample: Sample, q_a: Array) -> None:
+    def _watch_speed(self, sample: JointSample, q_a: Array) -> None:
         """Over a window; of stamps and arrivals the longer time counts, because states
         arrive in bursts.
         """

@@ -28,7 +28,7 @@ from dextar_control.contract.signals import run_command
 from dextar_control.executables import EXECUTABLES
 
 
-class Command(Protocol):
+class CommandModule(Protocol):
     """What a command's module offers."""
 
     SUMMARY: str
@@ -41,7 +41,7 @@ class Command(Protocol):
         """Do what was asked; the exit code."""
 
 
-COMMANDS: dict[str, Command] = {
+COMMANDS: dict[str, CommandModule] = {
     "demo": demo,
     "go": operate.GO,
     "stop": operate.STOP,

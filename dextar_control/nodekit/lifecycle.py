@@ -27,7 +27,7 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
     stays in the state where it was; any other exception leads by way of error
     processing to unconfigured. A transition that the present state does not have is
     refused too (rclpy's own service raises then, out of the executor). No executor
-    serves the services: the node polls ``desk``.
+    serves the services: the node polls ``polled_services``.
     """
 
     def __init__(self) -> None:

@@ -51,7 +51,7 @@ from dextar_control.contract.robot import (
 from dextar_control.contract.signals import StopSignal, caused_by_interrupt, tell
 from dextar_control.contract.topics import DIAGNOSTICS, Topic
 from dextar_control.contract.yaml_text import check_parameter_files
-from dextar_control.nodekit.services import ServiceDesk
+from dextar_control.nodekit.services import PolledServices
 
 EXIT_USAGE = 2
 LAST_SAMPLES = 1.0  # s given to readers that want every sample, when a node ends
@@ -130,7 +130,7 @@ class DextarNode(RunnableNode):
 
     Args:
         served: whether the executor serves the services, those of parameters too;
-            otherwise the node calls ``desk.poll`` when it has time for some.
+            otherwise the node calls ``polled_services.poll`` when it has time for some.
         cli_args: ROS arguments of this node alone.
 
     Raises:
@@ -182,7 +182,7 @@ class DextarNode(RunnableNode):
         )
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.unstepped_clock = UnsteppedClock()
-        self.desk = ServiceDesk(
+        self.polled_services = PolledServices(
             lambda: self._services,
             lambda text: self.get_logger().error(
                 text, throttle_duration_sec=COMPLAINT_PERIOD

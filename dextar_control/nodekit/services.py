@@ -22,7 +22,7 @@ def type_of(service: Service) -> ServiceType:
     return cast(ServiceType, service.srv_type)
 
 
-class ServiceDesk:
+class PolledServices:
     """Takes requests where they wait in the middleware, and answers them when it is
     told to.
 

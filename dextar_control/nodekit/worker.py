@@ -21,7 +21,7 @@ class GivenUp(DextarError):
     """
 
 
-class Worker:
+class JobQueue:
     """Runs jobs one after the other; ``poll`` hands their results over where it is
     called.
 

@@ -177,15 +177,15 @@ class ControllerNode(ManagedNode):
         self._enabling = "off"
         self._side_unknown = False
         self._latched: tuple[str, int] = ("", 0)
-        self._others = self._rivals = ""
+        self._other_commanders = self._second_publishers = ""
         self._stamp = -1
         self._published = 0
         self._stalled = False
         self._refusal = ""
-        self._said: tuple[Phase, str] = (Phase.IDLE, "")
+        self._logged_phase: tuple[Phase, str] = (Phase.IDLE, "")
         self._passed: list[Passed] = []
         self._begun = -1
-        self._judged: list[Passed] = []
+        self._logged_crossings: list[Passed] = []
         self._verdicts: list[Verdict] = []
         self._completed = 0
         self._tracked: Certificate | None = None
@@ -272,7 +272,7 @@ class ControllerNode(ManagedNode):
             self._loop.fault(self._latched[0])
         elif self._automatic and self.values["healthy_time"] == 0.0:
             self._enable_itself()
-        self._said = (self._loop.phase, self._loop.reason)
+        self._logged_phase = (self._loop.phase, self._loop.reason)
         self._active = True
         self.get_logger().info(
             f"waiting for {self.resolve_topic_name(JOINT_STATES.name)}"
@@ -301,7 +301,7 @@ class ControllerNode(ManagedNode):
         """Drop the loop and everything on the network but services and diagnostics; a
         latched fault still is.
         """
-        self._loop, self._others, self._rivals = None, "", ""
+        self._loop, self._other_commanders, self._second_publishers = None, "", ""
         while self._closers:
             self._closers.pop()()
 
@@ -368,7 +368,7 @@ class ControllerNode(ManagedNode):
             for _ in range(MOST_AT_ONCE):
                 if (taken := take(JointState, True)) is None:
                     break
-                self._hear(*taken)
+                self._receive(*taken)
         now = time.perf_counter()
         if self._situation is not None:
             self.publish_diagnostics(*self._situation)
@@ -376,12 +376,12 @@ class ControllerNode(ManagedNode):
             executor.spin_once(timeout_sec=0.0)
         elif now - self._diagnosed >= DIAGNOSTICS_PERIOD:
             self._diagnosed = now
-            self._situation = self._look_about()
+            self._situation = self._situation_now()
         elif now - self._watched >= WATCH_PERIOD:
             self._watched = now
             self._watch()
 
-    def _hear(self, raw: bytes, info: Mapping[str, int]) -> None:
+    def _receive(self, raw: bytes, info: Mapping[str, int]) -> None:
         """A state, and what the middleware tells of it: its publisher's number, and
         when it was sent.
         """
@@ -429,8 +429,8 @@ class ControllerNode(ManagedNode):
             self._statistics.spaced(gap, self._period)
         self._stamp = stamp
         self._stalled = False
-        if (loop.phase, loop.reason) != self._said:
-            self._say(answered=True)
+        if (loop.phase, loop.reason) != self._logged_phase:
+            self._log_phase(answered=True)
         self._statistics.arrived(stamp, begin, self._published)
         self._statistics.worked(time.perf_counter() - begin)
         if loop.refusal != self._refusal:
@@ -490,7 +490,11 @@ class ControllerNode(ManagedNode):
         """
         self._statistics.counts["refused_states"] += 1
         self._look_at_publishers()
-        reason = f"{error}; {self._rivals}" if self._rivals else str(error)
+        reason = (
+            f"{error}; {self._second_publishers}"
+            if self._second_publishers
+            else str(error)
+        )
         self._stream.spoil(reason)
         if loop.phase not in (Phase.IDLE, Phase.FAULT) and isinstance(
             error, StateError
@@ -498,20 +502,20 @@ class ControllerNode(ManagedNode):
             loop.fault(reason)
         else:
             self.get_logger().error(reason, throttle_duration_sec=1.0)
-        if (loop.phase, loop.reason) != self._said:
-            self._say()
+        if (loop.phase, loop.reason) != self._logged_phase:
+            self._log_phase()
 
-    def _say(self, *, answered: bool = False) -> None:
+    def _log_phase(self, *, answered: bool = False) -> None:
         """Tell a change of phase; one that no state has answered yet takes the torque
         away at once.
         """
         loop = self._loop
         assert loop is not None
-        if loop.phase in LATCHED and self._said[0] is not loop.phase:
+        if loop.phase in LATCHED and self._logged_phase[0] is not loop.phase:
             loop.reason = "; ".join(
                 [*self._lateness(loop), loop.reason, *self._second_rig(loop)]
             )
-        before, self._said = self._said, (loop.phase, loop.reason)
+        before, self._logged_phase = self._logged_phase, (loop.phase, loop.reason)
         if not answered and loop.phase in LIMP:
             self._outputs.release()
         if loop.phase in LATCHED:
@@ -536,11 +540,11 @@ class ControllerNode(ManagedNode):
         """Every WATCH_PERIOD: some service requests, new trajectories, the steady
         clock, and who else commands the robot.
         """
-        self.desk.poll(SERVED_PER_WATCH)
+        self.polled_services.poll(SERVED_PER_WATCH)
         loop = self._loop
         if loop is None:
             return
-        self._others = self._outputs.others()
+        self._other_commanders = self._outputs.others()
         self._outputs.look()
         self._look_at_publishers()
         if not self._active:
@@ -554,27 +558,27 @@ class ControllerNode(ManagedNode):
         self._tell_pose()
         if loop.phase in (Phase.IDLE, Phase.FAULT):
             return
-        if self._others or self._contested:
-            loop.fault(self._others or self._rivals)
+        if self._other_commanders or self._states_are_mixed:
+            loop.fault(self._other_commanders or self._second_publishers)
         self._watch_stall(loop)
-        if (loop.phase, loop.reason) != self._said:
-            self._say()
+        if (loop.phase, loop.reason) != self._logged_phase:
+            self._log_phase()
 
     def _look_at_publishers(self) -> None:
-        self._rivals = self.too_many_publishers(self._state_topic)
+        self._second_publishers = self.too_many_publishers(self._state_topic)
 
     @property
-    def _contested(self) -> bool:
+    def _states_are_mixed(self) -> bool:
         """Whether two publishers send joint states: there are two, and another's state
         came lately. A silent one does no harm.
         """
-        return bool(self._rivals) and self._stream.mixed(time.perf_counter())
+        return bool(self._second_publishers) and self._stream.mixed(time.perf_counter())
 
     def _second_rig(self, loop: ControlLoop) -> list[str]:
         """What else was wrong when the loop let go, and may be why."""
         return (
-            [self._rivals]
-            if self._contested and self._rivals not in loop.reason
+            [self._second_publishers]
+            if self._states_are_mixed and self._second_publishers not in loop.reason
             else []
         )
 
@@ -644,8 +648,8 @@ class ControllerNode(ManagedNode):
         """
         if not self._active:
             raise StateError(f"the controller is {self.lifecycle}; {self._next_step()}")
-        if self._others or self._contested:
-            raise StateError(self._others or self._rivals)
+        if self._other_commanders or self._states_are_mixed:
+            raise StateError(self._other_commanders or self._second_publishers)
         self._stream.check(
             self.values["healthy_time"], self.values["state_timeout"], self._now()
         )
@@ -658,8 +662,8 @@ class ControllerNode(ManagedNode):
         self._automatic = False
         try:
             self._look_at_publishers()
-            if self._others or self._contested:
-                raise StateError(self._others or self._rivals)
+            if self._other_commanders or self._states_are_mixed:
+                raise StateError(self._other_commanders or self._second_publishers)
             self._enable(self._loop)
         except StateError as error:
             self._enabling = f"refused: {error}"
@@ -711,7 +715,7 @@ class ControllerNode(ManagedNode):
         loop = self._loop
         try:
             if loop is not None and loop.phase in LATCHED:
-                if self.desk.received < self._latched[1]:
+                if self.polled_services.received < self._latched[1]:
                     raise StateError(
                         f"{loop.phase.name} was latched after this call: {loop.reason};"
                         " call again to clear it"
@@ -736,9 +740,9 @@ class ControllerNode(ManagedNode):
         if (
             loop is not None
             and self._active
-            and (loop.phase, loop.reason) != self._said
+            and (loop.phase, loop.reason) != self._logged_phase
         ):
-            self._say()
+            self._log_phase()
         state = (
             f"phase {loop.phase.name} {loop.reason}".strip()
             if loop is not None and self._active
@@ -752,9 +756,9 @@ class ControllerNode(ManagedNode):
     def _diagnose(self) -> None:
         """Tell at once."""
         self._situation = None
-        self.publish_diagnostics(*self._look_about())
+        self.publish_diagnostics(*self._situation_now())
 
-    def _look_about(self) -> tuple[bytes, str, dict[str, object]]:
+    def _situation_now(self) -> tuple[bytes, str, dict[str, object]]:
         """Level, message and values for ``/diagnostics``."""
         values: dict[str, object] = {"lifecycle": self.lifecycle}
         values |= {name: self.values[name] for name in ("law", "estimator")}
@@ -778,10 +782,10 @@ class ControllerNode(ManagedNode):
             "motions": self._motions,
             "waiting_for": waiting_for(self._reference),
             **loop_values(loop, self._begun + 1, self._largest_error),
-            "other_commanders": self._others,
-            "state_publishers": self._rivals,
+            "other_commanders": self._other_commanders,
+            "state_publishers": self._second_publishers,
             "next_step": self._next_step(),
-            "requests": self.desk.served,
+            "requests": self.polled_services.served,
         }
         if self._poses is not None:
             values |= {
@@ -804,8 +808,11 @@ class ControllerNode(ManagedNode):
     def _tell_crossings(self, loop: ControlLoop) -> None:
         """Log each verdict on a planned crossing once, and how a trajectory ended."""
         passed, log = loop.passed, self.get_logger().info
-        if passed is not self._judged:
-            self._judged, self._verdicts = passed, [Verdict.UNDECIDED] * len(passed)
+        if passed is not self._logged_crossings:
+            self._logged_crossings, self._verdicts = (
+                passed,
+                [Verdict.UNDECIDED] * len(passed),
+            )
         for index, crossing in enumerate(passed):
             if crossing.verdict is not self._verdicts[index]:
                 self._verdicts[index] = crossing.verdict
@@ -826,8 +833,8 @@ class ControllerNode(ManagedNode):
     def _warnings(self, limit: float) -> list[str]:
         """What an operator should look at."""
         told = [
-            self._others,
-            self._told_rivals(),
+            self._other_commanders,
+            self._told_second_publishers(),
             self._other_servers(),
             self._pose_complaint(),
         ]
@@ -844,11 +851,11 @@ class ControllerNode(ManagedNode):
             told.append(f"enabling was {self._enabling}")
         return [text for text in told if text]
 
-    def _told_rivals(self) -> str:
+    def _told_second_publishers(self) -> str:
         return (
-            self._rivals
-            if self._contested or not self._rivals
-            else f"{self._rivals}; one speaks"
+            self._second_publishers
+            if self._states_are_mixed or not self._second_publishers
+            else f"{self._second_publishers}; one speaks"
         )
 
     def _other_servers(self) -> str:

@@ -18,12 +18,17 @@ from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.signals import Interrupted, StopSignal
 from dextar_control.contract.topics import GO
 from dextar_control.nodekit.node import RunnableNode, run_node
-from dextar_control.nodes.operator import TICK, Operator, Trip, task_values
+from dextar_control.nodes.operator import (
+    TICK,
+    OperatorClient,
+    TripFollower,
+    task_values,
+)
 
 LAST_RESULT = 1.0  # s in which the result of a trip that a signal ended is sent
 
 
-class Ending:
+class GoalStop:
     """True once the goal's client cancels it, or a signal asks this process to end."""
 
     def __init__(
@@ -42,7 +47,7 @@ class Ending:
             raise Interrupted
 
 
-class GoServer(Operator, RunnableNode):
+class GoServer(OperatorClient, RunnableNode):
     """Offers the action go: starts a trip of the robot whose nodes run in this
     namespace, and follows it to its end.
 
@@ -56,7 +61,7 @@ class GoServer(Operator, RunnableNode):
     def __init__(self) -> None:
         self.signals: StopSignal | None = None
         self.busy = threading.Lock()
-        super().__init__("", Ending(None, None), self.NAME)
+        super().__init__("", GoalStop(None, None), self.NAME)
         self._server = ActionServer(
             self, Go, GO, self._execute, cancel_callback=lambda _: CancelResponse.ACCEPT
         )
@@ -78,7 +83,7 @@ class GoServer(Operator, RunnableNode):
         lines: list[str] = []
         good = False
         try:
-            self.stop = Ending(goal, self.signals)
+            self.stop = GoalStop(goal, self.signals)
             good = self._go(goal, result, lines.append)
         except DextarError as error:
             lines.append(str(error))
@@ -123,7 +128,7 @@ class GoServer(Operator, RunnableNode):
 
         self.status.clear()  # of nodes that may have ended
         self.prepare(values_of(goal.request))
-        trip = Trip(self, show, say)
+        trip = TripFollower(self, show, say)
         trip.start()
         trip.follow()
         good = trip.end()

@@ -19,7 +19,7 @@ from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.topics import JOINT_STATES, MARKERS
 from dextar_control.nodekit.node import DextarNode, qos, run_node
 from dextar_control.nodekit.scheduling import stand_back
-from dextar_control.nodes.newest import Newest
+from dextar_control.nodes.newest import NewestSamples
 from dextar_control.nodes.scene import Scene, View, to_array, wipe
 from dextar_control.symbols.types import Array
 
@@ -64,7 +64,7 @@ class MarkerNode(DextarNode):
         super().__init__()
         self._scene = Scene(self.robot)
         self._publisher = self.create_publisher(MarkerArray, MARKERS.name, qos(MARKERS))
-        self._newest = Newest(self)
+        self._newest = NewestSamples(self)
         self._still_at = -np.inf
         self._trail: deque[tuple[float, Array]] = deque()
         self._drawn = 0

@@ -40,7 +40,7 @@ STALE_AFTER = 1.0  # s on the steady clock without a joint state
 UNKNOWN = np.full(2, np.nan)
 
 
-class Newest:
+class NewestSamples:
     """Readers that keep one sample and ask for no repetition; closed there are none.
 
     Args:

@@ -53,7 +53,7 @@ class Unreached(DextarError):
     """Nobody there to ask, or no answer; the message says what to do."""
 
 
-class Stop(Protocol):
+class StopRequest(Protocol):
     """True from when on what is under way is to end."""
 
     def __bool__(self) -> bool: ...
@@ -62,7 +62,7 @@ class Stop(Protocol):
         """Raise ``Interrupted`` where it is to end."""
 
 
-class Operator(Node):
+class OperatorClient(Node):
     """Hears what the nodes of one robot tell of themselves, and calls their services.
 
     Args:
@@ -75,7 +75,9 @@ class Operator(Node):
             ``message`` and ``level``.
     """
 
-    def __init__(self, namespace: str, stop: Stop, name: str = "operator") -> None:
+    def __init__(
+        self, namespace: str, stop: StopRequest, name: str = "operator"
+    ) -> None:
         super().__init__(
             name,
             namespace=namespace,
@@ -376,14 +378,14 @@ class Operator(Node):
         Args:
             values: parameters of the trajectory server; what is not given stays as it
                 was set last.
-            show, say: as ``Trip`` takes them.
+            show, say: as ``TripFollower`` takes them.
 
         Raises:
             Unreached: nothing is started; says why and what to do.
             ParameterError: the task is refused.
         """
         self.prepare(values)
-        trip = Trip(self, show, say)
+        trip = TripFollower(self, show, say)
         trip.start()
         trip.follow()
         return trip.end()
@@ -432,7 +434,7 @@ def task_values(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue
 
 
 @contextmanager
-def operator(namespace: str) -> Iterator[Operator]:
+def operator(namespace: str) -> Iterator[OperatorClient]:
     """A client with signals as a flag.
 
     Raises:
@@ -443,7 +445,7 @@ def operator(namespace: str) -> Iterator[Operator]:
     stop.starting = False
     try:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        node = Operator(namespace, stop)
+        node = OperatorClient(namespace, stop)
     except Exception as error:  # rcl raises its own types for bad names
         try_shutdown()
         stop.restore()
@@ -456,7 +458,7 @@ def operator(namespace: str) -> Iterator[Operator]:
         stop.restore()
 
 
-class Trip:
+class TripFollower:
     """A trip from its start to its end, as trajectory server and controller tell of it.
 
     Args:
@@ -473,7 +475,7 @@ class Trip:
 
     def __init__(
         self,
-        me: Operator,
+        me: OperatorClient,
         show: Callable[[str, float], None],
         say: Callable[[str], object],
     ) -> None:

@@ -31,13 +31,13 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.nodekit.node import DextarNode, run_node
 from dextar_control.nodekit.scheduling import stand_back
-from dextar_control.nodekit.worker import GivenUp, Worker
-from dextar_control.nodes.newest import Newest
+from dextar_control.nodekit.worker import GivenUp, JobQueue
+from dextar_control.nodes.newest import NewestSamples
 from dextar_control.nodes.panel_operator import SPECS, PanelOperator, task_of
 from dextar_control.nodes.scene import Scene, View
 from dextar_control.nodes.task import Task, in_words, plan_from
 from dextar_control.panel.server import Answer, PanelServer
-from dextar_control.panel.words import mend, shown_margins
+from dextar_control.panel.words import shown_margins, trouble_and_remedy
 from dextar_control.planning.locus import LocusPoint, nearest_point
 from dextar_control.symbols.types import Array
 
@@ -116,9 +116,9 @@ class PanelNode(DextarNode):
     def __init__(self) -> None:
         super().__init__()
         self._scene = Scene(self.robot)
-        self._newest = Newest(self)
+        self._newest = NewestSamples(self)
         self.operator = PanelOperator(self.get_namespace())
-        self._worker = Worker()
+        self._worker = JobQueue()
         self._wanted: object | None = None  # the plan that is looked at
         self._reporting: asyncio.Task[None] | None = None
         self._report: Path | None = None
@@ -414,7 +414,7 @@ class PanelNode(DextarNode):
             if me.fresh(name)
         }
         plant = me.status.get("plant", {}) if me.fresh("plant") else {}
-        why, action = mend(self.get_namespace(), told, nodes)
+        why, action = trouble_and_remedy(self.get_namespace(), told, nodes)
         self.server.send(
             "status",
             {

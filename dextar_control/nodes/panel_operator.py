@@ -24,7 +24,13 @@ from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.signals import Interrupted
 from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
 from dextar_control.nodes import controller, recorder, trajectory_server
-from dextar_control.nodes.operator import MOVING, TICK, Operator, Unreached, task_values
+from dextar_control.nodes.operator import (
+    MOVING,
+    TICK,
+    OperatorClient,
+    Unreached,
+    task_values,
+)
 
 SPECS: dict[str, tuple[Parameter, ...]] = {
     "controller": controller.PARAMETERS,
@@ -46,7 +52,7 @@ EVENTS_DEPTH = 100
 Job = Callable[[], str]
 
 
-class _Never:
+class _NeverStops:
     """Stands where a command's signals do: a panel is ended by its own node's."""
 
     def __bool__(self) -> bool:
@@ -56,7 +62,7 @@ class _Never:
         """No signal comes."""
 
 
-class PanelOperator(Operator):
+class PanelOperator(OperatorClient):
     """The operator's client, spun by who has made it, for several threads that wait.
 
     Args:
@@ -71,7 +77,7 @@ class PanelOperator(Operator):
     """
 
     def __init__(self, namespace: str) -> None:
-        super().__init__(namespace, _Never())
+        super().__init__(namespace, _NeverStops())
         self._news = threading.Condition()
         self._leaving = False
         self._snapshots = {name: ParameterSnapshot(self, name) for name in SPECS}

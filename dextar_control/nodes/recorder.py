@@ -24,14 +24,14 @@ from dextar_control.contract.topics import DIAGNOSTICS, TOPICS
 from dextar_control.nodekit.node import DextarNode, run_node
 from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
 from dextar_control.nodekit.scheduling import stand_back
-from dextar_control.nodes.recording import LABELS, Recording
-from dextar_control.nodes.taps import (
+from dextar_control.nodes.recorded_topics import (
     ALONGSIDE,
     PARAMETER_EVENTS,
-    Tap,
+    RecordedTopic,
     found_topic,
     profile_of,
 )
+from dextar_control.nodes.recording import LABELS, BagRecording
 
 EXIT_RECORDING = 1
 POLL_PERIOD = 0.02  # s
@@ -138,15 +138,15 @@ class RecorderNode(DextarNode):
                 f"parameter 'max_bag_size' = {size}; it must be 0 or >= {LEAST_SPLIT}"
                 " bytes"
             )
-        self._recording: Recording | None = None
+        self._recording: BagRecording | None = None
         self._made: Counter[Path] = Counter()
         self._unnumbered: set[str] = set()
         listeners = {
             DIAGNOSTICS.name: self._on_diagnostics,
             PARAMETER_EVENTS.name: self._on_parameter_event,
         }
-        self._taps = [
-            Tap(
+        self._topics = [
+            RecordedTopic(
                 self,
                 topic,
                 profile_of(topic, self.values["reliable"]),
@@ -190,12 +190,12 @@ class RecorderNode(DextarNode):
         """
         count = 0
         recording = self._recording
-        for tap in self._taps:
+        for recorded in self._topics:
             message_type, take, name, losses = (
-                tap.message_type,
-                tap.take,
-                tap.name,
-                tap.losses,
+                recorded.message_type,
+                recorded.take,
+                recorded.name,
+                recorded.losses,
             )
             while (taken := take(message_type, True)) is not None:
                 count += 1
@@ -210,15 +210,15 @@ class RecorderNode(DextarNode):
                     number or losses.received,
                     data,
                 )
-                if tap.kept is not None:
-                    tap.kept.append(sample)
+                if recorded.kept is not None:
+                    recorded.kept.append(sample)
                 if recording is None:
                     continue
                 if not recording.writer.has_topic(name):
-                    recording.describe(tap)
+                    recording.describe(recorded)
                 recording.writer.add(sample)
-                if tap.listen is not None:
-                    tap.listen(data, received)
+                if recorded.listen is not None:
+                    recorded.listen(data, received)
         if (
             recording is not None
             and recording.writer.error is not None
@@ -239,7 +239,7 @@ class RecorderNode(DextarNode):
         if self._recording is not None:
             self._end(self._recording)
 
-    def _begin(self) -> Recording:
+    def _begin(self) -> BagRecording:
         """Begin a recording; raises BagError."""
         stamp = datetime.now(timezone.utc).strftime("%Y%m%dT%H%M%SZ")
         path = target = Path(
@@ -251,19 +251,19 @@ class RecorderNode(DextarNode):
             path = (
                 target.parent / f"{target.stem}-{self._made[target] + 1}" / target.name
             )
-        self._recording = Recording(self, path, self._taps, self._snapshots)
+        self._recording = BagRecording(self, path, self._topics, self._snapshots)
         self._made[target] += 1
         self.get_logger().info(f"recording to {self._recording.writer.path}")
         return self._recording
 
-    def _end(self, recording: Recording) -> str:
+    def _end(self, recording: BagRecording) -> str:
         """Finish the recording; why the bag is not whole, or ""."""
         self._recording = None
-        for tap in self._taps:
-            if tap.losses.lost:
+        for recorded in self._topics:
+            if recorded.losses.lost:
                 self.get_logger().warning(
-                    f"{tap.name}: {tap.losses.lost} samples lost, {tap.losses.received}"
-                    " recorded"
+                    f"{recorded.name}: {recorded.losses.lost} samples lost,"
+                    f" {recorded.losses.received} recorded"
                 )
         if missing := recording.missing():
             self.get_logger().warning(
@@ -344,12 +344,12 @@ class RecorderNode(DextarNode):
     def _on_second(self) -> None:
         if self._recording is not None:
             self._recording.on_second()
-        for tap in self._taps:
-            if not tap.losses.supported and tap.name not in self._unnumbered:
-                self._unnumbered.add(tap.name)
+        for recorded in self._topics:
+            if not recorded.losses.supported and recorded.name not in self._unnumbered:
+                self._unnumbered.add(recorded.name)
                 self.get_logger().warning(
-                    f"{tap.name}: the middleware numbers no samples; only stamps can"
-                    " tell losses"
+                    f"{recorded.name}: the middleware numbers no samples; only stamps"
+                    " can tell losses"
                 )
         self._find_extra_topics()
         self._publish_diagnostics()
@@ -363,14 +363,14 @@ class RecorderNode(DextarNode):
             if resolved not in types:
                 continue
             self._wanted.remove(name)
-            if any(tap.name == resolved for tap in self._taps):
+            if any(recorded.name == resolved for recorded in self._topics):
                 continue
             offered = [
                 info.qos_profile for info in self.get_publishers_info_by_topic(resolved)
             ]
             try:
-                self._taps.append(
-                    Tap(self, *found_topic(name, types[resolved][0], offered))
+                self._topics.append(
+                    RecordedTopic(self, *found_topic(name, types[resolved][0], offered))
                 )
             except (
                 DextarError,

@@ -21,7 +21,7 @@ from dextar_control.contract.topics import TOPICS
 from dextar_control.nodekit.node import DextarNode
 from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
 from dextar_control.nodekit.qos_profiles import describe
-from dextar_control.nodes.taps import Tap
+from dextar_control.nodes.recorded_topics import RecordedTopic
 
 # s between two records of what was counted so far: what a killed recorder still says
 METADATA_PERIOD = 10
@@ -29,13 +29,13 @@ LOW_SPACE = 300.0  # s of recording that still fit the disk, from which on it is
 LABELS = ("name", "notes", "tags")
 
 
-class Recording:
+class BagRecording:
     """A bag, its record of the run and its counts.
 
     Args:
         node: the recorder.
         path: of the new ``.mcap`` file.
-        taps: the topics; more may be added while it runs.
+        topics: the topics; more may be added while it runs.
         snapshots: of the other nodes' parameters; asked for anew.
 
     Attributes:
@@ -50,7 +50,7 @@ class Recording:
         self,
         node: DextarNode,
         path: Path,
-        taps: Sequence[Tap],
+        topics: Sequence[RecordedTopic],
         snapshots: Sequence[ParameterSnapshot],
     ) -> None:
         values = node.values
@@ -65,7 +65,7 @@ class Recording:
         self.record = RunRecord(
             {key: values[key] for key in LABELS}, get_rmw_implementation_identifier()
         )
-        self._node, self._taps, self._snapshots = node, taps, snapshots
+        self._node, self._topics, self._snapshots = node, topics, snapshots
         self._known: tuple[object, ...] = ()
         self._seconds = 0
         for snapshot in snapshots:
@@ -73,21 +73,21 @@ class Recording:
         self.writer.add_metadata(METADATA_NAME, self._texts())
         self._begun = time.monotonic()
         now = time.time_ns()
-        for tap in taps:
-            tap.losses.restart()
-            for sample in tap.kept or ():
-                self.describe(tap)
+        for recorded in topics:
+            recorded.losses.restart()
+            for sample in recorded.kept or ():
+                self.describe(recorded)
                 self.writer.add(sample._replace(log_time=now))
 
-    def describe(self, tap: Tap) -> None:
+    def describe(self, recorded: RecordedTopic) -> None:
         """Add a topic to the bag as its publishers offer it, at its first sample."""
         offered = [
             info.qos_profile
-            for info in self._node.get_publishers_info_by_topic(tap.name)
+            for info in self._node.get_publishers_info_by_topic(recorded.name)
         ]
         profiles = [describe(profile) for profile in offered]
         self.writer.add_topic(
-            tap.name, tap.type, profiles, standing=tap.kept is not None
+            recorded.name, recorded.type, profiles, standing=recorded.kept is not None
         )
 
     def hear_diagnostics(self, data: bytes) -> None:
@@ -170,14 +170,14 @@ class Recording:
     @property
     def lost(self) -> int:
         """Samples that are not in the bag, of all topics."""
-        return sum(tap.losses.lost for tap in self._taps) + sum(
+        return sum(recorded.losses.lost for recorded in self._topics) + sum(
             self.writer.dropped.values()
         )
 
     @property
     def written(self) -> int:
         """Samples that are, or will be."""
-        return sum(tap.losses.received for tap in self._taps) - sum(
+        return sum(recorded.losses.received for recorded in self._topics) - sum(
             self.writer.dropped.values()
         )
 
@@ -192,12 +192,12 @@ class Recording:
         before the disk.
         """
         return {
-            tap.name: {
-                "received": tap.losses.received,
-                "lost": tap.losses.lost if tap.losses.supported else None,
-                "dropped": self.writer.dropped.get(tap.name, 0),
+            recorded.name: {
+                "received": recorded.losses.received,
+                "lost": recorded.losses.lost if recorded.losses.supported else None,
+                "dropped": self.writer.dropped.get(recorded.name, 0),
             }
-            for tap in self._taps
+            for recorded in self._topics
         }
 
     def _parameters(self) -> Mapping[str, dict[str, ParameterValue]]:
@@ -211,7 +211,9 @@ class Recording:
 
     def _texts(self, ended: datetime | None = None) -> dict[str, str]:
         resolved = {
-            tap.topic.name: tap.name for tap in self._taps if tap.topic in TOPICS
+            recorded.topic.name: recorded.name
+            for recorded in self._topics
+            if recorded.topic in TOPICS
         }
         return self.record.texts(
             self._parameters(), resolved, self._counts(), self.missing(), ended

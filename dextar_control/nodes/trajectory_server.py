@@ -28,7 +28,7 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.nodekit.node import EXIT_USAGE, DextarNode, qos, run_node
 from dextar_control.nodekit.services import type_of
-from dextar_control.nodekit.worker import Done, GivenUp, Worker
+from dextar_control.nodekit.worker import Done, GivenUp, JobQueue
 from dextar_control.nodes import messages, task
 from dextar_control.nodes.next_step import command, why_not
 from dextar_control.nodes.task import Task, in_words, plan_from
@@ -81,7 +81,7 @@ POLL_PERIOD = 0.05  # s
 TELL_PERIOD = 1.0  # s between two lines about the progress
 
 
-class Served(NamedTuple):
+class ServedTrip(NamedTuple):
     """A trajectory ready to be published."""
 
     plan: Plan
@@ -117,7 +117,7 @@ class TrajectoryServer(DextarNode):
         self._error = ""
         self._controller: dict[str, str] = {}
         self._controller_time = -FRESH
-        self._worker = Worker()
+        self._worker = JobQueue()
         self._told = (0.0, "")
         self._starting: object | None = None  # the trip that is planned to be served
         self._trajectory_publisher = self.create_publisher(
@@ -187,24 +187,24 @@ class TrajectoryServer(DextarNode):
 
         return work
 
-    def _trip(self, origin: Array, progress: Progress) -> Callable[[], Served]:
+    def _trip(self, origin: Array, progress: Progress) -> Callable[[], ServedTrip]:
         """A job: the planned trip with the way from where the robot stands before it,
         as a message.
         """
         plan_now = self._plan_of(self._task, progress)
         speed, period = self.values["approach_speed"], self.values["sample_period"]
 
-        def work() -> Served:
+        def work() -> ServedTrip:
             wanted, plan = plan_now()
             trajectory, certificate = plan_from(self.robot, origin, plan, speed)
             times = served_times(trajectory, certificate, period)
-            return Served(
+            return ServedTrip(
                 plan, wanted, certificate, messages.from_trajectory(trajectory, times)
             )
 
         return work
 
-    def _submit_trip(self, done: Done[Served]) -> None:
+    def _submit_trip(self, done: Done[ServedTrip]) -> None:
         """Plan the trip from where the robot stands, for ``done`` to serve it, unless
         ``~/stop`` is called before.
         """
@@ -218,7 +218,7 @@ class TrajectoryServer(DextarNode):
                 raise stopped
             self._worker.progress(fraction, stage)
 
-        def planned(served: Served | None, error: DextarError | None) -> None:
+        def planned(served: ServedTrip | None, error: DextarError | None) -> None:
             if self._starting is starting:
                 self._starting = None
                 done(served, error)
@@ -232,7 +232,7 @@ class TrajectoryServer(DextarNode):
         x = np.array([float(self._controller.get(axis, "nan")) for axis in ("x", "y")])
         return x if np.isfinite(x).all() else np.array(self._task.start)
 
-    def _publish(self, served: Served) -> str:
+    def _publish(self, served: ServedTrip) -> str:
         self._planned, self._certificate = (
             (served.task, served.plan),
             served.certificate,
@@ -294,7 +294,9 @@ class TrajectoryServer(DextarNode):
             return
         self._take(planned)
 
-    def _on_autostart(self, served: Served | None, error: DextarError | None) -> None:
+    def _on_autostart(
+        self, served: ServedTrip | None, error: DextarError | None
+    ) -> None:
         if served is None:
             self._note(error)
         else:
@@ -331,7 +333,7 @@ class TrajectoryServer(DextarNode):
         self._worker.submit(self._plan_of(self._task), done)
 
     def _on_start(self, service: Service, _: Trigger.Request, header: object) -> None:
-        def done(served: Served | None, error: DextarError | None) -> None:
+        def done(served: ServedTrip | None, error: DextarError | None) -> None:
             message = self._note(error) if served is None else self._publish(served)
             service.send_response(
                 Trigger.Response(success=served is not None, message=message), header

@@ -109,19 +109,19 @@ class PanelServer:
 
     def __init__(self, backend: Backend, host: str, port: int) -> None:
         self.backend, self.access = backend, Access(host)
-        self.pages: list[Stream] = []
-        self.driver: Stream | None = None
+        self.pages: list[StreamHandler] = []
+        self.driver: StreamHandler | None = None
         self.kept: dict[
             str, str
         ] = {}  # the last message of each kind that a page needs which comes later
         logging.getLogger("tornado.access").setLevel(logging.ERROR)
         application = Application(
             [
-                (r"/", Page, {"server": self, "file": "panel.html"}),
-                (r"/(panel\.js|panel\.css)", Page, {"server": self}),
-                (r"/stream", Stream, {"server": self}),
-                (r"/report", Report, {"server": self}),
-                (r"/why", Why, {"server": self}),
+                (r"/", PageHandler, {"server": self, "file": "panel.html"}),
+                (r"/(panel\.js|panel\.css)", PageHandler, {"server": self}),
+                (r"/stream", StreamHandler, {"server": self}),
+                (r"/report", ReportHandler, {"server": self}),
+                (r"/why", WhyHandler, {"server": self}),
             ],
             websocket_ping_interval=PING,
             websocket_ping_timeout=PATIENCE,
@@ -154,7 +154,7 @@ class PanelServer:
         for page in self.pages:
             page.push(kind, text, keep)
 
-    def joined(self, page: Stream, wants: bool) -> None:
+    def joined(self, page: StreamHandler, wants: bool) -> None:
         """A page is there; it drives where it wants to and nobody else does."""
         self.pages.append(page)
         self.backend.watched(len(self.pages))
@@ -163,7 +163,7 @@ class PanelServer:
             page.push(kind, text, True)
         self.take_over(page if wants and self.driver is None else self.driver)
 
-    def left(self, page: Stream) -> None:
+    def left(self, page: StreamHandler) -> None:
         """A page is gone: nothing is asked of the robot, which stays to the
         controller's own rules.
         """
@@ -172,7 +172,7 @@ class PanelServer:
             self.backend.watched(len(self.pages))
             self.take_over(None if page is self.driver else self.driver)
 
-    def take_over(self, page: Stream | None) -> None:
+    def take_over(self, page: StreamHandler | None) -> None:
         """This page drives from now on, all others watch; None: nobody does."""
         self.driver = page
         for one in self.pages:
@@ -219,7 +219,7 @@ def _bound(host: str, port: int) -> tuple[list[socket.socket], bool]:
     )
 
 
-class _Guarded(RequestHandler):
+class _GuardedHandler(RequestHandler):
     """A request that is let in, or refused with a sentence."""
 
     server: PanelServer
@@ -246,7 +246,7 @@ class _Guarded(RequestHandler):
         self.clear_header("Server")
 
 
-class Page(_Guarded):
+class PageHandler(_GuardedHandler):
     """The page's files."""
 
     def initialize(self, server: PanelServer, file: str = "") -> None:
@@ -280,7 +280,7 @@ class Page(_Guarded):
         self.finish(f"{style.css()}\n{text}" if name.endswith(".css") else text)
 
 
-class Why(_Guarded):
+class WhyHandler(_GuardedHandler):
     """Why a stream would be refused, for the page, which a browser does not tell;
     nothing where it would not.
     """
@@ -293,7 +293,7 @@ class Why(_Guarded):
         """It is let in."""
 
 
-class Report(_Guarded):
+class ReportHandler(_GuardedHandler):
     """The page of the last run."""
 
     def initialize(self, server: PanelServer) -> None:
@@ -313,7 +313,7 @@ class Report(_Guarded):
         self.finish(await asyncio.to_thread(page.read_bytes))
 
 
-class Stream(_Guarded, WebSocketHandler):
+class StreamHandler(_GuardedHandler, WebSocketHandler):
     """One page: what it is told and what it asks."""
 
     def initialize(self, server: PanelServer) -> None:

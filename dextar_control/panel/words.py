@@ -12,7 +12,7 @@ SILENT = 2.0  # s without a joint state that are told
 WITH_TORQUE = ("APPROACH", "HOLD", "TRACK", "CROSSING")
 
 
-class Margin(TypedDict):
+class ShownMargin(TypedDict):
     """How near a watch is to its limit: value and limit as told, and the share used."""
 
     name: str
@@ -21,7 +21,7 @@ class Margin(TypedDict):
     used: float  # 0 to 1
 
 
-def mend(
+def trouble_and_remedy(
     namespace: str, told: Mapping[str, str], nodes: Mapping[str, object]
 ) -> tuple[str, str]:
     """Why there is no torque, or none that follows the robot, in a sentence, and the
@@ -89,9 +89,9 @@ def mend(
     return f"The torque is switched off{because}.", "enable"
 
 
-def shown_margins(told: Mapping[str, str]) -> list[Margin]:
+def shown_margins(told: Mapping[str, str]) -> list[ShownMargin]:
     """Return the margin of each watch that the controller tells, the smallest first."""
-    rows: list[Margin] = []
+    rows: list[ShownMargin] = []
     for key, text in told.items():
         if not key.startswith("watch_"):
             continue

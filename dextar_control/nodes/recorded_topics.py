@@ -43,7 +43,7 @@ ALONGSIDE = (
 """Recorded beside the contract's topics."""
 
 
-class Tap:
+class RecordedTopic:
     """One recorded topic.
 
     Args:
