@@ -41,7 +41,7 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.experiments.demo import _Monitor
 from dextar_control.nodekit.node import qos
-from dextar_control.nodes.operator import Operator
+from dextar_control.nodes.operator import OperatorClient
 from dextar_control.security.policy import TRIPS, build_policy, policy_text
 
 POLICY = config_file("sros2/policy.xml")
@@ -326,7 +326,7 @@ def test_commands_and_states_have_one_publisher_each(system: System) -> None:
     ("name", "make"),
     [
         ("demo", _Monitor),
-        ("operator", lambda: Operator("", SimpleNamespace())),
+        ("operator", lambda: OperatorClient("", SimpleNamespace())),
         ("check_rig", lambda: RigClient("", "", "", arrays=False)),
     ],
     ids=["demo", "operator", "check_rig"],

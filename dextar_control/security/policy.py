@@ -106,7 +106,7 @@ def _rights(
     reads: tuple[str, ...] = (),
     calls: tuple[str, ...] = (),
 ) -> NodeRights:
-    """Return the rights that the contract gives one of the package's nodes, and more."""
+    """Return the rights that the contract gives one of our nodes, and these more."""
     ends = NODES[node]
     return NodeRights(
         node,
