@@ -1,5 +1,5 @@
-"""What ``--help`` prints of a node: from its docstring, the contract's tables and its
-parameters. No ROS here.
+"""``--help`` of a node prints its docstring, the contract's tables and its parameters.
+No ROS here.
 """
 
 from __future__ import annotations
@@ -19,14 +19,16 @@ BESIDE = 22  # columns of a name in a list
 
 
 def first_paragraph(text: str | None) -> str:
-    """Of a docstring, on one line; empty without one."""
+    """Return the first paragraph of a docstring on one line; an empty text
+    without one.
+    """
     return " ".join(
         inspect.cleandoc(text or "").split("\n\n")[0].replace("``", "").split()
     )
 
 
 class DescribedNode(Protocol):
-    """What the help of a node is made of, beside its docstring.
+    """A node's class, of which the help tells beside its docstring.
 
     Attributes:
         NAME: node name; empty where the package's tables do not know it.
@@ -40,7 +42,7 @@ class DescribedNode(Protocol):
 
 
 def node_help(node: type[DescribedNode]) -> str:
-    """Return the whole text that ``--help`` prints of a node's class."""
+    """Return all that ``--help`` prints of a node."""
     about = textwrap.fill(first_paragraph(node.__doc__), WIDTH)
     name = node.NAME
     if name not in NODES:
@@ -83,7 +85,7 @@ def _section(title: str, items: Iterable[str]) -> str:
 
 
 def _item(name: str, text: str) -> str:
-    """A name with its text beside it, or below where the name is long."""
+    """Return a name with its text beside it, or below where the name is long."""
     lines = textwrap.wrap(
         text, WIDTH - BESIDE - 2, break_on_hyphens=False, break_long_words=False
     )
@@ -98,8 +100,8 @@ def _item(name: str, text: str) -> str:
 
 
 def _topic(topic: Topic, node: str = "") -> str:
-    """One line; where a parameter of the node brings the topic into being, with
-    that.
+    """Return one line on a topic, which names the parameter of this node that switches
+    it on.
     """
     owner, _, parameter = topic.switch.partition(".")
     switch = f" (only with {parameter})" if parameter and owner == node else ""
@@ -127,14 +129,14 @@ def _parameters(node: str, specs: Iterable[Parameter], robot: bool) -> str:
 
 
 def _words(spec: Parameter) -> str:
-    """The description, the choices behind it."""
+    """Return the description and the choices behind it."""
     return spec.description + (
         f" The choices are {', '.join(spec.choices)}." if spec.choices else ""
     )
 
 
 def _value(default: object) -> str:
-    """As it is typed behind NAME:=."""
+    """Return a default as it is typed behind NAME:=."""
     if isinstance(default, bool):
         return str(default).lower()
     if isinstance(default, str):
@@ -147,7 +149,9 @@ def _unit(spec: Parameter) -> str:
 
 
 def _limits(spec: Parameter) -> str:
-    """In brackets: the range, how many numbers, whether it is live."""
+    """Return the range, how many numbers there are, and whether it is live, in
+    brackets.
+    """
     words = []
     if spec.minimum is not None and spec.maximum is not None:
         words.append(f"{spec.minimum:.10g} to {spec.maximum:.10g}")

@@ -1,4 +1,6 @@
-"""What a node's parameter is, and which values it takes. Needs no ROS."""
+"""A parameter of a node is described here, with the values that it takes.
+Needs no ROS.
+"""
 
 from __future__ import annotations
 

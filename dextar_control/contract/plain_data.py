@@ -1,4 +1,6 @@
-"""The types of data that come from files and from ROS, and data as JSON knows it."""
+"""Data that come from files and from ROS have these types, and JSON knows data in this
+form.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,8 @@ def as_plain(value: Mapping[str, object]) -> dict[str, Plain]: ...
 @overload
 def as_plain(value: object) -> Plain: ...
 def as_plain(value: object) -> Plain:
-    """Mappings, lists and Python's own numbers, with None for each number that is not
-    finite; numpy's become Python's.
+    """Return mappings, lists and Python's own numbers, with None for each number that
+    is not finite; numpy's numbers become Python's.
     """
     if isinstance(value, Mapping):
         return {key: as_plain(item) for key, item in value.items()}

@@ -1,4 +1,4 @@
-"""Where the package's configuration lies: source tree, pip environment or ROS
+"""The package's configuration lies in the source tree, a pip environment or a ROS
 installation.
 """
 
@@ -18,7 +18,7 @@ MIDDLEWARE_FILE = "fastdds.xml"
 
 
 def share_folder() -> Path:
-    """The folder that holds ``config/`` and ``launch/``.
+    """Return the folder that holds ``config/`` and ``launch/``.
 
     Raises:
         ParameterError: neither the source tree nor an installation holds it.
@@ -40,13 +40,13 @@ def share_folder() -> Path:
 
 
 def config_file(name: str) -> Path:
-    """Path of a file in ``config/``."""
+    """Return the path of a file in ``config/``."""
     return share_folder() / "config" / name
 
 
 def node_defaults(node: str, *paths: Path) -> dict[str, ParameterValue]:
-    """Parameters of one node in ROS 2 parameter files, dotted, as the node itself would
-    get them.
+    """Return the parameters of one node from ROS 2 parameter files, dotted, as the node
+    itself would get them.
 
     Args:
         node: its name, with its namespace where it has one.
@@ -61,7 +61,7 @@ def node_defaults(node: str, *paths: Path) -> dict[str, ParameterValue]:
 
 
 def _version(path: Path) -> tuple[int, int]:
-    """Another one where the file has changed."""
+    """Return what differs once the file has changed: its time and size."""
     try:
         status = path.stat()
     except OSError:

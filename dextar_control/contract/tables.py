@@ -1,4 +1,4 @@
-"""The contract as the tables of the README: ``python -m
+"""Print the contract as the tables of the README: ``python -m
 dextar_control.contract.tables``.
 """
 
@@ -18,25 +18,27 @@ def _markdown(header: Iterable[str], rows: Iterable[Iterable[str]]) -> list[str]
 
 
 def quality(topic: Topic) -> str:
-    """What is offered, and what the control path asks for where that is less."""
+    """Return which QoS is offered, and what the control path asks for where that is
+    less.
+    """
     offered = "reliable" if topic.reliable else "best effort"
     asked = "" if topic.read_reliable else ", read best effort"
     return f"{'latched, ' if topic.latched else ''}{offered} {topic.depth}{asked}"
 
 
 def rate(topic: Topic) -> str:
-    """Nominal rate in words."""
+    """Return the nominal rate in words."""
     return topic.rate_text or (f"{topic.rate:g} Hz" if topic.rate else "on change")
 
 
 def timeout(limit: TimeOut) -> str:
-    """Default, outcome and the parameter that holds it."""
+    """Return a time-out's default, its outcome and the parameter that holds it."""
     value = 1e3 * node_defaults(limit.node)[limit.parameter]
     return f"{value:g} ms: {limit.outcome} (`{limit.node}.{limit.parameter}`)"
 
 
 def topic_rows() -> list[list[str]]:
-    """The README's rows, in the order of ``TOPICS``."""
+    """Return the README's rows, in the order of ``TOPICS``."""
     return [
         [
             f"`{topic.name}`{' (optional)' if topic.optional else ''}",
@@ -53,7 +55,7 @@ def topic_rows() -> list[list[str]]:
 
 
 def topic_table() -> list[str]:
-    """Lines of markdown."""
+    """Return the table of topics as lines of markdown."""
     header = (
         "topic",
         "type",
@@ -68,7 +70,7 @@ def topic_table() -> list[str]:
 
 
 def service_table() -> list[str]:
-    """Lines of markdown."""
+    """Return the table of services as lines of markdown."""
     return _markdown(
         ("service", "type", "what it does"),
         ([f"`{service.name}`", service.type, service.meaning] for service in SERVICES),
@@ -76,7 +78,7 @@ def service_table() -> list[str]:
 
 
 def phase_line() -> str:
-    """The phases with their numbers, in one line."""
+    """Return the phases with their numbers, in one line."""
     return ", ".join(f"{number} {name}" for number, name in enumerate(PHASES))
 
 

@@ -1,4 +1,4 @@
-"""Text files that users give, and YAML as ROS 2 reads it.
+"""Text files that users give are read here, and YAML as ROS 2 reads it.
 
 A parameter file is read by the nodes with rcl's own parser, whose rules are not those
 of YAML 1.1 (nor of PyYAML): ``1e-1`` is a number, ``1:30`` and ``1_000`` are words,
@@ -55,7 +55,7 @@ _NAN = re.compile(r"[+-]?nan(\([0-9A-Za-z_]*\))?", re.IGNORECASE)
 
 
 def read_text(path: str | Path, what: str) -> str:
-    """The text of a file in UTF-8, with or without a byte order mark.
+    """Return the text of a file in UTF-8, with or without a byte order mark.
 
     Args:
         path: of the file.
@@ -99,8 +99,8 @@ def read_text(path: str | Path, what: str) -> str:
 
 
 def _descriptor(path: str | Path) -> int:
-    """Of a file that is opened to be read; of a pipe only where somebody writes into
-    it.
+    """Open a file to be read, a pipe only where somebody writes into it; return its
+    descriptor.
 
     Raises:
         OSError: it cannot be opened, or is a pipe into which nobody writes.
@@ -132,7 +132,7 @@ def _line(content: bytes, place: int) -> int:
 
 
 def load_document(path: str | Path, what: str) -> Plain:
-    """What a YAML file holds, as plain data.
+    """Return what a YAML file holds, as plain data.
 
     Args:
         path: of the file.
@@ -157,7 +157,8 @@ def load_document(path: str | Path, what: str) -> Plain:
 
 
 def load_parameters(*paths: str | Path, what: str = "parameter file") -> Sections:
-    """ROS 2 parameter files, merged as a node merges those that it is given.
+    """Return the content of ROS 2 parameter files, merged as a node merges those that
+    it is given.
 
     Args:
         paths: of the files, later ones over earlier ones.
@@ -188,8 +189,7 @@ def check_parameter_files(arguments: Sequence[str]) -> list[str]:
     neither line nor remedy.
 
     Returns:
-        The arguments without pipes, which give their content once: that is for the
-            node.
+        The arguments without pipes, which give their content once, to the node.
 
     Raises:
         ParameterError: a file cannot be read, or ROS 2 would not take it.
@@ -216,8 +216,8 @@ def _mode(path: str) -> int:
 def parameters_of(
     node: str, sections: Mapping[str, Mapping[str, ParameterValue]]
 ) -> dict[str, ParameterValue]:
-    """Parameters of the node with this full name (``/controller``, ``/left/plant``), as
-    rcl matches and overrides them.
+    """Return the parameters of the node with this full name (``/controller``,
+    ``/left/plant``), as rcl matches and overrides them.
     """
     values: dict[str, ParameterValue] = {}
     for pattern, section in sections.items():
@@ -227,7 +227,8 @@ def parameters_of(
 
 
 def parse_value(text: str, source: str) -> ParameterValue:
-    """The value in ``NAME:=VALUE`` as rcl reads it; ``source`` names it in messages.
+    """Return the value in ``NAME:=VALUE`` as rcl reads it; ``source`` names it in
+    messages.
 
     Raises:
         ParameterError: it is no value of a parameter.
@@ -239,24 +240,25 @@ def parse_value(text: str, source: str) -> ParameterValue:
 
 
 def assignment(name: str, value: object) -> str:
-    """``NAME:=VALUE`` for ``ros2 run ... --ros-args -p``, quoted so that the node gets
-    this very value.
+    """Return ``NAME:=VALUE`` for ``ros2 run ... --ros-args -p``, quoted so that the
+    node gets this very value.
 
     Args:
         name: of the parameter, with its node's name and a colon where it has one.
         value: a bool, number, string or path, or a list of them.
 
     Raises:
-        ParameterError: a text, or a path, that is not UTF-8.
+        ParameterError: a text, or a path, is not UTF-8.
     """
     return f"{name}:={as_yaml(value)}"
 
 
 def as_yaml(value: object) -> str:
-    """A parameter's value in one line of YAML, whichever characters a text holds.
+    """Return a parameter's value in one line of YAML, whichever characters a text
+    holds.
 
     Raises:
-        ParameterError: a text, or a path, that is not UTF-8.
+        ParameterError: a text, or a path, is not UTF-8.
     """
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -277,8 +279,8 @@ def as_yaml(value: object) -> str:
 
 
 def dump_document(document: object) -> str:
-    """Plain data as YAML, words quoted where another reader might take them for
-    numbers: rcl and PyYAML read the same.
+    """Return plain data as YAML; texts that another reader might take for numbers are
+    quoted, so that rcl and PyYAML read the same.
     """
     return yaml.dump(
         document,
@@ -315,7 +317,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _ParameterLoader(_Loader):
-    """As rcl: no aliases."""
+    """Refuses aliases, as rcl does."""
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
@@ -347,7 +349,7 @@ def _nodes(text: str, source: str, loader: type[_Loader]) -> list[yaml.Node]:
 
 
 def scalar(text: str) -> bool | int | float | str:
-    """A scalar without quotes, as rcl_yaml_param_parser takes it: strtol's whole
+    """Return a scalar without quotes as rcl_yaml_param_parser takes it: strtol's whole
     numbers, strtod's others, else a text.
     """
     if text in _TRUE or text in _FALSE:
@@ -367,8 +369,8 @@ def scalar(text: str) -> bool | int | float | str:
 
 
 def _floating(text: str) -> float | str:
-    """A number, or the text where there is none or strtod says that a double cannot
-    hold it.
+    """Return a number, or the text where there is none or where strtod says that a
+    double cannot hold it.
     """
     if _HEXADECIMAL.fullmatch(text):
         try:
@@ -402,8 +404,8 @@ def _empty(node: yaml.Node) -> bool:
 
 
 def _plain(node: yaml.Node, source: str, seen: dict[int, Plain]) -> Plain:
-    """Plain data; a key twice is a mistake. ``seen`` holds what an alias may name
-    again.
+    """Return a node as plain data; a key that stands there twice is a mistake. ``seen``
+    holds what an alias may name again.
     """
     if id(node) in seen:
         return seen[id(node)]
@@ -486,8 +488,8 @@ def _flatten(
 
 
 def _value(node: yaml.Node, source: str) -> ParameterValue:
-    """A scalar or a list of scalars of one type; an empty list, whose type nobody
-    knows, reaches a node as None.
+    """Return a scalar or a list of scalars of one type; an empty list, whose type
+    nobody knows, reaches a node as None.
     """
     if isinstance(node, yaml.ScalarNode):
         return _value_of(node)
@@ -536,8 +538,8 @@ def _at(source: str, node: yaml.Node) -> str:
 
 
 def _matches(pattern: Sequence[str], name: Sequence[str]) -> bool:
-    """Whether the parts of a node's name fit a pattern: ``*`` is one part, ``**`` any
-    number of them.
+    """Return whether the parts of a node's name fit a pattern: ``*`` is one part,
+    ``**`` any number of them.
     """
     if not pattern or not name:
         return all(part == "**" for part in pattern) and not name
