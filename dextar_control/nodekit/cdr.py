@@ -18,22 +18,22 @@ T = TypeVar("T")
 
 
 def to_time(stamp: int) -> Time:
-    """Integer nanoseconds to a ROS stamp."""
+    """Return integer nanoseconds as a ROS stamp."""
     return Time(sec=stamp // NANOSECONDS, nanosec=stamp % NANOSECONDS)
 
 
 def from_time(time: Time) -> int:
-    """A ROS stamp to integer nanoseconds."""
+    """Return a ROS stamp as integer nanoseconds."""
     return int(time.sec * NANOSECONDS + time.nanosec)
 
 
 def canonical(message: object) -> bytes:
-    """A message as CDR bytes of exact length with zeros where CDR leaves bytes
+    """Return a message as CDR bytes of exact length, with zeros where CDR leaves bytes
     undefined.
 
     rclpy's own serialisation leaves memory from before in the alignment bytes and up to
     some tens of them behind the message: strict readers refuse that, and two runs would
-    not be the same bytes.
+    not give the same bytes.
 
     Raises:
         StateError: rosbags does not know the message's type.
@@ -42,26 +42,27 @@ def canonical(message: object) -> bytes:
 
 
 def places_in(message: object) -> dict[str, tuple[int, str]]:
-    """Where floats and times lie in ``canonical``; see ``places_of``."""
+    """Return where floats and times lie in ``canonical``; see ``places_of``."""
     return places_of(*_of_library(message))
 
 
 def _of_library(message: object) -> tuple[object, str]:
-    """A message in rosbags' classes, and its type's name."""
+    """Return a message in rosbags' classes, and its type's name."""
     package = type(message).__module__.partition(".")[0]
     name = f"{package}/msg/{type(message).__name__}"
     return read_message(bytes(serialize_message(message)), name), name
 
 
 def _chosen(places: Sequence[int]) -> Callable[[Sequence[T]], tuple[T, ...]]:
-    """Takes a tuple's elements at these places, also of fewer than two, as a tuple."""
+    """Return a function that takes a tuple's elements at these places, as a tuple."""
     if len(places) > 1:
         return itemgetter(*places)
     return lambda found: tuple(found[place] for place in places)
 
 
 class CdrTemplate:
-    """A message of fixed layout: pack and unpack its stamp and float64 values.
+    """A message of fixed layout, whose stamp and float64 values are packed and
+    unpacked.
 
     Args:
         message: what stays of it, words and numbers; as long as it always is.
@@ -142,8 +143,12 @@ class CdrTemplate:
         self._length = len(raw)
 
     def pack(self, stamp: int, values: Sequence[float], duration: int = 0) -> bytes:
-        """CDR bytes of the message with this stamp (ns), these values and this duration
-        (ns).
+        """Return the message's CDR bytes.
+
+        Args:
+            stamp: ns.
+            values: those that vary, in their order.
+            duration: ns.
         """
         buffer = self._buffer
         if self._has_duration:
@@ -162,8 +167,8 @@ class CdrTemplate:
         return bytes(buffer)
 
     def unpack(self, raw: bytes) -> tuple[int, list[float]] | None:
-        """(stamp in ns, values), or None when anything but stamp and values differs
-        from the template.
+        """Return (stamp in ns, values), or None when anything but stamp and values
+        differs from the template.
 
         Bytes that CDR leaves undefined (alignment) count as a difference: a reader then
         takes its slow path, checks the message and may call ``learn``.
@@ -177,8 +182,8 @@ class CdrTemplate:
         return seconds * NANOSECONDS + nanoseconds, list(self._values_of(found))
 
     def learn(self, raw: bytes) -> None:
-        """Take the undefined bytes of a publisher whose message was checked to have
-        this layout.
+        """Take over the undefined bytes of a publisher whose message was checked to
+        have this layout.
         """
         if len(raw) == self._length:
             self._fixed = tuple(raw[part] for part in self._still)

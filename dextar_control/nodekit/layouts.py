@@ -1,5 +1,5 @@
-"""The contract's fast topics as messages of fixed layout: which numbers move in them,
-in which order.
+"""The contract's fast topics are messages of fixed layout: here stands which numbers
+vary in them, in which order.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ TWO = [0.0, 0.0]
 
 
 def template(topic: Topic) -> CdrTemplate:
-    """How messages of a topic are written and read.
+    """Return how messages of a topic are written and read.
 
     Their values are, in this order, of ``joint_states`` and ``sim/joint_states``
     position, velocity and effort of all joints; of ``joint_commands`` effort; of
@@ -71,8 +71,8 @@ def _controller_state(_: Topic) -> CdrTemplate:
 
 
 def _end_effector(topic: Topic) -> CdrTemplate:
-    """Its frame never turns against the base, so position and velocity are both in
-    base.
+    """Return the template of sim/end_effector, whose frame never turns against the
+    base: position and velocity are both in base.
     """
     moving = [
         "pose.pose.position.x",

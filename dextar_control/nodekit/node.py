@@ -1,5 +1,5 @@
-"""What every node of the package does alike: parameters, QoS, signals, diagnostics,
-exit code.
+"""Every node of the package has its parameters, QoS, signals, diagnostics and exit code
+alike.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ says of them.
 
 
 def _robot_defaults(node: str) -> dict[str, ParameterValue]:
-    """The shipped description, by its keys."""
+    """Return the shipped description, by its keys."""
     shipped = resources.node_defaults(node, resources.config_file(resources.ROBOT_FILE))
     return {
         key.removeprefix(PREFIX): value
@@ -74,8 +74,12 @@ def _robot_defaults(node: str) -> dict[str, ParameterValue]:
 
 
 def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoSProfile:
-    """The profile of a contract topic; a subscriber on the control path asks for
-    ``reliable=False``.
+    """Return the profile of a contract topic.
+
+    Args:
+        topic: of the contract.
+        reliable: False for a subscriber on the control path.
+        depth: of its history; the topic's own where None.
     """
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
@@ -192,7 +196,7 @@ class DextarNode(RunnableNode):
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
-        """What the executor serves: not the polled ones."""
+        """The subscriptions that the executor serves, without the polled ones."""
         return (
             entity for entity in super().subscriptions if id(entity) not in self._polled
         )
@@ -205,7 +209,7 @@ class DextarNode(RunnableNode):
         *,
         raw: bool = False,
     ) -> Subscription:
-        """A subscription that no executor serves.
+        """Create a subscription that no executor serves.
 
         ``subscription.handle.take_message(message_type, raw)`` gives (message, info) or
         None. The events executor of rclpy 7.1 fails on callbacks that want the info.
@@ -218,7 +222,7 @@ class DextarNode(RunnableNode):
 
     @property
     def services(self) -> Iterator[Service]:
-        """What the executor serves: not the polled ones."""
+        """The services that the executor serves, without the polled ones."""
         return (
             entity
             for entity in super().services
@@ -226,8 +230,8 @@ class DextarNode(RunnableNode):
         )
 
     def create_polled_service(self, service_type: type[object], name: str) -> Service:
-        """A service that no executor serves, so that it may answer later than it is
-        asked.
+        """Create a service that no executor serves, so that it may answer later than it
+        is asked.
 
         ``service.handle.service_take_request(service_type.Request)`` gives (request,
         header), both None without a request; ``service.send_response(response,
@@ -238,8 +242,8 @@ class DextarNode(RunnableNode):
         return service
 
     def wait_for(self, subscription: Subscription, seconds: float) -> None:
-        """Sleep until a polled subscription holds a message, at most for so long; about
-        0.02 ms of processor time.
+        """Sleep until a polled subscription holds a message, at most this many seconds;
+        it takes about 0.02 ms of processor time.
         """
         if self._waits is None:
             self._waits = rclpy_implementation.WaitSet(
@@ -251,7 +255,7 @@ class DextarNode(RunnableNode):
             self._waits.wait(max(0, round(1.0e9 * seconds)))
 
     def destroy_subscription(self, subscription: Subscription) -> bool:
-        """Also of a polled one; another may get its identity."""
+        """Destroy a subscription, polled or not; another one may get its identity."""
         self._polled.discard(id(subscription))
         return bool(super().destroy_subscription(subscription))
 
@@ -281,22 +285,25 @@ class DextarNode(RunnableNode):
         return SetParametersResult(successful=True)
 
     def why_fixed(self) -> str:
-        """Why parameters that are not live cannot be changed now; empty when they
-        can.
+        """Return why parameters that are not live cannot be changed now; empty when
+        they can.
         """
         return "while the node runs"
 
     def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
-        """Take live changes, already in ``values``; raise a DextarError to refuse them
-        all.
+        """Use live changes, which already stand in ``values``; raise a DextarError to
+        refuse them all.
         """
 
     def too_many_publishers(self, topic: str) -> str:
-        """Who publishes a topic, by its full name, that may have one publisher, in
-        words, where it has more; empty otherwise.
+        """Return which nodes publish a topic that may have one publisher, in words,
+        where it has more; empty otherwise.
 
         The graph keeps a publisher that was killed for some time (Fast DDS: up to 20
         s), and knows it before its node's name.
+
+        Args:
+            topic: its full name.
         """
         with self.handle:
             count = self.handle.get_count_publishers(topic)
@@ -322,8 +329,13 @@ class DextarNode(RunnableNode):
     def publish_diagnostics(
         self, level: bytes, message: str, values: Mapping[str, object]
     ) -> None:
-        """One DiagnosticStatus on ``/diagnostics``, numbers as their shortest exact
-        text.
+        """Publish one DiagnosticStatus on ``/diagnostics``, with numbers as their
+        shortest exact text.
+
+        Args:
+            level: of DiagnosticStatus.
+            message: a summary of the node's state.
+            values: by key.
         """
         status = DiagnosticStatus(
             level=level,
@@ -359,7 +371,9 @@ def _descriptor(spec: Parameter, value: ParameterValue) -> ParameterDescriptor:
 
 
 def make_executor(kind: str = "events") -> Executor:
-    """The events executor where this rclpy has it, else the single-threaded one."""
+    """Return the events executor where this rclpy has it, else the
+    single-threaded one.
+    """
     if kind == "events":
         try:
             from rclpy.experimental.events_executor import EventsExecutor
@@ -388,7 +402,7 @@ def run_node(
     args: list[str] | None = None,
     spin: Callable[[N, Executor, StopSignal], None] | None = None,
 ) -> int:
-    """Run one node until a signal or its own end; the process's exit code.
+    """Run one node until a signal or its own end; return the process's exit code.
 
     ``--help`` and anything else that is not ROS's own are answered before a node, or
     ROS itself, is started.
@@ -443,8 +457,8 @@ def run_node(
 
 
 def _wait_for_readers(node: Node) -> None:
-    """Let readers that want every sample, as the recorder, have the last ones: what is
-    under way goes with the publisher.
+    """Wait until readers that want every sample, such as the recorder, have the last
+    ones, which are lost with their publisher.
     """
     deadline = time.monotonic() + LAST_SAMPLES
     for publisher in node.publishers:
@@ -454,8 +468,8 @@ def _wait_for_readers(node: Node) -> None:
 
 
 def _answer(make: type[RunnableNode], words: list[str]) -> int | None:
-    """Help, or the refusal of what neither the node nor rcl takes; None where the node
-    is to be started.
+    """Print the help, or refuse what neither the node nor rcl takes; return the exit
+    code, None where the node is to be started.
     """
     own = _own(words)
     if not {"-h", "--help"}.isdisjoint(own):
@@ -482,8 +496,8 @@ def _answer(make: type[RunnableNode], words: list[str]) -> int | None:
 
 
 def _own(words: list[str]) -> list[str]:
-    """What stands outside of ``--ros-args ... [--]``; rcl itself would still take a
-    remapping there, in the way of ROS 1.
+    """Return the words that stand outside of ``--ros-args ... [--]``; rcl itself would
+    still take a remapping there, in the way of ROS 1.
     """
     own, theirs = [], False
     for word in words:
@@ -502,7 +516,7 @@ def _refuse(text: str) -> int:
 
 
 def _in_one_line(error: BaseException) -> str:
-    """What rcl says, without the places in its own sources."""
+    """Return what rcl says, without the places in its own sources."""
     if type(error).__name__ == "UnknownROSArgsError":
         return (
             f"unknown ROS argument {str(error).strip('[]')}; --help says what there is"

@@ -1,4 +1,4 @@
-"""The resolved parameters of other nodes, asked for without ever waiting."""
+"""A node can ask for the parameters of other nodes without ever waiting."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ GIVE_UP_AFTER = 100  # asks without an answer before a request is made anew
 
 
 class ParameterSnapshot:
-    """All parameters of one node, through its standard services; call ``ask`` now and
-    then until ``values`` is there.
+    """All parameters of one node, asked for by its standard services; call ``ask`` now
+    and then until ``values`` is there.
 
     Args:
         node: that asks.
         target: name of the node asked, relative to the asking node's namespace.
+
+    Attributes:
+        values: by name; None while they are not known.
     """
 
     def __init__(self, node: Node, target: str) -> None:

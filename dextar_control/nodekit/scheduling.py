@@ -1,5 +1,5 @@
-"""How the kernel runs a process: precise timers, and what a control loop may ask for
-besides. No ROS here.
+"""A process can ask the kernel for precise timers, priority, processors and memory. No
+ROS here.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ REALTIME_LIMITS = "give the user rtprio and memlock in /etc/security/limits.conf
 
 
 def precise_timers() -> None:
-    """Have the kernel end this thread's sleeps when they are over; usually it takes up
-    to 0.05 ms more.
+    """Have the kernel end this thread's sleeps when they are over; by default they may
+    last 0.05 ms longer.
     """
     ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
@@ -37,8 +37,8 @@ def stand_back() -> None:
 def ask_kernel(
     values: Mapping[str, ParameterValue], warn: Callable[[str], object]
 ) -> None:
-    """Priority, processors and memory as the parameters of a node ask for them, for all
-    threads that the process has.
+    """Ask for the priority, processors and memory that a node's parameters name, for
+    all threads that the process has.
 
     What is not permitted costs one warning, and the node runs on without it. Threads
     that begin later, such as the one that checks a trajectory, have the usual priority.

@@ -1,4 +1,6 @@
-"""Services that no executor serves: a few requests at a time, in turn."""
+"""A node can serve its services itself, a few requests at a time, instead of its
+executor.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,7 @@ class PolledServices:
 
     def poll(self, limit: int) -> int:
         """Serve at most ``limit`` waiting requests, one of each service before the
-        second of any; how many they were.
+        second of any; return how many they were.
         """
         services = list(self._services())
         served = idle = 0
@@ -70,8 +72,8 @@ class PolledServices:
         return served
 
     def _serve(self, service: Service) -> bool:
-        """Answer one request of a service; a callback that fails is told, and answered
-        with an empty response.
+        """Answer one request of a service; where its callback fails that is told, and
+        the response is empty.
         """
         kind = type_of(service)
         request, header = service.handle.service_take_request(kind.Request)

@@ -1,5 +1,5 @@
-"""Work beside a node: done in order in one thread, its progress told, its end taken by
-the node's own thread.
+"""A node hands long work to one thread, which tells its progress, and takes the results
+in its own thread.
 """
 
 from __future__ import annotations
@@ -16,14 +16,12 @@ Done = Callable[[T | None, DextarError | None], None]
 
 
 class GivenUp(DextarError):
-    """What is planned is not wanted any more: the node ends, or a stop was asked
-    for.
-    """
+    """A plan is given up because the node ends or a stop was asked for."""
 
 
 class JobQueue:
-    """Runs jobs one after the other; ``poll`` hands their results over where it is
-    called.
+    """Runs jobs one after the other in a thread; ``poll`` hands their results over in
+    the caller's thread.
 
     Attributes:
         fraction, stage: of the job under way, as its ``progress`` told them; stage is
@@ -45,17 +43,17 @@ class JobQueue:
         self._jobs.append((future.done, lambda: _hand_over(future, done)))
 
     def progress(self, fraction: float, stage: str) -> None:
-        """What a job under way calls.
+        """Tell how far the job under way is, which calls this.
 
         Raises:
-            GivenUp: the worker is closed.
+            GivenUp: the queue is closed.
         """
         if self._closing:
             raise GivenUp("planning was given up: the node ends")
         self.fraction, self.stage = fraction, stage
 
     def poll(self) -> None:
-        """Take the results that are there, in the order in which they were asked
+        """Hand over the results that are there, in the order in which they were asked
         for.
         """
         while self._jobs and self._jobs[0][0]():
@@ -64,7 +62,7 @@ class JobQueue:
             hand_over()
 
     def close(self) -> None:
-        """Give up what is under way at its next progress, and all that waits."""
+        """Give up the job under way at its next progress, and all that wait."""
         self._closing = True
         self._threads.shutdown(wait=False, cancel_futures=True)
 

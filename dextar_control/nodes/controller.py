@@ -1,4 +1,4 @@
-"""The controller node: one command for each joint state, from the active joints
+"""The controller node answers each joint state with one command, from the active joints
 alone.
 """
 
@@ -154,12 +154,12 @@ LATCHED = (Phase.SAFE_STOP, Phase.FAULT)  # left by ~/reset only
 class ControllerNode(ManagedNode):
     """Answers each joint state with a torque and tells what it did.
 
-    Managed: ``configure`` builds everything from the parameters, ``activate`` answers
-        states. Torque needs healthy
-    states (``healthy_time``) and nobody else who commands; ``enabled`` asks for it by
-    itself, once. A gap of more than ``state_timeout`` between the stamps of two states
-    is a fault (no torque until ``~/reset`` and ``~/enable``); while no state comes
-    nothing is commanded at all, and the drive's own time-out takes the torque away.
+    It is a managed node: ``configure`` builds everything from the parameters,
+    ``activate`` begins to answer states. Torque needs healthy states (``healthy_time``)
+    and nobody else who commands; ``enabled`` asks for it once, by itself. A gap of more
+    than ``state_timeout`` between the stamps of two states is a fault (no torque until
+    ``~/reset`` and ``~/enable``); while no state comes nothing is commanded at all, and
+    the drive's own time-out takes the torque away.
     """
 
     NAME = "controller"
@@ -215,7 +215,9 @@ class ControllerNode(ManagedNode):
         gc.freeze()
 
     def configure(self) -> None:
-        """The loop, which checks the parameters, then publishers and subscriptions."""
+        """Build the loop, which checks the parameters, then publishers and
+        subscriptions.
+        """
         values = self.values
         loop = self._make_loop()
         self._period = values["task.sample_period"]
@@ -249,8 +251,8 @@ class ControllerNode(ManagedNode):
         self.get_logger().info(f"law {values['law']}, estimator {values['estimator']}")
 
     def activate(self) -> None:
-        """Answer states, beginning with a loop that knows none; a fault that was
-        latched before still is.
+        """Begin to answer states, with a loop that knows none; a fault that was latched
+        before still is.
 
         Raises:
             StateError: the controller was deactivated where it did not know the robot's
@@ -279,7 +281,7 @@ class ControllerNode(ManagedNode):
         )
 
     def deactivate(self) -> None:
-        """No torque, at once; the side of the locus as it was believed stays, in the
+        """Take the torque away at once, and keep the believed assembly mode in the
         parameter ``assembly_mode``.
         """
         self._active = False
@@ -311,7 +313,7 @@ class ControllerNode(ManagedNode):
         self._states = None
 
     def on_transition(self) -> None:
-        """Tell it."""
+        """Publish diagnostics at once."""
         self._diagnose()
 
     def _make_loop(self) -> ControlLoop:
@@ -324,7 +326,7 @@ class ControllerNode(ManagedNode):
         )
 
     def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
-        """Take live gains, limits or, without torque, the assembly mode; what is not
+        """Use live gains and limits and, without torque, the assembly mode; what is not
         live waits for ``configure``.
         """
         if "assembly_mode" in changes:
@@ -349,15 +351,17 @@ class ControllerNode(ManagedNode):
             self._side_unknown = False
 
     def _now(self) -> float | None:
-        """The steady clock, s; None in lockstep, where states may come at any pace."""
+        """Return the steady clock's time, s; None in lockstep, where states may come at
+        any pace.
+        """
         return None if self._lockstep else time.perf_counter()
 
     def turn(self, executor: Executor) -> None:
-        """The states that have come, or come soon, and what is due besides: that is
-        done, in parts, when they are answered.
+        """Answer the states that have come or come soon, then do one part of what is
+        due besides.
 
         No executor serves the states: its callbacks, and timers that fire when the next
-            state comes, would make its answer late.
+        state comes, would make its answer late.
         """
         left = max(0.0, self._watched + WATCH_PERIOD - time.perf_counter())
         if self._states is None:
@@ -382,8 +386,8 @@ class ControllerNode(ManagedNode):
             self._watch()
 
     def _receive(self, raw: bytes, info: Mapping[str, int]) -> None:
-        """A state, and what the middleware tells of it: its publisher's number, and
-        when it was sent.
+        """Take a state with what the middleware tells of it: its publisher's number,
+        and when it was sent.
         """
         self._stream.hear(info.get("publication_sequence_number"), time.perf_counter())
         self._published = info.get("source_timestamp", 0)
@@ -440,7 +444,7 @@ class ControllerNode(ManagedNode):
                 self._diagnose()
 
     def _read_state(self, raw: bytes) -> tuple[int, Array]:
-        """Stamp, ns, and active joints (2,), rad, of a joint state."""
+        """Return stamp, ns, and active joints, (2,), rad, of a joint state."""
         known = self._states_in.unpack(raw)
         if known is not None:
             return known[0], np.array(known[1][0:2])
@@ -451,8 +455,8 @@ class ControllerNode(ManagedNode):
         return from_time(message.header.stamp), q_a
 
     def _repeat(self, stamp: int) -> None:
-        """A state that came before; in lockstep a rig asks so for an answer that it did
-        not get.
+        """Answer a state that came before; in lockstep a rig asks so for an answer that
+        it did not get.
         """
         self._statistics.counts["repeated_states"] += 1
         if not self._lockstep:
@@ -460,8 +464,8 @@ class ControllerNode(ManagedNode):
         self._outputs.repeat()
 
     def _verdict(self, loop: ControlLoop, tick: Tick) -> float:
-        """Of the planned crossing that has begun last; once the controller let go that
-        one stays.
+        """Return the verdict on the planned crossing that began last, which stays when
+        the controller has let go.
         """
         passed = loop.passed
         if passed is not self._passed:
@@ -475,8 +479,8 @@ class ControllerNode(ManagedNode):
         return float(passed[self._begun].verdict) if self._begun >= 0 else 0.0
 
     def _note_error(self, loop: ControlLoop) -> None:
-        """The largest distance between reference and estimate while a trajectory is
-        tracked.
+        """Keep the largest distance between reference and estimate while a trajectory
+        is tracked.
         """
         if loop.phase in MOVING:
             if loop.certificate is not self._tracked:
@@ -485,8 +489,8 @@ class ControllerNode(ManagedNode):
             self._largest_error = max(self._largest_error, loop.supervisor.error)
 
     def _refuse(self, loop: ControlLoop, error: DextarError) -> None:
-        """No torque for a state that cannot be used; a broken first state or a bad
-        number is a fault.
+        """Command no torque for a state that cannot be used; a broken first state or a
+        bad number is a fault.
         """
         self._statistics.counts["refused_states"] += 1
         self._look_at_publishers()
@@ -537,8 +541,8 @@ class ControllerNode(ManagedNode):
         self._diagnose()
 
     def _watch(self) -> None:
-        """Every WATCH_PERIOD: some service requests, new trajectories, the steady
-        clock, and who else commands the robot.
+        """Serve some requests, and look for new trajectories, a stalled stream and
+        other commanders, every WATCH_PERIOD.
         """
         self.polled_services.poll(SERVED_PER_WATCH)
         loop = self._loop
@@ -569,13 +573,15 @@ class ControllerNode(ManagedNode):
 
     @property
     def _states_are_mixed(self) -> bool:
-        """Whether two publishers send joint states: there are two, and another's state
-        came lately. A silent one does no harm.
+        """Whether a second publisher of joint states sent one lately; a silent one does
+        no harm.
         """
         return bool(self._second_publishers) and self._stream.mixed(time.perf_counter())
 
     def _second_rig(self, loop: ControlLoop) -> list[str]:
-        """What else was wrong when the loop let go, and may be why."""
+        """Return the second publisher where it may be why the loop let go,
+        in a list.
+        """
         return (
             [self._second_publishers]
             if self._states_are_mixed and self._second_publishers not in loop.reason
@@ -583,8 +589,8 @@ class ControllerNode(ManagedNode):
         )
 
     def _lateness(self, loop: ControlLoop) -> list[str]:
-        """That a watch tripped while commands came too late, in real time: then that is
-        told before what the watch saw.
+        """Return in a list that commands came too late while a watch tripped in real
+        time; it is told before what the watch saw.
         """
         watched = loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep
         return [
@@ -594,15 +600,15 @@ class ControllerNode(ManagedNode):
         ]
 
     def _next_step(self) -> str:
-        """What to call for a robot that is held."""
+        """Return what to call for a robot that is held."""
         phase = self._loop.phase.name if self._loop is not None else ""
         return next_step(
             self.get_fully_qualified_name(), self.lifecycle, phase, self._enabling
         )
 
     def _watch_stall(self, loop: ControlLoop) -> None:
-        """No state on the steady clock: no torque at once, and after a while a
-        fault.
+        """Take the torque away when no state comes by the steady clock, and after a
+        while begin a fault.
         """
         age = time.perf_counter() - self._statistics.arrival
         if math.isnan(age) or self._lockstep:
@@ -622,8 +628,8 @@ class ControllerNode(ManagedNode):
             )
 
     def _tell_pose(self) -> None:
-        """A complaint about the external pose when it changes, the last one and not
-        more than one each TELL_PERIOD.
+        """Log a complaint about the external pose when it changes, at most one each
+        TELL_PERIOD.
         """
         if self._poses is None:
             return
@@ -655,8 +661,8 @@ class ControllerNode(ManagedNode):
         )
 
     def _enable_itself(self) -> None:
-        """Once, when the states have become healthy; what was kept begins with this
-        state.
+        """Enable once, when the states have become healthy; the trajectory that was
+        kept begins with this state.
         """
         assert self._loop is not None
         self._automatic = False
@@ -711,7 +717,7 @@ class ControllerNode(ManagedNode):
     def _on_reset(
         self, _: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        """Only what was latched before this call, and only while its cause is gone."""
+        """Clear what was latched before this call, and only while its cause is gone."""
         loop = self._loop
         try:
             if loop is not None and loop.phase in LATCHED:
@@ -735,7 +741,7 @@ class ControllerNode(ManagedNode):
         return self._answer(response, loop is not None and loop.phase is Phase.IDLE)
 
     def _answer(self, response: R, success: bool, message: str = "") -> R:
-        """A service's response, once the change of phase is told."""
+        """Return a service's response, once the change of phase is told."""
         loop = self._loop
         if (
             loop is not None
@@ -754,12 +760,12 @@ class ControllerNode(ManagedNode):
         return response
 
     def _diagnose(self) -> None:
-        """Tell at once."""
+        """Publish diagnostics at once."""
         self._situation = None
         self.publish_diagnostics(*self._situation_now())
 
     def _situation_now(self) -> tuple[bytes, str, dict[str, object]]:
-        """Level, message and values for ``/diagnostics``."""
+        """Return level, message and values for ``/diagnostics``."""
         values: dict[str, object] = {"lifecycle": self.lifecycle}
         values |= {name: self.values[name] for name in ("law", "estimator")}
         loop = self._loop
@@ -831,7 +837,7 @@ class ControllerNode(ManagedNode):
                 log(f"done: {trip_line(crossed, len(passed), self._largest_error)}")
 
     def _warnings(self, limit: float) -> list[str]:
-        """What an operator should look at."""
+        """Return what an operator should look at."""
         told = [
             self._other_commanders,
             self._told_second_publishers(),
@@ -859,11 +865,13 @@ class ControllerNode(ManagedNode):
         )
 
     def _other_servers(self) -> str:
-        """Trajectories by two hands: the newest one counts, whoever serves it."""
+        """Return who serves trajectories where there are two; the newest trajectory
+        counts, whoever serves it.
+        """
         return self.too_many_publishers(self.resolve_topic_name(TRAJECTORY.name))
 
     def close(self) -> None:
-        """A last word, and zero torque in answer to the last state."""
+        """Publish diagnostics, and zero torque in answer to the last state."""
         if self._loop is not None:
             self._reference.drop()
             if self._active:
@@ -877,7 +885,7 @@ def _check_mode(values: Mapping[str, ParameterValue]) -> None:
 
 
 def spin(node: ControllerNode, executor: Executor, stop: StopSignal) -> None:
-    """The node's own loop, until a signal."""
+    """Turn the node until a signal."""
     precise_timers()
     ask_kernel(node.values, node.get_logger().warning)
     while not stop and not node.finished:
@@ -885,7 +893,7 @@ def spin(node: ControllerNode, executor: Executor, stop: StopSignal) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry."""
+    """Run the controller; return the exit code."""
     return run_node(ControllerNode, args, spin)
 
 

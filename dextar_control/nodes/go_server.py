@@ -1,5 +1,5 @@
-"""The action ``go``: what ``dextar go`` does, for programs. Loads only where
-``dextar_interfaces`` is installed.
+"""The action ``go`` does for programs what ``dextar go`` does. This module loads only
+where ``dextar_interfaces`` is installed.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ class GoalStop:
 
 
 class GoServer(OperatorClient, RunnableNode):
-    """Offers the action go: starts a trip of the robot whose nodes run in this
-    namespace, and follows it to its end.
+    """Offers the action go, which starts a trip of the robot whose nodes run in this
+    namespace and follows it to its end.
 
-    One goal at a time. Cancelling it is a safe stop, and so is the end of this process
-    while a trip is under way. A goal that cannot be is aborted, and the result's
-    message says why and what to do.
+    It takes one goal at a time. Cancelling it is a safe stop, and so is the end of this
+    process while a trip is under way. A goal that cannot be is aborted, and the
+    result's message says why and what to do.
     """
 
     NAME = "go_server"
@@ -68,7 +68,7 @@ class GoServer(OperatorClient, RunnableNode):
         self.get_logger().info(f"action {self.full(GO)}")
 
     def turn(self) -> None:
-        """Another thread hears meanwhile."""
+        """Wait a moment; another thread hears meanwhile."""
         time.sleep(TICK)
 
     def _execute(self, goal: ServerGoalHandle) -> Go.Result:
@@ -104,8 +104,8 @@ class GoServer(OperatorClient, RunnableNode):
     def _go(
         self, goal: ServerGoalHandle, result: Go.Result, say: Callable[[str], None]
     ) -> bool:
-        """Start the goal's trip and follow it; whether it was done and every planned
-        crossing crossed.
+        """Start the goal's trip and follow it; return whether it was done and every
+        planned crossing crossed.
         """
 
         def show(text: str, share: float) -> None:
@@ -140,12 +140,12 @@ class GoServer(OperatorClient, RunnableNode):
         return good
 
     def close(self) -> None:
-        """No more goals."""
+        """Take no more goals."""
         self._server.destroy()
 
 
 def values_of(request: Go.Goal) -> dict[str, ParameterValue]:
-    """The trajectory server's parameters that a goal asks for.
+    """Return the trajectory server's parameters that a goal asks for.
 
     Raises:
         ParameterError: the task is unknown, or a tour without crossings.
@@ -186,7 +186,7 @@ def spin(node: GoServer, _: Executor, stop: StopSignal) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry."""
+    """Serve the action; return the exit code."""
     return run_node(GoServer, args, spin)
 
 

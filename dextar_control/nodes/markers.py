@@ -1,5 +1,5 @@
-"""The marker node: shows the robot live in RViz and Foxglove. It reads, and nothing on
-the control path waits for it.
+"""The marker node shows the robot live in RViz and Foxglove; nothing on the control
+path waits for it.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class MarkerNode(DextarNode):
             self._drawn += 1
 
     def _view(self, now: float) -> View | None:
-        """What the samples say; None before the first joint state."""
+        """Return what the samples say; None before the first joint state."""
         view = self._newest.view()
         if view is None:
             return None
@@ -155,7 +155,9 @@ class MarkerNode(DextarNode):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry; who only shows does not interrupt who moves the robot."""
+    """Draw until a signal, at a priority that does not interrupt what moves the robot;
+    return the exit code.
+    """
     stand_back()
     return run_node(MarkerNode, args)
 

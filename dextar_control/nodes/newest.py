@@ -1,5 +1,5 @@
-"""The newest of what a robot's topics say, for who shows it at a pace of its own:
-nothing on the control path waits for it.
+"""Nodes that show the robot keep the newest sample of its topics and take it at a pace
+of their own: nothing on the control path waits for it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ UNKNOWN = np.full(2, np.nan)
 
 
 class NewestSamples:
-    """Readers that keep one sample and ask for no repetition; closed there are none.
+    """Readers that keep one sample and ask for no repetition; there are none while it
+    is closed.
 
     Args:
         node: that shows it.
@@ -77,7 +78,7 @@ class NewestSamples:
         )
 
     def close(self) -> None:
-        """Read and know nothing any more."""
+        """Stop reading, and forget all samples."""
         for reader in self._readers.values():
             self._node.destroy_subscription(reader)
         self._readers.clear()
@@ -111,7 +112,7 @@ class NewestSamples:
         return newest
 
     def view(self) -> View | None:
-        """What the samples say; None before the first joint state.
+        """Return what the samples say of the robot; None before the first joint state.
 
         Raises:
             StateError: a joint state cannot be used.

@@ -1,5 +1,5 @@
-"""An operator's client of a robot whose nodes run: starts a trip and follows it, stops,
-enables, resets, tells the state.
+"""An operator's client starts a trip of a robot whose nodes run and follows it, stops,
+enables and resets the robot, and tells its state.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ OK, ERROR = (str(level[0]) for level in (DiagnosticStatus.OK, DiagnosticStatus.E
 
 
 class Unreached(DextarError):
-    """Nobody there to ask, or no answer; the message says what to do."""
+    """Nobody is there to ask, or none answers; the message says what to do."""
 
 
 class StopRequest(Protocol):
@@ -107,7 +107,7 @@ class OperatorClient(Node):
                 } | told
 
     def full(self, name: str) -> str:
-        """A node's or service's name with the namespace."""
+        """Return a node's or service's name with the namespace."""
         return f"{self.get_namespace().rstrip('/')}/{name}"
 
     @property
@@ -122,10 +122,12 @@ class OperatorClient(Node):
     def until(
         self, condition: Callable[[], object], seconds: float, *, through: bool = False
     ) -> bool:
-        """Hear until something holds; False where it does not within so long.
+        """Hear until something holds; return False where it does not in time.
 
         Args:
-            through: go on after a signal.
+            condition: true once it holds.
+            seconds: at most.
+            through: whether to go on after a signal.
 
         Raises:
             Interrupted: a signal came.
@@ -196,7 +198,7 @@ class OperatorClient(Node):
         )
 
     def count_nodes(self, name: str) -> int:
-        """How many nodes have this name in the namespace."""
+        """Return how many nodes have this name in the namespace."""
         return self.get_node_names_and_namespaces().count((name, self.get_namespace()))
 
     def alone(self, *names: str) -> None:
@@ -221,7 +223,13 @@ class OperatorClient(Node):
     def ask(
         self, kind: type[object], name: str, request: object, *, through: bool = False
     ) -> Future:
-        """The answer of a service, as a future.
+        """Return the answer of a service, as a future.
+
+        Args:
+            kind: the service's type.
+            name: of the service, relative to the namespace.
+            request: of that type.
+            through: whether to go on after a signal.
 
         Raises:
             Unreached: nobody offers it.
@@ -234,7 +242,7 @@ class OperatorClient(Node):
     def call(
         self, kind: type[object], name: str, request: object, *, through: bool = False
     ) -> object:
-        """The answer of a service.
+        """Return the answer of a service; the arguments are those of ``ask``.
 
         Raises:
             Unreached: none comes.
@@ -285,13 +293,13 @@ class OperatorClient(Node):
             self.set_parameters_of("trajectory_server", values)
 
     def heard_since(self, name: str, moment: float) -> bool:
-        """Whether a node has told of itself since a moment of the monotonic clock,
-        s.
+        """Return whether a node has told of itself since a moment of the monotonic
+        clock, s.
         """
         return self._heard.get(name, -SILENCE) > moment
 
     def silence(self, name: str) -> str:
-        """That a node has fallen silent; empty when it has not."""
+        """Return that a node has fallen silent; empty when it has not."""
         age = time.monotonic() - self._heard[name]
         return (
             f"no word of {self.full(name)} for {age:.0f} s; see that it runs, and where"
@@ -328,7 +336,7 @@ class OperatorClient(Node):
             self.until(server.call_async(Trigger.Request()).done, SERVER, through=True)
 
     def at_rest(self) -> bool:
-        """Whether a stop is over: the robot holds, or has no torque."""
+        """Return whether a stop is over: the robot holds, or has no torque."""
         phase = self.controller.get("phase", "")
         return (
             self.controller.get("stopped") == "True"
@@ -337,7 +345,7 @@ class OperatorClient(Node):
         )
 
     def wait_for_rest(self) -> bool:
-        """Whether the controller tells, after this call, that a stop is over."""
+        """Return whether the controller tells, after this call, that a stop is over."""
         since = time.monotonic()
         return self.until(
             lambda: self.heard_since("controller", since) and self.at_rest(),
@@ -346,13 +354,19 @@ class OperatorClient(Node):
         )
 
     def bag(self) -> str:
-        """The file that a recorder of the robot writes; empty without one."""
+        """Return the file that a recorder of the robot writes; empty without one."""
         self.hear("recorder")
         recorder = self.status.get("recorder", {})
         return recorder.get("bag", "") if recorder.get("recording") == "True" else ""
 
     def ask_controller(self, kind: type[object], name: str, request: object) -> str:
-        """Have the controller do something at once; its state afterwards, in words.
+        """Have the controller do something at once; return its state afterwards, in
+        words.
+
+        Args:
+            kind: the service's type.
+            name: of the controller's service.
+            request: of that type.
 
         Raises:
             Unreached: it refuses, or no one controller answers.
@@ -372,8 +386,8 @@ class OperatorClient(Node):
         show: Callable[[str, float], None],
         say: Callable[[str], object],
     ) -> bool:
-        """Set the task, have it planned and started, and follow it; whether it was done
-        and each planned crossing crossed.
+        """Set the task, have it planned and started, and follow it; return whether it
+        was done and each planned crossing crossed.
 
         Args:
             values: parameters of the trajectory server; what is not given stays as it
@@ -391,7 +405,9 @@ class OperatorClient(Node):
         return trip.end()
 
     def state(self) -> str:
-        """Phase and reason, and what to do next, as the controller told them last."""
+        """Return phase and reason, and what to do next, as the controller told them
+        last.
+        """
         told = self.controller
         phase, lifecycle, reason = (
             told.get("phase", ""),
@@ -406,7 +422,7 @@ class OperatorClient(Node):
 
 
 def kind_of(value: ParameterValue) -> Parameter.Type:
-    """A parameter's type; an empty list is one of floats."""
+    """Return a parameter's type; an empty list is one of floats."""
     if isinstance(value, list):
         return Parameter.Type.DOUBLE_ARRAY
     found: Parameter.Type = Parameter.Type.from_parameter_value(value)
@@ -414,8 +430,8 @@ def kind_of(value: ParameterValue) -> Parameter.Type:
 
 
 def task_values(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
-    """The trajectory server's parameters that were asked for; one kind of task switches
-    the others off.
+    """Return the trajectory server's parameters that were asked for; one kind of task
+    switches the others off.
 
     Args:
         asked: tour, point, excite, duration and repeat; None where it was not.
@@ -435,7 +451,7 @@ def task_values(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue
 
 @contextmanager
 def operator(namespace: str) -> Iterator[OperatorClient]:
-    """A client with signals as a flag.
+    """Return a client whose signals are a flag, for as long as the context lasts.
 
     Raises:
         ParameterError: the namespace is none.
@@ -459,7 +475,8 @@ def operator(namespace: str) -> Iterator[OperatorClient]:
 
 
 class TripFollower:
-    """A trip from its start to its end, as trajectory server and controller tell of it.
+    """Starts a trip and follows it to its end, by what trajectory server and controller
+    tell.
 
     Args:
         me: the client.
@@ -492,8 +509,8 @@ class TripFollower:
 
     @property
     def verdicts(self) -> list[tuple[str, str]]:
-        """Of each planned crossing the verdict and the confidence in it; none before it
-        began.
+        """The verdict on each planned crossing and the confidence in it; empty before
+        the trip began.
         """
         told = self._me.controller if self.begun else {}
         return list(
@@ -505,7 +522,7 @@ class TripFollower:
         )
 
     def start(self) -> None:
-        """Have it planned and served.
+        """Have the trip planned and served.
 
         Raises:
             Unreached: that is refused, or nobody answers.
@@ -528,7 +545,7 @@ class TripFollower:
             raise Unreached(answer.result().message)
 
     def follow(self) -> None:
-        """Until it ends; a signal is a safe stop.
+        """Follow the trip until it ends; a signal begins a safe stop.
 
         Raises:
             Unreached: the controller does not take it.
@@ -608,7 +625,9 @@ class TripFollower:
         )
 
     def end(self) -> bool:
-        """Say how it ended; whether it was done and every planned crossing crossed."""
+        """Say how it ended; return whether it was done and every planned crossing
+        crossed.
+        """
         me, told = self._me, self._me.controller
         verdicts = self.verdicts
         crossed = [verdict for verdict, _ in verdicts].count("crossed")
@@ -632,7 +651,7 @@ class TripFollower:
 
 
 def go(arguments: argparse.Namespace) -> int:
-    """Start a trip and follow it; the exit code."""
+    """Start a trip and follow it; return the exit code."""
     values, console = task_values(vars(arguments)), Terminal()
     columns = (
         TextColumn("{task.description}"),
@@ -655,7 +674,7 @@ def go(arguments: argparse.Namespace) -> int:
 
 
 def stop(arguments: argparse.Namespace) -> int:
-    """Stop safely; the exit code."""
+    """Stop safely; return the exit code."""
     with operator(arguments.namespace) as me:
         me.stop_robot()
         rests = me.wait_for_rest()
@@ -671,14 +690,14 @@ def stop(arguments: argparse.Namespace) -> int:
 
 
 def enable(arguments: argparse.Namespace) -> int:
-    """Torque on, or off; the exit code."""
+    """Switch the torque on or off; return the exit code."""
     return _ask_controller(
         arguments, SetBool, "enable", SetBool.Request(data=not arguments.off)
     )
 
 
 def reset(arguments: argparse.Namespace) -> int:
-    """Leave a fault or a safe stop; the exit code."""
+    """Leave a fault or a safe stop; return the exit code."""
     return _ask_controller(arguments, Trigger, "reset", Trigger.Request())
 
 
@@ -691,7 +710,7 @@ def _ask_controller(
 
 
 def status(arguments: argparse.Namespace) -> int:
-    """Print how the robot is; the exit code."""
+    """Print the robot's state; return the exit code."""
     with operator(arguments.namespace) as me:
         me.find("controller")
         me.until(lambda: False, GRAPH)
@@ -723,5 +742,5 @@ def status(arguments: argparse.Namespace) -> int:
 
 
 def say(text: str) -> None:
-    """A line on what was found or done."""
+    """Print a line on what was found or done."""
     tell(plain(text), sys.stdout)

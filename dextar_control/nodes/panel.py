@@ -1,5 +1,5 @@
-"""The panel's node: one page in the browser that watches and drives a robot. It reads,
-and nothing on the control path waits.
+"""The panel is one page in the browser that watches and drives a robot; nothing on the
+control path waits for it.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ class PanelNode(DextarNode):
         self.get_logger().info(f"the panel is at {self.server.address}")
 
     def setup(self) -> dict[str, object]:
-        """What a page draws once: robot, locus, and what may be set."""
+        """Return what a page draws once: robot, locus, and what may be set."""
         low, high = self._scene.workspace
         arcs = [
             {"family": arc.family.name.lower(), "x": _rounded(arc.x[::4])}
@@ -163,25 +163,34 @@ class PanelNode(DextarNode):
         }
 
     def watched(self, viewers: int) -> None:
-        """Read while somebody looks on."""
+        """Read topics while somebody looks on."""
         if viewers and not self._newest:
             self._newest.open()
         elif not viewers and self._newest:
             self._newest.close()
 
     def told(self, text: str) -> None:
-        """In the log and on the pages."""
+        """Tell a text in the log and on the pages."""
         self.get_logger().warning(text, throttle_duration_sec=1.0)
         self.operator.note(text)
 
     def report(self) -> Path | None:
-        """The page that was made last."""
+        """Return the report that was made last."""
         return self._report
 
     def ask(
         self, name: str, asked: Mapping[str, ParameterValue], answer: Answer
     ) -> None:
-        """What the driver asks for; see ``panel_operator``."""
+        """Do what the driver asks for; see ``panel_operator``.
+
+        Args:
+            name: of the request.
+            asked: what the page sent with it.
+            answer: told in the server's thread what became of it.
+
+        Raises:
+            KeyError: there is no such request, or a value is missing.
+        """
         assert self._loop is not None
         loop, me = self._loop, self.operator
 
@@ -210,8 +219,8 @@ class PanelNode(DextarNode):
         requests[name]()
 
     def _plan(self, changes: Mapping[str, ParameterValue], told: Told) -> None:
-        """Plan as the trajectory server would, from where the robot stands; the newest
-        wish counts.
+        """Plan as the trajectory server would, from where the robot stands; a newer
+        request ends an older one.
         """
         server = self.operator.values.get("trajectory_server") or node_defaults(
             "trajectory_server"
@@ -269,7 +278,7 @@ class PanelNode(DextarNode):
         self._worker.submit(work, done)
 
     def _near(self, point: Sequence[float], told: Told) -> None:
-        """The point of the locus nearest to a place."""
+        """Find the point of the locus nearest to a place, (2,), m."""
         x = np.array(point, dtype=float)
 
         def done(found: LocusPoint | None, error: DextarError | None) -> None:
@@ -282,7 +291,7 @@ class PanelNode(DextarNode):
         self._worker.submit(lambda: nearest_point(self.robot, x), done)
 
     def _origin(self) -> Array | None:
-        """Where the robot stands; None where that is not known."""
+        """Return where the robot stands, (2,), m; None where that is not known."""
         x = np.array(
             [float(self.operator.controller.get(axis, "nan")) for axis in ("x", "y")]
         )
@@ -330,7 +339,7 @@ class PanelNode(DextarNode):
         told(True, f"{page} is made", {"report": True})
 
     def show(self) -> None:
-        """The newest sample to all pages."""
+        """Send the newest sample to all pages."""
         if not self._newest:
             return
         try:
@@ -348,7 +357,7 @@ class PanelNode(DextarNode):
             self._shown += 1
 
     def send_path(self) -> None:
-        """The path that is served, to all pages."""
+        """Send the path that is served to all pages."""
         thin = max(1, len(self._scene.path) // PATH_POINTS)
         self.server.send(
             "path",
@@ -401,7 +410,7 @@ class PanelNode(DextarNode):
         }
 
     def status(self) -> None:
-        """What the nodes tell of themselves, to all pages."""
+        """Send what the nodes tell of themselves to all pages."""
         me = self.operator
         told = me.controller if me.fresh("controller") else {}
         recorder = me.status.get("recorder", {}) if me.fresh("recorder") else {}
@@ -454,7 +463,7 @@ class PanelNode(DextarNode):
         )
 
     def diagnose(self) -> None:
-        """For the other nodes."""
+        """Publish diagnostics."""
         viewers = len(self.server.pages)
         self.publish_diagnostics(
             DiagnosticStatus.OK,
@@ -468,7 +477,7 @@ class PanelNode(DextarNode):
         )
 
     async def serve(self, ended: Callable[[], bool]) -> None:
-        """Until it ends: show, tell and answer."""
+        """Show, tell and answer until it ends."""
         self._loop = asyncio.get_running_loop()
         self.server.begin()
         period, due = (
@@ -495,7 +504,7 @@ class PanelNode(DextarNode):
         self.diagnose()
 
     def destroy_node(self) -> None:
-        """With the operator's client."""
+        """Leave the graph, with the operator's client."""
         self.operator.destroy_node()
         super().destroy_node()
 
@@ -514,7 +523,7 @@ def _rounded(values: Array) -> list[object]:
 
 
 def _spec(node: str, spec: Parameter) -> dict[str, object]:
-    """A parameter as a page sets it."""
+    """Return a parameter as a page sets it."""
     default = node_defaults(node)[spec.name]
     return {**spec.__dict__, "default": default}
 
@@ -527,7 +536,7 @@ def _flag(asked: Mapping[str, ParameterValue], name: str) -> bool:
 
 
 def spin(node: PanelNode, executor: Executor, stop: StopSignal) -> None:
-    """The server in this thread, ROS in another, until a signal."""
+    """Run the server in this thread and ROS in another, until a signal."""
     executor.add_node(node.operator)
     ended = threading.Event()
 
@@ -554,8 +563,8 @@ def spin(node: PanelNode, executor: Executor, stop: StopSignal) -> None:
 
 
 def ros_arguments(words: list[str]) -> list[str]:
-    """``--host H``, ``--port N`` and ``--namespace NS`` as ROS arguments; everything
-    else as it is.
+    """Return ``--host H``, ``--port N`` and ``--namespace NS`` as ROS arguments;
+    everything else stays as it is.
     """
     own: list[str] = []
     rest = list(words)
@@ -570,7 +579,9 @@ def ros_arguments(words: list[str]) -> list[str]:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry; who only shows does not interrupt who moves the robot."""
+    """Run the panel, at a priority that does not interrupt what moves the robot; return
+    the exit code.
+    """
     stand_back()
     return run_node(
         PanelNode, ros_arguments(sys.argv[1:] if args is None else args), spin

@@ -1,5 +1,5 @@
-"""controller_state and criterion in messages of ``dextar_interfaces``, where each
-number has a name.
+"""controller_state and criterion can be published in messages of ``dextar_interfaces``
+too, where each number has a name.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class _Message(Protocol):
 
 
 class Readable:
-    """The two publishers.
+    """Publishes state and criterion in messages of ``dextar_interfaces``.
 
     Attributes:
         publishers: of the state and of the criterion.
@@ -57,11 +57,11 @@ class Readable:
         reference_time: int,
         criterion: Sequence[float],
     ) -> None:
-        """What controller_state and criterion say.
+        """Publish what controller_state and criterion tell.
 
         Args:
             stamp: of the state that was answered, ns.
-            state: as ``contract.layouts.template`` of controller_state takes them.
+            state: as ``nodekit.layouts.template`` of controller_state takes them.
             reference_time: since the trajectory's start, ns.
             criterion: in the order of CRITERION_NAMES.
         """

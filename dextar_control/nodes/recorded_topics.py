@@ -1,4 +1,4 @@
-"""The topics that are recorded, each with its reader and its count of losses."""
+"""Each recorded topic has its reader and its count of losses."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class RecordedTopic:
 
 
 def profile_of(topic: Topic, reliable: bool) -> QoSProfile:
-    """How a topic is read: latched ones as they are offered, streams with a long
+    """Return how a topic is read: latched ones as they are offered, streams with a long
     history.
     """
     one = topic.latched and topic.depth == 1
@@ -101,7 +101,7 @@ def profile_of(topic: Topic, reliable: bool) -> QoSProfile:
 def found_topic(
     name: str, type_name: str, offered: list[QoSProfile]
 ) -> tuple[Topic, QoSProfile]:
-    """A topic that was found, and a profile that matches all its publishers."""
+    """Return a topic that was found, and a profile that matches all its publishers."""
     reliable = all(
         profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered
     )

@@ -1,5 +1,5 @@
-"""Records every contract topic to MCAP, with all that is known of the run; says which
-samples it lost.
+"""The recorder writes every contract topic to MCAP, with all that is known of the run,
+and says which samples it lost.
 """
 
 from __future__ import annotations
@@ -104,15 +104,10 @@ class RecorderNode(DextarNode):
     """Records every topic of the package, and those that are asked for, into an MCAP
     file in the layout of rosbag2.
 
-    It polls its subscriptions instead of being called for each sample.
-
-    Six topics at 1 kHz are 6000 callbacks a second: with the single-threaded executor
-        they took
-    76-86 % of a core, and the events executor of rclpy 7.1.6 fails on callbacks that
-    also want the message info. Taking what each reader holds every 20 ms takes 12 % (5
-    ms: 14 %, 50 ms: 11 %), and the receive times are the middleware's, so that polling
-    does not blur them. With the writing (8 us per sample, in the bag writer's thread)
-    the whole recorder takes 15-18 % of a core at seven topics.
+    It polls its subscriptions every 20 ms instead of being called for each sample: at
+    6000 samples a second callbacks took 76-86 % of a core, polling takes 12 %, and
+    15-18 % with the writing, which the bag writer's thread does. Receive times are the
+    middleware's, so that polling does not blur them.
 
     A best-effort reader that gets no processor time for about 0.1 s loses samples,
     because the middleware's queue holds 512 of them; a reliable one is given all again,
@@ -166,7 +161,7 @@ class RecorderNode(DextarNode):
         self.create_timer(1.0, self._on_second, clock=self.steady_clock)
 
     def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
-        """Name, notes and tags as they are set last."""
+        """Use name, notes and tags as they are set last."""
         if self._recording is not None:
             self._recording.record.labels.update(
                 {key: value for key, value in changes.items() if key in LABELS}
@@ -175,8 +170,8 @@ class RecorderNode(DextarNode):
     def begin(self) -> None:
         """Begin the first recording, unless ``~/start`` shall.
 
-        Not while the node is made: a signal that comes then ends the process at once,
-            and a bag would stay cut off.
+        It is not begun while the node is made: a signal then ends the process at once,
+        and a bag would stay cut off.
 
         Raises:
             BagError: the file cannot be made.
@@ -185,8 +180,8 @@ class RecorderNode(DextarNode):
             self._begin()
 
     def poll(self) -> int:
-        """Take what the readers hold, and record it if a recording is on; how many
-        samples.
+        """Take what the readers hold, and record it if a recording is on; return how
+        many samples.
         """
         count = 0
         recording = self._recording
@@ -240,7 +235,11 @@ class RecorderNode(DextarNode):
             self._end(self._recording)
 
     def _begin(self) -> BagRecording:
-        """Begin a recording; raises BagError."""
+        """Begin a recording.
+
+        Raises:
+            BagError: the file cannot be made.
+        """
         stamp = datetime.now(timezone.utc).strftime("%Y%m%dT%H%M%SZ")
         path = target = Path(
             self.values["output"].replace("{stamp}", stamp)
@@ -257,7 +256,7 @@ class RecorderNode(DextarNode):
         return self._recording
 
     def _end(self, recording: BagRecording) -> str:
-        """Finish the recording; why the bag is not whole, or ""."""
+        """Finish the recording; return why the bag is not whole, or ""."""
         self._recording = None
         for recorded in self._topics:
             if recorded.losses.lost:
@@ -322,7 +321,7 @@ class RecorderNode(DextarNode):
         return response
 
     def _parameters_missing(self) -> str:
-        """The nodes whose parameters are not known."""
+        """Return the nodes whose parameters are not known."""
         return (
             " ".join(
                 snapshot.target
@@ -409,11 +408,11 @@ def _spin(node: RecorderNode, executor: Executor, stop: StopSignal) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Record until a signal asks to end; 0, or 1 when the bag is not whole, or 2 when
-    it cannot be made.
+    """Record until a signal asks to end; return 0, or 1 when the bag is not whole, or 2
+    when it cannot be made.
 
-    What is recorded has time: taken as soon as it comes it would interrupt who sends
-        it, plant and controller.
+    The recorder has time: taking samples as soon as they come would interrupt plant and
+    controller, which send them.
     """
     stand_back()
     return run_node(RecorderNode, args, _spin)

@@ -1,4 +1,6 @@
-"""One bag under way: what goes into it beside the samples, and what is told of it."""
+"""One bag under way holds the samples and a record of the run; the diagnostics tell of
+it.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,7 @@ class BagRecording:
     Args:
         node: the recorder.
         path: of the new ``.mcap`` file.
-        topics: the topics; more may be added while it runs.
+        topics: that are recorded; more may be added while it runs.
         snapshots: of the other nodes' parameters; asked for anew.
 
     Attributes:
@@ -91,7 +93,7 @@ class BagRecording:
         )
 
     def hear_diagnostics(self, data: bytes) -> None:
-        """The plan's certificate is told there."""
+        """Keep the plan's certificate, which diagnostics tell."""
         own = self._node.get_namespace().rstrip("/")
         for status in deserialize_message(data, DiagnosticArray).status:
             if status.name.rpartition("/")[0] == own:
@@ -100,7 +102,12 @@ class BagRecording:
                         self.record.note_certificate(entry.value)
 
     def hear_parameter_event(self, data: bytes, received: int) -> None:
-        """A node's parameters were changed."""
+        """Keep a change of a node's parameters.
+
+        Args:
+            data: the event as CDR bytes.
+            received: ns.
+        """
         event = deserialize_message(data, ParameterEvent)
         for parameter in event.changed_parameters:
             self.record.note_change(
@@ -111,7 +118,7 @@ class BagRecording:
             )
 
     def on_second(self) -> None:
-        """Write what has become known of the run; now and then what was counted."""
+        """Write what has become known of the run, and now and then what was counted."""
         self._seconds += 1
         record = self.record
         known = (
@@ -125,7 +132,11 @@ class BagRecording:
             self.writer.add_metadata(METADATA_NAME, self._texts())
 
     def end(self) -> None:
-        """Finish the bag; raises BagError when it is not whole or ended early."""
+        """Finish the bag.
+
+        Raises:
+            BagError: it is not whole or ended early.
+        """
         ended = datetime.now(timezone.utc)
         self.writer.close(
             {METADATA_NAME: self._texts(ended)},
@@ -133,7 +144,7 @@ class BagRecording:
         )
 
     def status(self) -> tuple[bytes, str, dict[str, object]]:
-        """Level, message and values for ``/diagnostics``."""
+        """Return level, message and values for ``/diagnostics``."""
         writer = self.writer
         level, message = DiagnosticStatus.OK, f"recording to {writer.path}"
         free = _free_space(writer.path.parent)
@@ -169,27 +180,27 @@ class BagRecording:
 
     @property
     def lost(self) -> int:
-        """Samples that are not in the bag, of all topics."""
+        """How many samples of all topics are not in the bag."""
         return sum(recorded.losses.lost for recorded in self._topics) + sum(
             self.writer.dropped.values()
         )
 
     @property
     def written(self) -> int:
-        """Samples that are, or will be."""
+        """How many samples are, or will be, in the bag."""
         return sum(recorded.losses.received for recorded in self._topics) - sum(
             self.writer.dropped.values()
         )
 
     def missing(self) -> list[str]:
-        """Nodes whose parameters are not known."""
+        """Return the nodes whose parameters are not known."""
         return [
             snapshot.target for snapshot in self._snapshots if snapshot.values is None
         ]
 
     def _counts(self) -> dict[str, dict[str, int | None]]:
-        """Per topic: samples received, lost on the way (None: not numbered), dropped
-        before the disk.
+        """Return, per topic, samples received, lost on the way (None: not numbered) and
+        dropped before the disk.
         """
         return {
             recorded.name: {
@@ -221,7 +232,7 @@ class BagRecording:
 
 
 def _free_space(folder: Path) -> float:
-    """Bytes that the disk still has; nan when it cannot be asked."""
+    """Return the bytes that the disk still has; nan when it cannot be asked."""
     try:
         space = os.statvfs(folder)
     except OSError:

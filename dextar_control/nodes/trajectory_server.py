@@ -1,5 +1,5 @@
-"""The trajectory server: plans a trip or a tour through the locus, says and draws what
-it planned, serves it.
+"""The trajectory server plans a trip or a tour through the locus, tells and draws the
+plan, and serves it.
 """
 
 from __future__ import annotations
@@ -138,12 +138,12 @@ class TrajectoryServer(DextarNode):
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
 
     def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
-        """A changed task is planned before it is served."""
+        """Take a changed task, which is planned before it is served."""
         self._task = Task.from_values(self.values)
 
     def _poll(self) -> None:
-        """Requests, results, and the served trip once there is a controller, which
-        refuses what is older than itself.
+        """Take requests and results, and serve the trip once there is a controller,
+        which refuses what is older than itself.
         """
         for service, answer in self._requests:
             while (
@@ -166,7 +166,9 @@ class TrajectoryServer(DextarNode):
     def _plan_of(
         self, wanted: Task, progress: Progress | None = None
     ) -> Callable[[], tuple[Task, Plan]]:
-        """A job: the plan of a task, drawn where that is asked for and nobody waits."""
+        """Return a job: the plan of a task, drawn where that is asked for and nobody
+        waits.
+        """
         drawing = "" if self._waiting else self.values["drawing"]
 
         def work() -> tuple[Task, Plan]:
@@ -228,7 +230,7 @@ class TrajectoryServer(DextarNode):
         self._worker.submit(self._trip(self._origin(), progress), planned)
 
     def _origin(self) -> Array:
-        """Where the robot stands as far as is known, else A."""
+        """Return where the robot stands as far as is known, else A; (2,), m."""
         x = np.array([float(self._controller.get(axis, "nan")) for axis in ("x", "y")])
         return x if np.isfinite(x).all() else np.array(self._task.start)
 
@@ -312,7 +314,7 @@ class TrajectoryServer(DextarNode):
             self._diagnose(whole=True)
 
     def _note(self, error: DextarError | None) -> str:
-        """Tell a refusal."""
+        """Log a refusal, and return it in words."""
         self._error = str(error)
         self.get_logger().error(self._error)
         self._diagnose()
@@ -385,8 +387,8 @@ class TrajectoryServer(DextarNode):
         return response
 
     def _diagnose(self, whole: bool = False) -> None:
-        """Where planning is, and the certificate; ``whole``: with all its crossings,
-        however many.
+        """Publish how far planning is, and the certificate; with ``whole`` all its
+        crossings, however many.
         """
         worker = self._worker
         planning = f"{worker.fraction:.0%}, {worker.stage}" if worker.stage else ""
@@ -417,8 +419,8 @@ class TrajectoryServer(DextarNode):
         self.publish_diagnostics(level, trouble or state, values)
 
     def close(self) -> None:
-        """A last word; a plan under way is given up. The drawing that nobody waited for
-        is made.
+        """Give up a plan under way, publish diagnostics, and make the drawing that
+        nobody waited for.
         """
         self._worker.close()
         self._diagnose()
@@ -441,8 +443,13 @@ class TrajectoryServer(DextarNode):
 def served_times(
     trajectory: Trajectory, certificate: Certificate, period: float
 ) -> Array:
-    """When a trajectory is sampled: every period, at its knots and at its crossings; a
-    long one less often.
+    """Return when a trajectory is sampled, (m,), s: every period, at its knots and at
+    its crossings; a long one less often.
+
+    Args:
+        trajectory: that is served.
+        certificate: of it.
+        period: between two points, s.
 
     Raises:
         TrajectoryError: even COARSEST apart there are more than MAX_TRAJECTORY_POINTS.
@@ -464,7 +471,11 @@ def served_times(
 
 
 def _draw(robot: RobotParameters, plan: Plan, path: Path) -> None:
-    """Raises: TrajectoryError: the picture cannot be written."""
+    """Draw a plan.
+
+    Raises:
+        TrajectoryError: the picture cannot be written.
+    """
     from dextar_control.analysis.plan_figure import draw_plan
 
     try:
@@ -475,7 +486,7 @@ def _draw(robot: RobotParameters, plan: Plan, path: Path) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry."""
+    """Run the trajectory server; return the exit code."""
     return run_node(TrajectoryServer, args)
 
 
