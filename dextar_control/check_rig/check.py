@@ -1,4 +1,4 @@
-"""A whole check, in two parts: what a quiet watch tells, and the report once the
+"""A whole check has two parts: what a quiet watch tells, and the report once the
 torques were sent or not.
 """
 
@@ -42,7 +42,7 @@ def watch_lines(
     limits: Limits,
     duration: float,
 ) -> list[CheckLine]:
-    """The lines that need no torque, the velocity's apart.
+    """Return the lines that need no torque, the velocity's apart.
 
     Args:
         graph: who stands at the topics.
@@ -55,7 +55,7 @@ def watch_lines(
 
 
 def torque_obstacle(lines: Sequence[CheckLine]) -> str:
-    """Why no torque may be sent after these lines; empty when it may."""
+    """Return why no torque may be sent after these lines; empty when it may."""
     results = {line.name: line.result for line in lines}
     bad = [name for name in NEEDED_FOR_TORQUE if results.get(name) is Result.FAIL]
     bad = bad or [
@@ -69,7 +69,7 @@ def torque_obstacle(lines: Sequence[CheckLine]) -> str:
 
 
 def torque_tests(lines: Sequence[CheckLine], limits: Limits) -> TorqueTests:
-    """The tests that may follow a quiet watch."""
+    """Return the tests that may follow a quiet watch."""
     has_effort = any(
         line.name == "effort feedback" and line.result is Result.PASS for line in lines
     )
@@ -81,7 +81,7 @@ def report(
     samples: Sequence[JointSample],
     torque: TorqueTests | str,
 ) -> list[CheckLine]:
-    """All lines, in order.
+    """Return all lines, in order.
 
     Args:
         lines: of the quiet watch.

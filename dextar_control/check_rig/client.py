@@ -72,7 +72,7 @@ class RigClient(Node):
     Args:
         namespace: of the rig's topics.
         states, commands: topic names; empty is the contract's.
-        arrays: commands are effort arrays.
+        arrays: whether commands are effort arrays.
     """
 
     def __init__(
@@ -96,13 +96,13 @@ class RigClient(Node):
         self._unstepped = UnsteppedClock()
 
     def now(self) -> int:
-        """The system clock when this began, and since then the steady one, ns: torque
-        must not last because a clock was set.
+        """Return the system clock's time when this began, gone on by the steady clock,
+        ns: torque must not last because a clock was set.
         """
         return self._unstepped.now()
 
     def take(self) -> Iterator[JointSample]:
-        """The states that have arrived."""
+        """Give the states that have arrived."""
         while (
             taken := self._states.handle.take_message(JointState, False)
         ) is not None:
@@ -118,7 +118,7 @@ class RigClient(Node):
             )
 
     def graph(self) -> Graph:
-        """Who stands at the two topics, this node apart."""
+        """Return who stands at the two topics, without this node."""
         states = self._states.topic_name
         reader, writer = qos(JOINT_STATES, reliable=False), qos(self._topic)
         for profile in (reader, writer):  # unset counts as 0 in a comparison
@@ -169,7 +169,7 @@ class RigClient(Node):
         return tuple(found)
 
     def hint(self) -> str:
-        """Where to look when nobody publishes states."""
+        """Return where to look when nobody publishes states."""
         domain, discovery = (
             os.environ.get("ROS_DOMAIN_ID", "0"),
             os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"),
@@ -196,23 +196,23 @@ class RigClient(Node):
 
     @property
     def others(self) -> int:
-        """Publishers of commands beside this node."""
+        """How many publishers of commands there are beside this node."""
         return self.count_publishers(self._commands_name) - (self._commands is not None)
 
     @property
     def drivers(self) -> int:
-        """Publishers of states."""
+        """How many publishers of states there are."""
         return int(self.count_publishers(self._states.topic_name))
 
     @property
     def heard(self) -> bool:
-        """Somebody receives our commands."""
+        """Whether somebody receives our commands."""
         return (
             self._commands is not None and self._commands.get_subscription_count() > 0
         )
 
     def command(self, torque: Torque) -> None:
-        """Torques, N m, in answer to the newest state."""
+        """Command torques, N m, in answer to the newest state."""
         assert self._commands is not None
         if self._kind is Float64MultiArray:
             self._commands.publish(Float64MultiArray(data=list(torque)))
@@ -222,7 +222,7 @@ class RigClient(Node):
         self._commands.publish(message)
 
     def release(self) -> None:
-        """Zero torque in answer to the coming states, or without any."""
+        """Command zero torque in answer to the coming states, or without any."""
         if self._commands is None:
             return
         self.command(NO_TORQUE)
@@ -239,7 +239,7 @@ class RigClient(Node):
 
 @contextmanager
 def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigClient, StopSignal]]:
-    """The node, with signals as a flag; whatever happens, zero torque is the last
+    """Give the node, with signals as a flag; whatever happens, zero torque is the last
     command.
     """
     try:
@@ -265,8 +265,8 @@ def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigClient, StopSigna
 
 
 def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
-    """The limits of parsed arguments; what is not given follows from the nodes' own
-    parameters.
+    """Return the limits of parsed arguments; what is not given follows from the nodes'
+    own parameters.
     """
     plant, controller = node_defaults("plant"), node_defaults("controller")
 
@@ -293,8 +293,8 @@ def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Check the rig of parsed arguments (see ``dextar check-rig --help``); 0 all
-    passed, 1 something failed.
+    """Check the rig of parsed arguments (see ``dextar check-rig --help``); return 0
+    where all passed, 1 where something failed.
     """
     robot = load_robot(arguments.robot or config_file(ROBOT_FILE))
     limits = limits_of(arguments, robot)
@@ -337,8 +337,8 @@ def _check(stop: StopSignal) -> None:
 def _look(
     console: Terminal, node: RigClient, stop: StopSignal, wait: float, duration: float
 ) -> tuple[Graph, list[JointSample]]:
-    """The graph, and the states of a quiet watch that begins with the first of them, or
-    when it has not come.
+    """Return the graph, and the states of a quiet watch, which begins with the first of
+    them or when none has come in time.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     samples: list[JointSample] = []
@@ -365,8 +365,8 @@ def _look(
 
 
 def _settled(node: RigClient, earliest: float, stop: StopSignal | None = None) -> Graph:
-    """The graph once everybody has a name: a node's endpoints are often found before
-    it.
+    """Return the graph once everybody has a name: a node's endpoints are often found
+    before it.
     """
     latest = max(earliest, time.monotonic()) + DISCOVERY
     while True:
@@ -385,7 +385,9 @@ def _settled(node: RigClient, earliest: float, stop: StopSignal | None = None) -
 def _permission(
     console: Terminal, stop: StopSignal, limits: Limits, arguments: argparse.Namespace
 ) -> str:
-    """Why the robot may not be moved; empty when it may. Asks on a terminal."""
+    """Ask on a terminal whether the robot may be moved; return why not, empty when it
+    may.
+    """
     if arguments.no_torque:
         return "not asked for (--no-torque)"
     if arguments.yes:
@@ -415,8 +417,8 @@ def _permission(
 def _torque(
     console: Terminal, node: RigClient, stop: StopSignal, tests: TorqueTests
 ) -> CheckLine | None:
-    """Run the tests with torque; the line that another commander or another driver
-    earns, or None.
+    """Run the tests with torque; return the line that another commander or another
+    driver earns, or None.
     """
     if node.others:
         tests.stop("another commander came")
@@ -459,7 +461,7 @@ def _torque(
 
 
 def _answer(node: RigClient, tests: TorqueTests) -> None:
-    """Let the tests see what arrived; command what they want."""
+    """Let the tests see what arrived, and command what they want."""
     torque = None
     for sample in node.take():
         torque = tests.update(node.now(), sample)
@@ -501,7 +503,7 @@ STYLES = {
 
 
 def table(lines: Sequence[CheckLine], graph: Graph) -> Table:
-    """The report for a person."""
+    """Return the report as a table for a person."""
     grid = Table(title=title(f"{graph.states}, {graph.commands}"), show_lines=False)
     for name in ("line", "", "measured", "limit"):
         grid.add_column(name, overflow="fold")

@@ -1,4 +1,4 @@
-"""Judges what the robot did under a trial's torques."""
+"""What the robot did under a trial's torques is judged here."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ FEW = 3  # states of a pulse that are needed after that
 
 
 def response_line(trial: TorqueTrial, limits: Limits) -> CheckLine:
-    """The line ``response`` of a doublet's joint: effort, and movement in the torque's
-    direction.
+    """Return the line ``response`` of a doublet's joint: its effort, and its movement
+    in the torque's direction.
     """
     joint = JOINT_NAMES[trial.joint]
     name, tolerance = f"response {joint}", EFFORT_SHARE * limits.torque
@@ -68,8 +68,8 @@ def response_line(trial: TorqueTrial, limits: Limits) -> CheckLine:
 
 
 def movements(trial: TorqueTrial) -> tuple[float, float, float]:
-    """(up, down, noise), rad: what the first pulse, by + and by - torque each, moves
-    the joint in the torque's direction.
+    """Return (up, down, noise), rad: what the first pulse, by + and by - torque each,
+    moves the joint in the torque's direction.
 
     Positions are fitted by a drift and the torques integrated twice, + and - apart;
     noise is what the fit leaves.
@@ -97,15 +97,17 @@ def movements(trial: TorqueTrial) -> tuple[float, float, float]:
 
 
 def _twice(t: Array, held: Array) -> Array:
-    """The double integral of a quantity held from each instant to the next."""
+    """Return the double integral of a quantity that is held from each instant to the
+    next.
+    """
     dt = np.diff(t)
     first = np.concatenate([[0.0], np.cumsum(held[:-1] * dt)])
     return np.concatenate([[0.0], np.cumsum(first[:-1] * dt + 0.5 * held[:-1] * dt**2)])
 
 
 def _effort_at(trial: TorqueTrial, segment: str) -> Array | None:
-    """Median efforts (2,) of both motors in the settled part of a segment; None when
-    there are none.
+    """Return the median efforts of both motors, (2,), N m, in the settled part of a
+    segment; None when there are none.
     """
     _, efforts = by_name(trial.of(segment, SETTLED), "effort")
     return np.median(efforts, axis=0) if len(efforts) >= FEW else None
@@ -118,7 +120,7 @@ def _follows(effort: Array, joint: int, torque: float, tolerance: float) -> bool
 
 
 def watchdog_line(trial: TorqueTrial, limits: Limits) -> CheckLine:
-    """The line ``watchdog`` of a silence."""
+    """Return the line ``watchdog`` of a silence."""
     limit = (
         f"{1e3 * limits.watchdog_limit:.1f} ms ({1e3 * limits.watchdog:g} declared, and"
         " the way)"
@@ -164,7 +166,7 @@ def _largest(efforts: Array) -> float:
 
 
 def nan_line(trial: TorqueTrial, limits: Limits, *, responds: bool) -> CheckLine:
-    """The line ``refuses NaN``.
+    """Return the line ``refuses NaN``.
 
     Args:
         trial: of ``nan_and_on``.

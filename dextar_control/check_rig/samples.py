@@ -1,4 +1,4 @@
-"""What is seen of a driver: its place in the graph, and its states one by one."""
+"""A driver is seen by its place in the graph and by its states, one by one."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Endpoint(NamedTuple):
 
 
 class Graph(NamedTuple):
-    """Who stands at the two topics.
+    """The publishers and subscribers of the two topics.
 
     Attributes:
         states, commands: names of the topics.
@@ -73,8 +73,8 @@ class Graph(NamedTuple):
 def by_name(
     samples: Iterable[JointSample], field: str
 ) -> tuple[list[JointSample], Array]:
-    """The samples that have finite numbers for both joints in a field, and these
-    numbers, (n, 2), in the contract's order.
+    """Return the samples that have finite numbers for both joints in a field, and these
+    numbers, (n, 2), in the contract's order and the field's unit.
     """
     kept, rows = [], []
     for sample in samples:
@@ -91,11 +91,11 @@ def by_name(
 
 
 def joint_angles(samples: Iterable[JointSample]) -> tuple[list[JointSample], Array]:
-    """The samples that the controller can use, and their joint angles (n, 2), rad,
-    without the encoders' whole turns.
+    """Return the samples that the controller can use, and their joint angles, (n, 2),
+    rad, without the encoders' whole turns.
 
     The controller takes an angle on any turn: one that wraps has moved as little as it
-        can have.
+    can have.
     """
     kept, rows = [], []
     for sample in samples:
@@ -108,8 +108,8 @@ def joint_angles(samples: Iterable[JointSample]) -> tuple[list[JointSample], Arr
 
 
 def times(samples: Sequence[JointSample]) -> Array:
-    """When the samples were taken, s from the first: their stamps where these rise,
-    else their arrivals.
+    """Return when the samples were taken, (n,), s from the first: their stamps where
+    these rise, else their arrivals.
     """
     stamps = np.array([sample.stamp for sample in samples], dtype=np.int64)
     if not (np.diff(stamps) > 0).all():

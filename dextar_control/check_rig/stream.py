@@ -1,4 +1,4 @@
-"""Judges a driver by what it publishes, without commanding it."""
+"""A driver is judged by what it publishes, without commanding it."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ QUICK = 10.0
 
 
 def judge_graph(graph: Graph) -> list[CheckLine]:
-    """Topics, types, QoS, and who else commands."""
+    """Return the lines on topics, types, QoS, and who else commands."""
     drivers, readers = graph.drivers, graph.readers
     found = (
         f"{graph.states}: {_who(drivers, 'publisher')}; {graph.commands}:"
@@ -144,8 +144,8 @@ def judge_stream(
     limits: Limits,
     duration: float,
 ) -> list[CheckLine]:
-    """Everything that states alone tell, except the velocity, which a movement tells
-    better (``judge_velocity``).
+    """Return all lines that states alone give, except the velocity, which a movement
+    tells better (``judge_velocity``).
 
     Args:
         samples: in the order of their arrival.
@@ -272,8 +272,8 @@ def _sizes(samples: Sequence[JointSample]) -> CheckLine:
 
 
 def _numbers(samples: Sequence[JointSample]) -> CheckLine:
-    """Positions of both joints, which the controller needs; what else is not finite is
-    a remark.
+    """Judge the positions of both joints, which the controller needs; what else is not
+    finite is a remark.
     """
     wrong = len(_measured(samples)) - len(by_name(samples, "position")[0])
     if wrong:
@@ -307,7 +307,7 @@ def _numbers(samples: Sequence[JointSample]) -> CheckLine:
 
 
 def _measured(samples: Sequence[JointSample]) -> list[JointSample]:
-    """The states with a position of both joints, finite or not."""
+    """Return the states with a position of both joints, finite or not."""
     return [
         s
         for s in samples
@@ -386,8 +386,8 @@ def _stamps(samples: Sequence[JointSample], limits: Limits) -> list[CheckLine]:
 
 
 def _rise(samples: Sequence[JointSample], limits: Limits) -> CheckLine:
-    """A step back is a fault of the controller; a repetition only begins its healthy
-    time anew.
+    """Judge whether stamps rise: a step back is a fault of the controller, a repetition
+    only begins its healthy time anew.
     """
     stream, last, back, repeated, healthy = (
         StateStream(),
@@ -429,8 +429,11 @@ def _ms(seconds: float) -> str:
 
 
 def elbow_distance(robot: RobotParameters, q_a: Array) -> Array:
-    """Between the two elbows, (n,), m, at joint angles (n, 2), rad, as the encoders
-    read them.
+    """Return the distance between the two elbows, (n,), m.
+
+    Args:
+        robot: the five-bar.
+        q_a: active joints as the encoders read them, (n, 2), rad.
     """
     reach, q_a = (
         np.array([leg.proximal_length for leg in robot.legs]),
@@ -443,7 +446,9 @@ def elbow_distance(robot: RobotParameters, q_a: Array) -> Array:
 
 
 def _closing(robot: RobotParameters) -> tuple[float, float]:
-    """Between which distances of the elbows the distal links meet, m."""
+    """Return the least and the largest distance of the elbows at which the distal links
+    meet, m.
+    """
     lengths = [leg.distal_length for leg in robot.legs]
     return abs(lengths[0] - lengths[1]), sum(lengths)
 
@@ -475,7 +480,9 @@ def _closes(
 def _mode_and_range(
     samples: Sequence[JointSample], robot: RobotParameters, limits: Limits
 ) -> CheckLine:
-    """By the controller's rules for its first state, and for each one under torque."""
+    """Judge by the controller's rules for its first state, and for each one under
+    torque.
+    """
     _, q_a = joint_angles(samples)
     if not len(q_a):
         return skipped("mode and range", "no state has finite positions of both joints")
@@ -537,7 +544,9 @@ def _mode_and_range(
 
 
 def _in_mode(model: Model, q_a: Array, assembly_mode: int) -> bool:
-    """Whether the controller takes these joints for its first state."""
+    """Return whether the controller takes these joints, (2,), rad, for its
+    first state.
+    """
     try:
         implied = model.inverse_geometric_model(model.close(q_a, assembly_mode))
     except GeometryError:
@@ -559,8 +568,8 @@ def _effort(samples: Sequence[JointSample]) -> CheckLine:
 
 
 def judge_velocity(stretches: Sequence[Sequence[JointSample]]) -> CheckLine:
-    """Whether velocities integrate to positions, over windows of ``VELOCITY_WINDOW``
-    without a long gap.
+    """Return whether velocities integrate to positions, over windows of
+    ``VELOCITY_WINDOW`` without a long gap.
 
     Args:
         stretches: unbroken runs of samples.

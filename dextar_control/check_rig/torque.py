@@ -1,4 +1,6 @@
-"""The tests with torque, one after the other, each only when those before allow it."""
+"""The tests with torque follow one after the other, each only when those before allow
+it.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,8 @@ is.
 
 
 class TorqueTests:
-    """Small torques on each motor, silence, NaN; ends at the first limit that the robot
-    leaves.
+    """Sends small torques to each motor, then nothing, then NaN; ends at the first
+    limit that the robot leaves.
 
     A test that fails while states or answers were away for too long is repeated.
 
@@ -63,7 +65,7 @@ class TorqueTests:
 
     @property
     def expected_duration(self) -> float:
-        """Of all tests, s."""
+        """How long all tests take, s."""
         parts = (
             doublet(0, self._limits),
             doublet(1, self._limits),
@@ -73,7 +75,7 @@ class TorqueTests:
         return sum(segment.duration for part in parts for segment in part)
 
     def update(self, now: int, sample: JointSample | None) -> Torque | None:
-        """What to command now, N m; None for nothing.
+        """Return what to command now, N m; None for nothing.
 
         Args:
             now: of the clock of the samples' arrival, ns.
@@ -106,7 +108,7 @@ class TorqueTests:
         return answer
 
     def stop(self, reason: str) -> None:
-        """No more torque; what is left is skipped for this reason."""
+        """Send no more torque; what is left is skipped for this reason."""
         if not self.finished:
             self.finished = True
             done = {line.name for line in self.lines}

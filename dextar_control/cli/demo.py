@@ -1,4 +1,4 @@
-"""``dextar demo``."""
+"""The command ``dextar demo``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ESTIMATORS = ("observer", "dgm", "plain", "external")
 
 
 def add_excite(group: argparse._MutuallyExclusiveGroup) -> None:
-    """``--excite`` among the arguments that say where to."""
+    """Add ``--excite`` to the arguments that say where to."""
 
     def seconds(text: str) -> float:
         if not float(text) > 0.0:
@@ -41,7 +41,7 @@ def add_excite(group: argparse._MutuallyExclusiveGroup) -> None:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument(
         "--law",
         choices=LAWS,
@@ -157,7 +157,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from dextar_control.experiments.demo import run_demo
 
     return run_demo(arguments)

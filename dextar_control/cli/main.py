@@ -38,7 +38,7 @@ class CommandModule(Protocol):
         """Add the command's own arguments."""
 
     def run(self, arguments: argparse.Namespace, /) -> int:
-        """Do what was asked; the exit code."""
+        """Do what was asked; return the exit code."""
 
 
 COMMANDS: dict[str, CommandModule] = {
@@ -88,8 +88,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Console entry; the exit code. What a command starts stays on this machine unless
-    the environment opens it.
+    """Run the command; return the exit code. What a command starts stays on this
+    machine unless the environment opens it.
     """
     arguments = _parser().parse_args(argv)
     prepare_environment()

@@ -1,5 +1,5 @@
-"""``dextar go``, ``stop``, ``status``, ``enable`` and ``reset``: what an operator asks
-of a robot whose nodes run.
+"""``dextar go``, ``stop``, ``status``, ``enable`` and ``reset`` ask what an operator
+asks of a robot whose nodes run.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _enable_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(name: str) -> Callable[[argparse.Namespace], int]:
-    """A function of ``ros.operator``, loaded when it is called."""
+    """Return a function of ``nodes.operator`` that is loaded when it is called."""
 
     def run(arguments: argparse.Namespace) -> int:
         from dextar_control.nodes import operator

@@ -1,5 +1,5 @@
-"""``--pdf``: a page as a PDF, printed by a browser, since its figures are drawn by
-one.
+"""``--pdf`` prints a page into a PDF by a browser, since its figures are
+drawn by one.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class PdfError(DextarError):
 
 
 def find_browser() -> str | None:
-    """The first browser of Chromium's kind on the PATH."""
+    """Return the first browser of Chromium's kind on the PATH; None without one."""
     return next((found for name in BROWSERS if (found := shutil.which(name))), None)
 
 
@@ -51,8 +51,8 @@ class _Pdf(argparse.Action):
 
 
 def add_pdf(parser: argparse.ArgumentParser, page: str) -> None:
-    """``--pdf`` of a command that writes a page; refused at once where there is no
-    browser.
+    """Add ``--pdf`` to a command that writes a page; it is refused at once where there
+    is no browser.
     """
     parser.add_argument(
         "--pdf",
@@ -64,7 +64,7 @@ def add_pdf(parser: argparse.ArgumentParser, page: str) -> None:
 
 
 def write_pdf(page: Path) -> Path:
-    """Print a page into a PDF beside it; where that is.
+    """Print a page into a PDF beside it; return the PDF's path.
 
     Raises:
         PdfError: there is no browser, or it fails.

@@ -1,5 +1,5 @@
-"""The panel's server: the page, a stream of what is seen, and commands by one driver at
-a time.
+"""The panel's server gives out the page and a stream of what is seen, and takes
+commands from one driver at a time.
 """
 
 from __future__ import annotations
@@ -58,27 +58,27 @@ class Backend(Protocol):
     """
 
     def setup(self) -> Mapping[str, object]:
-        """What a page needs once."""
+        """Return what a page needs once."""
 
     def ask(
         self, name: str, arguments: Mapping[str, ParameterValue], answer: Answer
     ) -> None:
-        """A command of the driver, or a stop of anybody; ``answer`` is called in the
+        """Do what the driver asks, or stop for anybody; ``answer`` is called in the
         server's thread.
         """
 
     def watched(self, viewers: int) -> None:
-        """How many pages look on."""
+        """Take note of how many pages look on."""
 
     def told(self, text: str) -> None:
-        """What an operator should know of."""
+        """Tell the operator something."""
 
     def report(self) -> Path | None:
-        """The last run's page, where one has been made."""
+        """Return the last run's page; None where none has been made."""
 
 
 def to_json(value: object) -> str:
-    """JSON that every browser reads: a number that is not finite is null."""
+    """Return JSON that every browser reads: a number that is not finite is null."""
     return json.dumps(_plain(value), separators=(",", ":"), allow_nan=False)
 
 
@@ -145,8 +145,13 @@ class PanelServer:
     def send(
         self, kind: str, value: Mapping[str, object], *, keep: bool = False
     ) -> None:
-        """To every page; one that is still busy with the last message is passed over,
-        unless this is kept for it.
+        """Send to every page; one that is still busy with the last message is passed
+        over, unless this one is kept for it.
+
+        Args:
+            kind: of the message.
+            value: its fields.
+            keep: whether pages that are busy, or come later, get it too.
         """
         text = to_json({"kind": kind, **value})
         if keep:
@@ -155,7 +160,7 @@ class PanelServer:
             page.push(kind, text, keep)
 
     def joined(self, page: StreamHandler, wants: bool) -> None:
-        """A page is there; it drives where it wants to and nobody else does."""
+        """Take a page in; it drives where it wants to and nobody else does."""
         self.pages.append(page)
         self.backend.watched(len(self.pages))
         page.say("setup", self.backend.setup())
@@ -164,8 +169,8 @@ class PanelServer:
         self.take_over(page if wants and self.driver is None else self.driver)
 
     def left(self, page: StreamHandler) -> None:
-        """A page is gone: nothing is asked of the robot, which stays to the
-        controller's own rules.
+        """Let a page go: nothing is asked of the robot, which stays to the controller's
+        own rules.
         """
         if page in self.pages:
             self.pages.remove(page)
@@ -173,7 +178,9 @@ class PanelServer:
             self.take_over(None if page is self.driver else self.driver)
 
     def take_over(self, page: StreamHandler | None) -> None:
-        """This page drives from now on, all others watch; None: nobody does."""
+        """Let this page drive from now on, and all others watch; None lets nobody
+        drive.
+        """
         self.driver = page
         for one in self.pages:
             one.say(
@@ -192,8 +199,8 @@ class PanelServer:
 
 
 def _bound(host: str, port: int) -> tuple[list[socket.socket], bool]:
-    """Sockets on the first free port, and whether that is another than the wanted
-    one.
+    """Return sockets on the first free port, and whether that is another than the
+    wanted one.
     """
     last = port + (PORTS_TRIED if port else 1)
     for number in range(port, min(last, 65536)):
@@ -220,7 +227,7 @@ def _bound(host: str, port: int) -> tuple[list[socket.socket], bool]:
 
 
 class _GuardedHandler(RequestHandler):
-    """A request that is let in, or refused with a sentence."""
+    """Lets a request in, or refuses it with a sentence."""
 
     server: PanelServer
 
@@ -240,29 +247,29 @@ class _GuardedHandler(RequestHandler):
             raise Finish(f"{why}\n")
 
     def set_default_headers(self) -> None:
-        """What a browser may do with it."""
+        """Tell a browser what it may do with the page."""
         for name, value in HEADERS.items():
             self.set_header(name, value)
         self.clear_header("Server")
 
 
 class PageHandler(_GuardedHandler):
-    """The page's files."""
+    """Gives out the page's files."""
 
     def initialize(self, server: PanelServer, file: str = "") -> None:
-        """Which file, unless the address names it."""
+        """Take the server, and the file unless the address names it."""
         self.server, self._file = server, file
 
     def prepare(self) -> None:
-        """Style and script are no secret, and carry no token; the page itself explains
-        what is missing.
+        """Let style and script out without a token, which they do not carry; the page
+        itself explains what is missing.
         """
         if self.server.access.token:
             return
         super().prepare()
 
     def get(self, name: str = "") -> None:
-        """A file of ``static``; the style begins with the package's own."""
+        """Send a file of ``static``; the style begins with the package's own."""
         name = self._file or name
         text = (
             files("dextar_control.panel")
@@ -281,8 +288,8 @@ class PageHandler(_GuardedHandler):
 
 
 class WhyHandler(_GuardedHandler):
-    """Why a stream would be refused, for the page, which a browser does not tell;
-    nothing where it would not.
+    """Tells the page why a stream would be refused, which a browser does not; nothing
+    where it would not be.
     """
 
     def initialize(self, server: PanelServer) -> None:
@@ -290,18 +297,18 @@ class WhyHandler(_GuardedHandler):
         self.server = server
 
     def get(self) -> None:
-        """It is let in."""
+        """Answer nothing: the request is let in."""
 
 
 class ReportHandler(_GuardedHandler):
-    """The page of the last run."""
+    """Gives out the page of the last run."""
 
     def initialize(self, server: PanelServer) -> None:
         """Whose."""
         self.server = server
 
     async def get(self) -> None:
-        """As it was made; its scripts may draw, but not ask the panel."""
+        """Send it as it was made; its scripts may draw, but not ask the panel."""
         page = self.server.backend.report()
         if page is None:
             self.set_status(404)
@@ -314,16 +321,16 @@ class ReportHandler(_GuardedHandler):
 
 
 class StreamHandler(_GuardedHandler, WebSocketHandler):
-    """One page: what it is told and what it asks."""
+    """Sends one page what it shows and takes its commands."""
 
     def initialize(self, server: PanelServer) -> None:
-        """Whose page."""
+        """Take the server."""
         self.server = server
         self._flight: asyncio.Future[None] | None = None
         self._owed: dict[str, str] = {}
 
     def check_origin(self, origin: str) -> bool:
-        """``prepare`` has looked at it."""
+        """Allow every origin that ``prepare`` has let in."""
         return True
 
     def open(self, *_: str, **__: str) -> None:
@@ -335,11 +342,11 @@ class StreamHandler(_GuardedHandler, WebSocketHandler):
         self.server.joined(self, self.get_query_argument("drive", "1") == "1")
 
     def on_close(self) -> None:
-        """The page is gone, or asleep for too long."""
+        """Take note that the page is gone, or asleep for too long."""
         self.server.left(self)
 
     def say(self, kind: str, value: Mapping[str, object]) -> None:
-        """To this page alone."""
+        """Send to this page alone."""
         number = value.get("number", "")  # answers are all of them kept
         self.push(f"{kind}{number}", to_json({"kind": kind, **value}), True)
 
@@ -365,8 +372,8 @@ class StreamHandler(_GuardedHandler, WebSocketHandler):
             self._owed = {}
 
     def on_message(self, message: str | bytes) -> None:
-        """A command: ``{"ask": name, "number": n, ...}``; each is answered with its
-        number.
+        """Take a command ``{"ask": name, "number": n, ...}``, which is answered with
+        its number.
         """
         try:
             asked = json.loads(message)

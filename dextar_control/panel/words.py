@@ -1,5 +1,5 @@
-"""What a page says of a robot: why it has no torque and what mends that, and how near
-its watches are to their limits.
+"""A page says why a robot has no torque and what mends that, and how near its watches
+are to their limits.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ class ShownMargin(TypedDict):
 def trouble_and_remedy(
     namespace: str, told: Mapping[str, str], nodes: Mapping[str, object]
 ) -> tuple[str, str]:
-    """Why there is no torque, or none that follows the robot, in a sentence, and the
-    panel's command that mends it; else empty.
+    """Return why there is no torque, or none that follows the robot, and the panel's
+    command that mends it; else empty texts.
 
     Args:
         namespace: of the robot.
