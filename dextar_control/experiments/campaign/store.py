@@ -73,7 +73,7 @@ class Store:
             raise CampaignError(
                 f"cannot write into {self.folder / ROWS}: {error.strerror or error}"
             ) from error
-        self.rows.update({text(row, "key"): as_plain(row) for row in rows})
+        self.rows.update({text(row, "key"): cast(Row, as_plain(row)) for row in rows})
 
     def write_table(self, keys: Iterable[str]) -> Path:
         """Write all rows as a Parquet file, in the order of the keys."""
