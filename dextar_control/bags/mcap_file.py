@@ -127,14 +127,14 @@ class McapFile:
         """Close the chunk under way and wait until the disk has it; keep room for what
         the end will need.
         """
-        self._writer.flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates it not
         self.stream.reserve(RESERVE // 2 + INDEX_SIZE * self.stream.writes)
         self.stream.sync()
 
     def finish(self, custom: Mapping[str, str]) -> None:
         """Write rosbag2's record, the index and the end; wait for the disk."""
         self._describe_itself(custom)
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates it not
         self.stream.sync()
         self.stream.close()
 

@@ -79,9 +79,8 @@ class BagWriter:
         self._bytes_in = self._bytes_out = 0
         self._stop = threading.Event()
         self._topics: dict[str, TopicDescription] = {}
-        self._standing: dict[
-            str, Sample | None
-        ] = {}  # last sample of what is said once
+        # last sample of what is said once
+        self._standing: dict[str, Sample | None] = {}
         self._metadata: dict[str, dict[str, str]] = {}
         self._custom: dict[str, str] = {}
         self._done: list[FileSummary] = []
@@ -250,9 +249,7 @@ class BagWriter:
                     return
         except OSError as error:
             self._fail(error)
-        except (
-            Exception
-        ) as error:  # a bug here must end the recording aloud, not silently
+        except Exception as error:  # a bug must end the recording aloud, not silently
             self._end(repr(error))
 
     def _drain(self) -> None:
