@@ -199,10 +199,12 @@ def test_only_parquet_needs_pyarrow(tmp_path: Path, folder: Path) -> None:
     """In a process in which pyarrow cannot be imported."""
     write_run(tmp_path / "run.mcap")
     code = (
-        "import sys\nsys.modules['pyarrow'] = None\nfrom dextar_control import"
-        f" cli\nbag = {str(tmp_path / 'run.mcap')!r}\ncodes = [cli.main(['export', bag,"
-        " '--format', kind]) for kind in ('csv', 'mat', 'parquet')]\nprint(codes,"
-        " cli.main(['export', bag]))\n"
+        "import sys\nsys.modules['pyarrow'] = None\n"
+        "from dextar_control.cli.main import main\n"
+        f"bag = {str(tmp_path / 'run.mcap')!r}\n"
+        "codes = [main(['export', bag, '--format', kind])"
+        " for kind in ('csv', 'mat', 'parquet')]\n"
+        "print(codes, main(['export', bag]))\n"
     )
     command = [sys.executable, "-c", code]
     answer = subprocess.run(

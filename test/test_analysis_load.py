@@ -34,8 +34,8 @@ from synthetic_run import (
     write_run,
 )
 
+from dextar_control.analysis.compute import compute_metrics
 from dextar_control.analysis.load import load_run
-from dextar_control.analysis.metrics import compute_metrics
 from dextar_control.analysis.run import Run
 from dextar_control.bags.recover import recover
 from dextar_control.bags.writer import BagWriter, Sample

@@ -9,17 +9,18 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from rich.measure import Measurement
 from rich.table import Table
 
 from dextar_control.analysis.clock import clock_in_words
+from dextar_control.analysis.compute import compute_metrics
 from dextar_control.analysis.crossings import CrossingMetrics
 from dextar_control.analysis.curves import Curve, Panel, beyond, error_height, panels
 from dextar_control.analysis.differences import Difference, differing, shown_name
 from dextar_control.analysis.load import load_run
-from dextar_control.analysis.metrics import Metrics, compute_metrics, saturated
+from dextar_control.analysis.metrics import Metrics, saturated
 from dextar_control.analysis.page import NO_TRUTH, Cell, Column, number, render, signed
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import Run
@@ -32,16 +33,18 @@ from dextar_control.contract.style import RUNS
 from dextar_control.contract.terminal import Terminal, title
 from dextar_control.contract.words import counted
 
+Measured = TypeVar("Measured", Metrics, CrossingMetrics)
 Value = float | int | str | None
 DECIDED = ("crossed", "bounced")  # verdicts
 
 
-class Quantity(NamedTuple):
-    """One line of a comparison.
+@dataclass(frozen=True)
+class Quantity(Generic[Measured]):
+    """One line of a comparison, of runs or of their crossings.
 
     Attributes:
         name, unit, form: of the number.
-        of: its value from a run's metrics.
+        of: its value from a run's metrics, or a crossing's.
         truth: whether it needs the true motion.
         machine: whether it is of the machine that ran it, not of the robot.
     """
@@ -49,22 +52,12 @@ class Quantity(NamedTuple):
     name: str
     unit: str
     form: str
-    of: Callable[[Metrics], Value]
+    of: Callable[[Measured], Value]
     truth: bool = False
     machine: bool = False
 
 
-class CrossingQuantity(NamedTuple):
-    """The same of one crossing."""
-
-    name: str
-    unit: str
-    form: str
-    of: Callable[[CrossingMetrics], Value]
-    truth: bool = False
-
-
-QUANTITIES = (
+QUANTITIES: tuple[Quantity[Metrics], ...] = (
     Quantity(
         "verdict",
         "",
@@ -168,33 +161,33 @@ QUANTITIES = (
         machine=True,
     ),
 )
-CROSSING_QUANTITIES = (
-    CrossingQuantity("outcome", "", "", lambda c: c.outcome, truth=True),
-    CrossingQuantity("estimator says", "", "", lambda c: c.verdict or "not recorded"),
-    CrossingQuantity("planned instant", "s", ".4f", lambda c: c.planned_time),
-    CrossingQuantity("true instant", "s", ".4f", lambda c: c.true_time, truth=True),
-    CrossingQuantity(
+CROSSING_QUANTITIES: tuple[Quantity[CrossingMetrics], ...] = (
+    Quantity("outcome", "", "", lambda c: c.outcome, truth=True),
+    Quantity("estimator says", "", "", lambda c: c.verdict or "not recorded"),
+    Quantity("planned instant", "s", ".4f", lambda c: c.planned_time),
+    Quantity("true instant", "s", ".4f", lambda c: c.true_time, truth=True),
+    Quantity(
         "true speed",
         "m/s",
         ".3f",
         lambda c: None if c.outcome is None else c.speed,
         truth=True,
     ),
-    CrossingQuantity("estimated speed", "m/s", ".3f", lambda c: c.estimated_speed),
-    CrossingQuantity("|t_s·w_d| seen", "N", ".4f", lambda c: c.residual),
-    CrossingQuantity("smallest σ", "1", ".4f", lambda c: c.sigma_min),
-    CrossingQuantity("peak torque", "N m", ".4f", lambda c: c.peak_torque),
-    CrossingQuantity("torque step", "N m", ".4f", lambda c: c.torque_step),
-    CrossingQuantity(
+    Quantity("estimated speed", "m/s", ".3f", lambda c: c.estimated_speed),
+    Quantity("|t_s·w_d| seen", "N", ".4f", lambda c: c.residual),
+    Quantity("smallest σ", "1", ".4f", lambda c: c.sigma_min),
+    Quantity("peak torque", "N m", ".4f", lambda c: c.peak_torque),
+    Quantity("torque step", "N m", ".4f", lambda c: c.torque_step),
+    Quantity(
         "true error before", "mm", ".3f", lambda c: 1e3 * c.error_before, truth=True
     ),
-    CrossingQuantity(
+    Quantity(
         "true error after", "mm", ".3f", lambda c: 1e3 * c.error_after, truth=True
     ),
-    CrossingQuantity(
+    Quantity(
         "estimated error before", "mm", ".3f", lambda c: 1e3 * c.estimated_error_before
     ),
-    CrossingQuantity(
+    Quantity(
         "estimated error after", "mm", ".3f", lambda c: 1e3 * c.estimated_error_after
     ),
 )
@@ -205,9 +198,8 @@ TRUE_OR_ESTIMATED = {
 MOST_HEADING = 80  # characters
 MOST_CROSSINGS = 24  # written out one by one; the JSON has them all
 MOST_DIFFERENCES = 40  # that the page and the text list; the JSON has them all
-MATTERS = (
-    1.02  # ratio of two runs' numbers from which on the page counts them as different
-)
+# ratio of two runs' numbers from which on the page counts them as different
+MATTERS = 1.02
 WAYS_TO_NAME = 3  # differences that may be part of a run's name
 
 
@@ -409,13 +401,8 @@ def render_comparison(comparison: Comparison) -> str:
     figures: dict[str, WebFigure] = {}
     over = overlaid(comparison)
     if over:
-        durations = [
-            one.duration if math.isfinite(one.duration) else one.tracked_until
-            for one in comparison.metrics
-        ]
-        duration = max(
-            (value for value in durations if math.isfinite(value)), default=1.0
-        )
+        lengths = (one.length for one in comparison.metrics)
+        duration = max(filter(math.isfinite, lengths), default=1.0)
         instants = [
             crossing.planned_time for crossing in comparison.metrics[0].crossings
         ]
@@ -715,7 +702,7 @@ def _count(values: Sequence[bool | None]) -> int | None:
 
 
 def _line(
-    quantity: Quantity | CrossingQuantity, of: Sequence[Any], truths: Sequence[bool]
+    quantity: Quantity[Measured], of: Sequence[Measured], truths: Sequence[bool]
 ) -> Line:
     values = [_known(quantity.of(one)) for one in of]
     first = values[0]
@@ -728,7 +715,6 @@ def _line(
         for value in values[1:]
     ]
     missing = [NO_TRUTH if quantity.truth and not known else "-" for known in truths]
-    machine = isinstance(quantity, Quantity) and quantity.machine
     return Line(
         quantity.name,
         quantity.unit,
@@ -737,7 +723,7 @@ def _line(
         differences,
         quantity.truth,
         missing,
-        machine,
+        quantity.machine,
     )
 
 
@@ -745,7 +731,7 @@ def _known(value: Value) -> Value:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _entry(line: Line) -> dict[str, Any]:
+def _entry(line: Line) -> dict[str, object]:
     entry = line._asdict()
     del entry["form"], entry["missing"], entry["machine"]
     return entry

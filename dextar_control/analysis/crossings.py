@@ -6,12 +6,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from dextar_control.analysis.run import Floats, Run, Stamps
+from dextar_control.analysis.run import Floats, Run, Stamps, rows_between
 from dextar_control.analysis.timing import recorded
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.control.verdicts import OPEN_BEFORE, Verdict
@@ -19,18 +18,6 @@ from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 from dextar_control.planning.checks import clear_times
 
 STEP_ZONE = 0.15  # |s| within which torque steps are looked for
-_MEASURED = (
-    "speed",
-    "estimated_speed",
-    "residual",
-    "sigma_min",
-    "peak_torque",
-    "torque_step",
-    "error_before",
-    "error_after",
-    "estimated_error_before",
-    "estimated_error_after",
-)  # about the crossing, and thus not where the bag has a hole
 FRESH = 2e-3  # s after a crossing has begun from which on a verdict is its own
 
 
@@ -174,7 +161,30 @@ def _crossing(
     verdict, verdict_time, confidence = _verdict(
         run, plan, track, criterion_time, index
     )
-    found = CrossingMetrics(
+    # about the crossing, and thus not where the bag has a hole
+    measured = {
+        "speed": math.hypot(*(at(motion_time, axis, instant) for axis in velocity.T)),
+        "estimated_speed": math.hypot(
+            *(at(control_time, axis, planned) for axis in run.control.estimate_dot.T)
+        ),
+        "residual": abs(at(criterion_time, run.criterion.residual, planned)),
+        "sigma_min": _least_between(
+            criterion_time, run.criterion.sigma_min, before, after
+        ),
+        "peak_torque": peak(torque[distance < NEAR_LOCUS]),
+        "torque_step": peak(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
+        "error_before": peak_between(
+            track.true_time, track.true_error, before, planned
+        ),
+        "error_after": peak_between(track.true_time, track.true_error, planned, after),
+        "estimated_error_before": peak_between(
+            track.time, track.estimated_error, before, planned
+        ),
+        "estimated_error_after": peak_between(
+            track.time, track.estimated_error, planned, after
+        ),
+    }
+    return CrossingMetrics(
         planned_time=planned,
         planned_stamp=track.start + round(planned * 1e9),
         point=(
@@ -190,28 +200,9 @@ def _crossing(
         verdict_time=verdict_time,
         verdict_confidence=confidence,
         verdict_correct=_correct(track, verdict, verdict_time, sign),
-        speed=math.hypot(*(at(motion_time, axis, instant) for axis in velocity.T)),
-        estimated_speed=math.hypot(
-            *(at(control_time, axis, planned) for axis in run.control.estimate_dot.T)
-        ),
-        residual=abs(at(criterion_time, run.criterion.residual, planned)),
         planned_residual=float(abs(plan.residuals[index])),
-        sigma_min=_least_between(
-            criterion_time, run.criterion.sigma_min, before, after
-        ),
-        peak_torque=peak(torque[distance < NEAR_LOCUS]),
-        torque_step=peak(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
-        error_before=peak_between(track.true_time, track.true_error, before, planned),
-        error_after=peak_between(track.true_time, track.true_error, planned, after),
-        estimated_error_before=peak_between(
-            track.time, track.estimated_error, before, planned
-        ),
-        estimated_error_after=peak_between(
-            track.time, track.estimated_error, planned, after
-        ),
+        **(dict.fromkeys(measured, math.nan) if lost else measured),
     )
-    unknown: dict[str, Any] = dict.fromkeys(_MEASURED, math.nan)
-    return replace(found, **unknown) if lost else found
 
 
 def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:
@@ -220,7 +211,7 @@ def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:
 
 
 def _verdict(
-    run: Run, plan: Certificate, track: Tracked, time: np.ndarray, index: int
+    run: Run, plan: Certificate, track: Tracked, time: Floats, index: int
 ) -> tuple[Verdict | None, float, float]:
     """(last verdict, when it fell, confidence) on one crossing; where the controller
     let go, until the run ends.
@@ -274,17 +265,17 @@ def _correct(
     )
 
 
-def _own_part(plan: Certificate, time: Floats, index: int) -> slice:
+def _own_part(plan: Certificate, time: Floats, index: int) -> slice[int, int, None]:
     """The times that are nearer to this crossing than to any other."""
     times = plan.crossing_times
     edges = np.concatenate([[-np.inf], 0.5 * (times[1:] + times[:-1]), [np.inf]])
-    return slice(*np.searchsorted(time, edges[index : index + 2]).tolist())
+    return rows_between(time, *edges[index : index + 2])
 
 
 def _true_instant(
     track: Tracked, planned: float, before: float, after: float
 ) -> float | None:
-    inside = slice(*np.searchsorted(track.true_time, (before, after)).tolist())
+    inside = rows_between(track.true_time, before, after)
     time, s = track.true_time[inside], track.true_s[inside]
     rows = np.flatnonzero((s[:-1] * s[1:] <= 0.0) & (s[:-1] != s[1:]))
     if len(rows) == 0:
@@ -295,7 +286,7 @@ def _true_instant(
     return float(zeros[np.abs(zeros - planned).argmin()])
 
 
-def at(time: np.ndarray, values: np.ndarray, moment: float) -> float:
+def at(time: Floats, values: Floats, moment: float) -> float:
     """The value recorded nearest to a moment, times rising; nan outside the
     recording.
     """
@@ -307,9 +298,7 @@ def at(time: np.ndarray, values: np.ndarray, moment: float) -> float:
     )
 
 
-def peak_between(
-    time: np.ndarray, values: np.ndarray, first: float, last: float
-) -> float:
+def peak_between(time: Floats, values: Floats, first: float, last: float) -> float:
     """The largest finite value within [first, last], times rising; nan where there is
     none.
     """
@@ -322,9 +311,7 @@ def peak_between(
     return float(finite.max()) if finite.size else math.nan
 
 
-def _least_between(
-    time: np.ndarray, values: np.ndarray, first: float, last: float
-) -> float:
+def _least_between(time: Floats, values: Floats, first: float, last: float) -> float:
     """The least finite magnitude within [first, last], times rising; nan where there is
     none.
     """

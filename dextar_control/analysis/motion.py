@@ -12,7 +12,7 @@ import numpy as np
 
 from dextar_control.analysis.geometry import singularity_measure
 from dextar_control.analysis.plane import chain, locus_of, t_s_at
-from dextar_control.analysis.run import Floats, Run, Stamps
+from dextar_control.analysis.run import Floats, Run, Stamps, rows_between
 from dextar_control.analysis.timing import phase_name
 from dextar_control.analysis.tracking import tracked
 from dextar_control.contract.errors import BagError, ParameterError
@@ -149,10 +149,7 @@ def motion_of(
     names = [
         phase_name(int(run.criterion.phase[row])) if row >= 0 else "" for row in seen
     ]
-    robot, shown = (
-        run.robot,
-        slice(*np.searchsorted(commands, (times[0], times[-1] + 1e-9)).tolist()),
-    )
+    robot, shown = run.robot, rows_between(commands, times[0], times[-1] + 1e-9)
     return Motion(
         robot=robot,
         true=run.truth is not None,

@@ -11,7 +11,7 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
@@ -49,6 +49,7 @@ from dextar_control.contract.topics import TOPICS
 from dextar_control.contract.words import counted
 from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 
+T = TypeVar("T")
 NO_TRUTH = "needs truth"
 MOST_PLAN_LINES = 40  # crossings in the plan's table
 TICK = 1.5e-3  # s
@@ -109,9 +110,7 @@ def render_report(run: Run, metrics: Metrics) -> str:
     plane = plane_of(run, metrics)
     figures: dict[str, WebFigure] = {} if plane.empty else {"plane": in_plane([plane])}
     shown = panels(run, metrics)
-    duration = (
-        metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until
-    )
+    duration = metrics.length
     instants = [crossing.planned_time for crossing in metrics.crossings]
     many, outcomes = (
         around(run, metrics),
@@ -196,7 +195,7 @@ def render_report(run: Run, metrics: Metrics) -> str:
     )
 
 
-def render(template: str, figures: Mapping[str, WebFigure], **values: Any) -> str:
+def render(template: str, figures: Mapping[str, WebFigure], **values: object) -> str:
     """A page with its figures, by their names; what is text in it has its symbols
     typeset by the filter ``symbols``.
     """
@@ -219,7 +218,7 @@ def render(template: str, figures: Mapping[str, WebFigure], **values: Any) -> st
     return f"{page}\n"
 
 
-def verdict(metrics: Metrics) -> dict[str, Any]:
+def verdict(metrics: Metrics) -> dict[str, object]:
     """The run in a word, a sentence and the reasons."""
     kind, word = WORDS[metrics.success]
     planned = len(metrics.crossings)
@@ -326,7 +325,7 @@ def _measured(value: float, form: str, unit: str, missing: str = "not recorded")
     return f"{value:{form}} {unit}" if math.isfinite(value) else missing
 
 
-def _margins(margins: Margins) -> dict[str, Any]:
+def _margins(margins: Margins) -> dict[str, object]:
     """Limits as bars, the nearest first, and what the observer says of itself."""
     rows = [
         {
@@ -473,7 +472,7 @@ def _crossing_columns(has_truth: bool) -> tuple[Column, ...]:
     )
 
 
-def _crossings(run: Run, metrics: Metrics) -> dict[str, Any]:
+def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
     has_truth = run.truth is not None
     rows = [
         _crossing_row(
@@ -598,7 +597,7 @@ TIMING_COLUMNS = (
 )
 
 
-def _timing(metrics: Metrics) -> dict[str, Any]:
+def _timing(metrics: Metrics) -> dict[str, object]:
     timing = metrics.timing
 
     def row(name: str, spread: Spread, rate: bool) -> list[Cell]:
@@ -662,7 +661,7 @@ def _timing(metrics: Metrics) -> dict[str, Any]:
     }
 
 
-def _timing_figures(run: Run) -> list[Any]:
+def _timing_figures(run: Run) -> list[WebFigure]:
     track = tracked(run)
     asked = run.states.stamps if track is None else within(run.states.stamps, track)
     drawn = []
@@ -675,7 +674,7 @@ def _timing_figures(run: Run) -> list[Any]:
     return drawn
 
 
-def _recording(run: Run) -> dict[str, Any]:
+def _recording(run: Run) -> dict[str, object]:
     rows = []
     for name, topic in sorted(run.topics.items()):
         count = run.losses.get(name)
@@ -796,7 +795,7 @@ def _versions(run: Run) -> list[tuple[str, str]]:
     return [*known, ("analysed with python", platform.python_version())]
 
 
-def _parsed(text: str, kind: type) -> Any:
+def _parsed(text: str, kind: type[T]) -> T:
     """A recorded JSON value of a kind; an empty one where there is none."""
     try:
         value = json.loads(text)
@@ -825,7 +824,7 @@ def _changes(run: Run) -> list[str]:
     return lines
 
 
-def _plan(run: Run, plan: Certificate | None) -> dict[str, Any]:
+def _plan(run: Run, plan: Certificate | None) -> dict[str, object]:
     """Extremes and crossings of the plan as computed anew, beside what was recorded of
     it and the robot's limits.
     """
@@ -893,7 +892,7 @@ def _plan(run: Run, plan: Certificate | None) -> dict[str, Any]:
     }
 
 
-def _listed(value: Any) -> list[Any]:
+def _listed(value: object) -> list[object]:
     return value if isinstance(value, list) else []
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from rich.table import Table
 
 from dextar_control.analysis.clock import clock_in_words
+from dextar_control.analysis.compute import compute_metrics
 from dextar_control.analysis.crossings import crossed_in_words
 from dextar_control.analysis.load import load_run
-from dextar_control.analysis.metrics import Metrics, compute_metrics, saturated
+from dextar_control.analysis.metrics import Metrics, saturated
 from dextar_control.bags.damage import damage_lines
 from dextar_control.bags.scan import Progress
 from dextar_control.contract.errors import BagError

@@ -12,13 +12,14 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.io import savemat
 
 from dextar_control.analysis.geometry import singularity_measure
-from dextar_control.analysis.run import Joints, Run, Stamps
+from dextar_control.analysis.run import Floats, Joints, Run, Stamps
 from dextar_control.analysis.timing import phase_name
 from dextar_control.analysis.tracking import tracked
 from dextar_control.contract.errors import BagError, ParameterError, lacking
@@ -29,6 +30,8 @@ from dextar_control.control.verdicts import Verdict
 if TYPE_CHECKING:
     import pyarrow as pa
 
+Numbers = Floats | Stamps
+Scalar = TypeVar("Scalar", np.float64, np.int64)
 FORMATS = ("parquet", "csv", "mat")
 MAT_LIMIT = 2**31 - 1  # bytes of one variable in MATLAB's format 5
 BLOCK = 4096  # rows written together
@@ -83,7 +86,7 @@ class Words(NamedTuple):
         names: all words.
     """
 
-    codes: Any
+    codes: NDArray[np.int8]
     names: list[str]
 
     def __len__(self) -> int:
@@ -104,7 +107,7 @@ class Field(NamedTuple):
     name: str
     unit: str
     meaning: str
-    values: Any
+    values: Numbers | Words
 
     @property
     def title(self) -> str:
@@ -270,31 +273,28 @@ def export(
     return files
 
 
-def _joined(own: Stamps, values: Any, stamps: Stamps) -> Any:
+def _joined(own: Stamps, values: NDArray[Scalar], stamps: Stamps) -> NDArray[Scalar]:
     """Values (n, ...) by their stamps on other stamps; masked where there is none."""
     if len(own) == len(stamps) and (own == stamps).all():
         return values
+    if len(own) == 0:
+        nothing = np.zeros((len(stamps), *values.shape[1:]), dtype=values.dtype)
+        return np.ma.array(nothing, mask=True)
     rows = np.searchsorted(own, stamps)
     rows[rows == len(own)] = 0
-    known = (own[rows] == stamps) if len(own) else np.zeros(len(stamps), dtype=bool)
-    if len(own) == 0:
-        return np.ma.masked_all((len(stamps), *values.shape[1:]), dtype=values.dtype)
-    return np.ma.array(
-        values[rows],
-        mask=np.broadcast_to(
-            ~known.reshape(-1, *[1] * (values.ndim - 1)), values[rows].shape
-        ),
-    )
+    unknown = (own[rows] != stamps).reshape(-1, *[1] * (values.ndim - 1))
+    found = values[rows]
+    return np.ma.array(found, mask=np.broadcast_to(unknown, found.shape))
 
 
-def _pair(name: str, unit: str, meaning: str, values: Any) -> list[Field]:
+def _pair(name: str, unit: str, meaning: str, values: Floats) -> list[Field]:
     return [
         Field(f"{name}_{axis}", unit, meaning, values[:, column])
         for column, axis in enumerate("xy")
     ]
 
 
-def _joints(name: str, unit: str, meaning: str, values: Any) -> list[Field]:
+def _joints(name: str, unit: str, meaning: str, values: Floats) -> list[Field]:
     return [
         Field(name.format(joint), unit, meaning, values[:, column])
         for column, joint in enumerate(JOINT_NAMES)
@@ -455,7 +455,7 @@ def _sheet(fields: list[Field], run: Run, extra: dict[str, str]) -> Sheet:
     )
 
 
-def _words(numbers: Any, names: Mapping[int, str]) -> Words:
+def _words(numbers: Numbers, names: Mapping[int, str]) -> Words:
     """The names of numbers (n,); none where one is masked, not a number, or has no
     name.
     """
@@ -471,10 +471,10 @@ def _words(numbers: Any, names: Mapping[int, str]) -> Words:
     return Words(np.array(rows, dtype=np.int8), list(names.values()))
 
 
-def _plain(values: Any) -> tuple[Any, Any]:
+def _plain(values: Numbers) -> tuple[Numbers, NDArray[np.bool_]]:
     """(numbers (n,), (n,) whether there is none)."""
-    mask, data = np.ma.getmaskarray(values), np.ma.getdata(values)
-    return data, mask | np.isnan(data) if data.dtype.kind == "f" else mask
+    data = np.asarray(np.ma.getdata(values))
+    return data, np.ma.getmaskarray(values) | np.isnan(data)
 
 
 def _describe(sheet: Sheet) -> dict[str, dict[str, str]]:
@@ -515,7 +515,7 @@ def _write_csv(sheet: Sheet, file: Path) -> None:
             writer.writerows(zip(*block, strict=True))
 
 
-def _blocks(sheet: Sheet) -> Iterator[list[list[Any]]]:
+def _blocks(sheet: Sheet) -> Iterator[list[list[object]]]:
     """The columns as lists of some rows, None where there is no value."""
     columns = [
         field.values if isinstance(field.values, Words) else _plain(field.values)
@@ -537,7 +537,7 @@ def _blocks(sheet: Sheet) -> Iterator[list[list[Any]]]:
 
 
 def _write_mat(sheet: Sheet, file: Path) -> None:
-    columns: dict[str, Any] = {}
+    columns: dict[str, Numbers | NDArray[np.object_]] = {}
     for field in sheet.fields:
         if isinstance(field.values, Words):
             columns[field.name] = np.array([*field.values.names, ""], dtype=object)[

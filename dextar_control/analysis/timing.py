@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,9 @@ from dextar_control.analysis.clock import LEAST_SYSTEM_STEP
 from dextar_control.analysis.run import Floats, Joints, Phase, Run, Stamps
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.bags.damage import Hole
+
+# share of the steps without a command in time; a run with fewer did not fail by that
+MOST_LATE = 0.2
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,8 @@ def periods(joints: Joints, stamps: Stamps, holes: Sequence[Hole] = ()) -> Float
     order = np.lexsort((published, stretch))
     spans = _seconds(np.diff(published[order]))
     known = np.diff(stretch[order]) == 0
-    return spans[known & recorded(own[order][:-1], holes, own[order][1:])]
+    seen: Floats = spans[known & recorded(own[order][:-1], holes, own[order][1:])]
+    return seen
 
 
 def recorded(
@@ -157,7 +160,7 @@ def recorded(
     return known
 
 
-def _seconds(nanoseconds: Any) -> Floats:
+def _seconds(nanoseconds: Stamps) -> Floats:
     return np.asarray(nanoseconds, dtype=np.float64) * 1e-9
 
 
@@ -193,14 +196,27 @@ def measure_timing(run: Run, track: Tracked | None) -> Timing:
     )
 
 
+def late_share(late_ticks: int | None, steps: int | None, by_stamps: float) -> float:
+    """Share of the steps without a command in time, nan where it is not known.
+
+    Args:
+        late_ticks, steps: as the plant counted; None where it did not.
+        by_stamps: the share by the recorded times, or nan; the greater counts.
+    """
+    counted = late_ticks / steps if late_ticks is not None and steps else math.nan
+    return max(
+        (share for share in (counted, by_stamps) if math.isfinite(share)),
+        default=math.nan,
+    )
+
+
 def lockstep(run: Run) -> bool | None:
     """Whether the plant waited for its commands; None when neither its diagnostics nor
     a node's parameters tell.
     """
-    mode = run.parameters.get("plant", {}).get("mode") or run.diagnostics.get(
-        "plant", {}
-    ).get("mode")
-    waits = run.parameters.get("controller", {}).get("lockstep")
+    mode = run.parameter("plant", "mode")
+    mode = mode or run.diagnostics.get("plant", {}).get("mode")
+    waits = run.parameter("controller", "lockstep")
     if mode is None and waits is None:
         return None
     return mode == "lockstep" or (mode is None and bool(waits))
@@ -208,7 +224,8 @@ def lockstep(run: Run) -> bool | None:
 
 def within(stamps: Stamps, track: Tracked) -> Stamps:
     """The stamps from the first to the last tracked tick."""
-    return stamps[(stamps >= track.stamps[0]) & (stamps <= track.stamps[-1])]
+    inside = (stamps >= track.stamps[0]) & (stamps <= track.stamps[-1])
+    return np.asarray(stamps[inside])
 
 
 def phase_spans(run: Run, track: Tracked | None) -> list[PhaseSpan]:

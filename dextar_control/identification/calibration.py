@@ -554,7 +554,8 @@ def _plain(numbers: Array, found: Fit) -> Array:
     """(16,) as a description has them: encoders without an error once a turn,
     transmissions' compliances where they are told.
     """
-    deviations, plain = np.sqrt(np.diag(found.covariance)), found.numbers.copy()
+    deviations: Array = np.sqrt(np.diag(found.covariance))
+    plain: Array = found.numbers.copy()
     for row, name in enumerate(NAMES):
         if name.endswith(PER_TURN):
             plain[row] = 0.0

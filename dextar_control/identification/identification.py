@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -205,18 +205,18 @@ def identify_recorded(
     _check_told(motions, found)
     _check_bounds(robot, found)
     stiffnesses = stiffnesses_of(robot, motions)
-    changes: dict[str, Any] = {
+    numbers = {
         one.name: float(value)
         for one, value in zip(found.unknowns, found.numbers, strict=True)
     }
-    changes["gravity"] = changes.pop("gravity.x"), changes.pop("gravity.y")
-    changes |= {
+    gravity = numbers.pop("gravity.x"), numbers.pop("gravity.y")
+    numbers |= {
         f"{side}.transmission_stiffness": told.value
         for side, told in zip(SIDES, stiffnesses, strict=True)
         if told is not None
     }
     try:
-        after = robot.replace(**changes)
+        after = robot.replace(**numbers, gravity=gravity)
     except ParameterError as error:
         raise CalibrationError(
             f"{_names(motions)} lead to no robot: {error}. Nothing was written"

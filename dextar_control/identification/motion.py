@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +60,7 @@ class Motion:
 
     recorded: Recorded
     time: Array
-    stretches: tuple[slice, ...]
+    stretches: tuple[slice[int, int, None], ...]
     parallel: Array
     tells: NDArray[np.int64]
     q_a: Array
@@ -110,7 +109,7 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
         max(round(WINDOW / period), 1),
         round(SHORTEST / period),
     )
-    parts, stretches, end = list[dict[str, Array]](), list[slice](), 0
+    parts, stretches, end = list[dict[str, Array]](), list[slice[int, int, None]](), 0
     tells, rates = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
     for rows in np.split(np.arange(len(recorded.time)), np.flatnonzero(breaks) + 1):
         if not usable[rows[0]] or np.ptp(recorded.time[rows]) < SHORTEST:
@@ -167,7 +166,11 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
 
 
 def _even(
-    robot: RobotParameters, recorded: Recorded, rows: Any, period: float, smooth: Array
+    robot: RobotParameters,
+    recorded: Recorded,
+    rows: NDArray[np.int64],
+    period: float,
+    smooth: Array,
 ) -> dict[str, Array]:
     """One stretch without a gap on an even grid."""
     time = recorded.time[rows]

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -217,21 +216,23 @@ def render_calibration(
         ]
         for one in predictions
     ]
-    values: dict[str, Any] = {
-        "title": f"{calibration.after.name}: geometry calibrated",
-        "heading": (
+    return render(
+        "identification.html",
+        figures,
+        title=f"{calibration.after.name}: geometry calibrated",
+        heading=(
             f"{calibration.after.name}: geometry by"
             f" {', '.join(short(one.path) for one in calibration.recordings)}"
         ),
-        "sentence": sentence(calibration),
-        "verdict": "Calibrated.",
-        "quantities": quantity_table(calibration.quantities),
-        "kept": calibration.kept,
-        "told": (
+        sentence=sentence(calibration),
+        verdict="Calibrated.",
+        quantities=quantity_table(calibration.quantities),
+        kept=calibration.kept,
+        told=(
             "What was looked for, with standard deviations by the scatter of the"
             " recordings."
         ),
-        "directions": (
+        directions=(
             calibration.kept
             and [
                 f"{direction.name}: ± {UNITS[direction.unit][1] * deviation:.4f}"
@@ -241,9 +242,9 @@ def render_calibration(
                 )
             ]
         ),
-        "observed": "Crossing by crossing",
-        "observation": OBSERVATION,
-        "observations": (
+        observed="Crossing by crossing",
+        observation=OBSERVATION,
+        observations=(
             [
                 Column("crossing"),
                 Column("bag", text=True),
@@ -258,7 +259,7 @@ def render_calibration(
             ],
             rows,
         ),
-        "predictions": (
+        predictions=(
             [
                 Column("bag", text=True),
                 Column("crossings"),
@@ -269,12 +270,11 @@ def render_calibration(
             ],
             checked,
         ),
-        "footer": (
+        footer=(
             f"Made by dextar calibrate. {ROBOT_FILE} beside this page is a robot file"
             " for every node."
         ),
-    }
-    return render("identification.html", figures, **values)
+    )
 
 
 def write_identification(
