@@ -109,7 +109,9 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
         max(round(WINDOW / period), 1),
         round(SHORTEST / period),
     )
-    parts, stretches, end = list[dict[str, Array]](), list[slice[int, int, None]](), 0
+    parts: list[dict[str, Array]] = []
+    stretches: list[slice[int, int, None]] = []
+    end = 0
     tells, rates = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
     for rows in np.split(np.arange(len(recorded.time)), np.flatnonzero(breaks) + 1):
         if not usable[rows[0]] or np.ptp(recorded.time[rows]) < SHORTEST:

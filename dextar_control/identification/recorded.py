@@ -71,7 +71,7 @@ def recorded_of(run: Run, robot: RobotParameters, record: str) -> Recorded:
             ]
         )
     else:
-        told = number_of(run.parameter("controller", "assembly_mode"))
+        told = number_of(run.parameters.get("controller", {}).get("assembly_mode"))
         side = np.full(len(stamps), 1.0 if np.isnan(told) else told)
     return Recorded(
         run.path,
