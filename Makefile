@@ -18,7 +18,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo campaign test interfaces bench lint clean set-up-test
+.PHONY: help setup demo campaign check test interfaces bench clean set-up-test
 
 BIN := .venv/bin
 SET_UP := PYTHON="$(PYTHON)" ./set_up.sh
@@ -39,6 +39,16 @@ campaign: ## a small campaign on all cores, in about two minutes; result in runs
 	@$(SET_UP) campaign
 	$(BIN)/dextar campaign $(CONFIG) $(ARGS)
 
+# The types are checked beside the tests: each keeps about one core busy.
+check: set-up-test ## formatter, linter, types, and the tests that start nothing, in a minute
+	@$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy & types=$$!
+	tests=0
+	$(BIN)/python -m pytest -q -n 2 test/unit $(ARGS) || tests=$$?
+	wait $$types
+	exit $$tests
+
 test: set-up-test .venv/installed-js ## run the tests
 	@$(BIN)/python -m pytest -q --durations=10 $(ARGS)
 
@@ -58,25 +68,20 @@ bench: ## measure the loop on this machine
 	@$(SET_UP)
 	$(BIN)/dextar bench $(ARGS)
 
-lint: ## ruff and mypy
-	@$(SET_UP) lint
-	$(BIN)/ruff check .
-	$(BIN)/mypy
-
 clean: ## remove .venv, builds and caches; recordings in runs/ stay
 	@rm -rf .venv build install log *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
 	find . -name .git -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 set-up-test:
-	@$(SET_UP) campaign export video interfaces test oracle
+	@$(SET_UP) campaign export video interfaces test check oracle
 
 # The test with Foxglove's own readers is skipped where these cannot be installed.
-.venv/installed-js: test/js/package.json | set-up-test
+.venv/installed-js: test/tools/js/package.json | set-up-test
 	@command -v node >/dev/null && command -v npm >/dev/null || \
 		{ echo "no Node.js with npm here: the test with Foxglove's readers is skipped"; exit 0; }
 	echo "installing Foxglove's readers for a test (npm)"
 	mkdir -p .venv/js
-	cp test/js/package.json .venv/js/
+	cp test/tools/js/package.json .venv/js/
 	cd .venv/js
 	npm install --no-audit --no-fund --no-update-notifier --loglevel=error >/dev/null || \
 		{ echo "npm could not install them: that test is skipped"; exit 0; }

@@ -16,8 +16,8 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dextar_control.analysis.load import load_run as load_run
     from dextar_control.analysis.compute import compute_metrics as compute_metrics
+    from dextar_control.analysis.load import load_run as load_run
     from dextar_control.contract.robot import load_robot as load_robot
     from dextar_control.contract.settings import default_settings as default_settings
     from dextar_control.control.loop import ControlLoop as ControlLoop

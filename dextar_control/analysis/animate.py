@@ -18,6 +18,7 @@ from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL.Image import Dither, Image
 
 from dextar_control.analysis.curves import Curve, Panel
 from dextar_control.analysis.drawing import (
@@ -39,6 +40,7 @@ from dextar_control.contract.style import LINES, Line
 # the frames of the first two are held in memory until they are written
 MOST_FRAMES = {".gif": 1500, ".webp": 1500, ".mp4": 20_000}
 SIZE = (10.0, 5.0)  # inches
+COLOURS = 64  # of a GIF: lines and letters with their smoothed edges
 RESOLUTION = 96  # dots per inch: 960 x 480 pixels
 T_S_HALF = 0.016  # m, of what is drawn of t_s
 ARC_RADIUS = 0.014  # m, of the arcs that show the torques
@@ -81,7 +83,8 @@ def animate(
     """
     check_output(file, len(motion.time))
     if file.suffix.lower() != ".mp4":
-        writer: AbstractMovieWriter = PillowWriter(fps=frames_per_second)
+        kind = OnePaletteWriter if file.suffix.lower() == ".gif" else PillowWriter
+        writer: AbstractMovieWriter = kind(fps=frames_per_second)
     else:
         matplotlib.rcParams["animation.ffmpeg_path"] = find_ffmpeg()
         writer = FFMpegWriter(
@@ -110,6 +113,21 @@ def animate(
     finally:
         with contextlib.suppress(OSError):
             partial.unlink()
+
+
+class OnePaletteWriter(PillowWriter):
+    """Writes a GIF whose frames share one palette, which makes it a fifth as large."""
+
+    _frames: list[Image]
+
+    def finish(self) -> None:
+        """Write the frames with the palette of the one in the middle."""
+        frames = self._frames
+        palette = frames[len(frames) // 2].quantize(COLOURS, dither=Dither.NONE)
+        self._frames = [
+            frame.quantize(palette=palette, dither=Dither.NONE) for frame in frames
+        ]
+        super().finish()
 
 
 def check_output(file: Path, frames: int = 0) -> None:

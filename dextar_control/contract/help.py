@@ -41,6 +41,10 @@ def node_help(node: Any) -> str:
     parts = [
         f"usage: ros2 run dextar {name} [-h] [--ros-args ROS_ARGUMENT ...]",
         about,
+        _section(
+            f"options of dextar {name}",
+            (_item(*pair) for pair in getattr(node, "SHORT", ())),
+        ),
         _section("publishes", (_topic(topic, name) for topic in ends.publishes)),
         _section("reads", map(_topic, ends.reads)),
         _section(

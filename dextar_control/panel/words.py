@@ -13,7 +13,10 @@ WITH_TORQUE = ("APPROACH", "HOLD", "TRACK", "CROSSING")
 
 
 def mend(
-    namespace: str, told: Mapping[str, str], nodes: Mapping[str, Any]
+    namespace: str,
+    told: Mapping[str, str],
+    nodes: Mapping[str, Any],
+    listening: bool = False,
 ) -> tuple[str, str]:
     """Why there is no torque, or none that follows the robot, in a sentence, and the
     panel's command that mends it; else empty.
@@ -22,7 +25,13 @@ def mend(
         namespace: of the robot.
         told: by the controller lately; empty where it is silent.
         nodes: that have told of themselves lately.
+        listening: the panel began to listen so lately that nobody may have spoken yet.
     """
+    if not told and listening:
+        return (
+            "The panel has just begun to listen: nodes tell of themselves each second.",
+            "",
+        )
     if not told:
         others = ", ".join(sorted(set(nodes) - {"panel"}))
         robot = f" in {namespace}" if namespace.strip("/") else ""
@@ -80,9 +89,11 @@ def mend(
     return f"The torque is switched off{because}.", "enable"
 
 
-def shown_margins(told: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Of each watch that the controller tells: name, value and limit as told, and what
-    share of the limit is used up, 0 to 1.
+def shown_margins(
+    told: Mapping[str, str], units: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """Of each watch that the controller tells: name, value and limit as told, their
+    unit, and what share of the limit is used up, 0 to 1.
     """
     rows = []
     for key, text in told.items():
@@ -95,6 +106,7 @@ def shown_margins(told: Mapping[str, str]) -> list[dict[str, Any]]:
                 "name": name,
                 "value": value,
                 "limit": limit,
+                "unit": units.get(name, ""),
                 "used": _used(name, value, limit),
             }
         )

@@ -181,7 +181,7 @@ def code_digest(rig: str, trial: str) -> str:
         rig: ``module:Class``.
         trial: the module that runs a trial.
     """
-    home = Path(__file__).resolve().parents[1]
+    home = Path(__file__).resolve().parents[2]
     sources = [source for room in NUMBERS for source in home.glob(f"{room}/*.py")]
     for module, whole_folder in ((rig.partition(":")[0], True), (trial, False)):
         spec = importlib.util.find_spec(module)
