@@ -18,12 +18,17 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from markupsafe import Markup
 
 from dextar_control.analysis.clock import clock_in_words
-from dextar_control.analysis.crossings import CrossingMetrics, crossed_in_words
+from dextar_control.analysis.crossings import (
+    CROSSING_METRICS,
+    CrossingMetrics,
+    crossed_in_words,
+)
 from dextar_control.analysis.curves import around, checked_plan, observer_panels, panels
 from dextar_control.analysis.differences import nodes_of, shown_name
 from dextar_control.analysis.margins import LAGS, Innovation, Margin, Margins
-from dextar_control.analysis.metrics import Metrics, saturated
+from dextar_control.analysis.metrics import METRICS, Metrics, saturated
 from dextar_control.analysis.plane import plane_of
+from dextar_control.analysis.registry import number, signed
 from dextar_control.analysis.run import RecordedTopic, Run
 from dextar_control.analysis.thin import POINTS
 from dextar_control.analysis.timing import (
@@ -92,17 +97,6 @@ class Cell(NamedTuple):
 
     text: str
     bad: bool = False
-
-
-def number(value: float | None, form: str, missing: str = "-") -> str:
-    """A number in a format, or what stands for one that is not known."""
-    return missing if value is None or not math.isfinite(value) else format(value, form)
-
-
-def signed(value: float, form: str) -> str:
-    """A number with its sign, but for what rounds to nothing."""
-    text = format(value, f"+{form}")
-    return text if text.strip("+-0.") else text[1:]
 
 
 def render_report(run: Run, metrics: Metrics) -> str:
@@ -283,46 +277,24 @@ def _tiles(metrics: Metrics) -> list[dict[str, str]]:
     pairs = [
         ("planned crossings crossed", happened),
         ("estimator's verdicts", right if verdicts else "none"),
-        ("true error, largest", _measured(1e3 * metrics.max_true_error, ".3f", "mm")),
-        ("true error, RMS", _measured(1e3 * metrics.rms_true_error, ".3f", "mm")),
-        (
-            "true error at the end",
-            _measured(1e3 * metrics.final_true_error, ".3f", "mm"),
-        ),
-        (
-            "estimated error, largest",
-            _measured(1e3 * metrics.max_estimated_error, ".3f", "mm"),
-        ),
-        ("peak torque", _measured(metrics.peak_torque, ".4f", "N m")),
-        ("of the plan's peak", _measured(metrics.torque_ratio, ".2f", "×", "no plan")),
-        (
-            "near the locus, of the plan's peak",
-            _measured(metrics.torque_ratio_near, ".2f", "×", "no plan"),
-        ),
-        ("states without a command", f"{metrics.missed} of {metrics.states}"),
-        (
-            "samples lost in recording",
-            (
-                f"{lost}{', end unknown' * metrics.truncated}"
-                if metrics.lost
-                else "not counted"
-            ),
-        ),
-        (
-            "duration of the trajectory",
-            _measured(metrics.duration, ".2f", "s", "no plan"),
-        ),
     ]
-    if math.isnan(metrics.max_true_error):
-        pairs = [
-            (name, NO_TRUTH if name.startswith("true error") else value)
-            for name, value in pairs
-        ]
+    for name, missing in (
+        ("max_true_error", NO_TRUTH),
+        ("rms_true_error", NO_TRUTH),
+        ("final_true_error", NO_TRUTH),
+        ("max_estimated_error", "not recorded"),
+        ("peak_torque", "not recorded"),
+        ("torque_ratio", "no plan"),
+        ("torque_ratio_near", "no plan"),
+        ("duration", "no plan"),
+    ):
+        pairs.append((METRICS[name].name, metrics.shown(name, missing)))
+    counted_lost = f"{lost}{', end unknown' * metrics.truncated}"
+    pairs += [
+        (METRICS["missed"].name, f"{metrics.missed} of {metrics.states}"),
+        (METRICS["lost"].name, counted_lost if metrics.lost else "not counted"),
+    ]
     return [{"name": name, "value": value} for name, value in pairs]
-
-
-def _measured(value: float, form: str, unit: str, missing: str = "not recorded") -> str:
-    return f"{value:{form}} {unit}" if math.isfinite(value) else missing
 
 
 def _margins(margins: Margins) -> dict[str, object]:
@@ -450,9 +422,21 @@ def _innovation_in_words(found: Innovation) -> str:
     )
 
 
-def _crossing_columns(has_truth: bool) -> tuple[Column, ...]:
-    kind = "true" if has_truth else "estimated"
+def _seen(has_truth: bool) -> tuple[str, ...]:
+    """The numbers of a crossing that a table shows of what was seen there."""
+    kind = "" if has_truth else "estimated_"
+    at_crossing = f"{kind}speed", "residual", "sigma_min"
     return (
+        *at_crossing,
+        "peak_torque",
+        "torque_step",
+        *(f"{kind}error_{when}" for when in ("before", "after")),
+    )
+
+
+def _crossing_columns(has_truth: bool) -> list[Column]:
+    seen = (CROSSING_METRICS[name] for name in _seen(has_truth))
+    return [
         Column("no."),
         Column("planned", "s"),
         Column("true", "s"),
@@ -462,14 +446,8 @@ def _crossing_columns(has_truth: bool) -> tuple[Column, ...]:
         Column("at", "s"),
         Column("confidence", "1"),
         Column("verdict is"),
-        Column(f"{kind} speed", "m/s"),
-        Column("|t_s·w_d| seen", "N"),
-        Column("smallest σ", "1"),
-        Column("peak torque", "N m"),
-        Column("torque step", "N m"),
-        Column(f"{kind} error before", "mm"),
-        Column(f"{kind} error after", "mm"),
-    )
+        *(Column(metric.name, metric.shown_unit) for metric in seen),
+    ]
 
 
 def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
@@ -542,9 +520,6 @@ def _no_crossings(metrics: Metrics) -> str:
 def _crossing_row(
     index: int, crossing: CrossingMetrics, has_truth: bool, reached: bool
 ) -> list[Cell]:
-    """What the controller saw and did there is the crossing's only where tracking went
-    on until it was reached.
-    """
     missing = "-" if has_truth else NO_TRUTH
     late = (
         None
@@ -553,11 +528,15 @@ def _crossing_row(
     )
     unknown = "-" if has_truth or not crossing.verdict else NO_TRUTH
     right = {True: "right", False: "WRONG", None: unknown}[crossing.verdict_correct]
-    before, after = (
-        (crossing.error_before, crossing.error_after)
-        if has_truth
-        else (crossing.estimated_error_before, crossing.estimated_error_after)
-    )
+    # what was seen at the crossing is its own only where tracking reached it
+    seen = [
+        Cell(
+            CROSSING_METRICS[name].number(
+                getattr(crossing, name) if reached or column > 2 else None
+            )
+        )
+        for column, name in enumerate(_seen(has_truth))
+    ]
     return [
         Cell(str(index)),
         Cell(f"{crossing.planned_time:.4f}"),
@@ -570,18 +549,7 @@ def _crossing_row(
         Cell(number(crossing.verdict_time, ".4f")),
         Cell(number(crossing.verdict_confidence, ".4f")),
         Cell(right, right == "WRONG"),
-        *(
-            Cell(number(value if reached else None, form))
-            for value, form in (
-                (crossing.speed, ".3f"),
-                (crossing.residual, ".4f"),
-                (crossing.sigma_min, ".4f"),
-            )
-        ),
-        Cell(number(crossing.peak_torque, ".4f")),
-        Cell(number(crossing.torque_step, ".4f")),
-        Cell(number(1e3 * before, ".3f")),
-        Cell(number(1e3 * after, ".3f")),
+        *seen,
     ]
 
 

@@ -7,11 +7,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.analysis.clock import LEAST_SYSTEM_STEP
+from dextar_control.analysis.registry import Metric
 from dextar_control.analysis.run import Floats, Joints, Phase, Run, Stamps
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.bags.damage import Hole
@@ -62,32 +64,83 @@ class Timing:
 
     By the system clocks, not by the stamps. Publishers on one machine share a clock; on
     two, the round trip is only as true as their clocks are alike.
-
-    Attributes:
-        lockstep: the plant waited for each command, so that the rates say how fast the
-            simulation ran; None when unknown.
-        state_period, command_period: s between successive messages, by the times at
-            which they were published.
-        round_trip: s from the publishing of a state to the publishing of the command
-            with its stamp.
-        stamp_period: s, median of the states' stamps: the period that the robot was
-            sampled with.
-        missed_runs: lengths of the stretches of successive states without a command, in
-            the order of the run.
-        longest_miss: the longest of them, in states; 0 when every state was answered.
-        late_share: of the states, those whose command was published later than one of
-            the robot's sample periods after them, or never; nan where time is not known
-            to be real, and without commands.
     """
 
-    lockstep: bool | None
-    state_period: Spread
-    command_period: Spread
-    round_trip: Spread
-    stamp_period: float
-    missed_runs: list[int]
-    longest_miss: int
-    late_share: float = math.nan
+    lockstep: Annotated[
+        bool | None,
+        Metric(
+            "lockstep",
+            "",
+            "Whether the plant waited for each command, so that the rates say how "
+            "fast the simulation ran; null where it is not known.",
+        ),
+    ]
+    state_period: Annotated[
+        Spread,
+        Metric(
+            "period of the states",
+            "s",
+            "From one state to the next, by the times at which they were published.",
+            ".0f",
+            "µs",
+        ),
+    ]
+    command_period: Annotated[
+        Spread,
+        Metric("period of the commands", "s", "The same of the commands.", ".0f", "µs"),
+    ]
+    round_trip: Annotated[
+        Spread,
+        Metric(
+            "round trip",
+            "s",
+            "From the publishing of a state to the publishing of the command with "
+            "its stamp.",
+            ".0f",
+            "µs",
+        ),
+    ]
+    stamp_period: Annotated[
+        float,
+        Metric(
+            "period of the stamps",
+            "s",
+            "Median period of the states' stamps: that with which the robot was "
+            "sampled.",
+            ".3f",
+            "ms",
+        ),
+    ]
+    missed_runs: Annotated[
+        list[int],
+        Metric(
+            "runs of states without a command",
+            "",
+            "Lengths of the stretches of successive states without a command, in "
+            "the order of the run.",
+        ),
+    ]
+    longest_miss: Annotated[
+        int,
+        Metric(
+            "longest run of such states",
+            "",
+            "The longest of these stretches, in states; 0 where every state was "
+            "answered.",
+            "d",
+        ),
+    ]
+    late_share: Annotated[
+        float,
+        Metric(
+            "share of the states without a command in time",
+            "1",
+            "Share of the states whose command was published later than one of "
+            "the robot's sample periods after them, or never; null where time is "
+            "not known to be real, and without commands.",
+            ".3f",
+        ),
+    ]
 
 
 @dataclass(frozen=True)

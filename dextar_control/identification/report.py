@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from dextar_control.analysis.page import Cell, Column, number, render
+from dextar_control.analysis.page import Cell, Column, render
+from dextar_control.analysis.registry import number
 from dextar_control.analysis.web_figures import residuals
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters
