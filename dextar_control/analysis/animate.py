@@ -29,7 +29,7 @@ from dextar_control.analysis.drawing import (
     draw_panel,
     finish_plane,
 )
-from dextar_control.analysis.motion import Motion
+from dextar_control.analysis.motion import RunFrames
 from dextar_control.analysis.plane import corners, locus_of
 from dextar_control.analysis.run import Floats
 from dextar_control.contract import style
@@ -59,7 +59,7 @@ PHASES = {
 
 
 def animate(
-    motion: Motion,
+    motion: RunFrames,
     file: Path,
     speed: float,
     frames_per_second: int,
@@ -178,7 +178,7 @@ class _Scene:
     takes a tenth of the time.
     """
 
-    def __init__(self, motion: Motion, speed: float, look: Look = SCREEN) -> None:
+    def __init__(self, motion: RunFrames, speed: float, look: Look = SCREEN) -> None:
         self._motion, self._look = motion, look
         still = Figure(figsize=SIZE, dpi=RESOLUTION, layout="constrained")
         grid = still.add_gridspec(2, 2, width_ratios=(1.0, 1.1))

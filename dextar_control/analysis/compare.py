@@ -145,7 +145,7 @@ MATTERS = 1.02
 WAYS_TO_NAME = 3  # differences that may be part of a run's name
 
 
-class Line(NamedTuple):
+class ComparisonRow(NamedTuple):
     """One number of every run.
 
     Attributes:
@@ -193,9 +193,9 @@ class Comparison:
     names: list[str]
     runs: list[Run]
     metrics: list[Metrics]
-    lines: list[Line]
-    machine: list[Line]
-    crossings: list[list[Line]]
+    lines: list[ComparisonRow]
+    machine: list[ComparisonRow]
+    crossings: list[list[ComparisonRow]]
     remarks: list[str]
     differences: list[Difference]
 
@@ -429,7 +429,9 @@ def render_comparison(comparison: Comparison) -> str:
     )
 
 
-def by_matter(lines: Sequence[Line]) -> tuple[list[Line], list[Line]]:
+def by_matter(
+    lines: Sequence[ComparisonRow],
+) -> tuple[list[ComparisonRow], list[ComparisonRow]]:
     """Part what the runs differ in, the most first, from what they agree in."""
     differ = sorted(
         (line for line in lines if line.matter >= MATTERS),
@@ -639,7 +641,7 @@ def _count(values: Sequence[bool | None]) -> int | None:
 
 def _line(
     compared: Compared[Measured], of: Sequence[Measured], truths: Sequence[bool]
-) -> Line:
+) -> ComparisonRow:
     metric, marks = (
         compared.metric,
         [NO_TRUTH if compared.metric.truth and not known else "" for known in truths],
@@ -657,14 +659,14 @@ def _line(
         )
         for value in values[1:]
     ]
-    return Line(metric, values, differences, [mark or "-" for mark in marks])
+    return ComparisonRow(metric, values, differences, [mark or "-" for mark in marks])
 
 
 def _known(value: Value) -> Value:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _entry(line: Line) -> dict[str, object]:
+def _entry(line: ComparisonRow) -> dict[str, object]:
     return {
         "name": line.metric.name,
         "unit": line.metric.shown_unit,
@@ -674,7 +676,7 @@ def _entry(line: Line) -> dict[str, object]:
     }
 
 
-def _cells(line: Line, joined: bool = False) -> list[Cell]:
+def _cells(line: ComparisonRow, joined: bool = False) -> list[Cell]:
     """Name, unit, and each run's value with its difference; name and unit in one cell
     where they are joined.
     """
@@ -691,7 +693,7 @@ def _cells(line: Line, joined: bool = False) -> list[Cell]:
     return cells
 
 
-def _markdown(comparison: Comparison, lines: Sequence[Line]) -> list[str]:
+def _markdown(comparison: Comparison, lines: Sequence[ComparisonRow]) -> list[str]:
     head = ["", "unit"]
     for index, name in enumerate(comparison.names):
         head += [name, "Δ"] if index else [name]

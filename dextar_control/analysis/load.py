@@ -17,13 +17,13 @@ from dextar_control.analysis.clock import clock_in_words, clock_of
 from dextar_control.analysis.coherence import check_run
 from dextar_control.analysis.run import (
     Control,
-    Criterion,
+    CriterionRecord,
     Floats,
     Joints,
     Poses,
     RecordedTopic,
     Run,
-    Served,
+    ServedTrajectory,
     Stamps,
     Truth,
 )
@@ -455,7 +455,7 @@ def _control(series: Series, steady: Steady | None) -> Control:
     )
 
 
-def _criterion(series: Series, steady: Steady | None) -> Criterion:
+def _criterion(series: Series, steady: Steady | None) -> CriterionRecord:
     table = series.table(
         [f"position.{name}" for name in topics.CRITERION_NAMES], steady
     )
@@ -468,7 +468,7 @@ def _criterion(series: Series, steady: Steady | None) -> Criterion:
     innovation, bias, disturbance = (
         table.values[:, first + 2 * k : first + 2 * k + 2] for k in range(3)
     )
-    return Criterion(
+    return CriterionRecord(
         stamps=table.stamps,
         phase=phase,
         innovation=innovation,
@@ -535,7 +535,7 @@ def _poses(series: Series, steady: Steady | None) -> Poses | None:
     return Poses(table.stamps[seen], table.values[seen]) if seen.any() else None
 
 
-def _trajectory(series: Series) -> Served | None:
+def _trajectory(series: Series) -> ServedTrajectory | None:
     recorded = cast("list[Trajectory]", series.messages())
     for message in _served(reversed(recorded)):
         if problem := _incomplete(message.points):
@@ -557,7 +557,7 @@ def _trajectory(series: Series) -> Served | None:
         ) -> Floats:
             return np.array([(pick(point).x, pick(point).y) for point in points])
 
-        return Served(
+        return ServedTrajectory(
             time,
             vectors(lambda p: p.transforms[0].translation),
             vectors(lambda p: p.velocities[0].linear),

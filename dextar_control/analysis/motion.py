@@ -21,7 +21,7 @@ from dextar_control.contract.robot import JOINT_NAMES, RobotParameters, flatten
 MARGIN = 0.1  # s shown before and after the trajectory
 
 
-class Motion(NamedTuple):
+class RunFrames(NamedTuple):
     """Frames of a run.
 
     Attributes:
@@ -95,7 +95,7 @@ class Motion(NamedTuple):
 
 def motion_of(
     run: Run, period: float, begin: float | None = None, end: float | None = None
-) -> Motion:
+) -> RunFrames:
     """Frames every ``period`` s of the run's own time.
 
     Args:
@@ -150,7 +150,7 @@ def motion_of(
         phase_name(int(run.criterion.phase[row])) if row >= 0 else "" for row in seen
     ]
     robot, shown = run.robot, rows_between(commands, times[0], times[-1] + 1e-9)
-    return Motion(
+    return RunFrames(
         robot=robot,
         true=run.truth is not None,
         time=times,

@@ -79,7 +79,7 @@ class Control:
 
 
 @dataclass(frozen=True)
-class Criterion:
+class CriterionRecord:
     """The crossing criterion at each tick, and what else the controller thought; all
     (n,) but where it is said.
 
@@ -147,7 +147,7 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Served:
+class ServedTrajectory:
     """The trajectory as it was served.
 
     Attributes:
@@ -207,9 +207,9 @@ class Run:
     states: Joints
     commands: Joints
     control: Control
-    criterion: Criterion
+    criterion: CriterionRecord
     truth: Truth | None
-    trajectory: Served | None
+    trajectory: ServedTrajectory | None
     diagnostics: dict[str, dict[str, object]] = field(default_factory=dict)
     parameters: dict[str, dict[str, object]] = field(default_factory=dict)
     robot: RobotParameters | None = None

@@ -93,7 +93,7 @@ class Words(NamedTuple):
         return len(self.codes)
 
 
-class Field(NamedTuple):
+class Variable(NamedTuple):
     """One column.
 
     Attributes:
@@ -133,7 +133,7 @@ class Sheet(NamedTuple):
         about: what it is of.
     """
 
-    fields: list[Field]
+    fields: list[Variable]
     about: dict[str, str]
 
 
@@ -148,14 +148,14 @@ def _states(run: Run) -> Sheet:
     track = tracked(run)
     zero = track.start if track else int(stamps[0])
     fields = [
-        Field("stamp", NS, STAMP, stamps),
-        Field(
+        Variable("stamp", NS, STAMP, stamps),
+        Variable(
             "time",
             SECOND,
             "since the trajectory's start" if track else "since the first state",
             np.asarray(stamps - zero, dtype=np.float64) * 1e-9,
         ),
-        Field(
+        Variable(
             "published",
             NS,
             "system clock when the state was published",
@@ -163,7 +163,7 @@ def _states(run: Run) -> Sheet:
         ),
         *_measured(run.states, stamps),
         *_commanded(run.commands, stamps),
-        Field(
+        Variable(
             "command_published",
             NS,
             "system clock when the command was published",
@@ -177,34 +177,36 @@ def _states(run: Run) -> Sheet:
 
 
 def _topics(run: Run) -> dict[str, Sheet]:
-    found: dict[str, list[Field]] = {}
+    found: dict[str, list[Variable]] = {}
     for name, joints, fields in (
         ("states", run.states, _measured(run.states, run.states.stamps)),
         ("commands", run.commands, _commanded(run.commands, run.commands.stamps)),
     ):
         found[name] = [
-            Field("stamp", NS, STAMP, joints.stamps),
+            Variable("stamp", NS, STAMP, joints.stamps),
             *fields,
-            Field("published", NS, "system clock of the publisher", joints.published),
-            Field("logged", NS, "system clock of the recorder", joints.logged),
+            Variable(
+                "published", NS, "system clock of the publisher", joints.published
+            ),
+            Variable("logged", NS, "system clock of the recorder", joints.logged),
         ]
     found["controller_state"] = [
-        Field("stamp", NS, STAMP, run.control.stamps),
+        Variable("stamp", NS, STAMP, run.control.stamps),
         *_control(run, run.control.stamps),
     ]
     found["criterion"] = [
-        Field("stamp", NS, STAMP, run.criterion.stamps),
+        Variable("stamp", NS, STAMP, run.criterion.stamps),
         *_criterion(run, run.criterion.stamps),
     ]
     if run.truth is not None:
         found["truth"] = [
-            Field("stamp", NS, STAMP, run.truth.stamps),
+            Variable("stamp", NS, STAMP, run.truth.stamps),
             *_truth(run, run.truth.stamps),
         ]
     if run.trajectory is not None:
         served = run.trajectory
         found["trajectory"] = [
-            Field("time", SECOND, "since the trajectory's start", served.time)
+            Variable("time", SECOND, "since the trajectory's start", served.time)
         ]
         for kind, unit in (("x", METRE), ("x_dot", SPEED), ("x_ddot", ACCELERATION)):
             found["trajectory"] += _pair(
@@ -287,21 +289,21 @@ def _joined(own: Stamps, values: NDArray[Scalar], stamps: Stamps) -> NDArray[Sca
     return np.ma.array(found, mask=np.broadcast_to(unknown, found.shape))
 
 
-def _pair(name: str, unit: str, meaning: str, values: Floats) -> list[Field]:
+def _pair(name: str, unit: str, meaning: str, values: Floats) -> list[Variable]:
     return [
-        Field(f"{name}_{axis}", unit, meaning, values[:, column])
+        Variable(f"{name}_{axis}", unit, meaning, values[:, column])
         for column, axis in enumerate("xy")
     ]
 
 
-def _joints(name: str, unit: str, meaning: str, values: Floats) -> list[Field]:
+def _joints(name: str, unit: str, meaning: str, values: Floats) -> list[Variable]:
     return [
-        Field(name.format(joint), unit, meaning, values[:, column])
+        Variable(name.format(joint), unit, meaning, values[:, column])
         for column, joint in enumerate(JOINT_NAMES)
     ]
 
 
-def _measured(joints: Joints, stamps: Stamps) -> list[Field]:
+def _measured(joints: Joints, stamps: Stamps) -> list[Variable]:
     own = joints.stamps
     return [
         *_joints(
@@ -325,7 +327,7 @@ def _measured(joints: Joints, stamps: Stamps) -> list[Field]:
     ]
 
 
-def _commanded(joints: Joints, stamps: Stamps) -> list[Field]:
+def _commanded(joints: Joints, stamps: Stamps) -> list[Variable]:
     return _joints(
         "command_{}_effort",
         TORQUE,
@@ -334,11 +336,11 @@ def _commanded(joints: Joints, stamps: Stamps) -> list[Field]:
     )
 
 
-def _control(run: Run, stamps: Stamps) -> list[Field]:
+def _control(run: Run, stamps: Stamps) -> list[Variable]:
     own = run.control.stamps
     time = _joined(own, run.control.time, stamps)
     fields = [
-        Field(
+        Variable(
             "reference_time", SECOND, "controller's, since the trajectory's start", time
         )
     ]
@@ -367,7 +369,7 @@ def _control_meaning(name: str) -> str:
     return CONTROL_MEANINGS[quantity] + DERIVATIVES.get(derivative, "")
 
 
-def _criterion(run: Run, stamps: Stamps) -> list[Field]:
+def _criterion(run: Run, stamps: Stamps) -> list[Variable]:
     own = run.criterion.stamps
     units = {
         "residual": FORCE,
@@ -384,7 +386,7 @@ def _criterion(run: Run, stamps: Stamps) -> list[Field]:
             fields += (
                 _joints(f"{field.name}_{{}}", *known)
                 if values.ndim == 2
-                else [Field(field.name, *known)]
+                else [Variable(field.name, *known)]
             )
     phases = {
         int(number): phase_name(int(number))
@@ -395,14 +397,14 @@ def _criterion(run: Run, stamps: Stamps) -> list[Field]:
     told = "; ".join(f"{name.upper()}: {meaning}" for name, meaning in PHASES.items())
     return [
         *fields,
-        Field(
+        Variable(
             "verdict",
             "",
             "estimator's, of the planned crossing that began last:"
             f" {', '.join(verdicts.values())}",
             _words(_joined(own, run.criterion.verdict, stamps), verdicts),
         ),
-        Field(
+        Variable(
             "phase",
             "",
             f"controller's. {told}",
@@ -411,7 +413,7 @@ def _criterion(run: Run, stamps: Stamps) -> list[Field]:
     ]
 
 
-def _truth(run: Run, stamps: Stamps) -> list[Field]:
+def _truth(run: Run, stamps: Stamps) -> list[Variable]:
     if run.truth is None:
         return []
     truth = run.truth
@@ -432,7 +434,7 @@ def _truth(run: Run, stamps: Stamps) -> list[Field]:
     if run.robot is not None:
         s = singularity_measure(run.robot, truth.x, truth.q_a)
         fields.append(
-            Field(
+            Variable(
                 "true_s",
                 ONE,
                 "singularity measure of the true state",
@@ -442,7 +444,7 @@ def _truth(run: Run, stamps: Stamps) -> list[Field]:
     return fields
 
 
-def _sheet(fields: list[Field], run: Run, extra: dict[str, str]) -> Sheet:
+def _sheet(fields: list[Variable], run: Run, extra: dict[str, str]) -> Sheet:
     return Sheet(
         fields,
         {

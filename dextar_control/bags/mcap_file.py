@@ -26,7 +26,7 @@ INDEX_SIZE = 512  # bytes, generous, that a write adds to the index at the end
 COMPRESSIONS = {"zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
 
 
-class Sample(NamedTuple):
+class SerializedMessage(NamedTuple):
     """One message on its way to the bag; times in ns since the epoch."""
 
     log_time: int
@@ -97,7 +97,7 @@ class McapFile:
         )
         self.counts.setdefault(topic.name, 0)
 
-    def write(self, batch: Sequence[Sample]) -> None:
+    def write(self, batch: Sequence[SerializedMessage]) -> None:
         """Write samples in order of log time."""
         if not batch:
             return

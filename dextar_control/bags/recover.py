@@ -24,7 +24,7 @@ from dextar_control.bags.folder import (
     opened,
     read_listing,
 )
-from dextar_control.bags.mcap_file import McapFile, Sample
+from dextar_control.bags.mcap_file import McapFile, SerializedMessage
 from dextar_control.bags.metadata import (
     RECORD_NAME,
     FileSummary,
@@ -338,7 +338,7 @@ def _copy(
                 else:
                     target.write(
                         [
-                            Sample(
+                            SerializedMessage(
                                 log_time,
                                 channels[channel],
                                 publish_time,

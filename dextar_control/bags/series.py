@@ -55,7 +55,7 @@ class Table(NamedTuple):
     values: Floats  # (n, k); nan where a message has no such number
 
 
-class Recorded(NamedTuple):
+class RecordedColumns(NamedTuple):
     """A topic's columns in the order of the bag; as in ``Table``, with the place of
     each message among all of the bag.
     """
@@ -169,10 +169,10 @@ class Series:
         self._settle()
         return self._selected[::-1]
 
-    def recorded(self, names: Sequence[str]) -> Recorded:
+    def recorded(self, names: Sequence[str]) -> RecordedColumns:
         """The columns of these names in the order of the bag; before ``table``."""
         words = self._words(names)
-        return Recorded(
+        return RecordedColumns(
             words[_STAMP],
             words[_LOGGED],
             words[_ORDER],

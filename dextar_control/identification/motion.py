@@ -13,7 +13,7 @@ from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from dextar_control.contract.robot import RobotParameters, flatten
-from dextar_control.identification.recorded import Recorded
+from dextar_control.identification.recorded import RecordedMotion
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.model import library_of
 from dextar_control.model.regressor import regressors
@@ -39,7 +39,7 @@ EXCITE = "record dextar demo --lockstep --excite (on a rig the task excite:=20)"
 
 
 @dataclass(frozen=True)
-class Motion:
+class SmoothMotion:
     """The stretches of a motion in which the encoders tell it, on even grids.
 
     Attributes:
@@ -58,7 +58,7 @@ class Motion:
         rates: (k, n) of the joints at the k instants that tell something, rad/s.
     """
 
-    recorded: Recorded
+    recorded: RecordedMotion
     time: Array
     stretches: tuple[slice[int, int, None], ...]
     parallel: Array
@@ -83,7 +83,7 @@ class Motion:
         return found[self.tells]
 
 
-def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
+def motion_of(robot: RobotParameters, recorded: RecordedMotion) -> SmoothMotion:
     """What of a recorded motion tells something; it may be empty."""
     p = DETAILED_FIVE_BAR.values(
         flatten(robot) | {"working_mode": recorded.working_mode}
@@ -155,7 +155,7 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
             "tau_dot",
         )
     }
-    return Motion(
+    return SmoothMotion(
         recorded=recorded,
         stretches=tuple(stretches),
         parallel=parallel,
@@ -169,7 +169,7 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
 
 def _even(
     robot: RobotParameters,
-    recorded: Recorded,
+    recorded: RecordedMotion,
     rows: NDArray[np.int64],
     period: float,
     smooth: Array,
@@ -201,7 +201,9 @@ def _even(
     }
 
 
-def _jitter(recorded: Recorded, period: float, smooth: Array, parallel: Array) -> Array:
+def _jitter(
+    recorded: RecordedMotion, period: float, smooth: Array, parallel: Array
+) -> Array:
     """(n,) of the joints' accelerations, rad/s^2, by what the filter takes off."""
     noise = (recorded.readings - sosfiltfilt(smooth, recorded.readings, axis=0)).std(
         axis=0

@@ -14,7 +14,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
-from dextar_control.bags.writer import COMPRESSIONS, Sample
+from dextar_control.bags.writer import COMPRESSIONS, SerializedMessage
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.signals import StopSignal
@@ -201,7 +201,7 @@ class RecorderNode(DextarNode):
                 number = info["publication_sequence_number"]
                 losses.see(number)
                 received = info["received_timestamp"] or time.time_ns()
-                sample = Sample(
+                sample = SerializedMessage(
                     received,
                     name,
                     info["source_timestamp"],

@@ -17,7 +17,7 @@ from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.identification.calibration import calibrate_recorded
 from dextar_control.identification.identification import identify_recorded
-from dextar_control.identification.recorded import Recorded
+from dextar_control.identification.recorded import RecordedMotion
 from dextar_control.planning.certificate import Plan
 from dextar_control.planning.excitation import plan_excitation
 from dextar_control.planning.tour import plan_tour
@@ -27,7 +27,7 @@ START = np.array([-0.025, 0.115])  # m, of the exciting motion: the A of every t
 EXCITE, DWELL = 20.0, 0.2  # s
 
 
-def record(robot: RobotParameters, plan: Plan, rig: Any) -> Recorded:
+def record(robot: RobotParameters, plan: Plan, rig: Any) -> RecordedMotion:
     """A plan run in a plain loop, as its bag would tell it.
 
     Args:
@@ -63,7 +63,7 @@ def record(robot: RobotParameters, plan: Plan, rig: Any) -> Recorded:
     finally:
         rig.close()
     poses = (np.array(seen), np.array(places)) if seen else None
-    return Recorded(
+    return RecordedMotion(
         Path("recorded"),
         robot.working_mode,
         np.array(time),
@@ -114,7 +114,7 @@ def _calibrated(
     and both are taken together; where it told all but the difference of the distal
     lengths another one is recorded with what it told.
     """
-    told, motions = False, list[Recorded]()
+    told, motions = False, list[RecordedMotion]()
     for _ in range(TOURS):
         motions.append(
             record(robot, _tour(robot, CROSSINGS * (-1) ** len(motions)), rig())
