@@ -23,7 +23,7 @@ import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.settings import Settings
-from dextar_control.estimation.estimate import ExternalPosition
+from dextar_control.estimation.estimate import Estimator
 from dextar_control.estimation.joint_filter import JOINTS, track_joints
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.mechanisms.mechanism import Mechanism
@@ -176,16 +176,23 @@ def direct_of(mechanism: Mechanism) -> Library:
     )
 
 
-class DirectEstimator:
-    """The estimators ``dgm`` and, with ``held`` false, ``plain``."""
+class DirectEstimator(Estimator):
+    """The estimator ``dgm``: the direct geometric model, but within ``hold_zone`` of
+    the locus the reference.
+    """
+
+    held = True
 
     def __init__(
-        self, model: Model, settings: Settings, estimate: Record | None, *, held: bool
+        self,
+        model: Model,
+        settings: Settings,
+        min_type1: float,
+        estimate: Record | None = None,
     ) -> None:
-        self._held, self._blocks = held, len(model.blocks)
         self._memory = Layout("joints", model.n, JOINTS).make()
-        self.estimate = estimate or Layout("estimate", model.n, ESTIMATE).make()
-        self.estimate.s = np.nan
+        self._outside = np.inf
+        super().__init__(model, settings, min_type1, estimate)
         library = direct_of(model.mechanism)
         memory, shown = self._memory.numbers, self.estimate.numbers
         shared = {
@@ -197,17 +204,12 @@ class DirectEstimator:
         }
         self._follow = library.fast("follow", **shared)
         self._coast = library.fast("coast", **shared)
-        self._mode = 1.0
-        self._outside = np.inf
-        self.mode_known = True
-        self.tells_side, self.note = False, ""
-        self.configure(settings)
 
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
+        super().configure(settings)
         self._bandwidth = settings.filter_bandwidth
         self._return_time = settings.return_time
-        self.unknown_s = settings.hold_zone
 
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
         """See ``Estimator``: x (n,), m, q_a (n,), rad."""
@@ -217,14 +219,8 @@ class DirectEstimator:
 
     def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
         """See ``Estimator``: q_a (n,), rad."""
-        self._mode = float(assembly_mode)
-        self.estimate.assembly_mode, self.estimate.confidence = self._mode, 1.0
-        self.mode_known = True
-
-    @property
-    def modes(self) -> list[tuple[float, float]]:
-        """See ``Estimator``: the same of all blocks."""
-        return [(self.estimate.assembly_mode, self.estimate.confidence)] * self._blocks
+        self.believe(assembly_mode, 1.0)
+        self._known = True
 
     def rebase(self, q_a: Array) -> None:
         """See ``Estimator``: q_a (n,), rad."""
@@ -233,14 +229,19 @@ class DirectEstimator:
 
     def release(self, crossing: bool) -> None:
         """See ``Estimator``."""
-        self.mode_known = self.mode_known and not crossing
+        super().release(crossing)
         self._memory.q_ref, self._memory.q_ref_dot = self._memory.q, 0.0
 
     def _take(self, step: Fast, dt: float, q_a: Array) -> None:
         given = step.arguments
         given.q_meas[:], given.dt[0] = q_a, dt
-        given.bandwidth[0], given.assembly_mode[0] = self._bandwidth, self._mode
+        given.bandwidth[0] = self._bandwidth
+        given.assembly_mode[0] = self.estimate.assembly_mode
         step.run()
+
+    def observe(self, dt: float, q_a: Array, tau: Array) -> None:
+        """See ``Estimator``: q_a (n,), rad, tau (n,), N m; about the last joints."""
+        self._take(self._coast, dt, q_a)
 
     def track(
         self,
@@ -251,26 +252,22 @@ class DirectEstimator:
         zone: float,
         width: float,
     ) -> None:
-        """See ``Estimator``: q_a (n,), rad, tau (n,), N m."""
+        """See ``Estimator``: q_a (n,), rad, tau (n,), N m; about the reference, with
+        which the direct model's branch changes.
+        """
         s_ref = reference.s
-        # where the reference has crossed the direct model's branch changes with it
-        if s_ref * self._mode < 0.0:
-            self._mode = -self._mode
-            self.estimate.confidence = 0.5
+        if s_ref * self.estimate.assembly_mode < 0.0:
+            self.believe(-self.estimate.assembly_mode, 0.5)
         given = self._follow.arguments
         given.reference[:] = reference.numbers
-        given.zone[0], given.width[0] = zone if self._held else 0.0, width
+        given.zone[0], given.width[0] = zone if self.held else 0.0, width
         given.time_outside[0] = min(self._outside, 1e9)
         given.time_return[0] = self._return_time
         self._take(self._follow, dt, q_a)
         self._outside = self._outside + dt if abs(s_ref) > zone else 0.0
 
-    def coast(self, dt: float, q_a: Array, tau: Array) -> None:
-        """See ``Estimator``: q_a (n,), rad, tau (n,), N m."""
-        self._take(self._coast, dt, q_a)
-        if not abs(self.estimate.s) >= self.unknown_s:
-            self.mode_known = False
-            self.estimate.confidence = 0.5
 
-    def take_pose(self, pose: ExternalPosition, time: float) -> None:
-        """See ``Estimator``."""
+class PlainEstimator(DirectEstimator):
+    """The estimator ``plain``: the direct geometric model everywhere."""
+
+    held = False

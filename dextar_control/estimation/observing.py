@@ -6,7 +6,7 @@ import numpy as np
 
 from dextar_control.contract.settings import Settings
 from dextar_control.estimation.belief import CERTAIN, Belief
-from dextar_control.estimation.estimate import ExternalPosition
+from dextar_control.estimation.estimate import Estimator
 from dextar_control.estimation.joint_filter import JointFilter
 from dextar_control.estimation.observer import REST_SPEED, Observer, TestLimits
 from dextar_control.model.model import Model
@@ -14,15 +14,10 @@ from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
 
 
-class ObserverEstimator:
-    """The estimator ``observer``.
+class ObserverEstimator(Estimator):
+    """The estimator ``observer``."""
 
-    Args:
-        model: of the robot, as the controller knows it.
-        settings: of the controller.
-        min_type1: the robot's least distance to Type 1.
-        estimate: the record that it keeps; one of its own when None.
-    """
+    tells_side = True
 
     def __init__(
         self,
@@ -33,9 +28,7 @@ class ObserverEstimator:
     ) -> None:
         self.observer = Observer(model, min_type1, estimate)
         self._joints = JointFilter(model.mechanism)
-        self.estimate = self.observer.estimate
-        self.tells_side, self.note = True, ""
-        self.configure(settings)
+        super().__init__(model, settings, min_type1, self.observer.estimate)
 
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
@@ -104,14 +97,12 @@ class ObserverEstimator:
         x = self.observer.direct_model(q_a, assembly_mode)
         self._begin(x, q_a, assembly_mode, self.observer.noise.shock_speed)
 
-    def rebase(self, q_a: Array) -> None:
-        """See ``Estimator``: q_a (n,), rad."""
-
     def release(self, crossing: bool) -> None:
         """See ``Estimator``."""
         self._joints.set(self.estimate.q_a, self.estimate.q_a_dot)
 
-    def _advance(self, dt: float, q_a: Array, tau: Array) -> None:
+    def observe(self, dt: float, q_a: Array, tau: Array) -> None:
+        """See ``Estimator``."""
         if self.observer.observe(tau, dt, q_a):
             self.observer.tell_side()
 
@@ -125,16 +116,13 @@ class ObserverEstimator:
         width: float,
     ) -> None:
         """See ``Estimator``: q_a (n,), rad, tau (n,), N m."""
-        self._advance(dt, q_a, tau)
+        self.observe(dt, q_a, tau)
 
     def coast(self, dt: float, q_a: Array, tau: Array) -> None:
         """See ``Estimator``: q_a (n,), rad, tau (n,), N m. The estimate has the joints
         as they are measured, which a brake acts on, and not those of its platform.
         """
-        self._advance(dt, q_a, tau)
+        self.observe(dt, q_a, tau)
         self._joints.take(q_a, dt, self._bandwidth)
         self.estimate.q_a = self._joints.memory.q
         self.estimate.q_a_dot = self._joints.memory.q_dot
-
-    def take_pose(self, pose: ExternalPosition, time: float) -> None:
-        """See ``Estimator``."""

@@ -20,6 +20,8 @@ from dextar_control.contract.errors import ParameterError
 from dextar_control.mechanisms.bodies import Bodies
 from dextar_control.symbols.types import Array, Slice, Symbol
 
+LEAST_SQUARE = 1e-12  # of a sine at Type 1, whose root has a derivative
+
 
 @dataclass(frozen=True)
 class Coordinate:
@@ -149,11 +151,12 @@ class Mechanism(ABC):
     ) -> Symbol:
         """L(q_a, x, q_a_dot, x_dot), J: kinetic less potential energy."""
 
-    @abstractmethod
     def inverse_geometric_model(self, x: Symbol, p: Values) -> Symbol:
         """q_a (n,) of a platform position x (n,) in the working mode of ``p``; nan
-        where it is not reached.
+        where it is not reached. Here it follows from ``nearest_joints``.
         """
+        q_a, extension = self.nearest_joints(x, p)
+        return ca.if_else(ca.fabs(extension) <= 1.0, q_a, ca.SX.nan(self.n))
 
     def nearest_joints(self, x: Symbol, p: Values) -> tuple[Symbol, Symbol]:
         """(q_a (n,), extension (n,)): the inverse geometric model with finite numbers
@@ -179,16 +182,16 @@ class Mechanism(ABC):
             f"x = {np.round(x, 6).tolist()} is out of reach: {joint} has no angle there"
         )
 
-    @abstractmethod
     def direct_geometric_model(
         self, q_a: Symbol, assembly_mode: Symbol, p: Values
     ) -> Symbol | None:
         """x (n,) of joints q_a (n,) with sign(s) = assembly_mode, its root kept above
-        zero; None where it has no closed form.
+        zero; None, as here, where it has no closed form and is solved.
 
         Where A_r has k blocks the assembly mode has a sign for each, (k,), or one for
         all.
         """
+        return None
 
     def type2_locus(
         self, family: Symbol, branch: Symbol, angle: Symbol, p: Values
@@ -262,19 +265,24 @@ class Mechanism(ABC):
         dimensionless and about 1 far from the Type 2 locus.
         """
 
-    @abstractmethod
     def singularity_length(self, p: Values) -> Symbol:
-        """The number over which the least singular value of A_r is dimensionless."""
+        """The number over which the least singular value of A_r is dimensionless. Here
+        it is the n-th root of the scale, where A_r has one block.
+        """
+        return self.singularity_scale(p) ** (1.0 / self.n)
 
-    @abstractmethod
     def type1_sines(self, q_a: Symbol, x: Symbol, p: Values) -> Symbol:
         """One number a leg, at most 1 in size: zero where the leg is at a Type 1
-        singularity.
+        singularity. Here it follows from the extensions of ``nearest_joints``.
         """
+        _, extension = self.nearest_joints(x, p)
+        return ca.sqrt(ca.fmax(1.0 - extension**2, LEAST_SQUARE))
 
-    @abstractmethod
     def friction(self, q_a_dot: Symbol, p: Values) -> Symbol:
-        """Friction torque of the active joints (n,), opposing q_a_dot."""
+        """Friction torque of the active joints (n,), N m (N), opposing q_a_dot; none
+        here.
+        """
+        return ca.SX.zeros(self.n)
 
     def passive_friction(
         self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Values
