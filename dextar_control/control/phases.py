@@ -1,4 +1,4 @@
-"""What the loop does, and everything about one of its samples."""
+"""The phases of the loop, and the record of one of its samples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dextar_control.symbols.types import Array, Slice
 
 
 class Phase(IntEnum):
-    """What the controller does."""
+    """The phases of the controller."""
 
     IDLE = 0  # no torque, by request
     APPROACH = 1  # tracks a trajectory without a crossing
@@ -26,13 +26,13 @@ class Phase(IntEnum):
     FAULT = 6  # no torque
 
 
-LIMP = (Phase.IDLE, Phase.FAULT, Phase.SAFE_STOP)  # where the law gives no torque
+WITHOUT_LAW = (Phase.IDLE, Phase.FAULT, Phase.SAFE_STOP)  # in which no law acts
 MOVING = (Phase.APPROACH, Phase.TRACK, Phase.CROSSING)
 
 
 @lru_cache
 def frame_of(n: int) -> dict[str, tuple[Slice, Layout]]:
-    """Where reference, estimate and output of one sample lie beside each other, for n
+    """The places and layouts of reference, estimate and output in a ``Frame``, for n
     degrees of freedom.
     """
     places, start = {}, 0
@@ -48,16 +48,11 @@ def frame_of(n: int) -> dict[str, tuple[Slice, Layout]]:
 
 
 class Frame:
-    """Everything about one sample, in one array.
+    """Reference, estimate and output of one sample, in one array.
 
     Args:
         n: degrees of freedom.
-        numbers: the array; zeros when None.
-
-    Attributes:
-        reference: what the plan asks for (``estimation.records.REFERENCE``).
-        estimate: what the estimator believes (``estimation.records.ESTIMATE``).
-        output: what the law answers (``control.law.OUTPUT``).
+        numbers: the array, (size,); zeros when None.
     """
 
     __slots__ = ("n", "numbers")
@@ -88,8 +83,8 @@ class Frame:
 
 
 def indices_of(n: int, *fields: str) -> NDArray[np.int64]:
-    """Where the numbers of these fields, each PART.NAME, lie in a frame, in this
-    order.
+    """The indices (k,), 1, in a frame of these fields' numbers, each PART.NAME, in
+    this order.
     """
     every = np.arange(max(within.stop for within, _ in frame_of(n).values()))
     found = []
@@ -104,7 +99,7 @@ def _field(part: str, name: str, doc: str) -> property:
 
 
 class Tick(Frame):
-    """One sample that was answered.
+    """One sample of the loop with its answer.
 
     Attributes:
         time: of the state, s.

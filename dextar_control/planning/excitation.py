@@ -53,7 +53,7 @@ ELSEWHERE = (
 HEADROOM = 1.02  # of |s|, for what lies between samples
 
 
-class Loop(NamedTuple):
+class ExcitingLoop(NamedTuple):
     """A candidate loop.
 
     Attributes:
@@ -97,7 +97,7 @@ def plan_excitation(
             f" its start {in_words(start)} has {abs(s):.3f}; {ELSEWHERE}"
         )
     search = _Search(robot, start, float(np.sign(s)))
-    generator, found = np.random.default_rng(seed), list[Loop]()
+    generator, found = np.random.default_rng(seed), list[ExcitingLoop]()
     for row in range(RANDOM):
         progress(0.5 * row / RANDOM, f"exciting loop {row + 1} of {RANDOM}")
         orders = np.arange(1, HARMONICS + 1)[None, :, None]
@@ -107,7 +107,7 @@ def plan_excitation(
             f"there is no room for an exciting motion about {in_words(start)};"
             f" {ELSEWHERE}"
         )
-    chosen, total = list[Loop](), np.eye(len(found[0].information))
+    chosen, total = list[ExcitingLoop](), np.eye(len(found[0].information))
     # one loop is the shortest motion
     least = max(duration - 0.5 * LEAST_PERIOD, np.finfo(float).tiny)
     while sum(loop.period for loop in chosen) < least and len(chosen) < len(found):
@@ -135,7 +135,7 @@ def plan_excitation(
     return Plan(motion, certify(robot, motion, max_residual=PLAN_RESIDUAL, crossings=0))
 
 
-def _worth(known: Array, loop: Loop) -> float:
+def _worth(known: Array, loop: ExcitingLoop) -> float:
     """The growth of ln det of the information (k, k) that a loop brings, over its
     period, 1/s.
     """
@@ -154,7 +154,7 @@ class _Search:
         self._phases = 2.0 * np.pi * np.arange(SAMPLES + 1) / SAMPLES
         self._harmonics = np.arange(1, HARMONICS + 1)
 
-    def loop(self, raw: Array) -> list[Loop]:
+    def loop(self, raw: Array) -> list[ExcitingLoop]:
         """The loop with these coefficients (2, HARMONICS, n), as wide, m, and as fast
         as the limits allow; none where none is clear.
         """
@@ -183,9 +183,9 @@ class _Search:
         rows = (found.torque_slopes[sure] * (self._sizes / NOISE)).reshape(
             -1, len(self._sizes)
         )
-        return [Loop(wide, period, rows.T @ rows * (RATE * period / SAMPLES))]
+        return [ExcitingLoop(wide, period, rows.T @ rows * (RATE * period / SAMPLES))]
 
-    def motion(self, loop: Loop) -> Trajectory:
+    def motion(self, loop: ExcitingLoop) -> Trajectory:
         """A loop as a trajectory, from rest to rest."""
         count = max(int(np.ceil(loop.period / KNOT)), SAMPLES)
         rate, phases = 2.0 * np.pi / loop.period, 2.0 * np.pi * np.arange(count + 1)
@@ -229,7 +229,7 @@ class _Search:
         """
         period = LEAST_PERIOD
         for _ in range(6):
-            motion = self.motion(Loop(coefficients, period, np.zeros((0, 0))))
+            motion = self.motion(ExcitingLoop(coefficients, period, np.zeros((0, 0))))
             seen = measure(self._robot, motion, period / SAMPLES)
             factor = max(
                 float(np.sqrt(seen.peak_torque / (TORQUE * self._robot.max_torque))),

@@ -11,7 +11,7 @@ from closed_loop import Run, drive, s_of, turn_round
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import Settings, default_settings
-from dextar_control.control.phases import LIMP, Phase
+from dextar_control.control.phases import WITHOUT_LAW, Phase
 from dextar_control.control.verdicts import Verdict
 from dextar_control.estimation.estimate import ExternalPosition
 from dextar_control.estimation.estimator import make_estimator
@@ -189,7 +189,7 @@ def test_a_bounce_is_seen_and_ends_safely(
     )
     assert run.side[-1] == 1.0
     assert run.loop.passed[0].verdict is Verdict.BOUNCED
-    assert run.loop.phase in LIMP
+    assert run.loop.phase in WITHOUT_LAW
     wrong = (run.mode != run.side) & (run.time > when + RECOGNITION)
     assert not wrong.any()
     sure_and_wrong = (run.mode != run.side) & (

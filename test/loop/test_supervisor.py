@@ -23,7 +23,7 @@ from dextar_control.contract.resources import NODES_FILE, config_file
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
-from dextar_control.control.phases import LIMP, Phase
+from dextar_control.control.phases import WITHOUT_LAW, Phase
 from dextar_control.control.supervisor import WATCHES
 from dextar_control.nodes.controller import PARAMETERS
 from dextar_control.planning.checks import certify
@@ -78,13 +78,13 @@ def drive(
         if plan is not None:
             loop.schedule(plan.trajectory, plan.certificate)
             until = plan.trajectory.duration + AFTER
-        while rig.time < until and loop.phase not in LIMP:
+        while rig.time < until and loop.phase not in WITHOUT_LAW:
             sample = rig.read()
             if sample is None:
                 rig.write(None)
                 continue
             tau = loop.step(sample.time, seen(loop, sample.time, sample.q_a))
-            if loop.phase not in LIMP:
+            if loop.phase not in WITHOUT_LAW:
                 for name, (value, limit) in loop.watches.items():
                     if limit > 0.0:
                         share = limit / value if name == "locus" else value / limit

@@ -22,7 +22,7 @@ from dextar_control.analysis.tracking import tracked
 from dextar_control.cli import main as cli
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
-from dextar_control.control.phases import LIMP
+from dextar_control.control.phases import WITHOUT_LAW
 from dextar_control.planning.planner import plan_return_trip
 from dextar_sim.rig import Rig
 
@@ -49,7 +49,7 @@ def drive_step() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
         tau = loop.step(sample.time, sample.q_a)
         assert loop.tick is not None
         rows.append((round(sample.time * 1e9), sample.q_a, loop.tick, tau))
-        if loop.phase not in LIMP:
+        if loop.phase not in WITHOUT_LAW:
             for name, (value, limit) in loop.watches.items():
                 if limit == 0.0:  # where it does not bind
                     continue

@@ -21,7 +21,7 @@ from dextar_control.contract.settings import ESTIMATORS as ESTIMATORS
 from dextar_control.contract.settings import LAWS as LAWS
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
-from dextar_control.control.phases import LIMP, Phase
+from dextar_control.control.phases import WITHOUT_LAW, Phase
 from dextar_control.control.verdicts import Verdict
 from dextar_control.estimation.estimate import ExternalPosition
 from dextar_control.experiments.campaign.rig import RigInterface, RigMaker
@@ -457,7 +457,7 @@ def _drive(
             tau = loop.step(sample.time, sample.q_a, pose)
             x_ref = loop.tick.x_ref if loop.tick is not None else start
             began = sample.time if math.isnan(began) else began
-        limp.append(loop.phase in LIMP)
+        limp.append(loop.phase in WITHOUT_LAW)
         if (
             sample is None or limp[index]
         ) and began <= index * period:  # the trip goes on without sample or robot
@@ -570,7 +570,7 @@ def _judge(loop: ControlLoop, log: Log, bounced: bool) -> Row:
             loop.phase is Phase.HOLD and bool(log.s[-1] * log.s_ref[-1] < 0.0)
         ),
         "wrong_side_time": float(wrong.sum() * (log.time[1] - log.time[0])),
-        "stopped_after_crossing": crossed[0] and loop.phase in LIMP,
+        "stopped_after_crossing": crossed[0] and loop.phase in WITHOUT_LAW,
         "recognised": None,
         **_stated_confidences(log),
     }
@@ -616,7 +616,9 @@ def _on_side(log: Log, time_of_verdict: float, sign: float) -> bool:
 def _reason(loop: ControlLoop, crossed: list[bool], error: Array) -> str:
     if not all(crossed):
         first = crossed.index(False) + 1
-        ended = f"; {loop.phase.name}: {loop.reason}" if loop.phase in LIMP else ""
+        ended = (
+            f"; {loop.phase.name}: {loop.reason}" if loop.phase in WITHOUT_LAW else ""
+        )
         return f"crossing {first} of {len(crossed)} did not happen{ended}"
     if loop.phase is not Phase.HOLD:
         return f"{loop.phase.name}: {loop.reason}"
