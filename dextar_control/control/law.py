@@ -53,7 +53,7 @@ from dextar_control.estimation.transmission import LEAST_INERTIA
 from dextar_control.mechanisms.mechanism import Mechanism, Values
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
-from dextar_control.model.model import equations_of
+from dextar_control.model.model import equations_on
 from dextar_control.symbols.functions import named
 from dextar_control.symbols.record import Field, Layout
 from dextar_control.symbols.singular import nearest, singular_vectors
@@ -93,8 +93,6 @@ class Asked(NamedTuple):
 
     Attributes:
         mechanism: whose law it is.
-        equations: of the mechanism, for any state; ``here`` and ``planned`` give them
-            at the states that a law needs.
         vector: the mechanism's parameters; p: the same by their dotted names.
         gains, ref, hat: by the names of ``GAINS``, of ``estimation.records.REFERENCE``
             and of ``estimation.records.ESTIMATE``.
@@ -104,7 +102,6 @@ class Asked(NamedTuple):
     """
 
     mechanism: Mechanism
-    equations: Equations
     vector: Symbol
     p: Values
     gains: dict[str, Symbol]
@@ -115,18 +112,16 @@ class Asked(NamedTuple):
 
     def here(self, x_ddot: Symbol) -> Equations:
         """The equations at the estimated state with an acceleration (n,), m/s^2."""
-        return self._at(self.hat["x"], self.hat["x_dot"], x_ddot)
+        x, x_dot = self.hat["x"], self.hat["x_dot"]
+        return equations_on(self.mechanism, self.vector, x, x_dot, x_ddot)
 
     def planned(self, x_ddot: Symbol | None = None) -> Equations:
         """The equations on the reference, with its own acceleration or another one
         (n,), m/s^2.
         """
+        x, x_dot = self.ref["x"], self.ref["x_dot"]
         x_ddot = self.ref["x_ddot"] if x_ddot is None else x_ddot
-        return self._at(self.ref["x"], self.ref["x_dot"], x_ddot)
-
-    def _at(self, x: Symbol, x_dot: Symbol, x_ddot: Symbol) -> Equations:
-        q_a = self.mechanism.inverse_geometric_model(x, self.p)
-        return self.equations.at(self.vector, q_a, x, x_dot, x_ddot)
+        return equations_on(self.mechanism, self.vector, x, x_dot, x_ddot)
 
 
 class Answer(NamedTuple):
@@ -312,8 +307,7 @@ def law_of(mechanism: Mechanism, name: str) -> ca.Function:
     a = gains["K_p"] * wrapped(ref["q_a"] - hat["q_a"]) + gains["K_d"] * (
         ref["q_a_dot"] - hat["q_a_dot"]
     )
-    e = equations_of(mechanism)
-    asked = Asked(mechanism, e, vector, p, gains, ref, hat, u, a)
+    asked = Asked(mechanism, vector, p, gains, ref, hat, u, a)
     tau, e, weight = _answer(name, law, asked)
     tau = tau + gains["friction_compensation"] * mechanism.friction(ref["q_a_dot"], p)
     tau = tau - gains["disturbance_compensation"] * hat["d"]

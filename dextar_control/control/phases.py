@@ -118,7 +118,6 @@ class Tick(Frame):
     tau = _field("output", "tau", "(n,) N m.")
     x_ref = _field("reference", "x", "(n,) m.")
     x_hat = _field("estimate", "x", "(n,) m.")
-    x_hat_dot = _field("estimate", "x_dot", "(n,) m/s.")
     error = _field("output", "error", "(n,) x_ref - x_hat, m.")
     s = _field("output", "s", "Singularity measure at the model's state.")
     residual = _field("output", "residual", "t_s.w_d that u asks for, N.")

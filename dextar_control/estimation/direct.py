@@ -28,7 +28,7 @@ from dextar_control.estimation.joint_filter import JOINTS, track_joints
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
-from dextar_control.model.model import Model, equations_of
+from dextar_control.model.model import Model, equations_of, equations_on
 from dextar_control.symbols.functions import (
     Fast,
     Library,
@@ -94,9 +94,7 @@ def direct_of(mechanism: Mechanism) -> Library:
         for _ in range(REFINEMENTS):
             missing = wrapped(joint["q"] - mechanism.inverse_geometric_model(x, p))
             x = x + J.v_strong @ ((J.u_strong.T @ missing) / J.sigma_strong)
-        e = equations.at(
-            vector, mechanism.inverse_geometric_model(x, p), x, ref["x_dot"]
-        )
+        e = equations_on(mechanism, vector, x, ref["x_dot"])
         J = singular_vectors(e.J_inv)
         slow = joint["q_dot"] - e.q_a_dot
         return x, ref["x_dot"] + J.v_strong @ ((J.u_strong.T @ slow) / J.sigma_strong)

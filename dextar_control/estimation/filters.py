@@ -24,7 +24,7 @@ from dextar_control.estimation.transmission import LEAST_STIFFNESS, transmission
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.mechanisms.planar import wrapped
 from dextar_control.model.equations import Equations
-from dextar_control.model.model import equations_of
+from dextar_control.model.model import equations_of, equations_on
 from dextar_control.model.solved import mirror_image
 from dextar_control.symbols.functions import Library, cache_folder, in_place, named
 from dextar_control.symbols.record import Field, Layout
@@ -102,8 +102,8 @@ class _Filters:
         self.vector, self.p = mechanism.symbols()
 
     def at(self, x: Symbol, x_dot: Symbol, tau: Symbol | float = 0.0) -> Equations:
-        q_a = self.mechanism.inverse_geometric_model(x, self.p)
-        return self._equations.at(self.vector, q_a, x, x_dot, 0.0, tau)
+        """The equations at a state of the platform, (n,), m, m/s."""
+        return equations_on(self.mechanism, self.vector, x, x_dot, 0.0, tau)
 
     def begin(
         self, noise: dict[str, Symbol], x: Symbol, speed: Symbol

@@ -153,6 +153,27 @@ def equations_of(mechanism: Mechanism) -> Equations:
     return equations(mechanism)
 
 
+def equations_on(
+    mechanism: Mechanism,
+    p: Symbol,
+    x: Symbol,
+    x_dot: Symbol,
+    x_ddot: Symbol | float = 0.0,
+    tau: Symbol | float = 0.0,
+) -> Equations:
+    """The equations at a state of the platform, with the joints that it has in the
+    working mode of ``p``.
+
+    Args:
+        mechanism: the equations.
+        p: parameters, as one vector (m,).
+        x, x_dot, x_ddot: of the platform, (n,), m, m/s, m/s^2.
+        tau: input torques, (n,), N m.
+    """
+    q_a = mechanism.inverse_geometric_model(x, mechanism.named(p))
+    return equations_of(mechanism).at(p, q_a, x, x_dot, x_ddot, tau)
+
+
 @lru_cache
 def library_of(mechanism: Mechanism) -> Library:
     """The functions of a mechanism, made once and compiled where that can be done.
@@ -185,7 +206,7 @@ def library_of(mechanism: Mechanism) -> Library:
                 "t_s": e.singular.v_weak,
             },
         ),
-        named("place", {"p": vector, "x": x}, _place(mechanism, e, vector, x)),
+        named("place", {"p": vector, "x": x}, _place(mechanism, vector, x)),
         named(
             "wrenches",
             closed | {"x_ddot": e.x_ddot},
@@ -222,16 +243,9 @@ def library_of(mechanism: Mechanism) -> Library:
     return Library(functions, cache_folder())
 
 
-def _place(
-    mechanism: Mechanism, e: Equations, vector: Symbol, x: Symbol
-) -> dict[str, Symbol]:
+def _place(mechanism: Mechanism, vector: Symbol, x: Symbol) -> dict[str, Symbol]:
     """The results of ``Model.place``."""
-    at = e.at(
-        vector,
-        mechanism.inverse_geometric_model(x, mechanism.named(vector)),
-        x,
-        ca.SX.zeros(mechanism.n),
-    )
+    at = equations_on(mechanism, vector, x, ca.SX.zeros(mechanism.n))
     return {
         "q_a": at.q_a,
         "A_r": at.A_r,

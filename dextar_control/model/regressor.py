@@ -15,7 +15,7 @@ import numpy as np
 
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.model.equations import Equations
-from dextar_control.model.model import equations_of
+from dextar_control.model.model import equations_of, equations_on
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.types import Array, Symbol
 
@@ -124,13 +124,7 @@ def regressors(mechanism: Mechanism) -> Library:
     x_ddot = ca.solve(e.J_inv, q_a_ddot - moving.drift)
     gap = _gap(e)
     slopes = ca.jacobian(gap, e.p[rows])
-    placed = e.at(
-        e.p,
-        mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)),
-        e.x,
-        e.x_dot,
-        e.x_ddot,
-    )
+    placed = equations_on(mechanism, e.p, e.x, e.x_dot, e.x_ddot)
     needed = placed.inverse_dynamics + placed.friction
     joints = {"p": e.p, "q_a": e.q_a, "x": e.x}
     return Library(

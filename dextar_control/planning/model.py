@@ -13,7 +13,7 @@ import casadi as ca
 
 from dextar_control.mechanisms.five_bar_locus import FiveBarLocus
 from dextar_control.mechanisms.mechanism import Mechanism
-from dextar_control.model.model import Model, equations_of
+from dextar_control.model.model import Model, equations_of, equations_on
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.candidate import candidates, costs, layouts
 from dextar_control.symbols.functions import Library, cache_folder, named
@@ -111,13 +111,7 @@ def planning_library(mechanism: Mechanism) -> Library:
 @lru_cache
 def _states_library(mechanism: Mechanism) -> Library:
     e = equations_of(mechanism)
-    at = e.at(
-        e.p,
-        mechanism.inverse_geometric_model(e.x, mechanism.named(e.p)),
-        e.x,
-        e.x_dot,
-        e.x_ddot,
-    )
+    at = equations_on(mechanism, e.p, e.x, e.x_dot, e.x_ddot)
     place = {"p": e.p, "x": e.x}
     side = {"q_a": at.q_a, "s": at.s, "s_blocks": at.s_blocks, "type1": at.type1}
     return Library(
