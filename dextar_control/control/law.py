@@ -111,13 +111,15 @@ class Asked(NamedTuple):
     a: Symbol
 
     def here(self, x_ddot: Symbol) -> Equations:
-        """The equations at the estimated state with an acceleration (n,), m/s^2."""
+        """Return the equations at the estimated state with an acceleration
+        (n,), m/s^2.
+        """
         x, x_dot = self.hat["x"], self.hat["x_dot"]
         return equations_on(self.mechanism, self.vector, x, x_dot, x_ddot)
 
     def planned(self, x_ddot: Symbol | None = None) -> Equations:
-        """The equations on the reference, with its own acceleration or another one
-        (n,), m/s^2.
+        """Return the equations on the reference, with its own acceleration or another
+        one (n,), m/s^2.
         """
         x, x_dot = self.ref["x"], self.ref["x_dot"]
         x_ddot = self.ref["x_ddot"] if x_ddot is None else x_ddot
@@ -144,14 +146,14 @@ Law = Callable[[Asked], Answer]
 
 
 def classic(asked: Asked) -> Answer:
-    """The torque of Eq. (4) at the estimated state."""
+    """Return the torque of Eq. (4) at the estimated state."""
     e = asked.here(asked.u)
     return Answer(e.inverse_dynamics, e)  # Eq. 4
 
 
 def projected(asked: Asked) -> Answer:
-    """The paper's torque: within the band of a block the torque of least norm for the
-    projected wrench, else Eq. (4).
+    """Return the paper's torque: within the band of a block the torque of least norm
+    for the projected wrench, else Eq. (4).
     """
     e, band = asked.here(asked.u), asked.gains["zone"]
     J, inside = singular_vectors(e.J_inv), ca.fabs(e.s_blocks) <= band
@@ -166,8 +168,8 @@ def projected(asked: Asked) -> Answer:
 
 
 def consistent(asked: Asked) -> Answer:
-    """The torque with the weak multiplier from feedback and plan, at the estimated
-    state; each leg is kept from Type 1.
+    """Return the torque with the weak multiplier from feedback and plan, at the
+    estimated state; each leg is kept from Type 1.
     """
     x, x_dot = asked.hat["x"], asked.hat["x_dot"]
     u = within_reach(
@@ -177,8 +179,8 @@ def consistent(asked: Asked) -> Answer:
 
 
 def multi_model(asked: Asked) -> Answer:
-    """The torque of the paper's [10]: the reduced model tau = w_b in the joints within
-    the band, else Eq. (4).
+    """Return the torque of the paper's [10]: the reduced model tau = w_b in the joints
+    within the band, else Eq. (4).
     """
     e, planned = asked.here(asked.u), asked.planned()
     q_a_ddot, x_ddot = planned.q_a_ddot + asked.a, asked.ref["x_ddot"]
@@ -190,8 +192,8 @@ def multi_model(asked: Asked) -> Answer:
 
 
 def joint_space(asked: Asked) -> Answer:
-    """The torque of the joints' feedback as an acceleration of the platform, whose weak
-    part fades, with the multipliers of ``consistent``.
+    """Return the torque of the joints' feedback as an acceleration of the platform,
+    whose weak part fades, with the multipliers of ``consistent``.
     """
     planned = asked.planned()
     J, weight = singular_vectors(planned.J_inv), _feedback_share(asked, planned)
@@ -201,13 +203,13 @@ def joint_space(asked: Asked) -> Answer:
 
 
 def _feedback_share(asked: Asked, e: Equations) -> Symbol:
-    """phi (k,): 1 outside each block's zone, 0 inside."""
+    """Return phi (k,): 1 outside each block's zone, 0 inside."""
     zone, width = asked.gains["zone"], asked.gains["zone_width"]
     return smooth_step(ca.fabs(e.s_blocks), zone - 0.5 * width, zone + 0.5 * width)
 
 
 def _with_multipliers(asked: Asked, e: Equations) -> Answer:
-    """Torque at ``e`` with the weak multiplier from feedback and plan."""
+    """Return the torque at ``e`` with the weak multiplier from feedback and plan."""
     v, phi = e.singular, _feedback_share(asked, e)
     strong = v.u_strong @ ((v.v_strong.T @ e.w_d) / v.sigma_strong)
     planned = v.u_weak.T @ asked.ref["multipliers"]
@@ -230,8 +232,8 @@ def within_reach(
     u: Symbol,
     frequency: Symbol,
 ) -> Symbol:
-    """u (n,), m/s^2, changed as little as keeps each leg from Type 1: a control barrier
-    function.
+    """Return u (n,), m/s^2, changed as little as keeps each leg from Type 1: a control
+    barrier function.
 
     c, the squared sine of a leg's angle, has to obey c_ddot + 2 w c_dot + w^2 c >= 0. A
     leg of two links of 90 mm at a sine of 0.12 is a third of a millimetre from the end
@@ -257,8 +259,8 @@ def within_reach(
 
 
 def twist_damping(inertia: Symbol, stiffness: Symbol, dt: Symbol) -> Symbol:
-    """Damping (n,), N m s/rad, that the motors add to the twist: 0 where rigid, and
-    less where it swings too fast for the control period.
+    """Return the damping (n,), N m s/rad, that the motors add to the twist: 0 where
+    rigid, and less where it swings too fast for the control period.
 
     The feedback acts on the links through the motors and would excite a transmission
     that damps itself too little.
@@ -274,8 +276,8 @@ def twist_damping(inertia: Symbol, stiffness: Symbol, dt: Symbol) -> Symbol:
 
 
 def law_of(mechanism: Mechanism, name: str) -> ca.Function:
-    """The function of one tick of a law: (p, gains, reference, estimate, integral,
-    limit, dt) -> output, integral_next.
+    """Return the function of one tick of a law: (p, gains, reference, estimate,
+    integral, limit, dt) -> output, integral_next.
 
     Args:
         mechanism: whose law it is.
@@ -350,7 +352,7 @@ def law_of(mechanism: Mechanism, name: str) -> ca.Function:
 
 
 def _answer(name: str, law: Law, asked: Asked) -> Answer:
-    """The answer of a law, which may be one's own.
+    """Return the answer of a law, which may be one's own.
 
     Raises:
         ParameterError: the law fails, or its answer has wrong shapes or types.

@@ -35,7 +35,9 @@ PAIR = (
 
 @lru_cache
 def references_of(mechanism: Mechanism) -> Library:
-    """The function ``refer``: (p, segment, pair, time) -> reference, s_blocks."""
+    """Return the function ``refer``: (p, segment, pair, time) -> reference,
+    s_blocks.
+    """
     n = mechanism.n
     vector, _ = mechanism.symbols()
     (segment_vector, segment), (pair_vector, pair) = (

@@ -208,8 +208,8 @@ ESTIMATE_LOST = ("finite", "joint_jump", "estimator")
 
 
 def watch_of(mechanism: Mechanism) -> ca.Function:
-    """The function ``watch``: (p, bounds, last, estimate, output, q_meas, dt, limit,
-    crossing) -> values, limits, passed, told, last_next.
+    """Return the function ``watch``: (p, bounds, last, estimate, output, q_meas, dt,
+    limit, crossing) -> values, limits, passed, told, last_next.
     """
     n, watched = mechanism.n, Layout("watched", mechanism.n, VALUES)
     vector, p = mechanism.symbols()
@@ -225,7 +225,7 @@ def watch_of(mechanism: Mechanism) -> ca.Function:
     finite = ca.if_else(is_finite(hat_vector) * out["finite"] > 0.0, 1.0, 0.0)
 
     def largest(values: Symbol, when: Symbol) -> Symbol:
-        """The largest size, 0 where it is not finite, which "finite" watches."""
+        """Return the largest size, 0 where it is not finite, which "finite" watches."""
         return ca.if_else(when, ca.fmax(ca.mmax(ca.fabs(values)), 0.0), 0.0)
 
     q_hat = mechanism.inverse_geometric_model(hat["x"], p)
@@ -293,14 +293,14 @@ def watch_of(mechanism: Mechanism) -> ca.Function:
 
 
 def timer_after(timer: float, dt: float, passed: bool) -> float:
-    """The time, s, of a watch that was ``timer`` dt, s, ago."""
+    """Return the time, s, of a watch that was ``timer`` dt, s, ago."""
     return timer + dt if passed else max(timer - RECOVERY * dt, 0.0)
 
 
 @lru_cache
 def acts_of(mechanism: Mechanism, laws: tuple[str, ...] = tuple(LAWS)) -> Library:
-    """The functions ``act_NAME``, one for each law: its tick and the watches of its
-    output.
+    """Return the functions ``act_NAME``, one for each law: its tick and the watches of
+    its output.
 
     Raises:
         ParameterError: there is no law of a name, or its equations cannot be built.
@@ -399,8 +399,8 @@ class Supervisor:
         self._last.numbers[:] = 0.0
 
     def check(self, q_a: Array, dt: float, estimator: Estimator) -> str:
-        """The sentence, with value and limit, of the watch that trips at the sample
-        that was just answered; "" for none.
+        """Return the sentence, with value and limit, of the watch that trips at the
+        sample that was just answered; "" for none.
 
         Args:
             q_a: measured joints, (n,), rad.

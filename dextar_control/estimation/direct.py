@@ -46,7 +46,7 @@ REFINEMENTS = 2  # Newton steps of the strong directions inside the zone
 
 @lru_cache
 def direct_of(mechanism: Mechanism) -> Library:
-    """The functions of the direct estimators: ``follow`` and ``coast``.
+    """Return the functions of the direct estimators: ``follow`` and ``coast``.
 
     Raises:
         ParameterError: the mechanism has no direct model in closed form.
@@ -74,7 +74,7 @@ def direct_of(mechanism: Mechanism) -> Library:
     resting = ca.SX.zeros(n)
 
     def direct(joint: dict[str, Symbol]) -> tuple[Symbol, Symbol]:
-        """The direct model and its velocity, x_dot = J_inv^-1 q_a_dot."""
+        """Return the direct model and its velocity, x_dot = J_inv^-1 q_a_dot."""
         x = mechanism.direct_geometric_model(joint["q"], mode, p)
         if x is None:
             raise ParameterError(
@@ -86,8 +86,8 @@ def direct_of(mechanism: Mechanism) -> Library:
         )
 
     def held(joint: dict[str, Symbol]) -> tuple[Symbol, Symbol]:
-        """The reference, corrected along the strong directions of J_inv so that the
-        joints agree there.
+        """Return the reference, corrected along the strong directions of J_inv so that
+        the joints agree there.
         """
         x = ref["x"]
         J = singular_vectors(equations.at(vector, ref["q_a"], x, ref["x_dot"]).J_inv)

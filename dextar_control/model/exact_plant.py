@@ -46,7 +46,7 @@ class ExactPlant:
         self._state = np.concatenate([x, rest if x_dot is None else x_dot])
 
     def state(self) -> ExactState:
-        """The present state."""
+        """Return the present state."""
         x, x_dot = np.split(self._state, 2)
         return ExactState(self._steps * self.period, self.model.place(x).q_a, x, x_dot)
 
@@ -62,7 +62,7 @@ class ExactPlant:
         self._steps, self._state = self._steps + 1, state
 
     def _rate(self, state: Array, tau: Array) -> Array:
-        """The rate of (x, x_dot), (2n,), under torques (n,), N m (N)."""
+        """Return the rate of (x, x_dot), (2n,), under torques (n,), N m (N)."""
         x, x_dot = np.split(state, 2)
         q_a = self.model.place(x).q_a
         x_ddot = self.model.platform_dynamics(q_a, x, x_dot, tau).x_ddot

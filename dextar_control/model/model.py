@@ -70,18 +70,18 @@ class Model:
 
     @classmethod
     def of(cls: type[AnyModel], robot: AnyRobot) -> AnyModel:
-        """The model of a robot's description."""
+        """Return the model of a robot's description."""
         if isinstance(robot, RobotParameters):
             flat = flatten(robot)
             return cls(five_bar_of(flat), flat)
         return cls(robot.mechanism, robot.numbers)
 
     def _bound(self, function: NumericFunction) -> NumericFunction:
-        """A function whose first argument is ``p``, of the others alone."""
+        """Return a function whose first argument is ``p``, of the others alone."""
         return lambda *arguments: function(self.p, *arguments)
 
     def inverse_geometric_model(self, x: Array) -> Array:
-        """q_a (n,), rad or m, of a platform position x (n,), m.
+        """Return q_a (n,), rad or m, of a platform position x (n,), m.
 
         Raises:
             GeometryError: a leg does not reach it.
@@ -93,16 +93,16 @@ class Model:
         return q_a
 
     def type1_distance(self, x: Array) -> float:
-        """Least sine of a leg's angle at a platform position x (n,), m: zero at a
-        Type 1 singularity; nan out of reach.
+        """Return the least sine of a leg's angle at a platform position x (n,), m: zero
+        at a Type 1 singularity; nan out of reach.
         """
         return float(self.place(x).type1[0])
 
     def direct_geometric_model(
         self, q_a: Array, assembly_mode: float | Array, near: Array
     ) -> Array:
-        """The platform position x (n,), m, with sign(s) = assembly_mode, clamped on the
-        locus; nan where the loops do not close.
+        """Return the platform position x (n,), m, with sign(s) = assembly_mode, clamped
+        on the locus; nan where the loops do not close.
 
         Args:
             q_a: active joints, (n,), rad or m.
@@ -123,7 +123,7 @@ class Model:
     def close(
         self, q_a: Array, assembly_mode: float, near: Array | None = None
     ) -> Array:
-        """The platform position x (n,), m, with sign(s) = assembly_mode.
+        """Return the platform position x (n,), m, with sign(s) = assembly_mode.
 
         Args:
             q_a: active joints, (n,), rad or m.
@@ -149,7 +149,7 @@ class Model:
 
 @lru_cache
 def equations_of(mechanism: Mechanism) -> Equations:
-    """The equations of a mechanism, made once."""
+    """Return the equations of a mechanism, made once."""
     return equations(mechanism)
 
 
@@ -161,8 +161,8 @@ def equations_on(
     x_ddot: Symbol | float = 0.0,
     tau: Symbol | float = 0.0,
 ) -> Equations:
-    """The equations at a state of the platform, with the joints that it has in the
-    working mode of ``p``.
+    """Return the equations at a state of the platform, with the joints that it has in
+    the working mode of ``p``.
 
     Args:
         mechanism: the equations.
@@ -176,7 +176,8 @@ def equations_on(
 
 @lru_cache
 def library_of(mechanism: Mechanism) -> Library:
-    """The functions of a mechanism, made once and compiled where that can be done.
+    """Return the functions of a mechanism, made once and compiled where that can be
+    done.
 
     Raises:
         ParameterError: the mechanism contradicts itself.
@@ -244,7 +245,7 @@ def library_of(mechanism: Mechanism) -> Library:
 
 
 def _place(mechanism: Mechanism, vector: Symbol, x: Symbol) -> dict[str, Symbol]:
-    """The results of ``Model.place``."""
+    """Return the results of ``Model.place``."""
     at = equations_on(mechanism, vector, x, ca.SX.zeros(mechanism.n))
     return {
         "q_a": at.q_a,
@@ -258,8 +259,8 @@ def _place(mechanism: Mechanism, vector: Symbol, x: Symbol) -> dict[str, Symbol]
 
 
 def _closed_near(mechanism: Mechanism, e: Equations) -> ca.Function:
-    """The function that finds the platform of given joints, by Newton's method from a
-    place near it, and its mirror image.
+    """Return the function that finds the platform of given joints, by Newton's method
+    from a place near it, and its mirror image.
     """
     vector, p = mechanism.symbols()
     q_a, near = ca.SX.sym("q_a", mechanism.n), ca.SX.sym("near", mechanism.n)

@@ -52,7 +52,7 @@ class Unknown(NamedTuple):
 
 @lru_cache
 def unknowns_of(mechanism: Mechanism) -> tuple[Unknown, ...]:
-    """The parameters in which the dynamics are linear and on which no
+    """Return the parameters in which the dynamics are linear and on which no
     geometry depends.
     """
     e = equations_of(mechanism)
@@ -84,8 +84,8 @@ def unknowns_of(mechanism: Mechanism) -> tuple[Unknown, ...]:
 
 
 def sizes_of(mechanism: Mechanism, p: Array) -> Array:
-    """Sizes (k,), in the unknowns' units such as kg, by which these are counted: masses
-    and inertias by the largest in p (m,), others by ``SIZES``.
+    """Return sizes (k,), in the unknowns' units such as kg, by which these are counted:
+    masses and inertias by the largest in p (m,), others by ``SIZES``.
     """
     unknowns = unknowns_of(mechanism)
     largest = {
@@ -100,15 +100,15 @@ def sizes_of(mechanism: Mechanism, p: Array) -> Array:
 
 
 def _gap(e: Equations) -> Symbol:
-    """Force (n,), N, on the platform of motors and friction, less what the motion
-    takes.
+    """Return the force (n,), N, on the platform of motors and friction, less what the
+    motion takes.
     """
     return e.J_inv.T @ (e.tau - e.friction) - e.force
 
 
 @lru_cache
 def regressors(mechanism: Mechanism) -> Library:
-    """The identification's functions, compiled together where that can be done.
+    """Return the identification's functions, compiled together where that can be done.
 
     ``motion`` of (p, q_a, x, q_a_dot, q_a_ddot): x_dot, x_ddot, s, and the rates (n,)
     of the joints. ``gap`` of (p, q_a, x, x_dot, x_ddot, tau): J_inv, inertia (M
