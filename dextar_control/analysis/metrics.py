@@ -336,8 +336,8 @@ class Metrics:
         return self.duration if known else self.tracked_until
 
     def shown(self, name: str, missing: str = "-") -> str:
-        """One of the numbers with its unit, as people read it; ``missing`` stands for
-        one that is not known.
+        """Format one of the numbers with its unit, as people read it; ``missing``
+        stands for one that is not known.
         """
         return METRICS[name].text(getattr(self, name), missing)
 
@@ -346,7 +346,7 @@ class Metrics:
         return cast("dict[str, object]", as_plain(dataclasses.asdict(self)))
 
     def to_json(self) -> str:
-        """Strict JSON: what is not a number is null."""
+        """Return strict JSON, null where a number is not finite."""
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
 
@@ -357,7 +357,7 @@ METRICS = metrics_of(Metrics) | {
 
 
 def saturated(metrics: Metrics) -> str:
-    """How many commands were, or why that is not known."""
+    """Say how many commands were saturated, or why that is not known."""
     if math.isnan(metrics.peak_torque):
         return "no command while tracking"
     return (

@@ -40,7 +40,7 @@ EXCITE = "record dextar demo --lockstep --excite (on a rig the task excite:=20)"
 
 @dataclass(frozen=True)
 class SmoothMotion:
-    """The stretches of a motion in which the encoders tell it, on even grids.
+    """The stretches of a motion in which the encoders tell it, on even grids, smooth.
 
     Attributes:
         recorded: where they come from.
@@ -76,7 +76,9 @@ class SmoothMotion:
     rates: Array
 
     def filtered(self, values: Array) -> Array:
-        """(m, ...) of the instants, at those that tell something."""
+        """Filter values (m, ...) of the instants, units alike, and choose those that
+        tell something.
+        """
         found = np.empty_like(values)
         for part in self.stretches:
             found[part] = sosfiltfilt(self.parallel, values[part], axis=0)
@@ -84,7 +86,7 @@ class SmoothMotion:
 
 
 def motion_of(robot: RobotParameters, recorded: RecordedMotion) -> SmoothMotion:
-    """What of a recorded motion tells something; it may be empty."""
+    """Find the stretches of a recorded motion that tell something; maybe none."""
     p = DETAILED_FIVE_BAR.values(
         flatten(robot) | {"working_mode": recorded.working_mode}
     )

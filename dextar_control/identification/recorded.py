@@ -45,7 +45,7 @@ class RecordedMotion(NamedTuple):
 
 
 def recorded_of(run: Run, robot: RobotParameters, record: str) -> RecordedMotion:
-    """That of a bag.
+    """Take the motion of a bag.
 
     Args:
         robot: as described, where the bag does not say.

@@ -14,7 +14,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
-from dextar_control.bags.writer import COMPRESSIONS, SerializedMessage
+from dextar_control.bags.mcap_file import COMPRESSIONS, SerializedMessage
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.signals import StopSignal
