@@ -21,10 +21,10 @@ from dextar_control.analysis.run import (
     Floats,
     Joints,
     Poses,
-    RecordedTopic,
     Run,
     ServedTrajectory,
     Stamps,
+    TopicCounts,
     Truth,
 )
 from dextar_control.bags.damage import Hole, Unreadable, unreadable_lines
@@ -320,9 +320,9 @@ def _nanoseconds(time: Duration) -> int:
     return int(time.sec) * NANOSECONDS + int(time.nanosec)
 
 
-def _recorded_topics(bag: Bag) -> dict[str, RecordedTopic]:
+def _recorded_topics(bag: Bag) -> dict[str, TopicCounts]:
     return {
-        name: RecordedTopic(
+        name: TopicCounts(
             series.type, len(series), series.first, series.last, series.fallen
         )
         for name, series in bag.messages.items()

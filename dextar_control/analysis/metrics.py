@@ -6,14 +6,14 @@ import dataclasses
 import json
 import math
 from dataclasses import dataclass
-from typing import Annotated, cast
+from typing import Annotated
 
 from dextar_control.analysis.crossings import CrossingMetrics
 from dextar_control.analysis.margins import Margins
 from dextar_control.analysis.registry import Metric, metrics_of
 from dextar_control.analysis.timing import PhaseSpan, Timing
 from dextar_control.bags.damage import Hole, Unreadable
-from dextar_control.contract.plain_data import as_plain
+from dextar_control.contract.plain_data import Plain, as_plain
 
 
 @dataclass(frozen=True)
@@ -341,9 +341,9 @@ class Metrics:
         """
         return METRICS[name].text(getattr(self, name), missing)
 
-    def to_dict(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, Plain]:
         """Return plain data for JSON, None where a number is not finite."""
-        return cast("dict[str, object]", as_plain(dataclasses.asdict(self)))
+        return as_plain(dataclasses.asdict(self))
 
     def to_json(self) -> str:
         """Return strict JSON, null where a number is not finite."""

@@ -29,7 +29,7 @@ from dextar_control.analysis.margins import LAGS, Innovation, Margin, Margins
 from dextar_control.analysis.metrics import METRICS, Metrics, saturated
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.registry import number, signed
-from dextar_control.analysis.run import RecordedTopic, Run
+from dextar_control.analysis.run import Run, TopicCounts
 from dextar_control.analysis.thin import POINTS
 from dextar_control.analysis.timing import (
     Spread,
@@ -706,7 +706,7 @@ def _recording(run: Run) -> dict[str, object]:
     return {"columns": columns, "rows": rows, "sentence": sentence}
 
 
-def _rates(name: str, topic: RecordedTopic) -> tuple[float | None, float | None]:
+def _rates(name: str, topic: TopicCounts) -> tuple[float | None, float | None]:
     """(nominal, mean by the recorder's clock) of a topic to which the contract gives
     one rate; else None: it comes in bursts.
     """

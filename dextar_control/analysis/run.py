@@ -162,7 +162,7 @@ class ServedTrajectory:
 
 
 @dataclass(frozen=True)
-class RecordedTopic:
+class TopicCounts:
     """What a bag holds of one topic.
 
     Attributes:
@@ -216,7 +216,7 @@ class Run:
     losses: dict[str, dict[str, int | None]] = field(default_factory=dict)
     version: str = ""
     record: dict[str, str] = field(default_factory=dict)
-    topics: dict[str, RecordedTopic] = field(default_factory=dict)
+    topics: dict[str, TopicCounts] = field(default_factory=dict)
     truncated: bool = False
     holes: list[Hole] = field(default_factory=list)
     unreadable: dict[str, Unreadable] = field(default_factory=dict)

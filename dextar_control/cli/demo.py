@@ -1,10 +1,12 @@
-"""``dextar demo``."""
+"""The command ``dextar demo``."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+
+from dextar_control.contract.plug_in import one_of
+from dextar_control.contract.settings import ESTIMATORS, LAWS
 
 SUMMARY = "run A -> B -> A through the singularity in simulation, record and draw it"
 DESCRIPTION = (
@@ -13,13 +15,11 @@ DESCRIPTION = (
     " run.mcap, metrics.json, figure.png, report.html and the nodes' logs. Exit code 0"
     " when the run was a success, 1 when it was not, 2 for a wrong argument."
 )
-LAWS = ("consistent", "projected", "classic", "multi_model", "joint_space")
 EXCITE = 20.0  # s
-ESTIMATORS = ("observer", "dgm", "plain", "external")
 
 
-def add_excite(group: Any) -> None:
-    """``--excite`` among the arguments that say where to."""
+def add_excite(group: argparse._MutuallyExclusiveGroup) -> None:
+    """Add ``--excite`` to the arguments that say where to."""
 
     def seconds(text: str) -> float:
         if not float(text) > 0.0:
@@ -42,19 +42,23 @@ def add_excite(group: Any) -> None:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument(
         "--law",
-        choices=LAWS,
+        metavar="NAME",
         help=(
-            "control law near the locus; classic is the plain inverse model, which"
-            " fails with the estimator plain (default: config/crossing.yaml)"
+            f"control law near the locus, {one_of(LAWS)}; classic is the plain inverse"
+            " model, which fails with the estimator plain (default:"
+            " config/crossing.yaml)"
         ),
     )
     parser.add_argument(
         "--estimator",
-        choices=ESTIMATORS,
-        help="of the platform state (default: config/crossing.yaml)",
+        metavar="NAME",
+        help=(
+            f"of the platform state, {one_of(ESTIMATORS)} (default:"
+            " config/crossing.yaml)"
+        ),
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
@@ -158,7 +162,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from dextar_control.experiments.demo import run_demo
 
     return run_demo(arguments)

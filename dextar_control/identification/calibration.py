@@ -42,7 +42,7 @@ from dextar_control.identification.quantities import (
     quantity_in_words,
     rms_of,
 )
-from dextar_control.identification.recorded import RecordedMotion, recorded_of
+from dextar_control.identification.recorded import MeasuredMotion, recorded_of
 from dextar_control.identification.transmission import SURE
 from dextar_control.mechanisms.five_bar_locus import SIDES
 from dextar_control.symbols.types import Array
@@ -180,7 +180,7 @@ class Calibration:
         )
 
 
-def passed_on(robot: RobotParameters, recorded: RecordedMotion) -> Array:
+def passed_on(robot: RobotParameters, recorded: MeasuredMotion) -> Array:
     """Compute the torques that the transmissions pass on to the links: the motors' less
     what turns their rotors.
 
@@ -202,7 +202,7 @@ def passed_on(robot: RobotParameters, recorded: RecordedMotion) -> Array:
 
 
 def recording_of(
-    linkage: Linkage, robot: RobotParameters, recorded: RecordedMotion, bag: int = 0
+    linkage: Linkage, robot: RobotParameters, recorded: MeasuredMotion, bag: int = 0
 ) -> CalibrationData:
     """Take what a motion says by its encoders, and by a camera if there was one."""
     time, readings, numbers = recorded.time, recorded.readings, numbers_of(robot)
@@ -266,7 +266,7 @@ def calibrate(
 
 def calibrate_recorded(
     robot: RobotParameters,
-    motions: Sequence[RecordedMotion],
+    motions: Sequence[MeasuredMotion],
     *,
     poses: bool = True,
     progress: Progress = lambda stage: None,

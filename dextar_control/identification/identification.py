@@ -38,7 +38,7 @@ from dextar_control.identification.quantities import (
     quantity_in_words,
     rms_of,
 )
-from dextar_control.identification.recorded import RecordedMotion, recorded_of
+from dextar_control.identification.recorded import MeasuredMotion, recorded_of
 from dextar_control.identification.transmission import Stiffness, stiffnesses_of
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.mechanisms.five_bar_locus import SIDES
@@ -175,7 +175,7 @@ def identify(
 
 def identify_recorded(
     robot: RobotParameters,
-    recordings: Sequence[RecordedMotion],
+    recordings: Sequence[MeasuredMotion],
     *,
     progress: Progress = lambda stage: None,
 ) -> Identification:
