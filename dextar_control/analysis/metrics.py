@@ -343,7 +343,8 @@ class Metrics:
 
     def to_dict(self) -> dict[str, Plain]:
         """Return plain data for JSON, None where a number is not finite."""
-        return as_plain(dataclasses.asdict(self))
+        values: dict[str, object] = dataclasses.asdict(self)
+        return as_plain(values)
 
     def to_json(self) -> str:
         """Return strict JSON, null where a number is not finite."""
