@@ -116,10 +116,11 @@ class Player:
             replaceItemUniqueId=self._mark,
             physicsClientId=self.client,
         )
+        # no -0.000
         moment, s = (
             round(float(value), 3) + 0.0
             for value in (motion.time[frame], motion.s[frame])
-        )  # no -0.000
+        )
         text = "  ".join(
             [
                 f"{moment:.3f} s",

@@ -64,11 +64,8 @@ def topic_counts(bag: Path) -> list[TopicCount]:
                 counts = json.loads(record.metadata["topics"])
         for _, channel, message in reader.iter_messages(log_time_order=False):
             numbers.setdefault(channel.topic, []).append(message.sequence)
-    shared = (
-        "/diagnostics",
-        "/rosout",
-        "/parameter_events",
-    )  # by several publishers, each with its own numbers
+    # by several publishers, each with its own numbers
+    shared = ("/diagnostics", "/rosout", "/parameter_events")
     return [
         TopicCount(
             topic,

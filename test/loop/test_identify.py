@@ -26,7 +26,7 @@ from dextar_control.contract.errors import (
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 from dextar_control.experiments.campaign import self_calibration
 from dextar_control.experiments.campaign.design import CrossingPoint, Trial
-from dextar_control.experiments.campaign.self_calibration import record
+from dextar_control.experiments.campaign.self_calibration import record_motion
 from dextar_control.experiments.campaign.trial import run_trial, sample_points
 from dextar_control.identification.dynamics import DynamicFit
 from dextar_control.identification.identification import (
@@ -68,12 +68,14 @@ def exciting() -> Plan:
 @functools.cache
 def recorded(plant: str = "cartesian", **rig: Any) -> Recorded:
     """What a robot that is not the one described records of the exciting motion."""
-    return record(ROBOT, exciting(), Rig(ROBOT.replace(**ROUGH), plant=plant, **rig))
+    return record_motion(
+        ROBOT, exciting(), Rig(ROBOT.replace(**ROUGH), plant=plant, **rig)
+    )
 
 
 @functools.cache
 def plain() -> Recorded:
-    return record(ROBOT, exciting(), Rig(ROBOT, plant="cartesian"))
+    return record_motion(ROBOT, exciting(), Rig(ROBOT, plant="cartesian"))
 
 
 @functools.cache

@@ -35,8 +35,6 @@ UNFINISHED = {
     "dextar_control/estimation/observer.py",
     "dextar_control/estimation/observing.py",
     "dextar_control/estimation/out_of_sequence.py",
-    "dextar_control/experiments/faults/judgement.py",
-    "dextar_control/experiments/faults/operator.py",
     "dextar_control/identification/dynamics.py",
     "dextar_control/identification/fit.py",
     "dextar_control/identification/folds.py",
@@ -60,8 +58,6 @@ UNFINISHED = {
     "dextar_control/planning/search.py",
     "dextar_control/planning/trajectory.py",
     "dextar_control/symbols/record.py",
-    "dextar_sim/messages.py",
-    "dextar_sim/state.py",
 }
 WITHOUT_UNIT = re.compile(r"NDArray\[np\.(?:bool_|intp)\]")
 SOURCES = {

@@ -223,9 +223,8 @@ def _uninterrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    hang_up = signal.signal(
-        signal.SIGHUP, signal.SIG_IGN
-    )  # a closed terminal must not end the tracker before the workers
+    # a closed terminal must not end the tracker before the workers
+    hang_up = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     resource_tracker.ensure_running()
     signal.signal(signal.SIGHUP, hang_up)
     came: list[int] = []

@@ -51,10 +51,8 @@ END_PATIENCE = 20.0  # s until a node that was sent SIGTERM has ended
 SECOND_TORQUE = (0.05, -0.05)  # N m, of the second commander
 SECOND_LASTS = 0.5  # s
 MOST_PENDING = 40  # services asked and not answered
-GAINS = {
-    "natural_frequency": (45.0, 55.0),
-    "damping_ratio": (0.9, 1.1),
-}  # that are set live
+# that are set live
+GAINS = {"natural_frequency": (45.0, 55.0), "damping_ratio": (0.9, 1.1)}
 REFUSED = (
     {"natural_frequency": 1e9},
     {"damping_ratio": -1.0},

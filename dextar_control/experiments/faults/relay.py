@@ -25,18 +25,16 @@ from dextar_control.experiments.faults.frames import FrameSchedule, LinkQuality
 
 DIRECTIONS = ("a_to_b", "b_to_a")
 ETH_P_ALL = 0x0003  # of linux/if_ether.h
-SOL_PACKET, PACKET_STATISTICS, PACKET_IGNORE_OUTGOING = (
-    263,
-    6,
-    23,
-)  # of linux/if_packet.h
+# of linux/if_packet.h
+SOL_PACKET, PACKET_STATISTICS, PACKET_IGNORE_OUTGOING = 263, 6, 23
 SO_RCVBUFFORCE = 33
 SIOCETHTOOL = 0x8946
+# commands of ethtool (ETHTOOL_S...)
 OFFLOADS = {
     "transmit checksums": 0x17,
     "TCP segmentation": 0x1F,
     "generic segmentation": 0x24,
-}  # ETHTOOL_S...
+}
 CLONE_NEWNET = 0x40000000
 BUFFER = 16 << 20  # bytes the kernel keeps while the relay sleeps
 BATCH = 64  # frames read before those due are sent

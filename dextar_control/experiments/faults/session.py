@@ -173,9 +173,8 @@ class Session(Stack):
         trouble = self._follow(action, end, plan.certificate.duration)
         action.release()
         self.linger(0.02)
-        until = (
-            monitor.now
-        )  # what is judged: a command may come to this reader later than to the drives
+        # what is judged: a command may come to this reader later than to the drives
+        until = monitor.now
         monitor.until(
             lambda: bool(monitor.at_rig.stamps) and monitor.at_rig.stamps[-1] >= until,
             CATCH_UP,
@@ -233,9 +232,8 @@ class Session(Stack):
         """
         monitor = self.monitor
         refused = monitor.get("controller", "trajectory")
-        for _ in range(
-            SERVE_ATTEMPTS
-        ):  # a busy machine keeps the controller's words from the server
+        # a busy machine keeps the controller's words from the server
+        for _ in range(SERVE_ATTEMPTS):
             answer = monitor.call(Trigger, "trajectory_server/start")
             if answer.success:
                 break
@@ -264,9 +262,10 @@ class Session(Stack):
         start = moving()
         assert start is not None
         duration = plan.certificate.duration
+        # these words are of this trajectory
         monitor.until(
             lambda: monitor.get("controller", "phase") != Phase.HOLD.name, 5.0
-        )  # these words are of this trajectory
+        )
         return start, max(
             float(monitor.get("controller", "duration") or duration) - duration, 0.0
         )
@@ -515,9 +514,8 @@ def main() -> int:
         except KeyboardInterrupt as interrupt:
             return signals.exit_code(interrupt)
         finally:
-            signals.install(
-                signal.SIG_IGN
-            )  # a further one would keep the nodes from being ended
+            # a further one would keep the nodes from being ended
+            signals.install(signal.SIG_IGN)
             if session is not None:
                 tally = session.close()
                 say(
