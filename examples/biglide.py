@@ -1,18 +1,25 @@
-"""A mechanism of one's own: a biglide (PRRRP), two sliders on rails whose bars meet in one point.
+"""A mechanism of one's own: a biglide (PRRRP), two sliders on rails whose bars meet in
+one point.
 
-A mechanism is a class: names of its joints and coordinates, parameters with units and bounds, loop closures h(q_a, x) = 0, a
-Lagrangian and geometric models, on CasADi's symbols. The paper's equations, filters, laws and planner follow from these.
-``nearest_joints`` is what the planner asks: the joints with finite numbers also where a leg does not reach.
+A mechanism is a class: names of its joints and coordinates, parameters with units and
+bounds, loop closures h(q_a, x) = 0, a Lagrangian and geometric models, on CasADi's
+symbols. The paper's equations, filters, laws and planner follow from these.
+``nearest_joints`` is what the planner asks: the joints with finite numbers also where a
+leg does not reach.
 
-The rails run up beside each other, one slider ahead of the point and one behind it, so that the bars stand in one line in the
-middle of the workspace: there is the Type 2 locus. No machine is meant: every number is ours, declared as such.
+The rails run up beside each other, one slider ahead of the point and one behind it, so
+that the bars stand in one line in the middle of the workspace: there is the Type 2
+locus. No machine is meant: every number is ours, declared as such.
 
 In a plain loop, as ``main`` does:
 
-    plan = plan_return_trip_through(ROBOT, nearest_point(ROBOT, x), +1, duration, dwell)    # there and back, certified
-    loop = ControlLoop(ROBOT, default_settings(**SETTINGS), assembly_mode=-1)               # law, observer, limits
+    plan = plan_return_trip_through(ROBOT, nearest_point(ROBOT, x), +1, duration, dwell)
+    # there and back, certified
+    loop = ControlLoop(ROBOT, default_settings(**SETTINGS), assembly_mode=-1)
+    # law, observer, limits
     loop.accept(plan.trajectory)
-    force = loop.step(time, q_a)                                                            # at each sample of the joints
+    force = loop.step(time, q_a)
+    # at each sample of the joints
 
 Run it with ``.venv/bin/python examples/biglide.py``.
 """
@@ -40,7 +47,9 @@ LEAST = 1e-12  # of a length's square: a root above it has a derivative
 
 
 class Biglide(Mechanism):
-    """Slider i at S_i = o_i + q_i d_i on its rail, its bar from there to the platform point x; q_a = (q1, q2), x = (x, y)."""
+    """Slider i at S_i = o_i + q_i d_i on its rail, its bar from there to the platform
+    point x; q_a = (q1, q2), x = (x, y).
+    """
 
     name = "biglide"
     joints = (Coordinate("q1", "m"), Coordinate("q2", "m"))
@@ -137,7 +146,9 @@ class Biglide(Mechanism):
         return ca.vertcat(*found)
 
     def nearest_joints(self, x: Symbol, p: Any) -> tuple[Symbol, Symbol]:
-        """The same with its root kept above zero; a leg misses by its offset over the bar."""
+        """The same with its root kept above zero; a leg misses by its offset over the
+        bar.
+        """
         joints, extensions = [], []
         for leg, name in enumerate(LEGS):
             (along, off), length = (
@@ -161,7 +172,9 @@ class Biglide(Mechanism):
         )
 
     def bodies(self, p: Any) -> Bodies:
-        """For a simulator: sliders on their rails, bars on them, half of the point's mass on each bar's end."""
+        """For a simulator: sliders on their rails, bars on them, half of the point's
+        mass on each bar's end.
+        """
         links, ends = [], []
         for leg, name in enumerate(LEGS):
             link, zero = getattr(p, name), ca.SX.zeros(2)
@@ -217,7 +230,9 @@ class Biglide(Mechanism):
         return (p.left.bar_length * p.right.bar_length) ** 0.5
 
     def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
-        """Cosines of the angles between bar and rail: zero where the bar stands across its rail."""
+        """Cosines of the angles between bar and rail: zero where the bar stands across
+        its rail.
+        """
         return ca.vertcat(
             *(
                 ca.dot(
@@ -278,7 +293,9 @@ SETTINGS: dict[
 
 
 def main() -> None:
-    """There and back through the locus, the robot integrated in small steps by its forward dynamics."""
+    """There and back through the locus, the robot integrated in small steps by its
+    forward dynamics.
+    """
     model, steps, period = Model.of(ROBOT), 20, 1e-3
     plan = plan_return_trip_through(
         ROBOT, nearest_point(ROBOT, np.array([0.0, 0.0])), 1, 0.3, 0.1

@@ -1,13 +1,17 @@
 """Two motions uncontrollable at once: two five-bars that carry one body.
 
-The body is pinned to the first end effector and slides, in a slot, over the second: no further closure, so that A_r has two
-blocks, one a five-bar. Each has a Type 2 locus of its own; where the robot is on both, the kernel of A_r has two dimensions. Only
-the Lagrangian couples the blocks: the body's inertia takes part in both criteria. No machine is meant: the five-bars are those of
-``config/dextar.yaml``, every other number is ours, declared as such.
+The body is pinned to the first end effector and slides, in a slot, over the second: no
+further closure, so that A_r has two blocks, one a five-bar. Each has a Type 2 locus of
+its own; where the robot is on both, the kernel of A_r has two dimensions. Only the
+Lagrangian couples the blocks: the body's inertia takes part in both criteria. No
+machine is meant: the five-bars are those of ``config/dextar.yaml``, every other number
+is ours, declared as such.
 
-In a plain loop, as ``main`` does, through a place that is on both loci, where both criteria hold:
+In a plain loop, as ``main`` does, through a place that is on both loci, where both
+criteria hold:
 
-    plan = plan_return_trip_through(ROBOT, place_of_both(near_first, near_second), +1, duration, dwell)
+    plan = plan_return_trip_through(ROBOT, place_of_both(near_first, near_second), +1,
+    duration, dwell)
 
 Run it with ``.venv/bin/python examples/carried_body.py``.
 """
@@ -38,7 +42,9 @@ FIVE_BAR = FiveBar()
 
 
 class CarriedBody(Mechanism):
-    """q_a of both five-bars' motors, x = (X1, Y1, X2, Y2) of their end effectors, each in its own five-bar's frame."""
+    """q_a of both five-bars' motors, x = (X1, Y1, X2, Y2) of their end effectors, each
+    in its own five-bar's frame.
+    """
 
     name = "carried_body"
     joints = tuple(
@@ -96,7 +102,9 @@ class CarriedBody(Mechanism):
     def lagrangian(
         self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any
     ) -> Symbol:
-        """Of both five-bars and of the body, whose direction is that from the first end effector to the second."""
+        """Of both five-bars and of the body, whose direction is that from the first end
+        effector to the second.
+        """
         turn = ca.horzcat(
             direction(p.second_angle), direction(p.second_angle + 0.5 * ca.pi)
         )
@@ -204,7 +212,9 @@ def place_of_both(near_first: list[float], near_second: list[float]) -> LocusPoi
 
 
 def main() -> None:
-    """There and back through both loci at once, the robot integrated in small steps by its forward dynamics."""
+    """There and back through both loci at once, the robot integrated in small steps by
+    its forward dynamics.
+    """
     model, steps, period = Model.of(ROBOT), 20, 1e-3
     plan = plan_return_trip_through(
         ROBOT, place_of_both([0.02, 0.083], [-0.03, 0.08]), 1, None, 0.1

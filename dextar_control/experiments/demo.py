@@ -22,6 +22,7 @@ from std_srvs.srv import SetBool
 
 from dextar_control.contract.errors import BagError, GeometryError, ParameterError
 from dextar_control.contract.parameters import check_value
+from dextar_control.contract.plug_in import chosen
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.robot import PREFIX, RobotParameters, load_robot
 from dextar_control.contract.terminal import (
@@ -31,7 +32,9 @@ from dextar_control.contract.terminal import (
     spoken_warnings,
 )
 from dextar_control.contract.yaml_text import assignment, load_parameters, parse_value
+from dextar_control.control.law import LAWS
 from dextar_control.control.prepare import prepare
+from dextar_control.estimation.estimator import ESTIMATORS
 from dextar_control.experiments.launch_arguments import PACE
 from dextar_control.experiments.monitor import Monitor, monitoring
 from dextar_control.experiments.processes import NodesError, Processes, node_arguments
@@ -177,8 +180,11 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     for name in ("law", "estimator"):
         if getattr(arguments, name) is not None:
             given["controller"][name] = getattr(arguments, name)
-    if arguments.estimator == "external":
-        given["plant"] |= CAMERA
+    if arguments.law:
+        chosen("law", arguments.law, LAWS)
+    if arguments.estimator:
+        estimator = chosen("estimator", arguments.estimator, ESTIMATORS)
+        given["plant"] |= CAMERA if getattr(estimator, "takes_poses", False) else {}
     if arguments.law == "multi_model":
         given["trajectory_server"]["criterion"] = "zero_wrench"
     for name in ("duration", "repeat", "tour", "excite", "point"):

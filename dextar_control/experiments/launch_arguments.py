@@ -15,6 +15,7 @@ from rclpy.validate_namespace import validate_namespace
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.parameters import Parameter, check_value
+from dextar_control.contract.plug_in import is_own, one_of
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.settings import SETTINGS
 from dextar_control.contract.topics import INTERFACES
@@ -43,32 +44,38 @@ class Argument(NamedTuple):
         description: for ``--show-args``.
         kind: switch, word, number, parameter file, bag, or namespace.
         choices: of a word.
+        own: whether a word may also be ``module:attribute`` of the user's own code.
     """
 
     default: str
     description: str
     kind: str = "switch"
     choices: tuple[str, ...] = ()
+    own: bool = False
+
+    @property
+    def allowed(self) -> str:
+        """What may be given, in words; empty where that is no choice."""
+        choices = ("true", "false") if self.kind == "switch" else self.choices
+        if self.own:
+            return one_of(choices)
+        return f"one of {', '.join(choices)}" if choices else ""
 
     @property
     def told(self) -> str:
         """The description with what may be given."""
-        choices = ("true", "false") if self.kind == "switch" else self.choices
-        return (
-            f"{self.description} The choices are {', '.join(choices)}."
-            if choices
-            else self.description
-        )
+        allowed = f" It is {self.allowed}." if self.allowed else ""
+        return f"{self.description}{allowed}"
 
 
 LEFT = "Empty leaves it to params_file."
 ARGUMENTS = {
-    "law": Argument(
-        "", f"{LOOP['law'].description} {LEFT}", "word", LOOP["law"].choices
-    ),
-    "estimator": Argument(
-        "", f"{LOOP['estimator'].description} {LEFT}", "word", LOOP["estimator"].choices
-    ),
+    **{
+        name: Argument(
+            "", f"{LOOP[name].description} {LEFT}", "word", LOOP[name].choices, own=True
+        )
+        for name in ("law", "estimator")
+    },
     **{
         name: Argument("", f"{TASK[name].measured} {LEFT}", "number")
         for name in ("tour", "excite", "duration")
@@ -266,9 +273,11 @@ def _value(name: str, argument: Argument, text: str) -> Value:
     if not plain and argument.default == "":
         return ""
     if kind == "word":
+        if argument.own and is_own(plain):
+            return plain
         words = {choice.lower(): choice for choice in argument.choices}
         if plain.lower() not in words:
-            raise fail(f"one of {', '.join(argument.choices)}")
+            raise fail(argument.allowed)
         return words[plain.lower()]
     if kind == "number":
         return _number(TASK.get(name, PACE), plain, fail)

@@ -18,7 +18,7 @@ from plain_loop import Run, drive, example, heavier
 from scipy.optimize import newton
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.settings import Estimation, default_settings
+from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
 from dextar_control.control.verdicts import Verdict
@@ -356,4 +356,4 @@ def test_an_external_position_is_not_taken_for_it(robot: Robot) -> None:
             "estimator external needs an A_r of one block; that of carried_body has 2"
         ),
     ):
-        ControlLoop(robot, default_settings(estimator=Estimation.EXTERNAL), 1)
+        ControlLoop(robot, default_settings(estimator="external"), 1)

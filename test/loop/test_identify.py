@@ -238,7 +238,7 @@ def test_the_transmission_is_told_by_poses_beside_encoders_at_the_motors() -> No
         }
     )
     rig = Rig(belt, plant="cartesian", pose_rate=100.0, pose_noise=2e-4)
-    found = identify_recorded(ROBOT, [record(ROBOT, exciting(), rig)])
+    found = identify_recorded(ROBOT, [record_motion(ROBOT, exciting(), rig)])
     for told in found.stiffnesses:
         assert told is not None
         assert abs(told.value - 100.0) <= 4.0 * told.deviation

@@ -56,9 +56,7 @@ def assembly(state: PlantState) -> float:
     return math.sin(theta[3] - theta[1])
 
 
-def run(
-    plant: Plant | CartesianPlant, steps: int, driven: bool
-) -> list[PlantState]:
+def run(plant: Plant | CartesianPlant, steps: int, driven: bool) -> list[PlantState]:
     states = [plant.state()]
     for step in range(steps):
         plant.step(wavy(step) if driven else (0.0, 0.0))
@@ -312,9 +310,7 @@ def test_a_reset_repeats_a_run_bit_for_bit() -> None:
     traces = []
     for _ in range(2):
         plant.reset((0.01, 0.1), (0.05, -0.2))
-        traces.append(
-            [state.joints.tolist() for state in run(plant, 100, driven=True)]
-        )
+        traces.append([state.joints.tolist() for state in run(plant, 100, driven=True)])
     assert traces[0] == traces[1]
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +11,7 @@ import pytest
 import yaml
 from PIL import Image
 
+from dextar_control.cli import main as cli
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.validation import validate
@@ -150,27 +149,17 @@ def test_cases_are_chosen_by_name_or_beginning_and_shared_among_the_sets_of_node
     ],
 )
 def test_the_command_refuses_a_wrong_argument_with_one_line(
-    arguments: tuple[str, ...], message: str, tmp_path: Path
+    arguments: tuple[str, ...],
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    answer = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "dextar_control.cli.main",
-            "faults",
-            *arguments,
-            "--output",
-            str(tmp_path),
-        ],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        check=False,
-    )
-    assert answer.returncode == 2
-    assert message in answer.stderr
-    assert "Traceback" not in answer.stderr
+    try:
+        code = cli.main(["faults", *arguments, "--output", str(tmp_path)])
+    except SystemExit as end:  # argparse's
+        code = end.code
+    assert code == 2
+    assert message in capsys.readouterr().err
 
 
 def record(case: str, outcome: Outcome, **changes: Any) -> dict[str, Any]:

@@ -175,17 +175,21 @@ NUMBERS = (
 """Rooms that a row comes from."""
 
 
-def code_digest(rig: str, trial: str) -> str:
+def code_digest(rig: str, trial: str, own: Sequence[str] = ()) -> str:
     """Return a digest of the sources that a row's numbers come from: contract,
-    mathematics, the trial and the rig's package.
+    mathematics, the trial, the rig's package and the user's own.
 
     Args:
         rig: ``module:Class``.
         trial: the module that runs a trial.
+        own: laws and estimators of the user's own, ``module:attribute``.
     """
     home = Path(__file__).resolve().parents[2]
     sources = [source for room in NUMBERS for source in home.glob(f"{room}/*.py")]
-    for module, whole_folder in ((rig.partition(":")[0], True), (trial, False)):
+    for module, whole_folder in (
+        (trial, False),
+        *((name.partition(":")[0], True) for name in (rig, *own)),
+    ):
         spec = importlib.util.find_spec(module)
         if spec is not None and spec.origin is not None:
             origin = Path(spec.origin)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plug_in import chosen
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
@@ -88,17 +87,11 @@ def resolve(name: str) -> RigMaker:
     """Import what ``module:Class`` names.
 
     Raises:
-        ParameterError: there is no such module or attribute.
+        ParameterError: there is none.
     """
-    module, _, attribute = name.partition(":")
-    if not module or not attribute:
-        raise ParameterError(f"rig '{name}'; it must be of the form module:Class")
-    try:
-        with _quiet():
-            maker: RigMaker = getattr(importlib.import_module(module), attribute)
-            return maker
-    except (ImportError, AttributeError) as error:
-        raise ParameterError(f"rig '{name}' cannot be loaded: {error}") from error
+    with _quiet():
+        maker: RigMaker = chosen("rig", name, {})
+    return maker
 
 
 @contextmanager

@@ -28,7 +28,7 @@ from dextar_control.experiments.campaign.design import Trial
 from dextar_control.experiments.campaign.outcome import judge
 from dextar_control.experiments.campaign.pool import Pool, check_workers
 from dextar_control.experiments.campaign.rig import resolve
-from dextar_control.experiments.campaign.selection import check_names
+from dextar_control.experiments.campaign.selection import check_names, own_names
 from dextar_control.experiments.campaign.store import Store, read_rows
 from dextar_control.experiments.campaign.worker import Job, plan_trials, run_trials
 
@@ -87,8 +87,13 @@ def prepare(
     points = physics.sample_points(
         robot, config.points.count, config.points.folded, config.seed
     )
+    own = own_names(config)
     job = Job(
-        robot, config.rig, trial_module, design.code_digest(config.rig, trial_module)
+        robot,
+        config.rig,
+        trial_module,
+        design.code_digest(config.rig, trial_module, own),
+        own,
     )
     trials = {
         design.row_key(robot, config.rig, trial): trial

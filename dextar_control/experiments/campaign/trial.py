@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import RobotParameters, flatten
-from dextar_control.contract.settings import Estimation, Law, default_settings
+from dextar_control.contract.settings import ESTIMATORS as ESTIMATORS
+from dextar_control.contract.settings import LAWS as LAWS
+from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import LIMP, Phase
 from dextar_control.control.verdicts import Verdict
@@ -34,8 +36,6 @@ from dextar_control.symbols.types import Array
 if TYPE_CHECKING:
     from dextar_control.experiments.campaign.design import CrossingPoint, Trial
 
-LAWS = tuple(law.name.lower() for law in Law)
-ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
 MAX_ERROR, END_ERROR = 5e-3, 1e-3  # m, true
 # confidences from which the bins of the reliability table begin
 CONFIDENCE_BINS = (0.5, 0.6, 0.8, 0.9, 0.99, 0.999)

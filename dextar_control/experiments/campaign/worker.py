@@ -22,6 +22,7 @@ class Job(NamedTuple):
     rig: str  # module:Class
     trial: str  # the module that plans and runs a trial
     code: str  # digest of the sources
+    own: tuple[str, ...] = ()  # laws and estimators of the user's own
 
 
 def run_trials(job: Job, trials: Sequence[Trial]) -> list[Row]:
@@ -64,7 +65,7 @@ def _in_words(error: BaseException) -> str:
 
 @lru_cache(maxsize=8)
 def _prepared(job: Job) -> RigMaker:
-    mine = code_digest(job.rig, job.trial)
+    mine = code_digest(job.rig, job.trial, job.own)
     if mine != job.code:
         raise CampaignError(
             f"a worker runs other code ({mine}) than this process ({job.code}); install"
