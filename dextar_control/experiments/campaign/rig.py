@@ -89,9 +89,9 @@ def resolve(name: str) -> RigMaker:
     Raises:
         ParameterError: there is none.
     """
+    ours: dict[str, RigMaker] = {}
     with _quiet():
-        maker: RigMaker = chosen("rig", name, {})
-    return maker
+        return chosen("rig", name, ours)
 
 
 @contextmanager

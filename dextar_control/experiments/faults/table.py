@@ -240,7 +240,7 @@ class Summary:
         return [*lines, *self.failures]
 
     def markdown(self) -> str:
-        """Write the tables for a file."""
+        """Write the tables for a file or a document."""
         lines = [
             f"{self.count} faulted crossings in {self.seconds:.0f} s.",
             "",
