@@ -82,11 +82,10 @@ class Schedule:
     """Knows when the samples of a periodic task are due, ns of the steady clock.
 
     The due times lie whole periods apart. A sample that is late does not move the later
-        ones: their deadlines follow it by
-    ``SHORTEST`` periods at least, by ``PATIENT`` ones where its command is awaited,
-    until one is on time again; no two samples come closer than half a period. Lateness
-    beyond ``MOST_BEHIND`` (and beyond a period) is dropped: the due times move by all
-    of it.
+    ones: their deadlines follow it by ``SHORTEST`` periods at least, by ``PATIENT``
+    ones where its command is awaited, until one is on time again; no two samples come
+    closer than half a period. Lateness beyond ``MOST_BEHIND`` (and beyond a period) is
+    dropped: the due times move by all of it.
 
     Args:
         period: ns.

@@ -118,8 +118,8 @@ class Pool:
         """Give each batch with its rows, in the order in which they are done.
 
         The trials of a batch whose worker died run again one by one, no two of them at
-            the same time: what
-        dies then, ``ATTEMPTS`` times, has itself to blame and gets a row that says so.
+        the same time: what dies then, ``ATTEMPTS`` times, has itself to blame and gets
+        a row that says so.
 
         Raises:
             CampaignError: the scheduler is gone, or nothing but deaths comes back.

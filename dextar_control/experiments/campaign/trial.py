@@ -376,9 +376,8 @@ def _strike_of(
     """Return what hits the robot at the first crossing, if anything does.
 
     A push acts along t_s, or across it. A bounce turns the motion round: of the planned
-        velocity the part along t_s, which the
-    joints do not show, where the distal links are stretched; where they are folded, and
-    t_s leads along the locus, all of it.
+    velocity the part along t_s, which the joints do not show, where the distal links
+    are stretched; where they are folded, and t_s leads along the locus, all of it.
     """
     crossing = float(plan.certificate.crossing_times[0])
     if perturbation.get("push"):
