@@ -210,13 +210,13 @@ def test_numbers_come_back_within_their_deviations() -> None:
 
 def test_a_tour_that_the_robot_was_driven_through_calibrates_it() -> None:
     numbers = wrong(np.random.default_rng(3))
-    readings = drive_step(numbers)
+    readings = driven(numbers)
     found = fit(LINKAGE, NOMINAL, folds_of(readings))
     assert found.used.sum() == 12
     assert np.abs(found.numbers - as_kept(numbers))[LENGTHS].max() <= 20e-6
 
 
-def drive_step(numbers: np.ndarray) -> np.ndarray:
+def driven(numbers: np.ndarray) -> np.ndarray:
     """What the encoders read while the controller drives a robot through the tour that
     it takes for the described one.
     """

@@ -29,8 +29,6 @@ UNFINISHED = {
     "dextar_control/estimation/observer.py",
     "dextar_control/estimation/observing.py",
     "dextar_control/estimation/out_of_sequence.py",
-    "dextar_control/experiments/faults/judgement.py",
-    "dextar_control/experiments/faults/operator.py",
     "dextar_control/mechanisms/five_bar.py",
     "dextar_control/mechanisms/five_bar_locus.py",
     "dextar_control/mechanisms/mechanism.py",
@@ -48,8 +46,6 @@ UNFINISHED = {
     "dextar_control/planning/search.py",
     "dextar_control/planning/trajectory.py",
     "dextar_control/symbols/record.py",
-    "dextar_sim/messages.py",
-    "dextar_sim/state.py",
 }
 WITHOUT_UNIT = re.compile(r"NDArray\[np\.(?:bool_|intp)\]")
 SOURCES = {
