@@ -13,7 +13,7 @@ the locus, ``default_settings`` and ``ControlLoop`` to drive it, ``load_run`` an
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from dextar_control.analysis.load import load_run as load_run
@@ -47,8 +47,8 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    """One of ``__all__``, loaded now."""
+def __getattr__(name: str) -> object:
+    """Load one of ``__all__``."""
     if name not in _MODULES:
         raise AttributeError(
             f"module {__name__!r} has no attribute {name!r}; it offers"

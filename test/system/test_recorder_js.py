@@ -13,7 +13,7 @@ from bag_messages import TYPES, difference, random_message
 
 from dextar_control.bags.writer import BagWriter, Sample
 from dextar_control.contract.topics import TOPICS
-from dextar_control.nodes.taps import ALONGSIDE
+from dextar_control.nodes.recorded_topics import ALONGSIDE
 
 EACH = 40  # messages of each topic
 
