@@ -6,7 +6,7 @@ import argparse
 import io
 import os
 import sys
-from typing import Any
+from typing import Protocol
 
 from dextar_control.cli import (
     analyze,
@@ -27,7 +27,21 @@ from dextar_control.contract.caches import prepare_environment
 from dextar_control.contract.signals import run_command
 from dextar_control.executables import EXECUTABLES
 
-COMMANDS: dict[str, Any] = {
+
+class CommandModule(Protocol):
+    """What a command's module offers."""
+
+    SUMMARY: str
+    DESCRIPTION: str
+
+    def add_arguments(self, parser: argparse.ArgumentParser, /) -> None:
+        """Add the command's own arguments."""
+
+    def run(self, arguments: argparse.Namespace, /) -> int:
+        """Do what was asked; return the exit code."""
+
+
+COMMANDS: dict[str, CommandModule] = {
     "demo": demo,
     "go": operate.GO,
     "stop": operate.STOP,
@@ -51,8 +65,9 @@ COMMANDS: dict[str, Any] = {
 NODES = ", ".join(EXECUTABLES)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    whole = argparse.ArgumentParser(
         prog="dextar",
         description=(
             "Drive a five-bar parallel robot through its Type 2 singularities, record"
@@ -63,21 +78,21 @@ def _parser() -> argparse.ArgumentParser:
             f" NODE --help, NODE one of {NODES}"
         ),
     )
-    parsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    parsers = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, command in COMMANDS.items():
         command.add_arguments(
             parsers.add_parser(
                 name, help=command.SUMMARY, description=command.DESCRIPTION
             )
         )
-    return parser
+    return whole
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Console entry; the exit code. What a command starts stays on this machine unless
-    the environment opens it.
+    """Run the command; return the exit code. What a command starts stays on this
+    machine unless the environment opens it.
     """
-    arguments = _parser().parse_args(argv)
+    arguments = parser().parse_args(argv)
     prepare_environment()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for stream in (sys.stdout, sys.stderr):

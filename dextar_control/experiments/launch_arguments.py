@@ -1,4 +1,4 @@
-"""The launch file's arguments: their meaning, and what they may be, checked before
+"""The launch file's arguments: their meaning and what they may be, checked before
 anything is compiled or started.
 """
 
@@ -8,7 +8,7 @@ import difflib
 import importlib.util
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
@@ -23,6 +23,7 @@ from dextar_control.contract.yaml_text import load_parameters
 from dextar_control.experiments.start_check import check_start
 from dextar_control.nodes import task
 
+Value = bool | float | str
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 """In any case; launch's own conditions take the first two of each."""
 TASK = {spec.name: spec for spec in task.PARAMETERS}
@@ -139,9 +140,9 @@ launch file sets it.
 """
 
 
-def read(given: Mapping[str, str]) -> dict[str, Any]:
-    """The arguments' values, of their types; an empty text stands for what is left to
-    the parameter files.
+def read(given: Mapping[str, str]) -> dict[str, Value]:
+    """Return the arguments' values in their types; an empty text stands for what is
+    left to the parameter files.
 
     Args:
         given: as typed; others than ``ARGUMENTS`` are passed over.
@@ -168,15 +169,15 @@ def read(given: Mapping[str, str]) -> dict[str, Any]:
     return values
 
 
-def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The nodes that are to be started, and what the arguments change of their
+def changes(values: Mapping[str, Value]) -> dict[str, dict[str, Value]]:
+    """Return the nodes that are to be started, and what the arguments change of their
     parameters.
 
     Args:
         values: from ``read``.
     """
     lockstep = values["plant"] and not values["real_time"]  # a rig waits for nobody
-    own: dict[str, dict[str, Any]] = {
+    own: dict[str, dict[str, Value]] = {
         "plant": {
             "mode": "lockstep" if lockstep else "realtime",
             "window": values["window"],
@@ -213,7 +214,7 @@ def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     }
 
 
-def check_nodes(values: Mapping[str, Any]) -> None:
+def check_nodes(values: Mapping[str, Value]) -> None:
     """Refuse, before anything is started, parameters that a node would refuse.
 
     Args:
@@ -223,12 +224,10 @@ def check_nodes(values: Mapping[str, Any]) -> None:
         ParameterError: a parameter is unknown or cannot be used; names the files, the
             node and the parameter.
     """
-    files = [values[name] for name in ("robot_file", "params_file")]
+    files = [Path(str(values[name])) for name in ("robot_file", "params_file")]
     for node, parameters in changes(values).items():
         try:
-            check_start(
-                node, parameters, *map(Path, files), namespace=values["namespace"]
-            )
+            check_start(node, parameters, *files, namespace=str(values["namespace"]))
         except ParameterError as error:
             raise ParameterError(
                 f"the nodes refuse robot_file:={files[0]} params_file:={files[1]}:"
@@ -237,8 +236,8 @@ def check_nodes(values: Mapping[str, Any]) -> None:
 
 
 def misspelt(given: Iterable[str]) -> list[str]:
-    """Sentences about names that are no arguments and look like one; launch itself says
-    nothing about them.
+    """Write sentences about names that are no arguments and look like one; launch
+    itself says nothing about them.
     """
     told = []
     for name in given:
@@ -251,7 +250,7 @@ def misspelt(given: Iterable[str]) -> list[str]:
     return told
 
 
-def _value(name: str, argument: Argument, text: str) -> Any:
+def _value(name: str, argument: Argument, text: str) -> Value:
     def fail(limit: str) -> ParameterError:
         return ParameterError(
             f"launch argument '{name}' = '{text}'; it must be {limit}"
@@ -287,21 +286,22 @@ def _value(name: str, argument: Argument, text: str) -> Any:
     return plain
 
 
-def _number(spec: Parameter, text: str, fail: Callable[[str], ParameterError]) -> Any:
+def _number(spec: Parameter, text: str, fail: Callable[[str], ParameterError]) -> float:
     node = "plant" if spec is PACE else "trajectory_server"
     try:
         number = float(text)
     except ValueError:
         raise fail("a number") from None
     try:
-        return check_value(spec, number, node_defaults(node)[spec.name])
+        value: float = check_value(spec, number, node_defaults(node)[spec.name])
+        return value
     except ParameterError as error:
         raise fail(str(error).rpartition("it must be ")[2]) from error
 
 
 def _checked_file(text: str, fail: Callable[[str], ParameterError]) -> str:
-    """The path; raises where no node could take it: launch finds that out only when the
-    nodes start.
+    """Return the path, or raise where no node could take it: launch finds that out only
+    when the nodes start.
     """
     try:
         path = Path(text).expanduser()

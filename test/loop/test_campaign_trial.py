@@ -21,8 +21,8 @@ from dextar_control.experiments.campaign.design import CrossingPoint, Trial
 from dextar_control.experiments.campaign.ranges import PERTURBATIONS
 from dextar_control.experiments.campaign.trial import (
     RIG_OPTIONS,
-    build,
-    known,
+    built_robot,
+    controller_model,
     run_trial,
     sample_points,
 )
@@ -208,10 +208,10 @@ def test_the_true_robot_has_what_the_controller_knows_a_share_of(
         "tilt": 0.1,
         "geometry_signs": 2e-4,
     }
-    true = build(
+    true = built_robot(
         robot, perturbation, np.random.default_rng(0), np.random.default_rng(1)
     )
-    leg, model = true.left, known(robot, perturbation)
+    leg, model = true.left, controller_model(robot, perturbation)
     assert (
         leg.transmission_stiffness,
         leg.passive_coulomb_friction,
@@ -247,7 +247,9 @@ def test_the_true_robot_has_what_the_controller_knows_a_share_of(
         }
     )
     assert (
-        known(robot, perturbation | {"belt_modelled": 1.0}).right.transmission_stiffness
+        controller_model(
+            robot, perturbation | {"belt_modelled": 1.0}
+        ).right.transmission_stiffness
         == 200.0
     )
 

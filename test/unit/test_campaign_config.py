@@ -12,8 +12,8 @@ import yaml
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.experiments.campaign.config import CampaignConfig, load_config
-from dextar_control.experiments.campaign.loading import resolve
 from dextar_control.experiments.campaign.ranges import BARS
+from dextar_control.experiments.campaign.rig import resolve
 from dextar_control.experiments.campaign.selection import check_names, names, select
 from dextar_control.experiments.campaign.summary import MEASURES, Group
 

@@ -7,9 +7,6 @@ from __future__ import annotations
 import importlib
 import math
 import re
-import signal
-import subprocess
-import sys
 from array import array
 from dataclasses import fields
 from pathlib import Path
@@ -431,37 +428,6 @@ def test_a_description_without_joint_ranges_has_none(robot: RobotParameters) -> 
     }
     legs = from_flat(flat).legs
     assert {(leg.min_angle, leg.max_angle) for leg in legs} == {(-math.pi, math.pi)}
-
-
-SWALLOWED = """
-import sys, time
-from dextar_control.contract.signals import StopSignal
-stop, word = StopSignal(), "ready\\n"
-while True:
-    try:
-        told, word = word, ""
-        print(told, end="", flush=True)
-        time.sleep(0.01)
-    except KeyboardInterrupt:
-        pass
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_node_that_is_being_made_ends_although_the_compiler_swallows_the_interrupt(
-    number: int,
-) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-c", SWALLOWED],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "ready\n"
-    process.send_signal(number)
-    output, _ = process.communicate(timeout=60.0)
-    assert (process.returncode, output) == (0, "")
 
 
 def test_motor_axes_are_told_by_their_distance_or_each_by_its_place(

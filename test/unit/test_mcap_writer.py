@@ -6,14 +6,12 @@ from __future__ import annotations
 
 import os
 import random
-import subprocess
-import sys
+import resource
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import synthetic_run
 import yaml
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -39,11 +37,12 @@ from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from synthetic_run import TYPES, joint_state, write_run
 
+from dextar_control.bags import mcap_file
 from dextar_control.bags import writer as writing
 from dextar_control.bags.mcap_file import McapFile
 from dextar_control.bags.message_definitions import SEPARATOR, definition, type_hash
 from dextar_control.bags.reader import read_bag
-from dextar_control.bags.writer import BagWriter, Sample
+from dextar_control.bags.writer import BagWriter, SerializedMessage
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.topics import TOPICS
 from dextar_control.nodekit.loss_count import UNSUPPORTED, LossCount
@@ -97,7 +96,7 @@ def test_two_independent_readers_agree_with_what_was_written(
     ]
     for k, message in enumerate(sent):
         data = bytes(TYPES.serialize_cdr(message, JOINT_STATE))
-        writer.add(Sample(5000 - k, "/joints", 4000 + k, 2**32 + k, data))
+        writer.add(SerializedMessage(5000 - k, "/joints", 4000 + k, 2**32 + k, data))
     writer.close({"note": {"key": "value"}})
 
     with file.open("rb") as stream:
@@ -149,31 +148,20 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
         BagWriter(tmp_path / "file" / "run.mcap")
 
 
-def test_a_full_disk_is_named_and_what_was_written_can_be_read(tmp_path: Path) -> None:
+def test_a_full_disk_is_named_and_what_was_written_can_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / "full.mcap"
-    code = f"""
-import resource, sys
-sys.path.insert(0, {str(Path(synthetic_run.__file__).parent)!r})
-from pathlib import Path
-from synthetic_run import write_run
-from dextar_control.contract.errors import BagError
-import dextar_control.bags.mcap_file as w
-w.CHUNK_SIZE = 20_000
-w.COMPRESSIONS = dict.fromkeys(w.COMPRESSIONS, w.CompressionType.NONE)
-resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, 600_000))
-try:
-    write_run(Path({str(file)!r}))
-except BagError as error:
-    print(error)
-    sys.exit(7)
-"""
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60
-    )
-    assert result.returncode == 7, result.stderr
-    assert str(file) in result.stdout
-    assert "File too large" in result.stdout
-    assert "Traceback" not in result.stderr
+    monkeypatch.setattr(mcap_file, "CHUNK_SIZE", 20_000)
+    plain = dict.fromkeys(mcap_file.COMPRESSIONS, mcap_file.CompressionType.NONE)
+    monkeypatch.setattr(mcap_file, "COMPRESSIONS", plain)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (600_000, hard))
+    try:
+        with pytest.raises(BagError, match=f"{file}.*File too large"):
+            write_run(file)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     with pytest.warns(UserWarning, match="last complete chunk"):
         bag = read_bag(file)
     assert bag.truncated
@@ -195,7 +183,7 @@ def write_numbers(
         text = f"{number} {rng.randbytes(size).hex()}"
         message = TYPES.types["std_msgs/msg/String"](data=text)
         writer.add(
-            Sample(
+            SerializedMessage(
                 moment,
                 "/numbers",
                 moment - 5,
@@ -234,8 +222,8 @@ def test_the_folder_is_a_bag_with_the_metadata_that_rosbags_would_write(
     writer = BagWriter(tmp_path / "run" / "run.mcap", folder=True)
     writer.add_topic("/joints", JOINT_STATE, described)
     message = bytes(TYPES.serialize_cdr(joint_state(1, ["q11"], (1.0,)), JOINT_STATE))
-    writer.add(Sample(100, "/joints", 90, 1, message))
-    writer.add(Sample(175, "/joints", 95, 2, message))
+    writer.add(SerializedMessage(100, "/joints", 90, 1, message))
+    writer.add(SerializedMessage(175, "/joints", 95, 2, message))
     writer.close(custom={"name": "Lauf ü: 1"})
     with RosbagsWriter(
         tmp_path / "theirs", version=9, storage_plugin=StoragePlugin.MCAP
@@ -355,7 +343,7 @@ def test_what_a_failed_write_took_with_it_is_counted(
     writer.add_topic("/numbers", "std_msgs/msg/String", [])
     write, written = McapFile.write, []
 
-    def fail(self: McapFile, batch: list[Sample]) -> None:
+    def fail(self: McapFile, batch: list[SerializedMessage]) -> None:
         if len(written) >= 20:
             raise OSError(5, "Input/output error")
         write(self, batch)
@@ -363,7 +351,7 @@ def test_what_a_failed_write_took_with_it_is_counted(
 
     monkeypatch.setattr(McapFile, "write", fail)
     for number in range(100):
-        writer.add(Sample(number, "/numbers", number, number, b"x"))
+        writer.add(SerializedMessage(number, "/numbers", number, number, b"x"))
         if number % 10 == 9:
             deadline = time.monotonic() + PATIENCE
             while len(writer) and writer.error is None:
@@ -392,7 +380,9 @@ def test_each_file_of_a_split_bag_begins_with_what_holds(tmp_path: Path) -> None
     ]
     for number, (when, topic, data) in enumerate(samples):
         writer.add(
-            Sample(round(when * second), topic, round(when * second), number, data)
+            SerializedMessage(
+                round(when * second), topic, round(when * second), number, data
+            )
         )
     writer.close()
     found = []

@@ -1,4 +1,4 @@
-"""What the command line changes of a campaign, and whether the names in it exist."""
+"""Change a campaign as the command line asks, and check that the names in it exist."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def select(
     laws: list[str] | None = None,
     estimators: list[str] | None = None,
 ) -> CampaignConfig:
-    """A campaign with what the command line changes; with both laws and estimators each
-    law meets each estimator.
+    """Return a campaign with what the command line changes; with both laws and
+    estimators each law meets each estimator.
 
     Raises:
         ParameterError: a case is not of this campaign, or nothing is left to run.
@@ -132,7 +132,7 @@ def _check(name: str, known: Collection[str], what: str) -> None:
 
 
 def names(text: str | None) -> list[str] | None:
-    """The names of a comma-separated argument."""
+    """Split a comma-separated argument into its names."""
     return (
         None
         if text is None
