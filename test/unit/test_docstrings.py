@@ -24,7 +24,6 @@ UNFINISHED = {
     "dextar_control/control/phases.py",
     "dextar_control/control/timing.py",
     "dextar_control/estimation/direct.py",
-    "dextar_control/estimation/estimate.py",
     "dextar_control/estimation/joint_filter.py",
     "dextar_control/estimation/observer.py",
     "dextar_control/estimation/observing.py",
