@@ -20,7 +20,7 @@ SHELL := /bin/bash
 .ONESHELL:
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo campaign check test interfaces bench clean set-up-test
+.PHONY: help setup demo campaign check test docs interfaces bench clean set-up-test
 
 BIN := .venv/bin
 SET_UP := PYTHON="$(PYTHON)" ./set_up.sh
@@ -59,7 +59,12 @@ test: set-up-test .venv/installed-js ## run the tests
 	@$(PYTEST) --durations=10 $(TESTS) $(ARGS)
 	$(COVERAGE)
 
-interfaces: ## build the action go and the readable messages into install/ (README)
+docs: ## build the documentation into docs/_build/index.html, which opens offline
+	@$(SET_UP) docs
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
+	echo "docs/_build/index.html"
+
+interfaces: ## build the action go and the readable messages into install/ (docs/interfaces.md)
 	@case "$$PWD" in
 	*" "*) echo "error: colcon's setup files do not work in '$$PWD': clone into a folder without a space in its path" >&2; exit 1 ;;
 	esac
@@ -76,11 +81,11 @@ bench: ## measure the loop on this machine
 	$(BIN)/dextar bench $(ARGS)
 
 clean: ## remove .venv, builds and caches; recordings in runs/ stay
-	@rm -rf .venv build install log *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .coverage*
+	@rm -rf .venv build docs/_build install log *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .coverage*
 	find . -name .git -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 set-up-test:
-	@$(SET_UP) campaign export video interfaces test check oracle
+	@$(SET_UP) campaign docs export video interfaces test check oracle
 
 # The test with Foxglove's own readers is skipped where these cannot be installed.
 .venv/installed-js: test/tools/js/package.json | set-up-test

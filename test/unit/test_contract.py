@@ -19,7 +19,6 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from dextar_control.cli import demo
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
 from dextar_control.contract.parameters import Parameter, check_value
 from dextar_control.contract.resources import (
@@ -36,9 +35,9 @@ from dextar_control.contract.robot import (
     load_robot,
 )
 from dextar_control.contract.settings import (
+    ESTIMATORS,
+    LAWS,
     SETTINGS,
-    Estimation,
-    Law,
     Settings,
     default_settings,
 )
@@ -57,7 +56,9 @@ from dextar_control.contract.topics import (
     Service,
     Topic,
 )
+from dextar_control.control import law
 from dextar_control.control.phases import Phase
+from dextar_control.estimation import estimator
 from dextar_control.nodekit.cdr import from_time, to_time
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodekit.node import qos
@@ -283,9 +284,9 @@ def test_an_array_that_may_be_empty_is_one_of_floats(
     assert all(isinstance(number, float) for number in cast)
 
 
-def test_the_command_line_offers_every_law_and_estimator() -> None:
-    assert sorted(demo.LAWS) == sorted(law.name.lower() for law in Law)
-    assert sorted(demo.ESTIMATORS) == sorted(kind.name.lower() for kind in Estimation)
+def test_every_law_and_estimator_that_is_named_is_there() -> None:
+    assert tuple(law.LAWS) == LAWS
+    assert tuple(estimator.ESTIMATORS) == ESTIMATORS
 
 
 @pytest.mark.parametrize("entry", [*TOPICS, *SERVICES], ids=lambda entry: entry.name)

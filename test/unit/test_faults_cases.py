@@ -18,8 +18,8 @@ from dextar_control.contract.validation import validate
 from dextar_control.experiments.faults.cases import FaultConfig, load_cases
 from dextar_control.experiments.faults.figure import draw
 from dextar_control.experiments.faults.judgement import Check, Outcome
-from dextar_control.experiments.faults.link import Shape
-from dextar_control.experiments.faults.run import plans, select
+from dextar_control.experiments.faults.link import MessageShape
+from dextar_control.experiments.faults.run import select, session_plans
 from dextar_control.experiments.faults.table import Summary
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -53,7 +53,7 @@ def test_the_shipped_file_tries_at_least_a_thousand_crossings_and_every_kind_of_
     delays = [value for _, key, value in transports if key == "delay"]
     assert min(delays) == 0.001 and max(delays) == 0.01
     assert {case.window.shape for case in cases if case.window} == {
-        shape.value for shape in Shape
+        shape.value for shape in MessageShape
     }
     assert {(case.kill.node, case.kill.signal) for case in cases if case.kill} == {
         (node, number) for node in NODES for number in ("SIGKILL", "SIGTERM")
@@ -122,7 +122,7 @@ def test_cases_are_chosen_by_name_or_beginning_and_shared_among_the_sets_of_node
         "a quick run must not depend on the machine's noise"
     )
     everything = select(config, [], None, quick=False)
-    groups = plans(config, everything, 2)
+    groups = session_plans(config, everything, 2)
     assert [[plan.kind for plan in group] for group in groups] == [
         ["lockstep", "lockstep"],
         ["realtime"],
@@ -194,7 +194,7 @@ def filled() -> Summary:
     summary.take(
         record(
             "controller_sigkill",
-            Outcome.LIMP,
+            Outcome.NO_TORQUE,
             curve=[[-0.01, 0.05], [0.0, 0.05], [0.03, 0.0], [0.12, 0.0]],
         )
     )

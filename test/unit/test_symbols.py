@@ -52,7 +52,7 @@ class Row(NamedTuple):
 def rows() -> list[Row]:
     """All of them."""
     found = []
-    for line in (ROOT / "doc" / "symbols.md").read_text(encoding="utf-8").splitlines():
+    for line in (ROOT / "docs" / "symbols.md").read_text(encoding="utf-8").splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) == 6 and cells[1].startswith("`"):
             numbers = {int(number) for number in cells[4].split(",")}
