@@ -1,4 +1,4 @@
-"""``dextar calibrate``."""
+"""The command ``dextar calibrate``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DESCRIPTION = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     add_fit(parser, "calibration.html")
     parser.add_argument(
         "--no-pose",
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from dextar_control.identification.calibration import calibrate, predict
     from dextar_control.identification.report import (
         PAGE_FILE,

@@ -1,4 +1,4 @@
-"""``dextar identify``."""
+"""The command ``dextar identify``."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ DESCRIPTION = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     add_fit(parser, "identification.html")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from dextar_control.identification.identification import identify, predict_torques
     from dextar_control.identification.report import (
         IDENTIFICATION_FILE,

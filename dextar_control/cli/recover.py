@@ -1,4 +1,4 @@
-"""``dextar recover``."""
+"""The command ``dextar recover``."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ DESCRIPTION = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument("bag", type=Path, help="an .mcap file, or a bag's folder")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from datetime import datetime, timezone
 
     from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn

@@ -1,4 +1,4 @@
-"""``dextar replay``."""
+"""The command ``dextar replay``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WINDOW_MODULE = "dextar_sim.replay"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument("bag", type=Path, help="an .mcap file, or the run's folder")
     add_robot(parser)
     parser.add_argument(
@@ -90,7 +90,7 @@ def _frames(text: str) -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from rich.progress import BarColumn, TimeRemainingColumn
 
     from dextar_control.analysis.animate import animate, check_output

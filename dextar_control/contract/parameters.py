@@ -1,13 +1,15 @@
-"""What a node's parameter is, and which values it takes. Needs no ROS."""
+"""A parameter of a node is described here, with the values that it takes.
+Needs no ROS.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from dextar_control.contract import resources
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.plug_in import is_own, one_of
 from dextar_control.contract.robot import PREFIX, ROBOT_KEYS
 
@@ -78,7 +80,9 @@ SCHEDULING = (
 """
 
 
-def check_value(spec: Parameter, value: Any, default: Any) -> Any:
+def check_value(
+    spec: Parameter, value: ParameterValue, default: ParameterValue
+) -> ParameterValue:
     """The value in the type of its default.
 
     Raises:
@@ -138,8 +142,12 @@ def check_value(spec: Parameter, value: Any, default: Any) -> Any:
 
 
 def settled(
-    node: str, specs: Sequence[Parameter], overrides: Mapping[str, Any], *, robot: bool
-) -> dict[str, Any]:
+    node: str,
+    specs: Sequence[Parameter],
+    overrides: Mapping[str, ParameterValue],
+    *,
+    robot: bool,
+) -> dict[str, ParameterValue]:
     """The values of a node's parameters, as the node itself takes them at its start.
 
     Args:

@@ -7,10 +7,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
-from typing import Any
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.plug_in import is_own, one_of
 from dextar_control.contract.resources import NODES_FILE, config_file, node_defaults
 
@@ -632,8 +632,8 @@ class Settings:
     torque_rate_time: float
 
     @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> Settings:
-        """Settings from parameter values; other keys are ignored.
+    def from_values(cls, values: Mapping[str, ParameterValue]) -> Settings:
+        """Return the settings of parameter values; other keys are ignored.
 
         Raises:
             ParameterError: a value is missing, or law or estimator is unknown.

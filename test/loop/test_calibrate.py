@@ -20,7 +20,7 @@ from browser import looks_right
 from closed_loop import running
 
 from dextar_control.analysis.load import load_run
-from dextar_control.bags.writer import BagWriter, Sample
+from dextar_control.bags.writer import BagWriter, SerializedMessage
 from dextar_control.cli import main as cli
 from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
@@ -563,7 +563,7 @@ def write_bag(
             writer.add_topic(topic, kind, [])
         clock += 1000
         writer.add(
-            Sample(
+            SerializedMessage(
                 clock, topic, clock, 1, bytes(made.TYPES.serialize_cdr(content, kind))
             )
         )

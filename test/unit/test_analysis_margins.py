@@ -17,7 +17,7 @@ from synthetic_run import FAR_TORQUE, robot, write_run
 from dextar_control.analysis import compute_metrics, load_run
 from dextar_control.analysis.margins import Margin, Margins, measure_margins
 from dextar_control.analysis.page import render_report
-from dextar_control.analysis.run import Control, Criterion, Joints, Run
+from dextar_control.analysis.run import Control, CriterionRecord, Joints, Run
 from dextar_control.analysis.timing import measure_timing
 from dextar_control.analysis.tracking import tracked
 from dextar_control.cli import main as cli
@@ -86,7 +86,7 @@ def drive_step() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
         of("output", "u"),
         of("output", "force"),
     )
-    criterion = Criterion(
+    criterion = CriterionRecord(
         stamps,
         of("output", "residual"),
         of("output", "s"),
