@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from closed_loop import advance, s_of, state_of
+from closed_loop import advance, running, s_of, state_of
 from oracle import Oracle
 from safe_stop_study import REST
 
@@ -217,14 +217,13 @@ def test_an_estimator_that_does_not_know_the_side_is_braked_in_the_joints_and_sa
         robot, trip, float(trip.certificate.crossing_times[0]), estimator="dgm"
     )
     braked = False
-    while loop.stopped is None:
-        sample = rig.read()
-        tau = loop.step(sample.time, sample.q_a)
+    for _, tau in running(loop, rig):
         q_a_dot = loop.tick.estimate.q_a_dot
         if np.abs(q_a_dot).max() > FADE[1] and (tau != 0.0).any():
             np.testing.assert_allclose(tau, -SETTINGS.brake_gain * q_a_dot, atol=1e-12)
             braked = True
-        rig.write(tau)
+        if loop.stopped is not None:
+            break
     assert braked and loop.stopped.at_rest and loop.reason.endswith("side not known")
     assert np.hypot(*rig.truth().x_dot) < REST
     rig.close()
