@@ -33,7 +33,7 @@ from dextar_control.planning.planner import (
     plan_approach,
     plan_return_trip,
 )
-from dextar_sim.rig import JointSample, Rig
+from dextar_sim.rig import ControllerInput, Rig
 
 Seen = Callable[[ControlLoop, float, np.ndarray], np.ndarray]
 # of its limit that no watch passes in a run that ends well, those with a time aside
@@ -73,7 +73,7 @@ def drive(
     loop = ControlLoop(known or robot, default_settings(**(settings or {})), 1)
     shares: dict[str, float] = {}
 
-    def as_seen(sample: JointSample) -> JointSample:
+    def as_seen(sample: ControllerInput) -> ControllerInput:
         return sample._replace(q_a=seen(loop, sample.time, sample.q_a))
 
     try:

@@ -17,7 +17,7 @@ from dextar_control.control.phases import Phase
 from dextar_control.estimation.estimate import Pose
 from dextar_control.model.model import Model
 from dextar_control.planning.planner import Plan
-from dextar_sim.rig import JointSample, Rig
+from dextar_sim.rig import ControllerInput, Rig
 
 AFTER = 0.2  # s of holding after the trip
 PERIOD = 1e-3  # s, of a plant without a rig
@@ -41,11 +41,11 @@ class Bare:
         """It goes on where the plant is put elsewhere, s."""
         return self._begin + self._periods * PERIOD
 
-    def read(self) -> JointSample:
+    def read(self) -> ControllerInput:
         q_a = np.array(self.plant.state().q_a)
         if self.resolution:
             q_a = np.round(q_a / self.resolution) * self.resolution
-        return JointSample(self.time, q_a, None)
+        return ControllerInput(self.time, q_a, None)
 
     def write(self, tau: np.ndarray) -> None:
         self.plant.step(tau)
@@ -55,7 +55,7 @@ class Bare:
 class Moment(NamedTuple):
     """A sample, and the answer to it, which the robot has not got yet."""
 
-    sample: JointSample
+    sample: ControllerInput
     tau: np.ndarray  # (n,)
 
 
@@ -65,7 +65,7 @@ def running(
     *,
     until: float = np.inf,
     count: float = np.inf,
-    seen: Callable[[JointSample], JointSample] = lambda sample: sample,
+    seen: Callable[[ControllerInput], ControllerInput] = lambda sample: sample,
 ) -> Iterator[Moment]:
     """The closed loop: one period after the other, and what the caller does between
     happens before the robot goes on. Samples that are lost are left out; it ends where
@@ -195,7 +195,7 @@ def drive(
     loop = ControlLoop(robot, default_settings(**(settings or {})), 1)
     rows, phases, notes = [], [], [""]
 
-    def seen(sample: JointSample) -> JointSample:
+    def seen(sample: ControllerInput) -> ControllerInput:
         pose = sample.pose
         return sample._replace(pose=pose and pose._replace(x=pose.x + camera_off))
 
