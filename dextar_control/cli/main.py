@@ -96,9 +96,8 @@ def main(argv: list[str] | None = None) -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(
-                errors="replace"
-            )  # a terminal that knows no × shows a ? for it
+            # A terminal that knows no × shows a ? for it.
+            stream.reconfigure(errors="replace")
     return run_command(
         f"dextar {arguments.command}",
         lambda: COMMANDS[arguments.command].run(arguments),

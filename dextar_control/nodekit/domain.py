@@ -58,6 +58,12 @@ def _opened(path: str) -> int | None:
     return None
 
 
+def discovery() -> str:
+    """Return the DDS domain and how far discovery reaches, in words."""
+    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
+    return f"ROS_DOMAIN_ID {os.environ.get('ROS_DOMAIN_ID', '0')}, discovery {reach}"
+
+
 def choose_domain() -> str:
     """Return ``ROS_DOMAIN_ID``, set to a domain of this process's own where it was not
     set.

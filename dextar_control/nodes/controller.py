@@ -137,9 +137,8 @@ PARAMETERS = (
     *SETTINGS,
 )
 
-SWITCH_INTERVAL = (
-    2e-4  # s until the thread that checks a trajectory lets the control thread go on
-)
+# s until the thread that checks a trajectory lets the control thread go on.
+SWITCH_INTERVAL = 2e-4
 WATCH_PERIOD = 0.01  # s
 MOST_AT_ONCE = 10  # states that are answered before what else is due
 # requests: 200 a second are plenty for an operator; the longest, all parameters at
@@ -243,9 +242,8 @@ class ControllerNode(ManagedNode):
             JointState, JOINT_STATES.name, profile, raw=True
         )
         self._closers.append(self._close_states)
-        self._automatic = (
-            values["enabled"] and not self._latched[0]
-        )  # after a fault somebody has to ask
+        # After a fault somebody has to ask.
+        self._automatic = values["enabled"] and not self._latched[0]
         self._enabling = "waiting" if self._automatic else "off"
         self._loop = loop
         self.get_logger().info(f"law {values['law']}, estimator {values['estimator']}")
@@ -403,10 +401,8 @@ class ControllerNode(ManagedNode):
             if stamp == self._stamp and self._outputs.answered:
                 self._repeat(stamp)
                 return
-            limit, arrival = (
-                self.values["state_timeout"],
-                None if self._lockstep else begin,
-            )
+            limit = self.values["state_timeout"]
+            arrival = None if self._lockstep else begin
             gap = (stamp - self._stamp) / NANOSECONDS if self._stamp >= 0 else 0.0
             if gap > limit and loop.phase not in (Phase.IDLE, Phase.FAULT):
                 loop.fault(
@@ -523,14 +519,10 @@ class ControllerNode(ManagedNode):
         if not answered and loop.phase in LIMP:
             self._outputs.release()
         if loop.phase in LATCHED:
-            self._latched = (
-                loop.reason,
-                (
-                    self._latched[1]
-                    if before[0] is loop.phase
-                    else self.unstepped_clock.now()
-                ),
-            )
+            since = self._latched[1]
+            if before[0] is not loop.phase:
+                since = self.unstepped_clock.now()
+            self._latched = loop.reason, since
             self._reference.drop()
             self.get_logger().error(
                 f"{loop.phase.name}: {loop.reason}; {self._next_step()}"
@@ -582,22 +574,16 @@ class ControllerNode(ManagedNode):
         """Return the second publisher where it may be why the loop let go,
         in a list.
         """
-        return (
-            [self._second_publishers]
-            if self._states_are_mixed and self._second_publishers not in loop.reason
-            else []
-        )
+        known = self._second_publishers in loop.reason
+        return [self._second_publishers] if self._states_are_mixed and not known else []
 
     def _lateness(self, loop: ControlLoop) -> list[str]:
         """Return in a list that commands came too late while a watch tripped in real
         time; it is told before what the watch saw.
         """
         watched = loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep
-        return [
-            text
-            for text in (self._statistics.lateness(self._period) if watched else "",)
-            if text
-        ]
+        text = self._statistics.lateness(self._period) if watched else ""
+        return [text] if text else []
 
     def _next_step(self) -> str:
         """Return what to call for a robot that is held."""
@@ -815,21 +801,14 @@ class ControllerNode(ManagedNode):
         """Log each verdict on a planned crossing once, and how a trajectory ended."""
         passed, log = loop.passed, self.get_logger().info
         if passed is not self._logged_crossings:
-            self._logged_crossings, self._verdicts = (
-                passed,
-                [Verdict.UNDECIDED] * len(passed),
-            )
+            self._logged_crossings = passed
+            self._verdicts = [Verdict.UNDECIDED] * len(passed)
         for index, crossing in enumerate(passed):
             if crossing.verdict is not self._verdicts[index]:
                 self._verdicts[index] = crossing.verdict
-                log(
-                    crossing_line(
-                        index,
-                        len(passed),
-                        crossing.verdict.name,
-                        f"{crossing.confidence:.3f}",
-                    )
-                )
+                confidence = f"{crossing.confidence:.3f}"
+                verdict = crossing.verdict.name
+                log(crossing_line(index, len(passed), verdict, confidence))
         if loop.completed != self._completed:
             self._completed = loop.completed
             if loop.completed:
@@ -838,9 +817,12 @@ class ControllerNode(ManagedNode):
 
     def _warnings(self, limit: float) -> list[str]:
         """Return what an operator should look at."""
+        second = self._second_publishers
+        if second and not self._states_are_mixed:
+            second = f"{second}; one speaks"
         told = [
             self._other_commanders,
-            self._told_second_publishers(),
+            second,
             self._other_servers(),
             self._pose_complaint(),
         ]
@@ -856,13 +838,6 @@ class ControllerNode(ManagedNode):
         if self._enabling.startswith("refused"):
             told.append(f"enabling was {self._enabling}")
         return [text for text in told if text]
-
-    def _told_second_publishers(self) -> str:
-        return (
-            self._second_publishers
-            if self._states_are_mixed or not self._second_publishers
-            else f"{self._second_publishers}; one speaks"
-        )
 
     def _other_servers(self) -> str:
         """Return who serves trajectories where there are two; the newest trajectory

@@ -15,9 +15,8 @@ from dextar_control.nodekit.loss_count import LossCount
 from dextar_control.nodekit.node import DextarNode, Take, qos
 
 HISTORY = 10000  # samples each reader holds between two polls: 10 s at 1 kHz
-SLOW = (
-    100.0  # Hz: a slower topic is always asked for reliably, which costs nothing there
-)
+# Hz; a slower topic is always asked for reliably, which costs nothing there.
+SLOW = 100.0
 
 PARAMETER_EVENTS = Topic(
     "/parameter_events",

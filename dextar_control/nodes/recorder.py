@@ -38,6 +38,8 @@ POLL_PERIOD = 0.02  # s
 ASK_PERIOD = 0.05  # s between two asks for the other nodes' parameters
 LAST_WORDS = 0.3  # s given to samples under way when the recording ends
 LEAST_SPLIT = 65536  # bytes
+# What a topic raises whose type is not installed, or is none.
+NO_TOPIC = (DextarError, ModuleNotFoundError, AttributeError, ValueError)
 
 SPECS = (
     Parameter(
@@ -186,25 +188,17 @@ class RecorderNode(DextarNode):
         count = 0
         recording = self._recording
         for recorded in self._topics:
-            message_type, take, name, losses = (
-                recorded.message_type,
-                recorded.take,
-                recorded.name,
-                recorded.losses,
-            )
+            message_type, take = recorded.message_type, recorded.take
+            name, losses = recorded.name, recorded.losses
             while (taken := take(message_type, True)) is not None:
                 count += 1
                 data, info = taken
                 number = info["publication_sequence_number"]
                 losses.see(number)
                 received = info["received_timestamp"] or time.time_ns()
-                sample = Sample(
-                    received,
-                    name,
-                    info["source_timestamp"],
-                    number or losses.received,
-                    data,
-                )
+                number = number or losses.received
+                sent = info["source_timestamp"]
+                sample = Sample(received, name, sent, number, data)
                 if recorded.kept is not None:
                     recorded.kept.append(sample)
                 if recording is None:
@@ -214,12 +208,9 @@ class RecorderNode(DextarNode):
                 recording.writer.add(sample)
                 if recorded.listen is not None:
                     recorded.listen(data, received)
-        if (
-            recording is not None
-            and recording.writer.error is not None
-            and not self.finished
-        ):
-            self.get_logger().error(str(recording.writer.error))
+        error = recording.writer.error if recording is not None else None
+        if error is not None and not self.finished:
+            self.get_logger().error(str(error))
             self.finish(EXIT_RECORDING)
         return count
 
@@ -371,12 +362,7 @@ class RecorderNode(DextarNode):
                 self._topics.append(
                     RecordedTopic(self, *found_topic(name, types[resolved][0], offered))
                 )
-            except (
-                DextarError,
-                ModuleNotFoundError,
-                AttributeError,
-                ValueError,
-            ) as error:
+            except NO_TOPIC as error:
                 self.get_logger().error(
                     f"cannot record {resolved} of type {types[resolved][0]}: {error}"
                 )

@@ -235,10 +235,8 @@ class TrajectoryServer(DextarNode):
         return x if np.isfinite(x).all() else np.array(self._task.start)
 
     def _publish(self, served: ServedTrip) -> str:
-        self._planned, self._certificate = (
-            (served.task, served.plan),
-            served.certificate,
-        )
+        self._planned = served.task, served.plan
+        self._certificate = served.certificate
         self._trajectory_publisher.publish(served.message)
         self._served += 1
         self._error = ""
@@ -306,11 +304,8 @@ class TrajectoryServer(DextarNode):
 
     def _take(self, planned: tuple[Task, Plan] | None) -> None:
         if planned is not None:
-            self._planned, self._certificate, self._error = (
-                planned,
-                planned[1].certificate,
-                "",
-            )
+            self._planned, self._error = planned, ""
+            self._certificate = planned[1].certificate
             self._diagnose(whole=True)
 
     def _note(self, error: DextarError | None) -> str:

@@ -44,9 +44,7 @@ def trouble_and_remedy(
             "",
         )
     lifecycle, phase, reason = (
-        told.get("lifecycle", ""),
-        told.get("phase", ""),
-        told.get("reason", ""),
+        told.get(key, "") for key in ("lifecycle", "phase", "reason")
     )
     if lifecycle != "active":
         return (
