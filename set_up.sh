@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes .venv beside this file, with the package and what the extras named need; goes on where an earlier call stopped.
 #
-#   ./set_up.sh [EXTRA ...]      extras of setup.py, such as campaign, export, video, test, lint; make calls this
+#   ./set_up.sh [EXTRA ...]      extras of setup.py, such as campaign, export, video, test, check; make calls this
 #   PYTHON=python3.12            the interpreter that .venv is made with
 #
 # On a sourced Jazzy .venv sees what apt has installed, and pip adds the rest. Otherwise ROS 2 comes from PyPI, and uv installs

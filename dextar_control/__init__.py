@@ -16,8 +16,8 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from dextar_control.analysis.compute import compute_metrics as compute_metrics
     from dextar_control.analysis.load import load_run as load_run
-    from dextar_control.analysis.metrics import compute_metrics as compute_metrics
     from dextar_control.contract.robot import load_robot as load_robot
     from dextar_control.contract.settings import default_settings as default_settings
     from dextar_control.control.loop import ControlLoop as ControlLoop
@@ -33,7 +33,7 @@ _MODULES = {
     "default_settings": "contract.settings",
     "ControlLoop": "control.loop",
     "load_run": "analysis.load",
-    "compute_metrics": "analysis.metrics",
+    "compute_metrics": "analysis.compute",
 }
 __all__ = [
     "ControlLoop",

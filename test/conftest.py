@@ -1,10 +1,13 @@
-"""One DDS domain for each test process, kept on this machine."""
+"""What tests of every folder share. Nothing here loads ROS or the planner before a test
+asks for it.
+"""
 
 from __future__ import annotations
 
 import math
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -15,11 +18,9 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 from dextar_control.contract import terminal
 from dextar_control.contract.resources import ROBOT_FILE, config_file, node_defaults
 from dextar_control.contract.robot import RobotParameters, load_robot
-from dextar_control.model.model import Model
-from dextar_control.nodekit.domain import own_domain
-from dextar_control.planning.planner import Plan, plan_return_trip
 
-os.environ["ROS_DOMAIN_ID"] = str(own_domain())
+if TYPE_CHECKING:
+    from dextar_control.planning.planner import Plan
 
 
 @pytest.fixture(scope="session")
@@ -46,30 +47,37 @@ def uneven(robot: RobotParameters) -> RobotParameters:
     )
 
 
-@pytest.fixture(scope="session")
-def trip(robot: RobotParameters) -> Plan:
-    """The fast return trip between the A and B of ``config/``."""
-    task = node_defaults("trajectory_server")
-    start, goal = np.array(task["task.start"]), np.array(task["task.goal"])
-    return plan_return_trip(robot, start, goal, task["duration"], task["dwell"])
+def _between_a_and_b(robot: RobotParameters, duration: float | None = None) -> Plan:
+    """A return trip between the A and B of ``config/``; duration of one way in s."""
+    from dextar_control.planning.planner import plan_return_trip
 
-
-@pytest.fixture(scope="session")
-def slow_trip(robot: RobotParameters) -> Plan:
-    """The same trip at 2 s each way."""
     task = node_defaults("trajectory_server")
     return plan_return_trip(
         robot,
         np.array(task["task.start"]),
         np.array(task["task.goal"]),
-        2.0,
+        duration or task["duration"],
         task["dwell"],
     )
 
 
 @pytest.fixture(scope="session")
+def trip(robot: RobotParameters) -> Plan:
+    """The fast return trip between the A and B of ``config/``."""
+    return _between_a_and_b(robot)
+
+
+@pytest.fixture(scope="session")
+def slow_trip(robot: RobotParameters) -> Plan:
+    """The same trip at 2 s each way."""
+    return _between_a_and_b(robot, 2.0)
+
+
+@pytest.fixture(scope="session")
 def q_a(robot: RobotParameters, trip: Plan) -> np.ndarray:
     """The active joints (2,), rad, where the trip starts."""
+    from dextar_control.model.model import Model
+
     return Model.of(robot).inverse_geometric_model(trip.trajectory.at(0.0).x)
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dextar_control.analysis.run import Floats, Stamps
-from dextar_control.bags.series import Recorded, Series
+from dextar_control.bags.series import RecordedColumns, Series
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import JOINT_NAMES
 from dextar_control.contract.words import counted
@@ -165,7 +165,9 @@ def _period(stamps: Stamps) -> int:
     return int(np.median(spans[spans > 0])) if (spans > 0).any() else 1
 
 
-def _check(topic: str, found: Recorded, rows: Stamps, served: Sequence[int]) -> None:
+def _check(
+    topic: str, found: RecordedColumns, rows: Stamps, served: Sequence[int]
+) -> None:
     """Refuse what is not one run."""
     stamps, count = found.stamps, len(found.stamps)
     if len(rows) > 2 and np.median(np.diff(rows)) < LEAST_STRETCH:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dextar_control.analysis.metrics import Metrics
-from dextar_control.analysis.run import Floats, Run, Stamps
+from dextar_control.analysis.run import Floats, Run, Stamps, rows_between
 from dextar_control.analysis.tracking import Tracked, plan_of, tracked
 from dextar_control.contract import style
 from dextar_control.contract.errors import DextarError
@@ -301,10 +301,8 @@ def _time(stamps: Stamps, track: Tracked) -> Floats:
     return np.asarray(stamps - track.start, dtype=np.float64) * 1e-9
 
 
-def _inside(time: Floats, track: Tracked) -> slice:
-    return slice(
-        *np.searchsorted(time, (track.time[0], track.time[-1] + 1e-9)).tolist()
-    )
+def _inside(time: Floats, track: Tracked) -> slice[int, int, None]:
+    return rows_between(time, track.time[0], track.time[-1] + 1e-9)
 
 
 def _residual(run: Run, track: Tracked, plan: Certificate | None) -> Panel:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.run import Run
@@ -62,7 +62,7 @@ def differing(runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[Differenc
     return [*found, Difference("bag", [shown_name(run) for run in runs], False)]
 
 
-def _parameters(run: Run) -> dict[str, Any]:
+def _parameters(run: Run) -> dict[str, object]:
     """By dotted names, a node's before its own; the controller's robot as ``robot``."""
     robot = run.parameters.get("controller", {})
     found = {
@@ -126,7 +126,9 @@ def nodes_of(run: Run) -> list[Node]:
     return nodes
 
 
-def _node(name: str, values: Mapping[str, Any], defaults: Mapping[str, Any]) -> Node:
+def _node(
+    name: str, values: Mapping[str, object], defaults: Mapping[str, object]
+) -> Node:
     changed = [
         key
         for key in sorted(values)
@@ -139,7 +141,7 @@ def _node(name: str, values: Mapping[str, Any], defaults: Mapping[str, Any]) -> 
     )
 
 
-def same(one: Any, other: Any) -> bool:
+def same(one: object, other: object) -> bool:
     """Whether two values of a parameter are; lists and tuples are alike."""
     one, other = (
         list(value) if isinstance(value, (list, tuple)) else value
@@ -148,7 +150,7 @@ def same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-def text(value: Any) -> str:
+def text(value: object) -> str:
     """A parameter's value as a page shows it."""
     return value if isinstance(value, str) else json.dumps(value)
 

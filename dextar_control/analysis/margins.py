@@ -5,17 +5,16 @@ and what the observer says of itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dextar_control.analysis.run import Floats, Phase, Run, Stamps
-from dextar_control.analysis.timing import Timing
+from dextar_control.analysis.run import Floats, Phase, Run, Stamps, number_of
+from dextar_control.analysis.timing import MOST_LATE, Timing
 from dextar_control.analysis.tracking import Tracked
-from dextar_control.analysis.verdict import MOST_LATE
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
@@ -34,7 +33,7 @@ from dextar_control.estimation.records import ESTIMATE
 from dextar_control.model.model import Model
 from dextar_control.planning.certificate import Certificate
 from dextar_control.symbols.functions import Batch
-from dextar_control.symbols.record import Layout
+from dextar_control.symbols.record import Field, Layout
 
 ROWS = 1024  # ticks that are looked at together
 LAGS = 50  # samples over which the innovation is compared with itself
@@ -142,7 +141,7 @@ class _Ticks(NamedTuple):
     control: NDArray[np.intp]
     criterion: NDArray[np.intp]
     tau: Floats  # (m, 2) N m, nan where none was recorded
-    fresh: slice  # those that were not in the stretch before
+    fresh: slice[int, None, None]  # those that were not in the stretch before
 
 
 def told(values: Floats) -> bool:
@@ -248,10 +247,8 @@ def _settings(run: Run) -> Settings:
 
 
 def _parameter(run: Run, node: str, name: str) -> float:
-    try:
-        return float(run.parameters.get(node, {})[name])
-    except (KeyError, TypeError, ValueError):
-        return float(node_defaults(node)[name])
+    recorded = number_of(run.parameter(node, name))
+    return float(node_defaults(node)[name]) if math.isnan(recorded) else recorded
 
 
 def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
@@ -303,7 +300,7 @@ def _side(
     if (
         plan is None
         or not np.isfinite(criterion.mode_confidence).any()
-        or settings.estimator.name in ("DGM", "PLAIN")
+        or settings.estimator in ("dgm", "plain")
     ):
         return None
     time = (criterion.stamps - track.start) * 1e-9
@@ -450,7 +447,7 @@ def _watches(
     ]
 
 
-def _zeros(fields: Any) -> dict[str, float]:
+def _zeros(fields: Iterable[Field]) -> dict[str, float]:
     return dict.fromkeys((one.name for one in fields), 0.0)
 
 

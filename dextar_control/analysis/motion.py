@@ -12,7 +12,7 @@ import numpy as np
 
 from dextar_control.analysis.geometry import singularity_measure
 from dextar_control.analysis.plane import chain, locus_of, t_s_at
-from dextar_control.analysis.run import Floats, Run, Stamps
+from dextar_control.analysis.run import Floats, Run, Stamps, rows_between
 from dextar_control.analysis.timing import phase_name
 from dextar_control.analysis.tracking import tracked
 from dextar_control.contract.errors import BagError, ParameterError
@@ -21,7 +21,7 @@ from dextar_control.contract.robot import JOINT_NAMES, RobotParameters, flatten
 MARGIN = 0.1  # s shown before and after the trajectory
 
 
-class Motion(NamedTuple):
+class RunFrames(NamedTuple):
     """Frames of a run.
 
     Attributes:
@@ -95,7 +95,7 @@ class Motion(NamedTuple):
 
 def motion_of(
     run: Run, period: float, begin: float | None = None, end: float | None = None
-) -> Motion:
+) -> RunFrames:
     """Frames every ``period`` s of the run's own time.
 
     Args:
@@ -149,11 +149,8 @@ def motion_of(
     names = [
         phase_name(int(run.criterion.phase[row])) if row >= 0 else "" for row in seen
     ]
-    robot, shown = (
-        run.robot,
-        slice(*np.searchsorted(commands, (times[0], times[-1] + 1e-9)).tolist()),
-    )
-    return Motion(
+    robot, shown = run.robot, rows_between(commands, times[0], times[-1] + 1e-9)
+    return RunFrames(
         robot=robot,
         true=run.truth is not None,
         time=times,

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,20 @@ from dextar_control.bags.series import Floats as Floats
 from dextar_control.bags.series import Stamps as Stamps
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.control.phases import Phase as Phase
+
+
+def rows_between(time: Floats, first: float, last: float) -> slice[int, int, None]:
+    """The rows of rising times (n,) that are in [first, last), all in s."""
+    begin, end = np.searchsorted(time, (first, last)).tolist()
+    return slice(begin, end)
+
+
+def number_of(value: object) -> float:
+    """A recorded value as a number; nan where it is none."""
+    try:
+        return float(value) if isinstance(value, (int, float, str)) else math.nan
+    except (ValueError, OverflowError):
+        return math.nan
 
 
 @dataclass(frozen=True)
@@ -65,7 +79,7 @@ class Control:
 
 
 @dataclass(frozen=True)
-class Criterion:
+class CriterionRecord:
     """The crossing criterion at each tick, and what else the controller thought; all
     (n,) but where it is said.
 
@@ -133,7 +147,7 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Served:
+class ServedTrajectory:
     """The trajectory as it was served.
 
     Attributes:
@@ -193,11 +207,11 @@ class Run:
     states: Joints
     commands: Joints
     control: Control
-    criterion: Criterion
+    criterion: CriterionRecord
     truth: Truth | None
-    trajectory: Served | None
-    diagnostics: dict[str, dict[str, Any]] = field(default_factory=dict)
-    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    trajectory: ServedTrajectory | None
+    diagnostics: dict[str, dict[str, object]] = field(default_factory=dict)
+    parameters: dict[str, dict[str, object]] = field(default_factory=dict)
     robot: RobotParameters | None = None
     losses: dict[str, dict[str, int | None]] = field(default_factory=dict)
     version: str = ""
@@ -209,3 +223,7 @@ class Run:
     stamp_steps: list[float] = field(default_factory=list)
     clock_steps: list[float] = field(default_factory=list)
     poses: Poses | None = None
+
+    def parameter(self, node: str, name: str) -> object:
+        """A node's parameter as it was recorded; None where it was not."""
+        return self.parameters.get(node, {}).get(name)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dextar_control.analysis.run import Floats
+from dextar_control.analysis.run import Floats, rows_between
 
 POINTS = 4000  # of a curve, outside the windows kept whole
 WHOLE = 8000  # points of a curve that may lie in such windows
@@ -47,9 +47,8 @@ def thin(
         WINDOW, WHOLE * float(np.median(np.diff(time))) / max(2 * len(instants), 1)
     )
     for instant in instants:
-        rows.append(
-            np.arange(*np.searchsorted(time, (instant - window, instant + window)))
-        )
+        near = rows_between(time, instant - window, instant + window)
+        rows.append(np.arange(near.start, near.stop))
     return np.unique(np.concatenate(rows)).astype(np.int64)
 
 

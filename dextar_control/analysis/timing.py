@@ -7,15 +7,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.analysis.clock import LEAST_SYSTEM_STEP
+from dextar_control.analysis.registry import Metric
 from dextar_control.analysis.run import Floats, Joints, Phase, Run, Stamps
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.bags.damage import Hole
+
+# share of the steps without a command in time; a run with fewer did not fail by that
+MOST_LATE = 0.2
 
 
 @dataclass(frozen=True)
@@ -60,32 +64,83 @@ class Timing:
 
     By the system clocks, not by the stamps. Publishers on one machine share a clock; on
     two, the round trip is only as true as their clocks are alike.
-
-    Attributes:
-        lockstep: the plant waited for each command, so that the rates say how fast the
-            simulation ran; None when unknown.
-        state_period, command_period: s between successive messages, by the times at
-            which they were published.
-        round_trip: s from the publishing of a state to the publishing of the command
-            with its stamp.
-        stamp_period: s, median of the states' stamps: the period that the robot was
-            sampled with.
-        missed_runs: lengths of the stretches of successive states without a command, in
-            the order of the run.
-        longest_miss: the longest of them, in states; 0 when every state was answered.
-        late_share: of the states, those whose command was published later than one of
-            the robot's sample periods after them, or never; nan where time is not known
-            to be real, and without commands.
     """
 
-    lockstep: bool | None
-    state_period: Spread
-    command_period: Spread
-    round_trip: Spread
-    stamp_period: float
-    missed_runs: list[int]
-    longest_miss: int
-    late_share: float = math.nan
+    lockstep: Annotated[
+        bool | None,
+        Metric(
+            "lockstep",
+            "",
+            "Whether the plant waited for each command, so that the rates say how "
+            "fast the simulation ran; null where it is not known.",
+        ),
+    ]
+    state_period: Annotated[
+        Spread,
+        Metric(
+            "period of the states",
+            "s",
+            "From one state to the next, by the times at which they were published.",
+            ".0f",
+            "µs",
+        ),
+    ]
+    command_period: Annotated[
+        Spread,
+        Metric("period of the commands", "s", "The same of the commands.", ".0f", "µs"),
+    ]
+    round_trip: Annotated[
+        Spread,
+        Metric(
+            "round trip",
+            "s",
+            "From the publishing of a state to the publishing of the command with "
+            "its stamp.",
+            ".0f",
+            "µs",
+        ),
+    ]
+    stamp_period: Annotated[
+        float,
+        Metric(
+            "period of the stamps",
+            "s",
+            "Median period of the states' stamps: that with which the robot was "
+            "sampled.",
+            ".3f",
+            "ms",
+        ),
+    ]
+    missed_runs: Annotated[
+        list[int],
+        Metric(
+            "runs of states without a command",
+            "",
+            "Lengths of the stretches of successive states without a command, in "
+            "the order of the run.",
+        ),
+    ]
+    longest_miss: Annotated[
+        int,
+        Metric(
+            "longest run of such states",
+            "",
+            "The longest of these stretches, in states; 0 where every state was "
+            "answered.",
+            "d",
+        ),
+    ]
+    late_share: Annotated[
+        float,
+        Metric(
+            "share of the states without a command in time",
+            "1",
+            "Share of the states whose command was published later than one of "
+            "the robot's sample periods after them, or never; null where time is "
+            "not known to be real, and without commands.",
+            ".3f",
+        ),
+    ]
 
 
 @dataclass(frozen=True)
@@ -136,7 +191,8 @@ def periods(joints: Joints, stamps: Stamps, holes: Sequence[Hole] = ()) -> Float
     order = np.lexsort((published, stretch))
     spans = _seconds(np.diff(published[order]))
     known = np.diff(stretch[order]) == 0
-    return spans[known & recorded(own[order][:-1], holes, own[order][1:])]
+    seen: Floats = spans[known & recorded(own[order][:-1], holes, own[order][1:])]
+    return seen
 
 
 def recorded(
@@ -157,7 +213,7 @@ def recorded(
     return known
 
 
-def _seconds(nanoseconds: Any) -> Floats:
+def _seconds(nanoseconds: Stamps) -> Floats:
     return np.asarray(nanoseconds, dtype=np.float64) * 1e-9
 
 
@@ -193,14 +249,27 @@ def measure_timing(run: Run, track: Tracked | None) -> Timing:
     )
 
 
+def late_share(late_ticks: int | None, steps: int | None, by_stamps: float) -> float:
+    """Share of the steps without a command in time, nan where it is not known.
+
+    Args:
+        late_ticks, steps: as the plant counted; None where it did not.
+        by_stamps: the share by the recorded times, or nan; the greater counts.
+    """
+    counted = late_ticks / steps if late_ticks is not None and steps else math.nan
+    return max(
+        (share for share in (counted, by_stamps) if math.isfinite(share)),
+        default=math.nan,
+    )
+
+
 def lockstep(run: Run) -> bool | None:
     """Whether the plant waited for its commands; None when neither its diagnostics nor
     a node's parameters tell.
     """
-    mode = run.parameters.get("plant", {}).get("mode") or run.diagnostics.get(
-        "plant", {}
-    ).get("mode")
-    waits = run.parameters.get("controller", {}).get("lockstep")
+    mode = run.parameter("plant", "mode")
+    mode = mode or run.diagnostics.get("plant", {}).get("mode")
+    waits = run.parameter("controller", "lockstep")
     if mode is None and waits is None:
         return None
     return mode == "lockstep" or (mode is None and bool(waits))
@@ -208,7 +277,8 @@ def lockstep(run: Run) -> bool | None:
 
 def within(stamps: Stamps, track: Tracked) -> Stamps:
     """The stamps from the first to the last tracked tick."""
-    return stamps[(stamps >= track.stamps[0]) & (stamps <= track.stamps[-1])]
+    inside = (stamps >= track.stamps[0]) & (stamps <= track.stamps[-1])
+    return np.asarray(stamps[inside])
 
 
 def phase_spans(run: Run, track: Tracked | None) -> list[PhaseSpan]:

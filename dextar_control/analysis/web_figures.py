@@ -7,10 +7,9 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dextar_control.analysis.curves import Around, Panel
 from dextar_control.analysis.plane import Plane, crossing_title, numbers_in_words
@@ -20,7 +19,7 @@ from dextar_control.analysis.timing import PhaseSpan
 from dextar_control.contract import style
 from dextar_control.contract.style import LINES, MARKS, RUNS, Line
 
-WebFigure = dict[str, Any]
+WebFigure = dict[str, object]  # what ``templates/figures.js`` reads
 HEIGHT, SMALL = 132, 52  # px, of the frame of a panel over time, and of one of many
 TALLEST_PLANE = 560  # px
 BINS = 80  # of a histogram
@@ -330,7 +329,7 @@ def _series(
     name: str = "",
     tag: str = "",
     legend: bool = False,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     return {
         "name": style.html(name),
         "tag": tag,
@@ -350,7 +349,7 @@ def _marks(
     text: Sequence[str] = (),
     legend: bool = False,
     fill: str = "paper",
-) -> dict[str, Any]:
+) -> dict[str, object]:
     return _series(x[:, 0], x[:, 1], line, name, name, legend) | {
         "mark": mark,
         "size": size,
@@ -359,7 +358,7 @@ def _marks(
     }
 
 
-def _rule(axis: str, at: Sequence[float], line: Line) -> dict[str, Any]:
+def _rule(axis: str, at: Sequence[float], line: Line) -> dict[str, object]:
     return {
         "axis": axis,
         "at": [float(place) for place in at if math.isfinite(place)],
@@ -367,7 +366,7 @@ def _rule(axis: str, at: Sequence[float], line: Line) -> dict[str, Any]:
     }
 
 
-def _line(line: Line) -> dict[str, Any]:
+def _line(line: Line) -> dict[str, object]:
     return line._asdict() | {"dash": list(line.dash)}
 
 
@@ -380,5 +379,5 @@ def _range(low: float, high: float) -> list[float | None]:
     )
 
 
-def _packed(values: Any) -> str:
+def _packed(values: ArrayLike) -> str:
     return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import yaml
 
@@ -26,10 +26,8 @@ from dextar_control.contract.errors import BagError
 METADATA_FILE = "metadata.yaml"
 METADATA_ROOT = "rosbag2_bagfile_information"
 OVERLAP = 1_000_000_000  # ns by which the log times of a split bag's files may overlap
-SQLITE, SQLITE_SUFFIX = (
-    b"SQLite format 3\0",
-    ".db3",
-)  # rosbags knows such a file by its suffix
+SQLITE = b"SQLite format 3\0"
+SQLITE_SUFFIX = ".db3"  # by which rosbags knows such a file
 # As recorders put it at the end of a file's name: 2026_01_30-12_00_00,
 # 20260130T120000Z, 2026-01-30T12-00-00.
 _TIME = re.compile(r"_*\d{4}[-_]?\d{2}[-_]?\d{2}[-_T]?\d{2}[-_]?\d{2}[-_]?\d{2}Z?$")
@@ -141,9 +139,7 @@ def files_of(folder: Path) -> BagFiles:
     fault, listed = f"there is no {METADATA_FILE}", list[Path]()
     if (folder / METADATA_FILE).is_file():
         try:
-            listed = [
-                folder / name for name in read_listing(folder)["relative_file_paths"]
-            ]
+            listed = [folder / name for name in read_listing(folder).names]
             fault = "" if listed else f"{METADATA_FILE} lists no file"
         except BagError as error:
             fault = str(error)
@@ -228,9 +224,20 @@ def of_one_bag(file: Path, others: Sequence[Path]) -> bool:
     return any(known_as(file) & known_as(other) for other in others)
 
 
-def read_listing(folder: Path) -> dict[str, Any]:
-    """What ``metadata.yaml`` says of the bag in its folder: at least
-    ``relative_file_paths``, a list of names.
+class Listing(NamedTuple):
+    """What ``metadata.yaml`` says of a bag.
+
+    Attributes:
+        names: of its files, as they are found in the folder.
+        document: everything it says, by rosbag2's keys.
+    """
+
+    names: list[str]
+    document: Mapping[str, object]
+
+
+def read_listing(folder: Path) -> Listing:
+    """Read what ``metadata.yaml`` says of the bag in its folder.
 
     Raises:
         BagError: it is no metadata.yaml of rosbag2.
@@ -251,7 +258,7 @@ def read_listing(folder: Path) -> dict[str, Any]:
         AttributeError,
     ) as error:
         raise BagError(f"{METADATA_FILE} is none of rosbag2") from error
-    return {**document, "relative_file_paths": names}
+    return Listing(names, document)
 
 
 def _there(folder: Path, name: str) -> str:

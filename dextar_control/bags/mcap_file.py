@@ -26,7 +26,7 @@ INDEX_SIZE = 512  # bytes, generous, that a write adds to the index at the end
 COMPRESSIONS = {"zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
 
 
-class Sample(NamedTuple):
+class SerializedMessage(NamedTuple):
     """One message on its way to the bag; times in ns since the epoch."""
 
     log_time: int
@@ -97,7 +97,7 @@ class McapFile:
         )
         self.counts.setdefault(topic.name, 0)
 
-    def write(self, batch: Sequence[Sample]) -> None:
+    def write(self, batch: Sequence[SerializedMessage]) -> None:
         """Write samples in order of log time."""
         if not batch:
             return
@@ -127,14 +127,14 @@ class McapFile:
         """Close the chunk under way and wait until the disk has it; keep room for what
         the end will need.
         """
-        self._writer.flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates it not
         self.stream.reserve(RESERVE // 2 + INDEX_SIZE * self.stream.writes)
         self.stream.sync()
 
     def finish(self, custom: Mapping[str, str]) -> None:
         """Write rosbag2's record, the index and the end; wait for the disk."""
         self._describe_itself(custom)
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates it not
         self.stream.sync()
         self.stream.close()
 

@@ -4,6 +4,7 @@ record.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -129,12 +130,7 @@ def _file_span(file: FileSummary) -> dict[str, object]:
     return {key: span[key] for key in ("starting_time", "duration", "message_count")}
 
 
-class _PlainDumper(yaml.SafeDumper):
-    """YAML without anchors, which rosbag2 does not read."""
-
-    def ignore_aliases(self, data: object) -> bool:
-        return True
-
-
 def _dump(document: object) -> str:
-    return yaml.dump(document, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
+    """YAML without anchors, which rosbag2 does not read: no part stands in it twice."""
+    parts = json.loads(json.dumps(document))
+    return str(yaml.safe_dump(parts, sort_keys=False, allow_unicode=True))

@@ -8,12 +8,11 @@ import json
 import os
 import platform
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import datetime, timezone
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -38,10 +37,10 @@ class RunRecord:
         self.started = datetime.now(timezone.utc)
         self.labels = dict(labels)
         self.certificate = ""
-        self.changes: list[dict[str, Any]] = []
+        self.changes: list[dict[str, object]] = []
         self.more_changes = 0
 
-    def note_change(self, time: int, node: str, name: str, value: Any) -> None:
+    def note_change(self, time: int, node: str, name: str, value: object) -> None:
         """A parameter that was changed while the recording ran; time in ns since the
         epoch.
         """
@@ -67,9 +66,9 @@ class RunRecord:
 
     def texts(
         self,
-        parameters: Mapping[str, Mapping[str, Any]],
+        parameters: Mapping[str, Mapping[str, object]],
         topics: Mapping[str, str],
-        counts: Mapping[str, Any],
+        counts: Mapping[str, object],
         missing: list[str],
         ended: datetime | None = None,
     ) -> dict[str, str]:
@@ -103,14 +102,14 @@ class RunRecord:
         }
 
     def custom_data(
-        self, parameters: Mapping[str, Mapping[str, Any]]
+        self, parameters: Mapping[str, Mapping[str, object]]
     ) -> dict[str, str]:
         """What ``metadata.yaml`` shows of the run in ``custom_data``; nothing empty."""
         data = {**self.labels, **_laws(parameters), "dextar": version()}
         return {key: str(value) for key, value in data.items() if value}
 
 
-def robot_file(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+def robot_file(parameters: Mapping[str, Mapping[str, object]]) -> str:
     """The robot as a ROS 2 parameter file (``--params-file``, ``load_robot``), the
     controller's before others'; "" if none.
     """
@@ -125,21 +124,21 @@ def robot_file(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     return ""
 
 
-def parameter_text(values: Mapping[str, Any]) -> str:
+def parameter_text(values: Mapping[str, object]) -> str:
     """Dotted parameters as YAML, arrays as lists."""
-    return yaml.safe_dump(
-        {name: plain(value) for name, value in values.items()},
-        sort_keys=True,
-        default_flow_style=None,
-        width=1000,
+    plain_values = {name: plain(value) for name, value in values.items()}
+    return str(
+        yaml.safe_dump(
+            plain_values, sort_keys=True, default_flow_style=None, width=1000
+        )
     )
 
 
-def plain(value: Any) -> Any:
-    """A parameter's value in Python's own types."""
-    return (
-        value if isinstance(value, (str, bool, int, float, type(None))) else list(value)
-    )
+def plain(value: object) -> object:
+    """A parameter's value in Python's own types, an array as a list."""
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        return list(value)
+    return value
 
 
 @cache
@@ -173,16 +172,18 @@ def versions() -> dict[str, str]:
     return {name: text for name, text in found.items() if text}
 
 
-def _laws(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+def _laws(parameters: Mapping[str, Mapping[str, object]]) -> dict[str, str]:
     controller = parameters.get("controller", {})
     return {key: str(controller.get(key, "")) for key in ("law", "estimator")}
 
 
-def _shortens(new: dict[str, Any], old: dict[str, Any]) -> bool:
+def _shortens(new: Mapping[str, object], old: Mapping[str, object]) -> bool:
     """Whether it is the same certificate with fewer crossings listed."""
-    if len(new.get("crossings", ())) >= len(old.get("crossings", ())):
-        return False
-    return all(new[key] == old.get(key) for key in new if key != "crossings")
+    listed = [one.get("crossings") for one in (new, old)]
+    fewer, more = (len(own) if isinstance(own, list) else 0 for own in listed)
+    return fewer < more and all(
+        new[key] == old.get(key) for key in new if key != "crossings"
+    )
 
 
 def _source() -> Path:

@@ -11,9 +11,8 @@ import tempfile
 from pathlib import Path
 from typing import IO
 
-RESERVE = (
-    4 * 1024 * 1024
-)  # bytes kept free for the last chunk, the index and metadata.yaml
+# bytes kept free for the last chunk, the index and metadata.yaml
+RESERVE = 4 * 1024 * 1024
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -21,9 +20,8 @@ class BagStream:
     """What mcap's Writer writes its whole records to.
 
     On a full disk a kept reserve is given up: the record under way is still written,
-        and so is the end of
-    the bag. Where the reserve does not help (a limit on the file's size) the write
-    raises.
+    and so is the end of the bag. Where the reserve does not help (a limit on the file's
+    size) the write raises.
 
     Args:
         path: of the new file; the folder exists.

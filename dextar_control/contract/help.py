@@ -11,7 +11,6 @@ from typing import ClassVar, Protocol
 
 from dextar_control.contract import resources
 from dextar_control.contract.parameters import Parameter
-from dextar_control.contract.tables import rate
 from dextar_control.contract.topics import NODES, SERVICES, Topic
 
 WIDTH = 79
@@ -52,6 +51,10 @@ def node_help(node: type[DescribedNode]) -> str:
     parts = [
         f"usage: ros2 run dextar {name} [-h] [--ros-args ROS_ARGUMENT ...]",
         about,
+        _section(
+            f"options of dextar {name}",
+            (_item(*pair) for pair in getattr(node, "SHORT", ())),
+        ),
         _section("publishes", (_topic(topic, name) for topic in ends.publishes)),
         _section("reads", map(_topic, ends.reads)),
         _section(
@@ -77,6 +80,11 @@ def node_help(node: type[DescribedNode]) -> str:
         ),
     ]
     return "\n\n".join(part for part in parts if part)
+
+
+def rate(topic: Topic) -> str:
+    """A topic's nominal rate in words."""
+    return topic.rate_text or (f"{topic.rate:g} Hz" if topic.rate else "on change")
 
 
 def _section(title: str, items: Iterable[str]) -> str:
@@ -129,10 +137,8 @@ def _parameters(node: str, specs: Iterable[Parameter], robot: bool) -> str:
 
 
 def _words(spec: Parameter) -> str:
-    """Return the description and the choices behind it."""
-    return spec.description + (
-        f" The choices are {', '.join(spec.choices)}." if spec.choices else ""
-    )
+    """Return the description and what may be chosen behind it."""
+    return spec.description + (f" It is {spec.allowed}." if spec.allowed else "")
 
 
 def _value(default: object) -> str:

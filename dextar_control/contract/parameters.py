@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from dextar_control.contract import resources
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.plain_data import ParameterValue
+from dextar_control.contract.plug_in import is_own, one_of
 from dextar_control.contract.robot import PREFIX, ROBOT_KEYS
 
 
@@ -27,6 +28,8 @@ class Parameter:
             empty.
         live: may be changed while the node runs.
         unit: of a number, SI; 1 where it has no dimension.
+        own: whether a string may also be ``module:attribute`` of the user's own code,
+            beside the choices.
     """
 
     name: str
@@ -37,6 +40,14 @@ class Parameter:
     size: int = 0
     live: bool = False
     unit: str = ""
+    own: bool = False
+
+    @property
+    def allowed(self) -> str:
+        """Which strings it takes, in words; empty where it takes any."""
+        if self.own:
+            return one_of(self.choices)
+        return f"one of {', '.join(self.choices)}" if self.choices else ""
 
     @property
     def measured(self) -> str:
@@ -94,8 +105,9 @@ def check_value(
     if isinstance(default, str):
         if not isinstance(value, str):
             raise fail("a string")
-        if spec.choices and value not in spec.choices:
-            raise fail(f"one of {', '.join(spec.choices)}")
+        known = value in spec.choices or (spec.own and is_own(value))
+        if spec.choices and not known:
+            raise fail(spec.allowed)
         return value
     array = isinstance(default, (list, tuple))
     optional = array and not default

@@ -7,34 +7,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from difflib import get_close_matches
-from enum import IntEnum
-from typing import TypeVar
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.parameters import Parameter
 from dextar_control.contract.plain_data import ParameterValue
+from dextar_control.contract.plug_in import is_own, one_of
 from dextar_control.contract.resources import NODES_FILE, config_file, node_defaults
 
-Choice = TypeVar("Choice", bound=IntEnum)
-
-
-class Law(IntEnum):
-    """Which torques near the locus; see ``control.law``."""
-
-    CLASSIC = 0
-    PROJECTED = 1
-    CONSISTENT = 2
-    MULTI_MODEL = 3
-    JOINT_SPACE = 4
-
-
-class Estimation(IntEnum):
-    """Which estimator; see ``estimation.estimator``."""
-
-    PLAIN = 0
-    DGM = 1
-    OBSERVER = 2
-    EXTERNAL = 3
+LAWS = ("classic", "projected", "consistent", "multi_model", "joint_space")
+"""Ours by their names, which ``control.law`` has."""
+ESTIMATORS = ("plain", "dgm", "observer", "external")
+"""Ours by their names, which ``estimation.estimator`` has."""
 
 
 SETTINGS = (
@@ -42,13 +25,15 @@ SETTINGS = (
         "law",
         "The control law computes the torques from the tracking error; the laws differ"
         " near the Type 2 locus.",
-        choices=tuple(law.name.lower() for law in Law),
+        choices=LAWS,
+        own=True,
     ),
     Parameter(
         "estimator",
         "The estimator finds the platform's state and assembly mode from the encoders;"
         " external also takes measured positions.",
-        choices=tuple(kind.name.lower() for kind in Estimation),
+        choices=ESTIMATORS,
+        own=True,
     ),
     Parameter(
         "natural_frequency",
@@ -584,8 +569,8 @@ class Settings:
     ``SETTINGS``, which says what it is.
     """
 
-    law: Law
-    estimator: Estimation
+    law: str
+    estimator: str
     natural_frequency: float
     damping_ratio: float
     integral_frequency: float
@@ -648,8 +633,7 @@ class Settings:
 
     @classmethod
     def from_values(cls, values: Mapping[str, ParameterValue]) -> Settings:
-        """Settings from parameter values; law and estimator by name or as enums, other
-        keys are ignored.
+        """Return the settings of parameter values; other keys are ignored.
 
         Raises:
             ParameterError: a value is missing, or law or estimator is unknown.
@@ -658,25 +642,12 @@ class Settings:
         if missing:
             raise ParameterError(f"setting '{missing[0]}' is missing")
         taken = {field.name: values[field.name] for field in fields(cls)}
-        taken["law"] = choice(Law, "law", taken["law"])
-        taken["estimator"] = choice(Estimation, "estimator", taken["estimator"])
+        for name, ours in (("law", LAWS), ("estimator", ESTIMATORS)):
+            if taken[name] not in ours and not is_own(str(taken[name])):
+                raise ParameterError(
+                    f"{name} = {taken[name]!r}; it must be {one_of(ours)}"
+                )
         return cls(**taken)
-
-
-def choice(kind: type[Choice], name: str, value: object) -> Choice:
-    """A member of an enum by its name in lower case, or as it is.
-
-    Raises:
-        ParameterError: there is none; names those there are.
-    """
-    if isinstance(value, kind):
-        return value
-    known = {member.name.lower(): member for member in kind}
-    if str(value) not in known:
-        raise ParameterError(
-            f"{name} = {value!r}; it must be one of {', '.join(known)}"
-        )
-    return known[str(value)]
 
 
 def default_settings(**changes: object) -> Settings:

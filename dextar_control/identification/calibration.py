@@ -42,7 +42,7 @@ from dextar_control.identification.quantities import (
     in_words,
     rms_of,
 )
-from dextar_control.identification.recorded import Recorded, recorded_of
+from dextar_control.identification.recorded import RecordedMotion, recorded_of
 from dextar_control.identification.transmission import SURE
 from dextar_control.mechanisms.five_bar_locus import SIDES
 from dextar_control.symbols.types import Array
@@ -82,7 +82,7 @@ RECORD = (
 )
 
 
-class Recording(NamedTuple):
+class CalibrationData(NamedTuple):
     """What a calibration takes of a bag.
 
     Attributes:
@@ -135,7 +135,7 @@ class Calibration:
 
     before: RobotParameters
     after: RobotParameters
-    recordings: list[Recording]
+    recordings: list[CalibrationData]
     folds: list[Fold]
     gaps_before: Array
     gaps_after: Array
@@ -180,7 +180,7 @@ class Calibration:
         )
 
 
-def passed_on(robot: RobotParameters, recorded: Recorded) -> Array:
+def passed_on(robot: RobotParameters, recorded: RecordedMotion) -> Array:
     """(m, 2) torque that the transmissions pass on to the links, N m: the motors' less
     what turns their rotors.
 
@@ -199,8 +199,8 @@ def passed_on(robot: RobotParameters, recorded: Recorded) -> Array:
 
 
 def recording_of(
-    linkage: Linkage, robot: RobotParameters, recorded: Recorded, bag: int = 0
-) -> Recording:
+    linkage: Linkage, robot: RobotParameters, recorded: RecordedMotion, bag: int = 0
+) -> CalibrationData:
     """What a motion says by its encoders, and by a camera if there was one."""
     time, readings, numbers = recorded.time, recorded.readings, numbers_of(robot)
     passed = passed_on(robot, recorded)
@@ -233,7 +233,9 @@ def recording_of(
         )
     )
     extremes = np.array([distance.min(), distance.max()])
-    return Recording(recorded.path, folds, places, extremes, np.ptp(readings, axis=0))
+    return CalibrationData(
+        recorded.path, folds, places, extremes, np.ptp(readings, axis=0)
+    )
 
 
 def calibrate(
@@ -261,7 +263,7 @@ def calibrate(
 
 def calibrate_recorded(
     robot: RobotParameters,
-    motions: Sequence[Recorded],
+    motions: Sequence[RecordedMotion],
     *,
     poses: bool = True,
     progress: Progress = lambda stage: None,
@@ -360,7 +362,7 @@ def robot_lines(calibration: Calibration) -> list[str]:
     ]
 
 
-def _no_fold(robot: RobotParameters, recording: Recording) -> str:
+def _no_fold(robot: RobotParameters, recording: CalibrationData) -> str:
     total, least = (
         robot.left.distal_length + robot.right.distal_length,
         robot.left.distal_length - robot.right.distal_length,
@@ -374,7 +376,7 @@ def _no_fold(robot: RobotParameters, recording: Recording) -> str:
 
 
 def _check_enough(
-    recordings: Sequence[Recording],
+    recordings: Sequence[CalibrationData],
     folds: Sequence[Fold],
     wanted: Sequence[Direction],
     places: Places | None,
@@ -399,7 +401,7 @@ def _check_enough(
         )
 
 
-def _no_fold_of_all(recordings: Sequence[Recording]) -> str:
+def _no_fold_of_all(recordings: Sequence[CalibrationData]) -> str:
     low = 1e3 * min(recording.extremes[0] for recording in recordings)
     high = 1e3 * max(recording.extremes[1] for recording in recordings)
     return (
@@ -410,7 +412,7 @@ def _no_fold_of_all(recordings: Sequence[Recording]) -> str:
 
 
 def _check_agree(
-    linkage: Linkage, numbers: Array, recordings: Sequence[Recording], found: Fit
+    linkage: Linkage, numbers: Array, recordings: Sequence[CalibrationData], found: Fit
 ) -> None:
     """Several recordings are of one robot.
 
@@ -554,7 +556,8 @@ def _plain(numbers: Array, found: Fit) -> Array:
     """(16,) as a description has them: encoders without an error once a turn,
     transmissions' compliances where they are told.
     """
-    deviations, plain = np.sqrt(np.diag(found.covariance)), found.numbers.copy()
+    deviations: Array = np.sqrt(np.diag(found.covariance))
+    plain: Array = found.numbers.copy()
     for row, name in enumerate(NAMES):
         if name.endswith(PER_TURN):
             plain[row] = 0.0

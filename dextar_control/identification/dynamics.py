@@ -20,7 +20,7 @@ from scipy.optimize import lsq_linear
 
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.identification.fit import MEDIAN
-from dextar_control.identification.motion import BLOCK, Motion
+from dextar_control.identification.motion import BLOCK, SmoothMotion
 from dextar_control.identification.quantities import UNITS
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.regressor import Unknown, regressors, sizes_of, unknowns_of
@@ -48,7 +48,7 @@ LEAST_TORQUE = 2e-4  # N m, of the rest, that is no sign of anything
 NEGLIGIBLE = 1e-3
 
 
-class Combination(NamedTuple):
+class BaseParameter(NamedTuple):
     """A sum of numbers that the torques see together: a base parameter.
 
     Attributes:
@@ -91,7 +91,7 @@ class DynamicFit:
     numbers: Array
     deviations: Array
     prior: Array
-    combinations: tuple[Combination, ...]
+    combinations: tuple[BaseParameter, ...]
     bound: tuple[str, ...]
     delay: Array
     delay_deviation: Array
@@ -121,7 +121,7 @@ class _Rows(NamedTuple):
     late: Array
 
 
-def rows_of(p: Array, motion: Motion) -> _Rows:
+def rows_of(p: Array, motion: SmoothMotion) -> _Rows:
     """The equation along a motion for some numbers."""
     found = regressors(DETAILED_FIVE_BAR).batch("gap")(
         p, motion.q_a, motion.x, motion.x_dot, motion.x_ddot, motion.tau
@@ -138,7 +138,7 @@ def rest_of(rows: _Rows, gap: Array) -> Array:
     )
 
 
-def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFit:
+def fit_dynamics(robot: RobotParameters, motions: Sequence[SmoothMotion]) -> DynamicFit:
     """The numbers that explain the motions best.
 
     Args:
@@ -277,7 +277,7 @@ def _combinations(
     before: Array,
     numbers: Array,
     covariance: Array,
-) -> tuple[Combination, ...]:
+) -> tuple[BaseParameter, ...]:
     """The base parameters: the numbers whose torques are told apart, the last first,
     each with its share of the others'.
     """
@@ -305,7 +305,7 @@ def _combinations(
         ]
         scale = factors * prior
         found.append(
-            Combination(
+            BaseParameter(
                 " ".join([unknowns[first].name, *others]),
                 unknowns[first].unit,
                 factors,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -260,10 +260,9 @@ class _Problem:
             ]
         )
         b = np.concatenate([self.gaps * weights, self.seen, hold * moved[:free]])
-        small: Any = np.linalg.qr(
-            np.column_stack([A, b]), mode="r"
-        )  # says of both what the many rows do
-        A, b = small[:, :free], small[:, free]
+        # R of a QR decomposition says of both what the many rows do
+        R = np.asarray(np.linalg.qr(np.column_stack([A, b]), mode="r"))
+        A, b = R[:, :free], R[:, free]
         _, values, V = np.linalg.svd(A)
         values = np.maximum(
             np.pad(values, (0, free - len(values))),

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from dextar_control.identification.motion import (
     LEAST_RATE,
     LEAST_S,
     SHORTEST,
-    Motion,
+    SmoothMotion,
     motion_of,
 )
 from dextar_control.identification.quantities import (
@@ -38,7 +38,7 @@ from dextar_control.identification.quantities import (
     in_words,
     rms_of,
 )
-from dextar_control.identification.recorded import Recorded, recorded_of
+from dextar_control.identification.recorded import RecordedMotion, recorded_of
 from dextar_control.identification.transmission import Stiffness, stiffnesses_of
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.mechanisms.five_bar_locus import SIDES
@@ -102,7 +102,7 @@ class Identification:
 
     before: RobotParameters
     after: RobotParameters
-    motions: list[Motion]
+    motions: list[SmoothMotion]
     fit: DynamicFit
     stiffnesses: list[Stiffness | None]
     kept: list[str]
@@ -174,7 +174,7 @@ def identify(
 
 def identify_recorded(
     robot: RobotParameters,
-    recordings: Sequence[Recorded],
+    recordings: Sequence[RecordedMotion],
     *,
     progress: Progress = lambda stage: None,
 ) -> Identification:
@@ -205,18 +205,18 @@ def identify_recorded(
     _check_told(motions, found)
     _check_bounds(robot, found)
     stiffnesses = stiffnesses_of(robot, motions)
-    changes: dict[str, Any] = {
+    numbers = {
         one.name: float(value)
         for one, value in zip(found.unknowns, found.numbers, strict=True)
     }
-    changes["gravity"] = changes.pop("gravity.x"), changes.pop("gravity.y")
-    changes |= {
+    gravity = numbers.pop("gravity.x"), numbers.pop("gravity.y")
+    numbers |= {
         f"{side}.transmission_stiffness": told.value
         for side, told in zip(SIDES, stiffnesses, strict=True)
         if told is not None
     }
     try:
-        after = robot.replace(**changes)
+        after = robot.replace(**numbers, gravity=gravity)
     except ParameterError as error:
         raise CalibrationError(
             f"{_names(motions)} lead to no robot: {error}. Nothing was written"
@@ -271,11 +271,11 @@ def identified_lines(identification: Identification) -> list[str]:
     ]
 
 
-def _names(motions: Sequence[Motion]) -> str:
+def _names(motions: Sequence[SmoothMotion]) -> str:
     return ", ".join(str(motion.recorded.path) for motion in motions)
 
 
-def _too_little(motions: Sequence[Motion]) -> str:
+def _too_little(motions: Sequence[SmoothMotion]) -> str:
     count = sum(len(motion.tells) for motion in motions)
     return (
         f"too little motion: {count} instants tell something of masses and friction,"
@@ -285,7 +285,7 @@ def _too_little(motions: Sequence[Motion]) -> str:
     )
 
 
-def _check_motion(motions: Sequence[Motion]) -> None:
+def _check_motion(motions: Sequence[SmoothMotion]) -> None:
     """Enough of a motion, both ways.
 
     Raises:
@@ -314,7 +314,7 @@ def _check_motion(motions: Sequence[Motion]) -> None:
 
 
 def _check_agree(
-    robot: RobotParameters, motions: Sequence[Motion], found: DynamicFit
+    robot: RobotParameters, motions: Sequence[SmoothMotion], found: DynamicFit
 ) -> None:
     """Several recordings are of one robot.
 
@@ -339,7 +339,7 @@ def _check_agree(
             )
 
 
-def _check_told(motions: Sequence[Motion], found: DynamicFit) -> None:
+def _check_told(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
     """The torques tell the bodies, the motors' friction and gravity.
 
     Raises:
@@ -374,7 +374,7 @@ def _check_told(motions: Sequence[Motion], found: DynamicFit) -> None:
         )
 
 
-def _check_explained(motions: Sequence[Motion], found: DynamicFit) -> None:
+def _check_explained(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
     """The numbers explain the torques.
 
     Raises:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -145,7 +144,7 @@ def described(robot: RobotParameters, numbers: Array) -> RobotParameters:
         dict(zip(NAMES, map(float, row), strict=True))
         for row in (numbers, numbers_of(robot))
     )
-    changes: dict[str, Any] = {}
+    changes: dict[str, float | tuple[float, float]] = {}
     for side in SIDES:
         changes |= {
             f"{side}.{name}": found[f"{side}.{name}"]

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from dextar_control.contract.robot import RobotParameters, flatten
-from dextar_control.identification.recorded import Recorded
+from dextar_control.identification.recorded import RecordedMotion
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.model import library_of
 from dextar_control.model.regressor import regressors
@@ -40,7 +39,7 @@ EXCITE = "record dextar demo --lockstep --excite (on a rig the task excite:=20)"
 
 
 @dataclass(frozen=True)
-class Motion:
+class SmoothMotion:
     """The stretches of a motion in which the encoders tell it, on even grids.
 
     Attributes:
@@ -59,9 +58,9 @@ class Motion:
         rates: (k, n) of the joints at the k instants that tell something, rad/s.
     """
 
-    recorded: Recorded
+    recorded: RecordedMotion
     time: Array
-    stretches: tuple[slice, ...]
+    stretches: tuple[slice[int, int, None], ...]
     parallel: Array
     tells: NDArray[np.int64]
     q_a: Array
@@ -84,7 +83,7 @@ class Motion:
         return found[self.tells]
 
 
-def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
+def motion_of(robot: RobotParameters, recorded: RecordedMotion) -> SmoothMotion:
     """What of a recorded motion tells something; it may be empty."""
     p = DETAILED_FIVE_BAR.values(
         flatten(robot) | {"working_mode": recorded.working_mode}
@@ -110,7 +109,9 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
         max(round(WINDOW / period), 1),
         round(SHORTEST / period),
     )
-    parts, stretches, end = list[dict[str, Array]](), list[slice](), 0
+    parts: list[dict[str, Array]] = []
+    stretches: list[slice[int, int, None]] = []
+    end = 0
     tells, rates = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
     for rows in np.split(np.arange(len(recorded.time)), np.flatnonzero(breaks) + 1):
         if not usable[rows[0]] or np.ptp(recorded.time[rows]) < SHORTEST:
@@ -154,7 +155,7 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
             "tau_dot",
         )
     }
-    return Motion(
+    return SmoothMotion(
         recorded=recorded,
         stretches=tuple(stretches),
         parallel=parallel,
@@ -167,7 +168,11 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
 
 
 def _even(
-    robot: RobotParameters, recorded: Recorded, rows: Any, period: float, smooth: Array
+    robot: RobotParameters,
+    recorded: RecordedMotion,
+    rows: NDArray[np.int64],
+    period: float,
+    smooth: Array,
 ) -> dict[str, Array]:
     """One stretch without a gap on an even grid."""
     time = recorded.time[rows]
@@ -196,7 +201,9 @@ def _even(
     }
 
 
-def _jitter(recorded: Recorded, period: float, smooth: Array, parallel: Array) -> Array:
+def _jitter(
+    recorded: RecordedMotion, period: float, smooth: Array, parallel: Array
+) -> Array:
     """(n,) of the joints' accelerations, rad/s^2, by what the filter takes off."""
     noise = (recorded.readings - sosfiltfilt(smooth, recorded.readings, axis=0)).std(
         axis=0

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.table import Table
 
-from dextar_control.analysis.page import Cell, Column, number, render
+from dextar_control.analysis.page import Cell, Column, render
+from dextar_control.analysis.registry import number
 from dextar_control.analysis.web_figures import residuals
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.robot import RobotParameters
@@ -217,21 +217,23 @@ def render_calibration(
         ]
         for one in predictions
     ]
-    values: dict[str, Any] = {
-        "title": f"{calibration.after.name}: geometry calibrated",
-        "heading": (
+    return render(
+        "identification.html",
+        figures,
+        title=f"{calibration.after.name}: geometry calibrated",
+        heading=(
             f"{calibration.after.name}: geometry by"
             f" {', '.join(short(one.path) for one in calibration.recordings)}"
         ),
-        "sentence": sentence(calibration),
-        "verdict": "Calibrated.",
-        "quantities": quantity_table(calibration.quantities),
-        "kept": calibration.kept,
-        "told": (
+        sentence=sentence(calibration),
+        verdict="Calibrated.",
+        quantities=quantity_table(calibration.quantities),
+        kept=calibration.kept,
+        told=(
             "What was looked for, with standard deviations by the scatter of the"
             " recordings."
         ),
-        "directions": (
+        directions=(
             calibration.kept
             and [
                 f"{direction.name}: ± {UNITS[direction.unit][1] * deviation:.4f}"
@@ -241,9 +243,9 @@ def render_calibration(
                 )
             ]
         ),
-        "observed": "Crossing by crossing",
-        "observation": OBSERVATION,
-        "observations": (
+        observed="Crossing by crossing",
+        observation=OBSERVATION,
+        observations=(
             [
                 Column("crossing"),
                 Column("bag", text=True),
@@ -258,7 +260,7 @@ def render_calibration(
             ],
             rows,
         ),
-        "predictions": (
+        predictions=(
             [
                 Column("bag", text=True),
                 Column("crossings"),
@@ -269,12 +271,11 @@ def render_calibration(
             ],
             checked,
         ),
-        "footer": (
+        footer=(
             f"Made by dextar calibrate. {ROBOT_FILE} beside this page is a robot file"
             " for every node."
         ),
-    }
-    return render("identification.html", figures, **values)
+    )
 
 
 def write_identification(

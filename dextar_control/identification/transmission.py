@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.identification.motion import Motion
+from dextar_control.identification.motion import SmoothMotion
 from dextar_control.model.model import Model
 from dextar_control.symbols.types import Array
 
@@ -27,7 +27,7 @@ class Stiffness(NamedTuple):
 
 
 def stiffnesses_of(
-    robot: RobotParameters, motions: Sequence[Motion]
+    robot: RobotParameters, motions: Sequence[SmoothMotion]
 ) -> list[Stiffness | None]:
     """Of each joint's transmission; None where it is not told.
 

@@ -24,7 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 from dextar_control.contract.errors import DextarError, ParameterError, StateError
 from dextar_control.contract.parameters import SCHEDULING, Parameter
 from dextar_control.contract.plain_data import ParameterValue
-from dextar_control.contract.settings import SETTINGS, Estimation, Settings
+from dextar_control.contract.settings import SETTINGS, Settings
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
 from dextar_control.control.loop import ControlLoop
@@ -230,11 +230,7 @@ class ControllerNode(ManagedNode):
         self._closers.append(self._outputs.close)
         self._reference = ReferenceReader(self)
         self._closers.append(self._reference.close)
-        self._poses = (
-            ExternalPoseReader(self)
-            if loop.settings.estimator is Estimation.EXTERNAL
-            else None
-        )
+        self._poses = ExternalPoseReader(self) if loop.estimator.takes_poses else None
         if self._poses is not None:
             self._closers.append(self._poses.close)
         profile = qos(JOINT_STATES, reliable=self._lockstep)

@@ -29,6 +29,7 @@ from dextar_control.contract.topics import (
     JOINT_STATES,
     PHASES,
 )
+from dextar_control.control.supervisor import WATCHES
 from dextar_control.nodekit.node import DextarNode, run_node
 from dextar_control.nodekit.scheduling import stand_back
 from dextar_control.nodekit.worker import GivenUp, JobQueue
@@ -57,10 +58,12 @@ PARAMETERS = (
     Parameter("rate", "The page is renewed at this rate.", 5.0, 60.0, unit="Hz"),
 )
 Told = Callable[[bool, str, Mapping[str, object]], None]
+# Of the command ``dextar panel``, for short; ``--namespace`` besides.
 OPTIONS = {"--host": "host", "--port": "port"}
-"""Of the command ``dextar panel``, for short; ``--namespace`` besides."""
+UNITS = {watch.name: watch.unit for watch in WATCHES}
 
 STATUS_PERIOD = 0.2  # s
+LISTENING = 2.5  # s from the panel's begin within which silence says nothing
 DIAGNOSTICS_PERIOD = 1.0  # s
 # s by which the controller's last word is behind the last joint state, from which on it
 # tells no phase
@@ -112,6 +115,10 @@ class PanelNode(DextarNode):
 
     NAME = "panel"
     PARAMETERS = PARAMETERS
+    SHORT = (
+        ("--host HOST, --port PORT", "short for -p host:=HOST, -p port:=PORT"),
+        ("--namespace NS", "short for -r __ns:=NS: the robot of that namespace"),
+    )
 
     def __init__(self) -> None:
         super().__init__()
@@ -125,6 +132,7 @@ class PanelNode(DextarNode):
         self._bag = ""
         self._complaint = ""
         self._shown = 0
+        self._began = time.monotonic()
         self._loop: asyncio.AbstractEventLoop | None = None
         self.server = PanelServer(self, self.values["host"], self.values["port"])
         if self.server.moved:
@@ -397,14 +405,16 @@ class PanelNode(DextarNode):
             if me.fresh(name)
         }
         plant = me.status.get("plant", {}) if me.fresh("plant") else {}
-        why, action = trouble_and_remedy(self.get_namespace(), told, nodes)
+        listening = not nodes and time.monotonic() - self._began < LISTENING
+        why, action = trouble_and_remedy(self.get_namespace(), told, nodes, listening)
         self.server.send(
             "status",
             {
                 "controller": {key: told[key] for key in SHOWN if key in told},
                 "why": why,
                 "action": action,
-                "margins": shown_margins(told),
+                "margins": shown_margins(told, UNITS),
+                "listening": listening,
                 "nodes": nodes,
                 "values": me.values,
                 "complaint": self._complaint,

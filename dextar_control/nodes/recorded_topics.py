@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from dextar_control.bags.mcap_file import Sample
+from dextar_control.bags.mcap_file import SerializedMessage
 from dextar_control.bags.message_definitions import definition, type_hash
 from dextar_control.contract.topics import Topic
 from dextar_control.nodekit.loss_count import LossCount
@@ -80,7 +80,7 @@ class RecordedTopic:
         self.listen = listen
         self.losses = LossCount(lambda: node.count_publishers(self.name))
         self.take: Take = subscription.handle.take_message
-        self.kept: deque[Sample] | None = (
+        self.kept: deque[SerializedMessage] | None = (
             deque(maxlen=1) if topic.latched and profile.depth == 1 else None
         )
 

@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import Executor
 from std_srvs.srv import Trigger
 
-from dextar_control.bags.mcap_file import Sample
+from dextar_control.bags.mcap_file import SerializedMessage
 from dextar_control.bags.writer import COMPRESSIONS
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.parameters import Parameter
@@ -198,7 +198,7 @@ class RecorderNode(DextarNode):
                 received = info["received_timestamp"] or time.time_ns()
                 number = number or losses.received
                 sent = info["source_timestamp"]
-                sample = Sample(received, name, sent, number, data)
+                sample = SerializedMessage(received, name, sent, number, data)
                 if recorded.kept is not None:
                     recorded.kept.append(sample)
                 if recording is None:

@@ -18,11 +18,15 @@ class ShownMargin(TypedDict):
     name: str
     value: str
     limit: str
+    unit: str
     used: float  # 0 to 1
 
 
 def trouble_and_remedy(
-    namespace: str, told: Mapping[str, str], nodes: Mapping[str, object]
+    namespace: str,
+    told: Mapping[str, str],
+    nodes: Mapping[str, object],
+    listening: bool = False,
 ) -> tuple[str, str]:
     """Return why there is no torque, or none that follows the robot, and the panel's
     command that mends it; else empty texts.
@@ -31,7 +35,13 @@ def trouble_and_remedy(
         namespace: of the robot.
         told: by the controller lately; empty where it is silent.
         nodes: that have told of themselves lately.
+        listening: the panel began to listen so lately that nobody may have spoken yet.
     """
+    if not told and listening:
+        return (
+            "The panel has just begun to listen: nodes tell of themselves each second.",
+            "",
+        )
     if not told:
         others = ", ".join(sorted(set(nodes) - {"panel"}))
         robot = f" in {namespace}" if namespace.strip("/") else ""
@@ -87,8 +97,15 @@ def trouble_and_remedy(
     return f"The torque is switched off{because}.", "enable"
 
 
-def shown_margins(told: Mapping[str, str]) -> list[ShownMargin]:
-    """Return the margin of each watch that the controller tells, the smallest first."""
+def shown_margins(
+    told: Mapping[str, str], units: Mapping[str, str]
+) -> list[ShownMargin]:
+    """Return the margin of each watch that the controller tells, the smallest first.
+
+    Args:
+        told: by the controller.
+        units: of the watches, by their names.
+    """
     rows: list[ShownMargin] = []
     for key, text in told.items():
         if not key.startswith("watch_"):
@@ -100,6 +117,7 @@ def shown_margins(told: Mapping[str, str]) -> list[ShownMargin]:
                 "name": name,
                 "value": value,
                 "limit": limit,
+                "unit": units.get(name, ""),
                 "used": _used(name, value, limit),
             }
         )

@@ -191,8 +191,8 @@
     const told = status.controller, sampled = told.lifecycle === "active" && state && !state.stale;
     const phase = sampled ? state.phase : (told.phase || "").toLowerCase(), silent = told.lifecycle === "active" ? "no answer" : told.lifecycle;
     put($("sign"), SIGNS[phase] || "?");
-    put($("phase-name"), phase ? phase.replaceAll("_", " ").toUpperCase() : silent || "no controller");
-    $("phase").classList.toggle("bad", LIMP.includes(phase) || !phase);
+    put($("phase-name"), phase ? phase.replaceAll("_", " ").toUpperCase() : silent || (status.listening ? "listening" : "no controller"));
+    $("phase").classList.toggle("bad", LIMP.includes(phase) || !phase && !status.listening);
     $("phase").classList.toggle("moving", MOVING.includes(phase));
   }
   function rows(list, entries) {
@@ -219,7 +219,7 @@
         bar.append(document.createElement("i"));
         row.cells[3].append(bar, document.createElement("span"));
       }
-      [one.name.replaceAll("_", " "), one.value, one.limit].forEach((text, k) => put(row.cells[k], text));
+      [one.name.replaceAll("_", " "), one.value, `${one.limit} ${one.unit}`.trim()].forEach((text, k) => put(row.cells[k], text));
       row.cells[3].firstChild.firstChild.style.width = `${100 * one.used}%`;
       put(row.cells[3].lastChild, `${(100 * one.used).toFixed(0)} %${one.used > 0.8 ? " !" : ""}`);
       row.classList.toggle("near", one.used > 0.8);
@@ -366,7 +366,11 @@
     }
     for (const name of ["law", "estimator"]) {
       const select = $(`law-${name}`), now = status.controller[name];
-      if (now && select.dataset.now !== now) { select.dataset.now = now; select.value = now; }
+      if (now && select.dataset.now !== now) {
+        if (![...select.options].some((one) => one.value === now)) select.add(new Option(now, now));
+        select.dataset.now = now;
+        select.value = now;
+      }
     }
   }
   async function set(node, spec, input) {
@@ -575,8 +579,14 @@
       ["Sure of the side", known(state?.confidence) ? `${(100 * state.confidence).toFixed(1)} % of s ${state.mode < 0 ? "<" : ">"} 0` : "\u2013"],
       ["Tracking error", known(state?.error) ? `${(1e3 * state.error).toFixed(3)} mm` : "\u2013"],
       ["Torque q11, q21", state ? `${signed(state.torque[0], 3)}, ${signed(state.torque[1], 3)} N m` : "\u2013"],
-      ["Crossings", verdicts.length ? `${begun} of ${verdicts.length}: ${verdicts.join(", ")}` : "none planned"],
+      ["Crossings", verdicts.length ? `${begun} of ${verdicts.length}${found(verdicts.slice(0, begun))}` : "none planned"],
     ]);
+  }
+  function found(verdicts) {  // each verdict, or how many of each where they are many
+    const counts = new Map();
+    for (const one of verdicts) counts.set(one, (counts.get(one) || 0) + 1);
+    const words = verdicts.length > 4 ? [...counts].map(([one, count]) => `${count} ${one}`) : verdicts;
+    return words.length ? `: ${words.join(", ")}` : "";
   }
   function key(name) {
     const line = style(name), dash = line.dash.length ? ` stroke-dasharray="${line.dash.join(" ")}"` : "";
