@@ -66,7 +66,7 @@ NODES = ", ".join(EXECUTABLES)
 
 
 def parser() -> argparse.ArgumentParser:
-    """The whole command line."""
+    """Return the whole command line."""
     whole = argparse.ArgumentParser(
         prog="dextar",
         description=(

@@ -91,9 +91,8 @@ def check_value(
     """
 
     def fail(limit: str) -> ParameterError:
-        shown = (
-            value.tolist() if hasattr(value, "tolist") else value
-        )  # ROS hands over arrays
+        # ROS hands over arrays.
+        shown = value.tolist() if hasattr(value, "tolist") else value
         return ParameterError(
             f"parameter '{spec.name}' = {shown!r}; it must be {limit}"
         )

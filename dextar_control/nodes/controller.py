@@ -508,9 +508,14 @@ class ControllerNode(ManagedNode):
         loop = self._loop
         assert loop is not None
         if loop.phase in LATCHED and self._logged_phase[0] is not loop.phase:
-            loop.reason = "; ".join(
-                [*self._lateness(loop), loop.reason, *self._second_rig(loop)]
-            )
+            late = second = ""
+            # Late commands may be why a watch tripped: they are told before it.
+            if loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep:
+                late = self._statistics.lateness(self._period)
+            # So may be a second rig, which is told after it.
+            if self._states_are_mixed and self._second_publishers not in loop.reason:
+                second = self._second_publishers
+            loop.reason = "; ".join(filter(None, (late, loop.reason, second)))
         before, self._logged_phase = self._logged_phase, (loop.phase, loop.reason)
         if not answered and loop.phase in LIMP:
             self._outputs.release()
@@ -565,21 +570,6 @@ class ControllerNode(ManagedNode):
         no harm.
         """
         return bool(self._second_publishers) and self._stream.mixed(time.perf_counter())
-
-    def _second_rig(self, loop: ControlLoop) -> list[str]:
-        """Return the second publisher where it may be why the loop let go,
-        in a list.
-        """
-        known = self._second_publishers in loop.reason
-        return [self._second_publishers] if self._states_are_mixed and not known else []
-
-    def _lateness(self, loop: ControlLoop) -> list[str]:
-        """Return in a list that commands came too late while a watch tripped in real
-        time; it is told before what the watch saw.
-        """
-        watched = loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep
-        text = self._statistics.lateness(self._period) if watched else ""
-        return [text] if text else []
 
     def _next_step(self) -> str:
         """Return what to call for a robot that is held."""
@@ -663,7 +653,7 @@ class ControllerNode(ManagedNode):
             self._enabling = "done"
 
     def _enable(self, loop: ControlLoop) -> None:
-        """Hold, or begin the trajectory that was kept for this."""
+        """Begin to hold, or begin the trajectory that was kept for this."""
         loop.enable()
         self._automatic = False
         self._reference.begin(loop)

@@ -197,7 +197,7 @@ class OperatorClient(Node):
         return self.get_node_names_and_namespaces().count((name, self.get_namespace()))
 
     def alone(self, *names: str) -> None:
-        """See that each of these nodes is there once.
+        """Check that each of these nodes is there once.
 
         Raises:
             Unreached: a request would reach two.
@@ -272,7 +272,7 @@ class OperatorClient(Node):
             raise ParameterError(answer.result.reason)
 
     def prepare(self, values: Mapping[str, ParameterValue]) -> None:
-        """See that a trip can begin, and set the task; what is not given stays as it
+        """Check that a trip can begin, and set the task; what is not given stays as it
         was set last.
 
         Raises:

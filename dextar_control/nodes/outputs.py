@@ -154,8 +154,8 @@ class Outputs:
             self._readable.publish(stamp, state, reference_time, judged)
 
     def look(self) -> None:
-        """Look which topics are read; for others no message is made. It takes about 10
-        us.
+        """Find out which topics are read; for others no message is made. It takes about
+        10 us.
         """
         if self._readable is None:  # which needs both
             self._read = (

@@ -250,7 +250,7 @@ class PanelOperator(OperatorClient):
         self._do("desk", work, answer)
 
     def activate(self, answer: Callable[[bool, str], None]) -> None:
-        """A controller that was let go answers states again."""
+        """Have a controller that was let go answer states again."""
 
         def work() -> str:
             if self.controller.get("lifecycle") == "unconfigured":

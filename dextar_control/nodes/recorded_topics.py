@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 from collections import deque
-from collections.abc import Callable
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -49,7 +48,6 @@ class RecordedTopic:
         node: that subscribes, by polling.
         topic: name, type and whether it is latched.
         profile: of the subscription.
-        listen: is handed each recorded sample's bytes and receive time (ns).
 
     Attributes:
         name: in full.
@@ -65,7 +63,6 @@ class RecordedTopic:
         node: DextarNode,
         topic: Topic,
         profile: QoSProfile,
-        listen: Callable[[bytes, int], None] | None = None,
     ) -> None:
         definition(topic.type), type_hash(topic.type)
         package, _, short = topic.type.split("/")
@@ -77,7 +74,6 @@ class RecordedTopic:
         self.name: str = subscription.topic_name
         self.type = topic.type
         self.message_type = message_type
-        self.listen = listen
         self.losses = LossCount(lambda: node.count_publishers(self.name))
         self.take: Take = subscription.handle.take_message
         self.kept: deque[SerializedMessage] | None = (

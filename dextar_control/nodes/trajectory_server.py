@@ -190,8 +190,8 @@ class TrajectoryServer(DextarNode):
         return work
 
     def _trip(self, origin: Array, progress: Progress) -> Callable[[], ServedTrip]:
-        """A job: the planned trip with the way from where the robot stands before it,
-        as a message.
+        """Return a job: the planned trip with the way from where the robot stands
+        before it, as a message.
         """
         plan_now = self._plan_of(self._task, progress)
         speed, period = self.values["approach_speed"], self.values["sample_period"]
@@ -268,7 +268,9 @@ class TrajectoryServer(DextarNode):
             )
 
     def _why_not(self) -> str:
-        """Why the controller would not take a trajectory now; empty when it would."""
+        """Return why the controller would not take a trajectory now; empty when it
+        would.
+        """
         return why_not(self._controller_name, self._controller)
 
     @property
@@ -284,8 +286,8 @@ class TrajectoryServer(DextarNode):
     def _on_first_plan(
         self, planned: tuple[Task, Plan] | None, error: DextarError | None
     ) -> None:
-        """A server whose parameters have no plan ends as one with a wrong parameter
-        does.
+        """Take the first plan; a server whose parameters have no plan ends as one with
+        a wrong parameter does.
         """
         if error is not None:
             self._error = str(error)

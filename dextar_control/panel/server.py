@@ -207,7 +207,9 @@ def _bound(host: str, port: int) -> tuple[list[socket.socket], bool]:
 class _GuardedHandler(RequestHandler):
     """Lets a request in, or refuses it with a sentence."""
 
-    server: PanelServer
+    def initialize(self, server: PanelServer) -> None:
+        """Take the server."""
+        self.server = server
 
     def prepare(self) -> None:
         """Refuse what is not let in."""
@@ -236,7 +238,8 @@ class PageHandler(_GuardedHandler):
 
     def initialize(self, server: PanelServer, file: str = "") -> None:
         """Take the server, and the file unless the address names it."""
-        self.server, self._file = server, file
+        super().initialize(server)
+        self._file = file
 
     def prepare(self) -> None:
         """Let style and script out without a token, which they do not carry; the page
@@ -251,9 +254,8 @@ class PageHandler(_GuardedHandler):
         name = self._file or name
         folder = files("dextar_control.panel").joinpath("static")
         text = folder.joinpath(name).read_text(encoding="utf-8")
-        kind = {"html": "html", "js": "javascript", "css": "css"}[
-            name.rpartition(".")[2]
-        ]
+        suffix = name.rpartition(".")[2]
+        kind = "javascript" if suffix == "js" else suffix
         self.set_header("Content-Type", f"text/{kind}; charset=utf-8")
         self.finish(f"{style.css()}\n{text}" if name.endswith(".css") else text)
 
@@ -263,20 +265,12 @@ class WhyHandler(_GuardedHandler):
     where it would not be.
     """
 
-    def initialize(self, server: PanelServer) -> None:
-        """Whose."""
-        self.server = server
-
     def get(self) -> None:
         """Answer nothing: the request is let in."""
 
 
 class ReportHandler(_GuardedHandler):
     """Gives out the page of the last run."""
-
-    def initialize(self, server: PanelServer) -> None:
-        """Whose."""
-        self.server = server
 
     async def get(self) -> None:
         """Send it as it was made; its scripts may draw, but not ask the panel."""
@@ -296,7 +290,7 @@ class StreamHandler(_GuardedHandler, WebSocketHandler):
 
     def initialize(self, server: PanelServer) -> None:
         """Take the server."""
-        self.server = server
+        super().initialize(server)
         self._flight: asyncio.Future[None] | None = None
         self._owed: dict[str, str] = {}
 
