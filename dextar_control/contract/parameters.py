@@ -75,7 +75,7 @@ SCHEDULING = (
     ),
     Parameter("lock_memory", "The process keeps its memory out of the swap."),
 )
-"""Of nodes with a loop that must be on time, named as ros2_control's; see
+"""Parameters of nodes with a loop that must be on time, named as ros2_control's; see
 ``scheduling.ask_kernel``.
 """
 

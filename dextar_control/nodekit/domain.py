@@ -13,7 +13,7 @@ import tempfile
 from dextar_control.contract.errors import DextarError
 
 DOMAINS = range(1, 100)
-"""All of them leave their ports below those that Linux gives to others."""
+"""The ports of these domains lie below those that Linux gives to others."""
 
 _held: list[int] = []  # descriptors of locks, for as long as the process lives
 

@@ -394,7 +394,7 @@ class ControllerNode(ManagedNode):
         begin = time.perf_counter()
         try:
             stamp, q_a = self._read_state(raw)
-            if stamp == self._stamp and self._outputs.answered:
+            if stamp == self._stamp and self._outputs.can_repeat:
                 self._repeat(stamp)
                 return
             limit = self.values["state_timeout"]

@@ -37,7 +37,7 @@ SPECS: dict[str, tuple[Parameter, ...]] = {
     "trajectory_server": trajectory_server.PARAMETERS,
     "recorder": recorder.SPECS,
 }
-"""Of the nodes that a panel sets."""
+"""The parameters of the nodes that a panel sets."""
 # Parameters that the controller takes only where it is built anew.
 REBUILT = ("law", "estimator")
 KINDS = ("trip", "point", "tour")  # of a task

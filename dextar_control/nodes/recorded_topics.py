@@ -38,7 +38,7 @@ ALONGSIDE = (
         "what the nodes log",
     ),
 )
-"""Recorded beside the contract's topics."""
+"""The topics that are recorded beside those of the contract."""
 
 
 class RecordedTopic:
