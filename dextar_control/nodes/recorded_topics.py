@@ -21,10 +21,9 @@ PARAMETER_EVENTS = Topic(
     "/parameter_events",
     "rcl_interfaces/msg/ParameterEvent",
     "all nodes",
+    "It tells of live parameter changes.",
     HISTORY,
-    False,
-    0.0,
-    "live parameter changes",
+    rate=0.0,
 )
 ALONGSIDE = (
     PARAMETER_EVENTS,
@@ -32,10 +31,10 @@ ALONGSIDE = (
         "/rosout",
         "rcl_interfaces/msg/Log",
         "all nodes",
+        "It tells what the nodes log.",
         HISTORY,
-        True,
-        0.0,
-        "what the nodes log",
+        latched=True,
+        rate=0.0,
     ),
 )
 """The topics that are recorded beside those of the contract."""
@@ -103,5 +102,5 @@ def found_topic(
     latched = bool(offered) and all(
         profile.durability.name == "TRANSIENT_LOCAL" for profile in offered
     )
-    topic = Topic(name, type_name, "", HISTORY, latched, 0.0, "")
+    topic = Topic(name, type_name, "", "", HISTORY, latched, 0.0)
     return topic, qos(topic, reliable=reliable, depth=HISTORY)
