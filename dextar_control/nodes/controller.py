@@ -188,7 +188,8 @@ class ControllerNode(ManagedNode):
         self._verdicts: list[Verdict] = []
         self._completed = 0
         self._tracked: Certificate | None = None
-        # that have begun: who looks five times a second sees none that ends sooner
+        # Motions that have begun: the phases in the diagnostics, five a second, miss one
+        # that ends sooner.
         self._motions = 0
         self._largest_error = 0.0
         self._pose_note = ""
@@ -202,14 +203,13 @@ class ControllerNode(ManagedNode):
         self._situation: tuple[bytes, str, dict[str, object]] | None = None
         sys.setswitchinterval(SWITCH_INTERVAL)
         if self.values["autostart"]:
-            for transition in (
-                Transition.TRANSITION_CONFIGURE,
-                Transition.TRANSITION_ACTIVATE,
+            if not (
+                self.change_state(Transition.TRANSITION_CONFIGURE)
+                and self.change_state(Transition.TRANSITION_ACTIVATE)
             ):
-                if not self.change_state(transition):
-                    raise self.transition_error or ParameterError(
-                        "the controller could not be activated"
-                    )
+                raise self.transition_error or ParameterError(
+                    "the controller could not be activated"
+                )
         gc.collect()
         gc.freeze()
 

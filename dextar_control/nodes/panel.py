@@ -407,10 +407,15 @@ class PanelNode(DextarNode):
         plant = me.status.get("plant", {}) if me.fresh("plant") else {}
         listening = not nodes and time.monotonic() - self._began < LISTENING
         why, action = trouble_and_remedy(self.get_namespace(), told, nodes, listening)
+        lost = sum(
+            int(value)
+            for key, value in recorder.items()
+            if key.endswith(" lost") and value.isdigit()
+        )
         self.server.send(
             "status",
             {
-                "controller": {key: told[key] for key in SHOWN if key in told},
+                "controller": _known(told, *SHOWN),
                 "why": why,
                 "action": action,
                 "margins": shown_margins(told, UNITS),
@@ -418,25 +423,13 @@ class PanelNode(DextarNode):
                 "nodes": nodes,
                 "values": me.values,
                 "complaint": self._complaint,
-                "plant": {
-                    key: plant[key]
-                    for key in ("mode", "real_time_factor", "late_ticks", "steps")
-                    if key in plant
-                },
-                "recorder": (
-                    {
-                        key: recorder[key]
-                        for key in ("recording", "bag", "bytes", "name")
-                        if key in recorder
-                    }
-                    | {
-                        "lost": sum(
-                            int(value)
-                            for key, value in recorder.items()
-                            if key.endswith(" lost") and value.isdigit()
-                        )
-                    }
+                "plant": _known(
+                    plant, "mode", "real_time_factor", "late_ticks", "steps"
                 ),
+                "recorder": {
+                    **_known(recorder, "recording", "bag", "bytes", "name"),
+                    "lost": lost,
+                },
                 "bag": self._bag,
                 "reported": self._report is not None,
                 "progress": me.progress,
@@ -489,6 +482,10 @@ class PanelNode(DextarNode):
         """Leave the graph, with the operator's client."""
         self.operator.destroy_node()
         super().destroy_node()
+
+
+def _known(values: Mapping[str, str], *names: str) -> dict[str, str]:
+    return {name: values[name] for name in names if name in values}
 
 
 def _seconds(stamp: Time) -> float:
