@@ -188,7 +188,7 @@ class ControllerNode(ManagedNode):
         self._verdicts: list[Verdict] = []
         self._completed = 0
         self._tracked: Certificate | None = None
-        # Motions that have begun: the phases in the diagnostics, five a second, miss one
+        # Motions that have begun: the phases in five diagnostics a second miss one
         # that ends sooner.
         self._motions = 0
         self._largest_error = 0.0
