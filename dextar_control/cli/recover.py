@@ -6,6 +6,8 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+from dextar_control.cli.arguments import add_bag
+
 SUMMARY = "rebuild a readable, indexed bag from one that is damaged or breaks off"
 DESCRIPTION = (
     "Copies every intact message of a damaged or cut-off recording, or of a folder"
@@ -18,7 +20,7 @@ DESCRIPTION = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's own arguments."""
-    parser.add_argument("bag", type=Path, help="an .mcap file, or a bag's folder")
+    add_bag(parser, "bag")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -28,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn
     from rich.table import Column, Table
 
-    from dextar_control.bags.damage import in_words
+    from dextar_control.bags.damage import hole_in_words
     from dextar_control.bags.recover import recover
     from dextar_control.contract.terminal import Steps, Terminal, TextColumn, title
     from dextar_control.contract.words import counted
@@ -69,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
         lines.append(f"{result.metadata}; a new one was written")
     if result.lost_bytes:
         lines.append(f"{result.lost_bytes} bytes at the end are no complete record")
-    lines += map(in_words, result.holes)
+    lines += map(hole_in_words, result.holes)
     if result.unpacked:
         lines.append(
             f"{counted(result.unpacked, 'message')} that the recorder had compressed"

@@ -102,7 +102,9 @@ class ObserverEstimator(Estimator):
         self._joints.set(self.estimate.q_a, self.estimate.q_a_dot)
 
     def observe(self, dt: float, q_a: Array, tau: Array) -> None:
-        """See ``Estimator``: q_a (n,), rad, tau (n,), N m."""
+        """Take the measured joints q_a (n,), rad, and the torques tau (n,), N m, that
+        acted for dt, s.
+        """
         if self.observer.observe(tau, dt, q_a):
             self.observer.tell_side()
 

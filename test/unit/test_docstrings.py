@@ -19,28 +19,7 @@ UNIT = re.compile(
     r"(?<![\w.|])(?:rad|m|mm|s|ms|ns|kg|N|J|W|Hz|px|points|counts?|units?)(?![\w(])|, 1\b"
 )
 # files whose docstrings still lack some: the list only gets shorter
-UNFINISHED = {
-    "dextar_control/analysis/crossings.py",
-    "dextar_control/analysis/drawing.py",
-    "dextar_control/analysis/margins.py",
-    "dextar_control/analysis/plane.py",
-    "dextar_control/analysis/timing.py",
-    "dextar_control/analysis/web_figures.py",
-    "dextar_control/check_rig/samples.py",
-    "dextar_control/experiments/faults/judgement.py",
-    "dextar_control/experiments/faults/operator.py",
-    "dextar_control/identification/dynamics.py",
-    "dextar_control/identification/fit.py",
-    "dextar_control/identification/folds.py",
-    "dextar_control/identification/linkage.py",
-    "dextar_control/identification/motion.py",
-    "dextar_control/identification/quantities.py",
-    "dextar_control/nodes/messages.py",
-    "dextar_control/nodes/task.py",
-    "dextar_control/nodes/trajectory_server.py",
-    "dextar_sim/messages.py",
-    "dextar_sim/state.py",
-}
+UNFINISHED = {}
 WITHOUT_UNIT = re.compile(r"NDArray\[np\.(?:bool_|intp)\]")
 SOURCES = {
     path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
