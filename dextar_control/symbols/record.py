@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dextar_control.symbols.types import Array, Slice, Symbol
 
 # A float or an array: the layout says which.
-Value: TypeAlias = Any  # type: ignore[explicit-any, unused-ignore]
+Value: TypeAlias = Any  # type: ignore[explicit-any]
 
 
 class Field(NamedTuple):
