@@ -61,7 +61,7 @@ class Metrics:
         peak_torque_near, planned_peak_torque_near, torque_ratio_near: the same within
             |s| < 0.1; the ratio is to the planned peak of the whole trajectory.
         saturated: commands at the controller's torque limit while tracking (as
-            recorded; else ``watch_ratio`` x planned, or the motors');
+            recorded; else ``torque_limit.peak_ratio`` x planned, or the motors');
             ``drive_saturated``: steps that the plant's drives clipped, over its whole
             run.
         truth_share: of the tracked ticks, those with a recorded truth.
@@ -227,7 +227,7 @@ def compute_metrics(run: Run) -> Metrics:
             for topic, count in run.losses.items()
         },
     }
-    exciting = bool(run.parameters.get("trajectory_server", {}).get("excite"))
+    exciting = bool(run.parameters.get("trajectory_server", {}).get("task.excite"))
     verdict: Verdict = judge(
         values,
         has_truth=run.truth is not None,
@@ -293,8 +293,8 @@ def _torque_limit(run: Run, planned_peak: float) -> float:
     controller = run.parameters.get("controller", {})
     try:
         watched = max(
-            float(controller["watch_ratio"]) * planned_peak,
-            float(controller["watch_torque"]),
+            float(controller["torque_limit.peak_ratio"]) * planned_peak,
+            float(controller["torque_limit.min_torque"]),
         )
     except (KeyError, TypeError, ValueError):
         return limit

@@ -1,9 +1,13 @@
-"""What a node's parameter is, and which values it takes. Needs no ROS."""
+"""What a node's parameter is, which names and values it takes. Needs no ROS.
+
+The parameters themselves stand in ``node_parameters``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any
 
 from dextar_control.contract import resources
@@ -16,7 +20,7 @@ class Parameter:
     """One node parameter; its default stands in ``config/crossing.yaml``.
 
     Attributes:
-        name: dotted name.
+        name: plain, or the name of its group, a dot and its own.
         description: one sentence, which a stranger understands without the name beside
             it.
         minimum, maximum: inclusive bounds of a number (or of each of an array).
@@ -25,6 +29,8 @@ class Parameter:
             empty.
         live: may be changed while the node runs.
         unit: of a number, SI; 1 where it has no dimension.
+        formerly: the name that it had in the release before, which is still taken in
+            files and at a node's start.
     """
 
     name: str
@@ -35,6 +41,12 @@ class Parameter:
     size: int = 0
     live: bool = False
     unit: str = ""
+    formerly: str = ""
+
+    @property
+    def group(self) -> str:
+        """What stands before the dot of its name; empty of a plain name."""
+        return self.name.rpartition(".")[0]
 
     @property
     def measured(self) -> str:
@@ -65,6 +77,80 @@ SCHEDULING = (
 """Of nodes with a loop that must be on time, named as ros2_control's; see
 ``scheduling.ask_kernel``.
 """
+
+
+def former_names(specs: Iterable[Parameter]) -> dict[str, str]:
+    """The present names of the parameters that have been renamed, by their former
+    ones.
+    """
+    return {spec.formerly: spec.name for spec in specs if spec.formerly}
+
+
+def present_names(
+    specs: Iterable[Parameter], given: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Parameters under their present names.
+
+    Args:
+        specs: of the node's parameters.
+        given: values by names, present or former ones, of one source.
+
+    Returns:
+        The values by present names, and the former names that were given with the
+        present ones.
+
+    Raises:
+        ParameterError: a parameter is given under both of its names.
+    """
+    renamed = {old: new for old, new in former_names(specs).items() if old in given}
+    for old, new in renamed.items():
+        if new in given:
+            raise ParameterError(
+                f"parameter '{old}' is now called '{new}', and both names are given;"
+                f" give '{new}' alone"
+            )
+    return {renamed.get(name, name): value for name, value in given.items()}, renamed
+
+
+def names_in_use(
+    specs: Iterable[Parameter], changes: Mapping[str, Any], given: Iterable[str]
+) -> dict[str, Any]:
+    """Changes under the names that ``given`` uses, so that they override it wherever
+    both are read together.
+    """
+    used = {new: old for old, new in former_names(specs).items() if old in {*given}}
+    return {used.get(name, name): value for name, value in changes.items()}
+
+
+def renamed_in_words(renamed: Mapping[str, str]) -> str:
+    """The warning about former names; empty where none is given."""
+    if not renamed:
+        return ""
+    names = ", ".join(f"{old} is now {new}" for old, new in renamed.items())
+    return (
+        f"parameters have been renamed: {names}; the next release takes the present"
+        " names only"
+    )
+
+
+def nearest_in_words(name: str, known: Sequence[str], former: Mapping[str, str]) -> str:
+    """A question for what may have been meant by a name that is not known; empty where
+    nothing looks like it.
+
+    Args:
+        name: as given.
+        known: the present names.
+        former: present names by former ones.
+    """
+    meant = {
+        **{other.rpartition(".")[2]: other for other in known},
+        **former,
+        **{other: other for other in known},
+    }
+    close = get_close_matches(name, meant, n=1) or get_close_matches(
+        name.rpartition(".")[2], meant, n=1
+    )
+    return f"; did you mean '{meant[close[0]]}'?" if close else ""
 
 
 def check_value(spec: Parameter, value: Any, default: Any) -> Any:
@@ -133,7 +219,7 @@ def settled(
     Args:
         node: its name.
         specs: of its parameters.
-        overrides: of the defaults in ``config/crossing.yaml``.
+        overrides: of the defaults in ``config/crossing.yaml``, by present names.
         robot: whether the node takes the robot description.
 
     Raises:
@@ -154,9 +240,13 @@ def settled(
             key.startswith("robot.") and not robot
         )
         if key not in known and not others:
+            listed = [*names, *described]
             raise ParameterError(
-                f"unknown parameter '{key}' for node {node}; known are:"
-                f" {', '.join([*names, *described])}"
+                f"unknown parameter '{key}' for node {node}"
+                + (
+                    nearest_in_words(key, listed, former_names(specs))
+                    or f"; known are: {', '.join(listed)}"
+                )
             )
     for name in names:
         if name not in defaults:

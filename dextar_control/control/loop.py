@@ -57,8 +57,8 @@ class ControlLoop:
 
     Attributes:
         lacking: largest torque that the model lacks at a joint, N m, up to
-            ``watch_torque``, when a crossing trajectory's torque was at its limit last
-            with the side known: the limit leaves it beside the law's.
+            ``torque_limit.min_torque``, when a crossing trajectory's torque was at its
+            limit last with the side known: the limit leaves it beside the law's.
 
     Raises:
         ParameterError: assembly_mode is neither +1 nor -1.
@@ -133,18 +133,22 @@ class ControlLoop:
             ParameterError: the law's transition would reach the locus itself, or the
                 zones of the test of crossed against bounced are not in order.
         """
-        if settings.zone < 0.5 * settings.zone_width:
+        near, test, dgm = settings.near_locus, settings.crossing_test, settings.dgm
+        if near.fade_abs_s < 0.5 * near.fade_width_abs_s:
             raise ParameterError(
-                f"zone = {settings.zone} with zone_width = {settings.zone_width}: the"
-                " transition would reach the locus; zone must be >="
-                f" {0.5 * settings.zone_width}"
+                f"near_locus.fade_abs_s = {near.fade_abs_s} with"
+                f" near_locus.fade_width_abs_s = {near.fade_width_abs_s}: the"
+                " transition would reach the locus; near_locus.fade_abs_s must be >="
+                f" {0.5 * near.fade_width_abs_s}"
             )
-        if not settings.passage_armed < settings.passage_begin:
+        if not test.unknown_below_abs_s < test.begin_below_abs_s:
             raise ParameterError(
-                f"passage_armed = {settings.passage_armed} with passage_begin ="
-                f" {settings.passage_begin}; it must be smaller"
+                f"crossing_test.unknown_below_abs_s = {test.unknown_below_abs_s} with"
+                f" crossing_test.begin_below_abs_s = {test.begin_below_abs_s}; it must"
+                " be smaller"
             )
-        self.settings, self._held = settings, (settings.hold_zone, settings.hold_width)
+        self.settings = settings
+        self._held = dgm.hold_below_abs_s, dgm.fade_width_abs_s
         if settings.law not in self._acts:
             self._acts[settings.law] = acts_of(self.model.mechanism).fast(
                 f"act_{settings.law.name.lower()}",
@@ -160,20 +164,18 @@ class ControlLoop:
             )
         self._act = self._acts[settings.law]
         self._places = self._act.views()
-        gains = self._gains
-        gains.K_p = settings.natural_frequency**2
-        gains.K_d = 2.0 * settings.damping_ratio * settings.natural_frequency
-        gains.K_i = settings.integral_frequency * gains.K_p
+        gains, feedback = self._gains, settings.feedback
+        gains.K_p = feedback.natural_frequency**2
+        gains.K_d = 2.0 * feedback.damping_ratio * feedback.natural_frequency
+        gains.K_i = feedback.integral_frequency * gains.K_p
         gains.zone = (
-            settings.band
+            near.replace_below_abs_s
             if settings.law in (Law.PROJECTED, Law.MULTI_MODEL)
-            else settings.zone
+            else near.fade_abs_s
         )
-        gains.zone_width, gains.friction_compensation = (
-            settings.zone_width,
-            settings.friction_compensation,
-        )
-        gains.disturbance_compensation = settings.disturbance_compensation
+        gains.zone_width = near.fade_width_abs_s
+        gains.friction_compensation = settings.compensation.friction
+        gains.disturbance_compensation = settings.compensation.disturbance
         self.estimator.configure(settings)
         self.supervisor.configure(settings)
         self._judge.configure(settings)
@@ -209,7 +211,11 @@ class ControlLoop:
         not known and of the watch.
         """
         return (
-            max(REST_ZONE + REST_WIDTH, self.estimator.unknown_s, self.settings.locus_s)
+            max(
+                REST_ZONE + REST_WIDTH,
+                self.estimator.unknown_s,
+                self.settings.watch.min_abs_s,
+            )
             + HOLD_MARGIN
         )
 
@@ -230,9 +236,9 @@ class ControlLoop:
         """
         check_rest(trajectory)
         certificate = certify(
-            self.robot, trajectory, max_residual=self.settings.max_residual
+            self.robot, trajectory, max_residual=self.settings.trajectory.max_residual
         )
-        least = self.settings.hold_zone + self.settings.hold_width
+        least = self.settings.dgm.hold_below_abs_s + self.settings.dgm.fade_width_abs_s
         for name, row in (("starts", 0), ("ends", -1)):
             s = abs(float(certificate.profile.s[row]))
             if s < least:
@@ -288,11 +294,12 @@ class ControlLoop:
             )
         first, held = trajectory.at(0.0).x, self.trajectory.at(0.0).x
         distance = float(np.linalg.norm(first - held))
-        if not distance <= self.settings.max_start_distance:
+        limit = self.settings.trajectory.max_start_distance
+        if not distance <= limit:
             raise TrajectoryError(
                 f"the trajectory starts in {in_words(first)}, {distance:.4f} m from the"
-                f" robot; the limit is {self.settings.max_start_distance} m: serve one"
-                " that starts where the robot stands"
+                f" robot; the limit is {limit} m: serve one that starts where the robot"
+                " stands"
             )
         if start is not None and time - start > START_MARGIN:
             raise TrajectoryError(
@@ -580,8 +587,8 @@ class ControlLoop:
         and is not yet known to have.
         """
         watched = max(
-            self.settings.watch_ratio * certificate.peak_torque,
-            self.settings.watch_torque,
+            self.settings.torque_limit.peak_ratio * certificate.peak_torque,
+            self.settings.torque_limit.min_torque,
         )
         return min(self.robot.max_torque, watched)
 
@@ -610,7 +617,8 @@ class ControlLoop:
                 self.supervisor.saturated and self.mode_known
             ):  # on the other side d would be another
                 self.lacking = min(
-                    float(abs(self._estimate.d).max()), self.settings.watch_torque
+                    float(abs(self._estimate.d).max()),
+                    self.settings.torque_limit.min_torque,
                 )
             limit = min(limit, self._crossing_limit + self.lacking)
         given.dt[0], given.limit[0], given.crossing[0] = (
@@ -656,7 +664,7 @@ class ControlLoop:
         """The side on which a robot ends that was let go during a crossing, while it
         may still be told.
         """
-        if self._time - self._stop.began > self.settings.brake_time:
+        if self._time - self._stop.began > self.settings.safe_stop.brake_time:
             self._judge.close()
         news = self._judge.compare_afterwards(self._time, self.estimator)
         if news and "bounced" not in self.reason:

@@ -208,10 +208,10 @@ class DirectEstimator:
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
         self._bandwidth, self._return_time = (
-            settings.filter_bandwidth,
-            settings.return_time,
+            settings.joint_filter.bandwidth,
+            settings.dgm.fade_time,
         )
-        self.unknown_s = settings.hold_zone
+        self.unknown_s = settings.dgm.hold_below_abs_s
 
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
         """See ``Estimator``."""

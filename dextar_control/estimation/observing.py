@@ -41,22 +41,22 @@ class ObserverEstimator:
         """See ``Estimator``."""
         noise, test = self.observer.noise, self.observer.test_noise
         noise.encoder, noise.bias, noise.bias_walk = (
-            settings.encoder_deviation,
-            settings.bias_deviation,
-            settings.bias_walk,
+            settings.observer.encoder_deviation,
+            settings.observer.bias_deviation,
+            settings.observer.bias_walk,
         )
         noise.torque, noise.acceleration = (
-            settings.torque_deviation,
-            settings.acceleration_deviation,
+            settings.observer.torque_deviation,
+            settings.observer.acceleration_deviation,
         )
-        noise.scatter_gain = settings.scatter_gain
+        noise.scatter_gain = settings.observer.scatter_gain
         noise.disturbance, noise.disturbance_walk = (
-            settings.disturbance_deviation,
-            settings.disturbance_walk,
+            settings.observer.disturbance_deviation,
+            settings.observer.disturbance_walk,
         )
         noise.shock_gate, noise.shock_speed = (
-            settings.shock_gate**2,
-            settings.shock_speed,
+            settings.observer.impact_gate**2,
+            settings.observer.impact_speed,
         )
         allowed = (
             test.disturbance,
@@ -70,21 +70,23 @@ class ObserverEstimator:
         )
         test.take(noise)
         test.disturbance, test.disturbance_turn, test.disturbance_walk = allowed
-        test.encoder = settings.passage_encoder_deviation * worse
-        self.observer.test_encoder = settings.passage_encoder_deviation
+        test.encoder = settings.crossing_test.encoder_deviation * worse
+        self.observer.test_encoder = settings.crossing_test.encoder_deviation
         test.torque, test.bias = (
-            settings.passage_torque_deviation,
-            settings.passage_bias_deviation,
+            settings.crossing_test.torque_deviation,
+            settings.crossing_test.bias_deviation,
         )
-        test.acceleration = settings.passage_acceleration_deviation
-        self.observer.most_lacking = settings.passage_disturbance
+        test.acceleration = settings.crossing_test.acceleration_deviation
+        self.observer.most_lacking = settings.crossing_test.max_disturbance
         self.observer.passage = Passage(
-            settings.passage_armed, settings.passage_begin, settings.passage_log_odds
+            settings.crossing_test.unknown_below_abs_s,
+            settings.crossing_test.begin_below_abs_s,
+            settings.crossing_test.log_odds,
         )
-        self.unknown_s = settings.passage_armed
+        self.unknown_s = settings.crossing_test.unknown_below_abs_s
         self._sure, self._bandwidth = (
-            settings.verdict_confidence,
-            settings.filter_bandwidth,
+            settings.mode_check.confidence,
+            settings.joint_filter.bandwidth,
         )
 
     @property

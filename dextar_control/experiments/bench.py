@@ -53,7 +53,7 @@ def bench_tick() -> dict[str, tuple[float, float]]:
         robot,
         np.array(task["task.start"]),
         np.array(task["task.goal"]),
-        task["duration"],
+        task["task.duration"],
         0.05,
     )
     matrix = np.array([[0.09, 0.01], [0.02, 0.08]])
@@ -141,9 +141,9 @@ def _round_trips(module: str, seconds: float) -> tuple[list[float], int]:
             module,
             "--ros-args",
             "-p",
-            "state_timeout:=10.0",
+            "joint_states.timeout:=10.0",
             "-p",
-            "healthy_time:=0.0",
+            "joint_states.healthy_time:=0.0",
         ],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -78,10 +78,10 @@ def bench_nodes(seconds: float) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         given = {
             "plant": ["plant:mode:=realtime"],
-            "controller": ["controller:healthy_time:=0.1"],
+            "controller": ["controller:joint_states.healthy_time:=0.1"],
             "recorder": [
                 f"recorder:output:={folder}/run/run.mcap",
-                "recorder:parameters_of:=''",
+                "recorder:bag.parameters_of:=''",
             ],
         }
         commands = {
@@ -162,7 +162,7 @@ def bench_panel(seconds: float, viewers: int = 1) -> PanelCost:
     """
     given = {
         "plant": ["plant:mode:=realtime"],
-        "controller": ["controller:healthy_time:=0.1"],
+        "controller": ["controller:joint_states.healthy_time:=0.1"],
         "panel": ["panel:port:=0"],
     }
     modules = MODULES | {"panel": "dextar_control.nodes.panel"}

@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,14 @@ from dextar_control.contract.errors import (
     GeometryError,
     ParameterError,
 )
-from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
+from dextar_control.contract.node_parameters import PARAMETERS
+from dextar_control.contract.parameters import names_in_use
+from dextar_control.contract.resources import (
+    NODES_FILE,
+    ROBOT_FILE,
+    config_file,
+    node_defaults,
+)
 from dextar_control.contract.robot import PREFIX, RobotParameters, load_robot
 from dextar_control.contract.terminal import (
     Steps,
@@ -59,9 +66,9 @@ from dextar_control.symbols.types import Array
 NODES = "recorder", "plant", "controller", "trajectory_server", "panel"
 PANEL = "panel"  # a display is nobody's need: where it ends the demo goes on
 CAMERA = {
-    "pose_rate": 100.0,
-    "pose_delay": 0.02,
-    "pose_noise": 0.0002,
+    "external_pose.rate": 100.0,
+    "external_pose.delay": 0.02,
+    "external_pose.noise": 0.0002,
 }  # of the plant, where the estimator wants one: Hz, s, m
 PR_SET_PDEATHSIG = 1  # of Linux' prctl
 STARTING = "starting the nodes"
@@ -216,7 +223,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
     console = Terminal()
     files = _parameter_files(arguments)
     robot = load_robot(files["controller"][0])
-    values = _node_values(arguments)
+    values = _node_values(arguments, files)
     changes = {node: _changes(node, own) for node, own in values.items()}
     settings = {
         node: check_start(node, own, *files[node]) for node, own in changes.items()
@@ -227,7 +234,11 @@ def run_demo(arguments: argparse.Namespace) -> int:
     )
     if arguments.point is not None:
         start = stands = _stand_at_start(
-            console, robot, Task.from_values(settings["trajectory_server"]), values
+            console,
+            robot,
+            Task.from_values(settings["trajectory_server"]),
+            values,
+            files,
         )
     if "task.start" not in changes["plant"]:
         other = {
@@ -315,17 +326,19 @@ def _load_analysis() -> None:
         importlib.import_module(f"dextar_control.analysis.{module}")
 
 
-def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
+def _node_values(
+    arguments: argparse.Namespace, files: Mapping[str, tuple[Path, Path]]
+) -> dict[str, list[str]]:
     """NAME:=VALUE of each node."""
     given: dict[str, dict[str, Any]] = {name: {} for name in NODES}
     given["plant"] |= {
         "mode": "realtime" if arguments.real_time else "lockstep",
-        "start_paused": True,
+        "simulation.start_paused": True,
     }
     given["plant"] |= (
         {}
         if arguments.pace is None
-        else {"real_time_factor": check_value(PACE, arguments.pace, 0.0)}
+        else {"simulation.real_time_factor": check_value(PACE, arguments.pace, 0.0)}
     )
     given["plant"] |= {"window": True} if arguments.window else {}
     given["controller"] |= {"lockstep": not arguments.real_time}
@@ -336,13 +349,11 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     if arguments.estimator == "external":
         given["plant"] |= CAMERA
     if arguments.law == "multi_model":
-        given["trajectory_server"]["criterion"] = "zero_wrench"
+        given["trajectory_server"]["task.criterion"] = "zero_wrench"
     for name in ("duration", "repeat", "tour", "excite", "point"):
         if getattr(arguments, name) is not None:
-            given["trajectory_server"][name] = getattr(arguments, name)
-    values = {
-        node: [assignment(*item) for item in own.items()] for node, own in given.items()
-    }
+            given["trajectory_server"][f"task.{name}"] = getattr(arguments, name)
+    values: dict[str, list[str]] = {name: [] for name in NODES}
     for override in arguments.overrides:
         node, dot, rest = override.partition(".")
         if not dot or node not in NODES or ":=" not in rest:
@@ -352,7 +363,26 @@ def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
             )
         parse_value(rest.partition(":=")[2], f"-p {override}")
         values[node].append(rest)
-    return values
+    return {
+        node: [*_assignments(node, own, values, files), *values[node]]
+        for node, own in given.items()
+    }
+
+
+def _assignments(
+    node: str,
+    own: Mapping[str, Any],
+    values: Mapping[str, Sequence[str]],
+    files: Mapping[str, tuple[Path, Path]],
+) -> list[str]:
+    """NAME:=VALUE of the demo's own values, under the names that the files and the
+    command line use.
+    """
+    used = [text.partition(":=")[0] for text in values[node]]
+    used += node_defaults(node, *files[node])
+    return [
+        assignment(*item) for item in names_in_use(PARAMETERS[node], own, used).items()
+    ]
 
 
 def _changes(node: str, texts: Sequence[str]) -> dict[str, Any]:
@@ -365,7 +395,11 @@ def _changes(node: str, texts: Sequence[str]) -> dict[str, Any]:
 
 
 def _stand_at_start(
-    console: Terminal, robot: RobotParameters, task: Task, values: dict[str, list[str]]
+    console: Terminal,
+    robot: RobotParameters,
+    task: Task,
+    values: dict[str, list[str]],
+    files: Mapping[str, tuple[Path, Path]],
 ) -> list[float]:
     """Plan the trip through the point, so that the robot can be put where it begins, m,
     and on that side of the locus.
@@ -385,7 +419,9 @@ def _stand_at_start(
     for name in ("plant", "trajectory_server"):
         values[name].append(assignment("task.start", start))
     direction = round(plan.certificate.crossing_signs[0])
-    values["trajectory_server"].append(assignment("direction", direction))
+    values["trajectory_server"] += _assignments(
+        "trajectory_server", {"task.direction": direction}, values, files
+    )
     values["controller"].append(assignment("assembly_mode", -direction))
     return start
 

@@ -34,7 +34,15 @@ from dextar_control.contract.caches import prepare_environment
 from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.help import node_help
-from dextar_control.contract.parameters import Parameter, check_value, settled
+from dextar_control.contract.parameters import (
+    Parameter,
+    check_value,
+    former_names,
+    nearest_in_words,
+    present_names,
+    renamed_in_words,
+    settled,
+)
 from dextar_control.contract.robot import (
     PREFIX,
     ROBOT_KEYS,
@@ -110,9 +118,12 @@ class DextarNode(Node):
         self.finished = False
         self._specs = {spec.name: spec for spec in self.PARAMETERS}
         self._defaults = resources.node_defaults(name)
-        overrides = {
-            key: parameter.value for key, parameter in self._parameter_overrides.items()
-        }
+        overrides, renamed = present_names(
+            self.PARAMETERS,
+            {key: given.value for key, given in self._parameter_overrides.items()},
+        )
+        if renamed:
+            self.get_logger().warning(renamed_in_words(renamed))
         self.values = settled(name, self.PARAMETERS, overrides, robot=robot)
         for spec in self._specs.values():
             value = self.values[spec.name]
@@ -213,6 +224,28 @@ class DextarNode(Node):
 
     def _declare(self, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
         self.declare_parameter(name, value, descriptor, ignore_override=True)
+
+    def set_parameters_atomically(
+        self, parameter_list: list[Any]
+    ) -> SetParametersResult:
+        """As rclpy's; a name that is not declared is refused with the one that may be
+        meant.
+
+        Former names are refused here, not taken as at the start: what is set must be
+        what ``ros2 param get`` and the events tell, under one name.
+        """
+        names = former_names(self.PARAMETERS)
+        for parameter in parameter_list:
+            name = parameter.name
+            if name in names:
+                reason = f"'{name}' is now called '{names[name]}'; set that"
+            elif not self.has_parameter(name):
+                near = nearest_in_words(name, [*self._specs], names)
+                reason = f"unknown parameter '{name}'{near}"
+            else:
+                continue
+            return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
 
     def _on_set(self, parameters: list[Any]) -> SetParametersResult:
         changes: dict[str, Any] = {}

@@ -19,20 +19,15 @@ from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import DextarError, ParameterError
-from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.signals import Interrupted
 from dextar_control.nodekit.node import check_value
 from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
-from dextar_control.nodes import controller, recorder, trajectory_server
 from dextar_control.nodes.operator import MOVING, TICK, Operator, Unreached, task_values
 
-SPECS: dict[str, tuple[Parameter, ...]] = {
-    "controller": controller.PARAMETERS,
-    "trajectory_server": trajectory_server.PARAMETERS,
-    "recorder": recorder.SPECS,
-}
-"""Of the nodes that a panel sets."""
+SET = ("controller", "trajectory_server", "recorder")
+"""The nodes whose parameters a panel sets."""
 REBUILT = (
     "law",
     "estimator",
@@ -64,7 +59,7 @@ class PanelOperator(Operator):
         namespace: of the robot's nodes.
 
     Attributes:
-        values: of the parameters of each node of ``SPECS``; empty where they are not
+        values: of the parameters of each node of ``SET``; empty where they are not
             known.
         lines: what was said last, each with its number, the oldest first.
         progress: of the trip that this panel has started: what is under way, and how
@@ -75,7 +70,7 @@ class PanelOperator(Operator):
         super().__init__(namespace, _Never())
         self._news = threading.Condition()
         self._leaving = False
-        self._snapshots = {name: ParameterSnapshot(self, name) for name in SPECS}
+        self._snapshots = {name: ParameterSnapshot(self, name) for name in SET}
         self._threads = {
             name: ThreadPoolExecutor(1, name)
             for name in ("stop", "drop", "trip", "desk")
@@ -142,7 +137,7 @@ class PanelOperator(Operator):
         return {
             name: {
                 spec.name: known[spec.name]
-                for spec in SPECS[name]
+                for spec in PARAMETERS[name]
                 if spec.name in known
             }
             for name, snapshot in self._snapshots.items()
@@ -215,7 +210,7 @@ class PanelOperator(Operator):
             ParameterError: there is no such parameter, or its value cannot be.
         """
         checked, defaults = {}, node_defaults(node)
-        specs = {spec.name: spec for spec in SPECS.get(node, ())}
+        specs = {spec.name: spec for spec in PARAMETERS[node]} if node in SET else {}
         for name, value in values.items():
             if name not in specs:
                 raise ParameterError(f"there is no parameter '{name}' of {node}")
@@ -345,7 +340,7 @@ def task_of(asked: Mapping[str, Any]) -> dict[str, Any]:
         values["task.goal"] = asked["goal"]
     defaults, specs = (
         node_defaults("trajectory_server"),
-        {spec.name: spec for spec in trajectory_server.PARAMETERS},
+        {spec.name: spec for spec in PARAMETERS["trajectory_server"]},
     )
     return {
         name: check_value(specs[name], value, defaults[name])

@@ -43,12 +43,12 @@ SECOND_TORQUE = (0.05, -0.05)  # N m, of the second commander
 SECOND_LASTS = 0.5  # s
 MOST_PENDING = 40  # services asked and not answered
 GAINS = {
-    "natural_frequency": (45.0, 55.0),
-    "damping_ratio": (0.9, 1.1),
+    "feedback.natural_frequency": (45.0, 55.0),
+    "feedback.damping_ratio": (0.9, 1.1),
 }  # that are set live
 REFUSED = (
-    {"natural_frequency": 1e9},
-    {"damping_ratio": -1.0},
+    {"feedback.natural_frequency": 1e9},
+    {"feedback.damping_ratio": -1.0},
     {"assembly_mode": -1},
     {"task__sample_period": 0.002},
 )
@@ -327,7 +327,7 @@ class FloodAction(Action):
             (operator.client(SetBool, "controller/enable"), SetBool.Request(data=True)),
             (
                 operator.client(GetParameters, "controller/get_parameters"),
-                GetParameters.Request(names=["law", "zone"]),
+                GetParameters.Request(names=["law", "near_locus.fade_abs_s"]),
             ),
             (
                 operator.client(SetParameters, "controller/set_parameters"),
@@ -340,7 +340,7 @@ class FloodAction(Action):
             ),
             (
                 operator.client(GetParameters, "trajectory_server/get_parameters"),
-                GetParameters.Request(names=["repeat"]),
+                GetParameters.Request(names=["task.repeat"]),
             ),
         ]
         if not operator.until(
@@ -483,10 +483,14 @@ class DiskAction(Action):
                 str(disk),
                 str(self._bag),
             ]
-            stack.start_recorder(wrap=wrap, path=disk / "run.mcap", compression="none")
+            stack.start_recorder(
+                wrap=wrap, path=disk / "run.mcap", **{"bag.compression": "none"}
+            )
         else:
             limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
-            stack.start_recorder(path=self._bag, limit=limit, compression="none")
+            stack.start_recorder(
+                path=self._bag, limit=limit, **{"bag.compression": "none"}
+            )
         stack.processes.may_end("recorder")
         if not stack.operator.until(
             lambda: (

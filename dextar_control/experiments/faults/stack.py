@@ -98,16 +98,16 @@ class Stack:
         values = {
             "plant": [
                 assignment("mode", self.request.clock),
-                assignment("real_time_factor", 0.0),
-                assignment("start_paused", True),
+                assignment("simulation.real_time_factor", 0.0),
+                assignment("simulation.start_paused", True),
                 *self.request.plant,
             ],
             "controller": [assignment("lockstep", self.lockstep)],
             "trajectory_server": [
-                assignment("duration", trip.duration),
-                assignment("dwell", trip.dwell),
+                assignment("task.duration", trip.duration),
+                assignment("task.dwell", trip.dwell),
             ],
-            "recorder": [assignment("reliable", self.lockstep)],
+            "recorder": [assignment("topics.reliable", self.lockstep)],
         }
         remap = (
             [part for rule in REMAPPINGS for part in ("-r", rule)]
