@@ -33,8 +33,8 @@ from dextar_control.bags.scan import Progress
 from dextar_control.bags.series import Columns, Select, Series, Steady
 from dextar_control.contract import topics
 from dextar_control.contract.errors import BagError, ParameterError
+from dextar_control.contract.former_names import present_names
 from dextar_control.contract.node_parameters import parameters_of_node
-from dextar_control.contract.parameters import present_names
 from dextar_control.contract.robot import (
     JOINT_NAMES,
     ROBOT_KEYS,

@@ -45,8 +45,8 @@ from dextar_control.analysis.web_figures import (
 from dextar_control.analysis.web_figures import around as around_crossings
 from dextar_control.bags.damage import end_in_words, in_words, unreadable_lines
 from dextar_control.contract import style
+from dextar_control.contract.former_names import former_names
 from dextar_control.contract.node_parameters import parameters_of_node
-from dextar_control.contract.parameters import former_names
 from dextar_control.contract.topics import TOPICS
 from dextar_control.contract.words import counted
 from dextar_control.planning.certificate import NEAR_LOCUS, Certificate

@@ -5,7 +5,7 @@ The parameters themselves stand in ``node_parameters``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
@@ -79,73 +79,22 @@ SCHEDULING = (
 """
 
 
-def former_names(specs: Iterable[Parameter]) -> dict[str, str]:
-    """The present names of the parameters that have been renamed, by their former
-    ones.
-    """
-    return {spec.formerly: spec.name for spec in specs if spec.formerly}
-
-
-def present_names(
-    specs: Iterable[Parameter], given: Mapping[str, Any]
-) -> tuple[dict[str, Any], dict[str, str]]:
-    """Parameters under their present names.
-
-    Args:
-        specs: of the node's parameters.
-        given: values by names, present or former ones, of one source.
-
-    Returns:
-        The values by present names, and the former names that were given with the
-        present ones.
-
-    Raises:
-        ParameterError: a parameter is given under both of its names.
-    """
-    renamed = {old: new for old, new in former_names(specs).items() if old in given}
-    for old, new in renamed.items():
-        if new in given:
-            raise ParameterError(
-                f"parameter '{old}' is now called '{new}', and both names are given;"
-                f" give '{new}' alone"
-            )
-    return {renamed.get(name, name): value for name, value in given.items()}, renamed
-
-
-def names_in_use(
-    specs: Iterable[Parameter], changes: Mapping[str, Any], given: Iterable[str]
-) -> dict[str, Any]:
-    """Changes under the names that ``given`` uses, so that they override it wherever
-    both are read together.
-    """
-    used = {new: old for old, new in former_names(specs).items() if old in {*given}}
-    return {used.get(name, name): value for name, value in changes.items()}
-
-
-def renamed_in_words(renamed: Mapping[str, str]) -> str:
-    """The warning about former names; empty where none is given."""
-    if not renamed:
-        return ""
-    names = ", ".join(f"{old} is now {new}" for old, new in renamed.items())
-    return (
-        f"parameters have been renamed: {names}; the next release takes the present"
-        " names only"
-    )
-
-
-def nearest_in_words(name: str, known: Sequence[str], former: Mapping[str, str]) -> str:
+def nearest_in_words(
+    name: str, specs: Sequence[Parameter], others: Sequence[str] = ()
+) -> str:
     """A question for what may have been meant by a name that is not known; empty where
     nothing looks like it.
 
     Args:
         name: as given.
-        known: the present names.
-        former: present names by former ones.
+        specs: of the parameters that there are.
+        others: further names.
     """
+    names = [*(spec.name for spec in specs), *others]
     meant = {
-        **{other.rpartition(".")[2]: other for other in known},
-        **former,
-        **{other: other for other in known},
+        **{known.rpartition(".")[2]: known for known in names},
+        **{spec.formerly: spec.name for spec in specs if spec.formerly},
+        **{known: known for known in names},
     }
     close = get_close_matches(name, meant, n=1) or get_close_matches(
         name.rpartition(".")[2], meant, n=1
@@ -240,12 +189,11 @@ def settled(
             key.startswith("robot.") and not robot
         )
         if key not in known and not others:
-            listed = [*names, *described]
             raise ParameterError(
                 f"unknown parameter '{key}' for node {node}"
                 + (
-                    nearest_in_words(key, listed, former_names(specs))
-                    or f"; known are: {', '.join(listed)}"
+                    nearest_in_words(key, specs, described)
+                    or f"; known are: {', '.join([*names, *described])}"
                 )
             )
     for name in names:

@@ -14,12 +14,8 @@ from dextar_control.contract.controller_parameters import CONTROLLER
 from dextar_control.contract.controller_parameters import Estimation as Estimation
 from dextar_control.contract.controller_parameters import Law as Law
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.parameters import (
-    former_names,
-    nearest_in_words,
-    present_names,
-    renamed_in_words,
-)
+from dextar_control.contract.former_names import present_names, renamed_in_words
+from dextar_control.contract.parameters import nearest_in_words
 from dextar_control.contract.resources import NODES_FILE, config_file, node_defaults
 
 Choice = TypeVar("Choice", bound=IntEnum)
@@ -222,6 +218,8 @@ SETTING_NAMES = (
     ),
 )
 """The controller's parameters that the loop takes."""
+SETTINGS = tuple(spec for spec in CONTROLLER if spec.name in SETTING_NAMES)
+"""What is told of them."""
 
 
 def choice(kind: type[Choice], name: str, value: Any) -> Choice:
@@ -252,7 +250,7 @@ def default_settings(**changes: object) -> Settings:
         warnings.warn(renamed_in_words(renamed), DeprecationWarning, stacklevel=2)
     for name in present:
         if name not in SETTING_NAMES:
-            near = nearest_in_words(name, SETTING_NAMES, former_names(CONTROLLER))
+            near = nearest_in_words(name, SETTINGS)
             raise ParameterError(f"unknown setting '{name}'{near}")
     return Settings.from_values(
         node_defaults("controller", config_file(NODES_FILE)) | present

@@ -15,7 +15,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -35,19 +35,15 @@ from dextar_control.contract.errors import (
     GeometryError,
     ParameterError,
 )
+from dextar_control.contract.former_names import present_names, renamed_in_words
 from dextar_control.contract.node_parameters import PARAMETERS
-from dextar_control.contract.parameters import names_in_use
-from dextar_control.contract.resources import (
-    NODES_FILE,
-    ROBOT_FILE,
-    config_file,
-    node_defaults,
-)
+from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.robot import PREFIX, RobotParameters, load_robot
 from dextar_control.contract.terminal import (
     Steps,
     Terminal,
     TextColumn,
+    say,
     spoken_warnings,
 )
 from dextar_control.contract.topics import DIAGNOSTICS
@@ -223,7 +219,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
     console = Terminal()
     files = _parameter_files(arguments)
     robot = load_robot(files["controller"][0])
-    values = _node_values(arguments, files)
+    values = _node_values(arguments)
     changes = {node: _changes(node, own) for node, own in values.items()}
     settings = {
         node: check_start(node, own, *files[node]) for node, own in changes.items()
@@ -234,11 +230,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
     )
     if arguments.point is not None:
         start = stands = _stand_at_start(
-            console,
-            robot,
-            Task.from_values(settings["trajectory_server"]),
-            values,
-            files,
+            console, robot, Task.from_values(settings["trajectory_server"]), values
         )
     if "task.start" not in changes["plant"]:
         other = {
@@ -326,9 +318,7 @@ def _load_analysis() -> None:
         importlib.import_module(f"dextar_control.analysis.{module}")
 
 
-def _node_values(
-    arguments: argparse.Namespace, files: Mapping[str, tuple[Path, Path]]
-) -> dict[str, list[str]]:
+def _node_values(arguments: argparse.Namespace) -> dict[str, list[str]]:
     """NAME:=VALUE of each node."""
     given: dict[str, dict[str, Any]] = {name: {} for name in NODES}
     given["plant"] |= {
@@ -353,7 +343,10 @@ def _node_values(
     for name in ("duration", "repeat", "tour", "excite", "point"):
         if getattr(arguments, name) is not None:
             given["trajectory_server"][f"task.{name}"] = getattr(arguments, name)
-    values: dict[str, list[str]] = {name: [] for name in NODES}
+    values = {
+        node: [assignment(*item) for item in own.items()] for node, own in given.items()
+    }
+    typed: dict[str, dict[str, str]] = {name: {} for name in NODES}
     for override in arguments.overrides:
         node, dot, rest = override.partition(".")
         if not dot or node not in NODES or ":=" not in rest:
@@ -361,28 +354,17 @@ def _node_values(
                 f"-p {override}: expected NODE.NAME:=VALUE with NODE one of"
                 f" {', '.join(NODES)}"
             )
-        parse_value(rest.partition(":=")[2], f"-p {override}")
-        values[node].append(rest)
-    return {
-        node: [*_assignments(node, own, values, files), *values[node]]
-        for node, own in given.items()
-    }
-
-
-def _assignments(
-    node: str,
-    own: Mapping[str, Any],
-    values: Mapping[str, Sequence[str]],
-    files: Mapping[str, tuple[Path, Path]],
-) -> list[str]:
-    """NAME:=VALUE of the demo's own values, under the names that the files and the
-    command line use.
-    """
-    used = [text.partition(":=")[0] for text in values[node]]
-    used += node_defaults(node, *files[node])
-    return [
-        assignment(*item) for item in names_in_use(PARAMETERS[node], own, used).items()
-    ]
+        name, _, value = rest.partition(":=")
+        parse_value(value, f"-p {override}")
+        typed[node][name] = value
+    renamed: dict[str, str] = {}
+    for node, own in typed.items():
+        present, found = present_names(PARAMETERS[node], own)
+        values[node] += [f"{name}:={value}" for name, value in present.items()]
+        renamed |= found
+    if renamed:
+        say(f"dextar demo: {renamed_in_words(renamed)}")
+    return values
 
 
 def _changes(node: str, texts: Sequence[str]) -> dict[str, Any]:
@@ -395,11 +377,7 @@ def _changes(node: str, texts: Sequence[str]) -> dict[str, Any]:
 
 
 def _stand_at_start(
-    console: Terminal,
-    robot: RobotParameters,
-    task: Task,
-    values: dict[str, list[str]],
-    files: Mapping[str, tuple[Path, Path]],
+    console: Terminal, robot: RobotParameters, task: Task, values: dict[str, list[str]]
 ) -> list[float]:
     """Plan the trip through the point, so that the robot can be put where it begins, m,
     and on that side of the locus.
@@ -419,9 +397,7 @@ def _stand_at_start(
     for name in ("plant", "trajectory_server"):
         values[name].append(assignment("task.start", start))
     direction = round(plan.certificate.crossing_signs[0])
-    values["trajectory_server"] += _assignments(
-        "trajectory_server", {"task.direction": direction}, values, files
-    )
+    values["trajectory_server"].append(assignment("task.direction", direction))
     values["controller"].append(assignment("assembly_mode", -direction))
     return start
 

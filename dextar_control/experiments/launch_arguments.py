@@ -19,7 +19,7 @@ from dextar_control.contract.parameters import Parameter, check_value
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.topics import INTERFACES
 from dextar_control.contract.yaml_text import load_parameters
-from dextar_control.experiments.start_check import as_files_spell, check_start
+from dextar_control.experiments.start_check import check_start
 from dextar_control.nodes import task
 
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
@@ -164,7 +164,7 @@ def read(given: Mapping[str, str]) -> dict[str, Any]:
 
 def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The nodes that are to be started, and what the arguments change of their
-    parameters, under the names that the parameter files use.
+    parameters.
 
     Args:
         values: from ``read``.
@@ -202,11 +202,8 @@ def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         "panel": not values["panel"],
         "go_server": importlib.util.find_spec(INTERFACES) is None,
     }
-    files = Path(values["robot_file"]), Path(values["params_file"])
     return {
-        node: as_files_spell(node, parameters, *files, namespace=values["namespace"])
-        for node, parameters in own.items()
-        if not unwanted.get(node)
+        name: parameters for name, parameters in own.items() if not unwanted.get(name)
     }
 
 

@@ -4,9 +4,11 @@ exit code.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -33,14 +35,17 @@ from dextar_control.contract import resources
 from dextar_control.contract.caches import prepare_environment
 from dextar_control.contract.clocks import UnsteppedClock
 from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.former_names import (
+    former_names,
+    present_arguments,
+    present_names,
+    renamed_in_words,
+)
 from dextar_control.contract.help import node_help
 from dextar_control.contract.parameters import (
     Parameter,
     check_value,
-    former_names,
     nearest_in_words,
-    present_names,
-    renamed_in_words,
     settled,
 )
 from dextar_control.contract.robot import (
@@ -240,7 +245,7 @@ class DextarNode(Node):
             if name in names:
                 reason = f"'{name}' is now called '{names[name]}'; set that"
             elif not self.has_parameter(name):
-                near = nearest_in_words(name, [*self._specs], names)
+                near = nearest_in_words(name, self.PARAMETERS)
                 reason = f"unknown parameter '{name}'{near}"
             else:
                 continue
@@ -403,8 +408,16 @@ def run_node(
         if (code := _answer(make, words)) is not None:
             return code
         prepare_middleware()
-        rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
+        with contextlib.ExitStack() as stack:
+            words, renamed = present_arguments(
+                getattr(make, "NAME", ""),
+                words,
+                lambda: Path(stack.enter_context(tempfile.TemporaryDirectory())),
+            )
+            rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
+        if renamed:
+            node.get_logger().warning(renamed_in_words(renamed))
         stop.starting = False
         executor = make_executor()
         executor.add_node(node)

@@ -532,7 +532,7 @@ def test_the_planners_ends_are_the_estimators(robot: RobotParameters) -> None:
 
 
 def test_a_transition_that_reaches_the_locus_is_refused(robot: RobotParameters) -> None:
-    with pytest.raises(ParameterError, match="zone must be >= 0.15"):
+    with pytest.raises(ParameterError, match="near_locus.fade_abs_s must be >= 0.15"):
         ControlLoop(
             robot,
             default_settings(

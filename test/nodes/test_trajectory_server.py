@@ -180,7 +180,10 @@ def test_a_tour_is_planned_beside_the_services_drawn_and_certified(
     assert all(successful for successful, _ in _set(robot, tour=6, dwell=new, repeat=1))
     (refusal,) = _set(robot, point=[0.0, 0.0845])
     assert not refusal[0]
-    assert "point = [0.0, 0.0845] and tour = 6 are given; one may be" in refusal[1]
+    assert (
+        "task.point = [0.0, 0.0845] and task.tour = 6 are given; one may be"
+        in refusal[1]
+    )
     planned = _ask(robot, Trigger, "trajectory_server/plan", Trigger.Request())
     stopped = _ask(robot, Trigger, "trajectory_server/stop", Trigger.Request())
     robot.until(stopped.done, "no stop while it plans")

@@ -18,22 +18,22 @@ from dextar_control.analysis.load import load_run
 from dextar_control.analysis.page import _changes
 from dextar_control.bags.mcap_file import COMPRESSIONS
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.help import node_help
-from dextar_control.contract.node_parameters import PARAMETERS, parameters_of_node
-from dextar_control.contract.parameters import (
-    Parameter,
+from dextar_control.contract.former_names import (
     former_names,
-    names_in_use,
-    nearest_in_words,
+    present_arguments,
     present_names,
     renamed_in_words,
 )
+from dextar_control.contract.help import node_help
+from dextar_control.contract.node_parameters import PARAMETERS, parameters_of_node
+from dextar_control.contract.parameters import Parameter, nearest_in_words
 from dextar_control.contract.resources import (
     ROBOT_FILE,
     config_file,
     node_defaults,
 )
 from dextar_control.contract.settings import GROUPS, SETTING_NAMES, default_settings
+from dextar_control.contract.yaml_text import dump_document
 from dextar_control.experiments.campaign.config import load_config
 from dextar_control.experiments.launch_arguments import changes, check_nodes, read
 from dextar_control.experiments.start_check import check_start
@@ -78,7 +78,7 @@ def file_of(folder: Path, **nodes: dict[str, Any]) -> Path:
     """A parameter file of nodes."""
     path = folder / "params.yaml"
     sections = {f"/**/{node}": {"ros__parameters": own} for node, own in nodes.items()}
-    path.write_text(yaml.safe_dump(sections), encoding="utf-8")
+    path.write_text(dump_document(sections), encoding="utf-8")
     return path
 
 
@@ -159,19 +159,75 @@ def test_former_names_are_told_in_one_sentence_with_the_present_ones() -> None:
         " only"
     )
     assert present_names(specs("controller"), values) == (values, {})
-    assert renamed_in_words({}) == ""
 
 
-def test_both_names_of_a_parameter_are_refused_also_from_two_places(
+BOTH = (
+    "parameter 'payload' is now called 'payload.mass', and both names are given; give"
+    " 'payload.mass' alone"
+)
+
+
+def test_both_names_of_a_parameter_in_one_place_are_refused(tmp_path: Path) -> None:
+    both = {"payload": 0.1, "payload.mass": 0.2}
+    with pytest.raises(ParameterError, match=BOTH):
+        check_start("plant", both, ROBOT)
+    path = file_of(tmp_path, plant=both)
+    for refused in (
+        lambda: check_start("plant", {}, ROBOT, path),
+        lambda: present_arguments("plant", ["--params-file", str(path)], folder),
+    ):
+        with pytest.raises(ParameterError, match=f"parameter file {path}: {BOTH}"):
+            refused()
+    words = ["--ros-args", "-p", "plant:payload:=0.1", "-p", "payload.mass:=0.2"]
+    with pytest.raises(ParameterError, match=BOTH):
+        present_arguments("plant", words, folder)
+
+
+def folder() -> Path:
+    """Stands where no file needs a copy."""
+    raise AssertionError
+
+
+def test_what_stands_later_overrides_what_stands_earlier_under_whichever_name(
     tmp_path: Path,
 ) -> None:
-    path = file_of(tmp_path, plant={"payload": 0.1})
-    with pytest.raises(
-        ParameterError,
-        match="plant: parameter 'payload' is now called 'payload.mass', and both names"
-        " are given; give 'payload.mass' alone",
-    ):
-        check_start("plant", {"payload.mass": 0.2}, ROBOT, path)
+    old = file_of(tmp_path, plant={"payload": 0.1, "payload_time": 2.0})
+    (tmp_path / "new").mkdir()
+    new = file_of(tmp_path / "new", plant={"payload": {"mass": 0.3}})
+    for files, mass in (((old, new), 0.3), ((new, old), 0.1)):
+        values = check_start("plant", {}, ROBOT, *files)
+        assert (values["payload.mass"], values["payload.time"]) == (mass, 2.0)
+    assert check_start("plant", {"payload.mass": 0.5}, old)["payload.mass"] == 0.5
+
+
+def test_a_command_line_is_given_present_names_for_its_own_node_only(
+    tmp_path: Path,
+) -> None:
+    path = file_of(
+        tmp_path,
+        plant={"payload": 0.1, "push": [1.0, 0.0]},
+        recorder={"notes": "1e3", "tags": "on", "extra_topics": ""},
+    )
+    words = ["--ros-args", "--params-file", str(path), "-p", "recorder:name:='a: b'"]
+    words += ["--param", "sync_period:=2.0", "-r", "a:=b", "-p", "plant:payload:=1.0"]
+    (tmp_path / "copy").mkdir()
+    present, renamed = present_arguments("recorder", words, lambda: tmp_path / "copy")
+    assert present[3:] == [
+        "-p",
+        "recorder:run.name:='a: b'",
+        "--param",
+        "bag.sync_period:=2.0",
+        *words[7:],
+    ]
+    copy = Path(present[2])
+    values = node_defaults("recorder", copy)
+    assert values == {"run.notes": "1e3", "run.tags": "on", "topics.extra": ""}
+    assert node_defaults("plant", copy) == {"payload": 0.1, "push": [1.0, 0.0]}
+    assert {*renamed} == {"notes", "tags", "extra_topics", "name", "sync_period"}
+    assert present_arguments("panel", words, folder) == (words, {})
+    twice = ["--ros-args", "-p", "notes:=a", "-p", "notes:=b"]
+    present, _ = present_arguments("recorder", twice, folder)
+    assert present == ["--ros-args", "-p", "run.notes:=a", "-p", "run.notes:=b"]
 
 
 @pytest.mark.parametrize(
@@ -191,8 +247,7 @@ def test_a_misspelt_name_is_refused_with_the_nearest(given: str, meant: str) -> 
         f" '{meant}'?",
     ):
         check_start("controller", {given: 0.1}, ROBOT)
-    names = [spec.name for spec in specs("controller")]
-    assert nearest_in_words("qqqq", names, {}) == ""
+    assert nearest_in_words("qqqq", specs("controller")) == ""
 
 
 def test_launch_arguments_override_a_file_of_the_release_before(tmp_path: Path) -> None:
@@ -218,10 +273,13 @@ def test_launch_arguments_override_a_file_of_the_release_before(tmp_path: Path) 
     )
     check_nodes(values)
     told = changes(values)
-    assert told["trajectory_server"] == {"autostart": True, "duration": 2.0}
-    assert told["plant"]["real_time_factor"] == 0.5
-    given = names_in_use(specs("plant"), {"payload.mass": 1.0}, ["mode"])
-    assert given == {"payload.mass": 1.0}
+    assert told["trajectory_server"] == {"autostart": True, "task.duration": 2.0}
+    for node, name, value in (
+        ("trajectory_server", "task.duration", 2.0),
+        ("trajectory_server", "task.tour", 4),
+        ("plant", "simulation.real_time_factor", 0.5),
+    ):
+        assert check_start(node, told[node], ROBOT, path)[name] == value
 
 
 def test_settings_in_python_take_former_names_with_a_warning(

@@ -15,15 +15,10 @@ from pydantic import (
     model_validator,
 )
 
-from dextar_control.contract.controller_parameters import CONTROLLER
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.parameters import (
-    former_names,
-    nearest_in_words,
-    present_names,
-    renamed_in_words,
-)
-from dextar_control.contract.settings import SETTING_NAMES
+from dextar_control.contract.former_names import present_names, renamed_in_words
+from dextar_control.contract.parameters import nearest_in_words
+from dextar_control.contract.settings import SETTINGS
 from dextar_control.contract.validation import Section, problem, unknown, validate
 from dextar_control.contract.yaml_text import load_document
 from dextar_control.experiments.campaign.ranges import BARS, PERTURBATIONS, Range
@@ -205,12 +200,12 @@ class CampaignConfig(Section):
             for combination in self.combinations
         ]
         sections += [(f"case {name}: ", case) for name, case in self.cases.items()]
-        settings = [name for name in SETTING_NAMES if name not in ("law", "estimator")]
+        settings = {spec.name: spec for spec in SETTINGS if not spec.choices}
         for where, section in sections:
             _within(section.perturbation, PERTURBATIONS, "perturbation", where)
             for key in section.settings:
                 if key not in settings:
-                    near = nearest_in_words(key, settings, former_names(CONTROLLER))
+                    near = nearest_in_words(key, [*settings.values()])
                     raise problem(f"{where}unknown setting '{key}'{near}")
         laws = list(dict.fromkeys(combination.law for combination in self.combinations))
         estimators = list(
@@ -267,7 +262,7 @@ def _take_present_names(part: Any) -> dict[str, str]:
     if isinstance(part, dict):
         for key, value in part.items():
             if key == "settings" and isinstance(value, dict):
-                part[key], found = present_names(CONTROLLER, value)
+                part[key], found = present_names(SETTINGS, value)
                 renamed |= found
             else:
                 renamed |= _take_present_names(value)
