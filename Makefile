@@ -2,6 +2,7 @@
 # LAW=consistent  law of the demo: consistent, projected or classic
 # DURATION=       duration of one way in the demo, s
 # CONFIG=         file of the campaign (config/campaign_small.yaml)
+# TESTS=test      the tests that make test runs, such as test/loop or one file
 # ARGS=           further arguments of dextar or pytest
 # EXTRAS=         of setup.py that make setup adds: campaign, export, video
 # PYTHON=python3  the interpreter that .venv is made with, 3.10 to 3.13
@@ -11,6 +12,7 @@ LAW ?= consistent
 DURATION ?=
 CONFIG ?= config/campaign_small.yaml
 EXTRAS ?=
+TESTS ?= test
 ARGS ?=
 
 SHELL := /bin/bash
@@ -18,10 +20,13 @@ SHELL := /bin/bash
 .ONESHELL:
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo campaign check test interfaces bench clean set-up-test
+.PHONY: help setup demo campaign check test docs interfaces bench clean set-up-test
 
 BIN := .venv/bin
 SET_UP := PYTHON="$(PYTHON)" ./set_up.sh
+# Files side by side, each in a process and a DDS domain of its own; what they run of the mathematics is counted.
+PYTEST := $(BIN)/python -m pytest -q --numprocesses=2 --dist=loadfile --cov --cov-report=
+COVERAGE := echo "of the mathematics' lines the tests run $$($(BIN)/coverage report --format=total) % ($(BIN)/coverage report lists them)"
 
 help: ## this list
 	@sed -n 's/^# \{1,2\}//p;/^$$/q' Makefile
@@ -45,14 +50,21 @@ check: set-up-test ## formatter, linter, types, and the tests that start nothing
 	$(BIN)/ruff check .
 	$(BIN)/mypy & types=$$!
 	tests=0
-	$(BIN)/python -m pytest -q -n 2 test/unit $(ARGS) || tests=$$?
+	$(PYTEST) test/unit $(ARGS) || tests=$$?
+	$(COVERAGE)
 	wait $$types
 	exit $$tests
 
 test: set-up-test .venv/installed-js ## run the tests
-	@$(BIN)/python -m pytest -q --durations=10 $(ARGS)
+	@$(PYTEST) --durations=10 $(TESTS) $(ARGS)
+	$(COVERAGE)
 
-interfaces: ## build the action go and the readable messages into install/ (README)
+docs: ## build the documentation into docs/_build/index.html, which opens offline
+	@$(SET_UP) docs
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
+	echo "docs/_build/index.html"
+
+interfaces: ## build the action go and the readable messages into install/ (docs/interfaces.md)
 	@case "$$PWD" in
 	*" "*) echo "error: colcon's setup files do not work in '$$PWD': clone into a folder without a space in its path" >&2; exit 1 ;;
 	esac
@@ -69,11 +81,11 @@ bench: ## measure the loop on this machine
 	$(BIN)/dextar bench $(ARGS)
 
 clean: ## remove .venv, builds and caches; recordings in runs/ stay
-	@rm -rf .venv build install log *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	@rm -rf .venv build docs/_build install log *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache .coverage*
 	find . -name .git -prune -o -name __pycache__ -type d -print0 | xargs -0 rm -rf
 
 set-up-test:
-	@$(SET_UP) campaign export video interfaces test check oracle
+	@$(SET_UP) campaign docs export video interfaces test check oracle
 
 # The test with Foxglove's own readers is skipped where these cannot be installed.
 .venv/installed-js: test/tools/js/package.json | set-up-test

@@ -107,6 +107,7 @@ setup(
             "ros-jazzy-ament-cmake-pytest",
         ],
         "oracle": ["pin"],  # needs numpy 2, so it does not go with a Jazzy installation
+        "docs": ["sphinx", "myst-parser", "furo", "ziamath"],
         "check": ["ruff", "mypy", "types-PyYAML", "pytest-xdist", "pytest-cov"],
     },
     entry_points={

@@ -1,4 +1,4 @@
-"""The plant's step beside raw PyBullet stepping of the same scene: ``python -m
+"""Time the plant's step beside raw PyBullet steps of the same scene: ``python -m
 dextar_sim.bench``.
 
 Prints one JSON object: microseconds for one sample period (substeps included).
@@ -39,7 +39,7 @@ def _time(work: Callable[[], object]) -> list[float]:
 
 
 def measure() -> dict[str, dict[str, float]]:
-    """p50 and p99 of one period's step, ours and raw, microseconds."""
+    """Return p50 and p99 of one period's step, ours and raw, microseconds."""
     values = node_defaults("plant", config_file(NODES_FILE))
     robot = load_robot(config_file(ROBOT_FILE))
     ours, bare = (

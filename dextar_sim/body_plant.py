@@ -1,5 +1,5 @@
-"""A mechanism of any kind as a PyBullet plant: motors in, joint and platform states
-out. No ROS here.
+"""A PyBullet plant of any mechanism: motor torques go in, joint and platform states
+come out. No ROS here.
 """
 
 from __future__ import annotations
@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -17,6 +16,7 @@ from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.mechanisms.bodies import Bodies
 from dextar_control.mechanisms.mechanism import Mechanism
 from dextar_control.symbols.functions import Fast
+from dextar_control.symbols.types import Array
 from dextar_sim import world
 from dextar_sim.effects import JointEffects
 from dextar_sim.state import Motor, PlantState, check_steps, saturated, state_layout
@@ -25,7 +25,7 @@ from dextar_sim.urdf import bodies_of
 
 
 class BodyPlant:
-    """The bodies that a mechanism describes, headless by default.
+    """Simulates the bodies that a mechanism describes.
 
     PyBullet's semi-implicit Euler (kick, then drift) is the second-order leapfrog seen
     half a drift later. The positions it holds are therefore half a substep ahead, q +
@@ -52,7 +52,7 @@ class BodyPlant:
     def __init__(
         self,
         mechanism: Mechanism,
-        values: Mapping[str, Any],
+        values: Mapping[str, object],
         *,
         period: float = 1.0e-3,
         substeps: int = 4,
@@ -100,10 +100,8 @@ class BodyPlant:
         self._substep = period / substeps
         self._truth = self._fast["truth"]
         self._layout = state_layout(mechanism.n, len(joints))
-        self._truth.arguments.p[:], self._truth.arguments.lead[:] = (
-            self._p,
-            0.5 * self._substep,
-        )
+        self._truth.arguments.p[:] = self._p
+        self._truth.arguments.lead[:] = 0.5 * self._substep
         if window and not os.environ.get("DISPLAY"):
             raise ParameterError("window = true needs a display; DISPLAY is not set")
         self._window = window
@@ -116,7 +114,7 @@ class BodyPlant:
         )
         self._divided = False
         self._steps = 0
-        self._impulse: np.ndarray | None = None
+        self._impulse: Array | None = None
         self._load(bodies)
 
     def _load(self, bodies: Bodies) -> None:
@@ -126,9 +124,9 @@ class BodyPlant:
         self._divided = False
         self._read()
 
-    def become(self, values: Mapping[str, Any]) -> None:
-        """Go on from where it is and as fast, with other values of the mechanism's
-        parameters but for its friction.
+    def become(self, values: Mapping[str, object]) -> None:
+        """Keep positions and speeds, and take other values of the mechanism's
+        parameters, its friction excepted.
         """
         held = self._states
         bodies = bodies_of(self.mechanism, values)
@@ -191,14 +189,14 @@ class BodyPlant:
                 self._body, index, angle, rate, physicsClientId=self._client
             )
 
-    def encoded(self) -> list[float]:
-        """Where the encoders' discs stand, rad (m)."""
+    def encoder_angles(self) -> list[float]:
+        """Return the angles of the encoders' discs, (n,), rad (m)."""
         q_a: list[float] = self.state().q_a.tolist()
-        return q_a if self._effects is None else self._effects.encoded(q_a)
+        return q_a if self._effects is None else self._effects.encoder_angles(q_a)
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:
-        """Strike the platform with an impulse along its coordinates (N s, shape (n,))
-        during the next step's first substep.
+        """Strike the platform with an impulse along its coordinates, (n,), N s, during
+        the next step's first substep.
         """
         self._impulse = np.array(impulse, dtype=np.float64)
 
@@ -207,7 +205,7 @@ class BodyPlant:
         torque: Sequence[float],
         earlier: Sequence[float] | None = None,
         late: int = 0,
-    ) -> np.ndarray:
+    ) -> Array:
         """Advance one period under constant motor torques.
 
         A torque that holds over the whole period without friction is one call of
@@ -254,8 +252,8 @@ class BodyPlant:
     def _step_each(
         self, first: Sequence[float], last: Sequence[float], late: int
     ) -> None:
-        """One call of PyBullet for each substep, the first ``late`` of them under
-        another torque.
+        """Call PyBullet for each substep, the first ``late`` of them under another
+        torque.
 
         Friction is viscous q_dot + coulomb tanh(q_dot / coulomb_speed), N m (N).
         """
@@ -289,20 +287,18 @@ class BodyPlant:
         last: Sequence[float],
         late: int,
     ) -> None:
-        """One call of PyBullet for each substep, under what acts at the joints."""
-        client, body, joints, states = (
-            self._client,
-            self._body,
-            self._joints,
-            self._states,
-        )
+        """Call PyBullet for each substep, under the torques of the effects at the
+        joints.
+        """
+        client = self._client
+        body = self._body
+        joints = self._joints
+        states = self._states
         for substep in range(self.substeps):
             if substep:
                 states = p.getJointStates(body, joints, client)
-            effects.joints[:], effects.joints_dot[:] = (
-                [state[0] for state in states],
-                [state[1] for state in states],
-            )
+            effects.joints[:] = [state[0] for state in states]
+            effects.joints_dot[:] = [state[1] for state in states]
             effects.act(first if substep < late else last)
             forces = effects.forces
             if self._impulse is not None:
@@ -318,15 +314,17 @@ class BodyPlant:
             p.stepSimulation(client)
 
     def _divide(self, divided: bool) -> None:
-        """Whether one call of PyBullet is a whole period or a substep."""
+        """Let one call of PyBullet be a whole period, or a substep."""
         self._divided = divided
         if divided:
             world.set_step(self._client, self.period, self.substeps)
         else:
             world.set_step(self._client, self._substep)
 
-    def _strike(self, impulse: np.ndarray, net: Sequence[float]) -> None:
-        """A force on the platform over the coming substep, and the motors."""
+    def _strike(self, impulse: Array, net: Sequence[float]) -> None:
+        """Apply a force on the platform over the coming substep, and the motor
+        torques.
+        """
         forces = self._pushed(impulse)
         forces[self._motors] += net
         p.setJointMotorControlArray(
@@ -337,11 +335,11 @@ class BodyPlant:
             physicsClientId=self._client,
         )
 
-    def _pushed(self, impulse: np.ndarray) -> np.ndarray:
-        """What a force on the platform over a substep is at all joints as PyBullet
-        holds them.
+    def _pushed(self, impulse: Array) -> Array:
+        """Return the torques at all joints, where PyBullet holds them, that a force on
+        the platform over a substep equals.
         """
-        forces: np.ndarray = self._fast["push"](
+        forces: Array = self._fast["push"](
             self._p, [state[0] for state in self._states], impulse / self._substep
         ).forces
         return forces
@@ -351,7 +349,7 @@ class BodyPlant:
         self._state: PlantState | None = None
 
     def state(self) -> PlantState:
-        """The true state now."""
+        """Return the true state now."""
         if self._state is None:
             truth = self._truth
             truth.arguments.held[:] = [state[0] for state in self._states]
@@ -362,7 +360,7 @@ class BodyPlant:
         return self._state
 
     def close(self) -> None:
-        """Leave PyBullet; harmless when repeated."""
+        """Leave PyBullet; repeating it does no harm."""
         if self._client >= 0:
             world.release(self._client, self._window)
         self._client = -1

@@ -1,5 +1,5 @@
-"""The five-bar in platform coordinates as a second plant: exact constraints,
-fourth-order steps. No ROS here.
+"""A second plant of the five-bar, in platform coordinates: its constraints are exact
+and its steps of fourth order. No ROS here.
 """
 
 from __future__ import annotations
@@ -11,9 +11,16 @@ import numpy as np
 
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import RobotParameters
-from dextar_sim import geometry
-from dextar_sim.effects import PLAIN, Effects, JointEffects, are_rough, without_rotors
-from dextar_sim.platform_motion import Motion
+from dextar_control.symbols.types import Array
+from dextar_sim.effects import (
+    NO_EFFECTS,
+    Effects,
+    JointEffects,
+    has_joint_effects,
+    without_rotors,
+)
+from dextar_sim.geometry import FiveBarPlacing, joints_dot_at, tip_of
+from dextar_sim.platform_motion import PlatformMotion
 from dextar_sim.state import PlantState, check_steps, leg_motors, saturated
 
 _LEAST_SINE = 0.01
@@ -22,9 +29,9 @@ both legs stretched or folded.
 """
 
 
-class CartesianPlant:
-    """The same surface as ``dextar_sim.plant.Plant`` over the platform's own equations
-    of motion.
+class CartesianPlant(FiveBarPlacing):
+    """Offers what ``dextar_sim.plant.Plant`` does, over the platform's own equations of
+    motion.
 
     Args:
         robot: the description.
@@ -45,10 +52,10 @@ class CartesianPlant:
         period: float = 1.0e-3,
         substeps: int = 4,
         max_torque: float | None = None,
-        effects: Effects = PLAIN,
+        effects: Effects = NO_EFFECTS,
     ) -> None:
         self._effects: JointEffects | None = None
-        if are_rough(robot, effects):
+        if has_joint_effects(robot, effects):
             self._effects = JointEffects(robot, effects, period, substeps, ahead=False)
         else:
             check_steps(period, substeps, leg_motors(robot))
@@ -58,63 +65,19 @@ class CartesianPlant:
         self.max_torque = robot.max_torque if max_torque is None else max_torque
         self._substep = period / substeps
         if self._effects is None:
-            self._motion = Motion(robot, substeps, self._substep)
+            self._motion = PlatformMotion(robot, substeps, self._substep)
         else:
-            self._motion = Motion(
+            self._motion = PlatformMotion(
                 without_rotors(robot, effects), 1, self._substep, torques=4
             )
         self._steps = 0
         self._push: tuple[float, float] = (0.0, 0.0)
         self._state: PlantState | None = None
 
-    def reset(
-        self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
-    ) -> PlantState:
-        """Put the end effector at x with velocity x_dot, in the robot's working mode,
-        at time 0.
-
-        Args:
-            x: end effector position, m, shape (2,).
-            x_dot: end effector velocity, m/s, shape (2,).
-
-        Raises:
-            GeometryError: a leg does not reach x, or cannot move at x_dot there.
-            StateError: both legs are stretched or folded.
-        """
-        return self._place(geometry.joints_at(self.robot, x), x_dot)
-
-    def reset_joints(
-        self,
-        q_a: Sequence[float],
-        assembly_mode: int,
-        x_dot: Sequence[float] = (0.0, 0.0),
-    ) -> PlantState:
-        """Put the active joints at q_a (rad, shape (2,)) in the given assembly mode, at
-        time 0.
-
-        Args:
-            q_a: active angles q11, q21.
-            assembly_mode: sign of r_1 x r_2, r_i from elbow i to the end effector.
-            x_dot: end effector velocity, m/s, shape (2,).
-
-        Raises:
-            GeometryError: the distal links do not meet there, or the elbows coincide.
-            StateError: both legs are stretched or folded.
-        """
-        return self._place(geometry.joints_of(self.robot, q_a, assembly_mode), x_dot)
-
-    def _place(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
-        joints_dot = geometry.joints_dot_at(self.robot, joints, x_dot)
+    def _begin_at(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
+        joints_dot = joints_dot_at(self.robot, joints, x_dot)
         self._check(max(abs(math.sin(joints[1])), abs(math.sin(joints[3]))), 0.0)
-        left, right = geometry.tips(
-            geometry.shape(self.robot), tuple(map(float, joints)), (0.0, 0.0, 0.0, 0.0)
-        )
-        self._motion.place(
-            joints,
-            joints_dot,
-            [0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1])],
-            x_dot,
-        )
+        self._motion.place(joints, joints_dot, tip_of(self.robot, joints), x_dot)
         if self._effects is not None:
             self._effects.reset(joints[::2], joints_dot[::2])
         self._steps = 0
@@ -123,20 +86,20 @@ class CartesianPlant:
         return self.state()
 
     def take_up(self, mass: float) -> None:
-        """Load the end effector with a mass, kg, that moves as it does."""
+        """Load the end effector with a mass, kg, that moves with it."""
         self.robot = self.robot.replace(
             end_effector_mass=self.robot.end_effector_mass + mass
         )
         self._motion.carry(self.robot.end_effector_mass)
 
-    def encoded(self) -> list[float]:
-        """Where the encoders' discs stand, rad."""
+    def encoder_angles(self) -> list[float]:
+        """Return the angles of the encoders' discs, (2,), rad."""
         q_a: list[float] = self.state().q_a.tolist()
-        return q_a if self._effects is None else self._effects.encoded(q_a)
+        return q_a if self._effects is None else self._effects.encoder_angles(q_a)
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:
-        """Strike the end effector with an impulse (N s, shape (2,)) during the next
-        step's first substep.
+        """Strike the end effector with an impulse, (2,), N s, during the next step's
+        first substep.
         """
         self._push = (
             float(impulse[0]) / self._substep,
@@ -148,7 +111,7 @@ class CartesianPlant:
         torque: Sequence[float],
         earlier: Sequence[float] | None = None,
         late: int = 0,
-    ) -> np.ndarray:
+    ) -> Array:
         """Advance one period under constant motor torques.
 
         Args:
@@ -186,8 +149,8 @@ class CartesianPlant:
         last: Sequence[float],
         late: int,
     ) -> float:
-        """One substep after the other, each under what acts at the joints; the least
-        |sin delta| met.
+        """Step through the substeps, each under the torques of the effects; return the
+        least |sin delta| met.
         """
         now, push, least = self._motion.state, self._push, 1.0
         for substep in range(self.substeps):
@@ -199,9 +162,9 @@ class CartesianPlant:
             push = (0.0, 0.0)
         return least
 
-    def acceleration(self, torque: Sequence[float]) -> np.ndarray:
-        """Platform acceleration (m/s^2, shape (2,)) now, off Type 1, of a plant without
-        effects.
+    def acceleration(self, torque: Sequence[float]) -> Array:
+        """Return the platform's acceleration now, (2,), m/s^2, of a plant without
+        effects off Type 1.
 
         Args:
             torque: of the motors, N m, shape (2,), saturated first.
@@ -217,11 +180,11 @@ class CartesianPlant:
             )
 
     def state(self) -> PlantState:
-        """The true state now."""
+        """Return the true state now."""
         if self._state is None:
             self._motion.state.time = self._steps * self.period
             self._state = self._motion.state.copy()
         return self._state
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: this plant holds nothing."""

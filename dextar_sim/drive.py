@@ -1,5 +1,5 @@
-"""The motor side of a joint over one substep: drive, rotor and transmission, on
-symbols.
+"""Equations of the motor side of a joint over one substep: drive, rotor and
+transmission, on symbols.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ MEMORY = Layout(
 )
 
 
-def driven(
+def drive_step(
     command: Symbol,
     q: Symbol,
     q_dot: Symbol,
@@ -44,8 +44,8 @@ def driven(
     p: Mapping[str, Symbol],
     h: Symbol,
 ) -> tuple[Symbol, dict[str, Symbol]]:
-    """Torque (2,), N m, at the joints over one substep, and the drives' memory after
-    it.
+    """Return the torque at the joints over one substep, (2,), N m, and the drives'
+    memory after it.
 
     A lag is followed exactly; its mean over the substep acts. Where the transmission is
     rigid the rotor is the joint, whose inertia the links have.
@@ -84,8 +84,8 @@ def driven(
 
 
 def _passed(twist: Symbol, twist_dot: Symbol, p: Mapping[str, Symbol]) -> Symbol:
-    """What a transmission passes on, N m: a spring and a damper that teeth with
-    backlash only push with, and only in touch.
+    """Return the torque that a transmission passes on, N m: spring and damper, which
+    teeth with backlash only push with, and only in touch.
     """
     half = 0.5 * p["backlash"]
     stretch = twist - ca.fmin(ca.fmax(twist, -half), half)

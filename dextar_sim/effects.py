@@ -1,5 +1,5 @@
-"""What makes a simulated rig unlike its drawing, and what acts at its joints over one
-substep then: on symbols.
+"""Effects of drives, transmissions and friction that act at the joints of a simulated
+five-bar over one substep, on symbols.
 
 Drive, transmission and friction are torques at the joints that hold over a substep.
 Angles are taken half a substep ahead and rates at its begin, which is the leapfrog: a
@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -26,8 +26,10 @@ from dextar_control.symbols.functions import (
     in_place,
     named,
 )
-from dextar_sim.drive import DRIVE, MEMORY, driven
-from dextar_sim.friction import ELEMENTS, opposed, stiffest
+from dextar_control.symbols.types import Array
+from dextar_sim.drive import DRIVE, MEMORY, drive_step
+from dextar_sim.friction import ELEMENTS, bristle_of, friction_torque
+from dextar_sim.sensors import check_nonnegative
 from dextar_sim.state import Motor, check_steps, proximal_inertia
 
 FRICTIONS = "stick", "smooth"
@@ -41,10 +43,11 @@ FASTEST = 1.0
 
 @dataclass(frozen=True)
 class Effects:
-    """What the robot's description does not say of the drives, the same at each motor.
+    """Describes the drives beyond what the robot's description says, the same at each
+    motor.
 
     Each field is the plant's parameter of its name, with its meaning and unit; see
-    ``parameters.PARAMETERS``.
+    ``contract.node_parameters.PLANT``.
     """
 
     friction: str = "stick"
@@ -62,31 +65,31 @@ class Effects:
                     f"{name} = {getattr(self, name)!r}; it must be one of"
                     f" {', '.join(known)}"
                 )
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not isinstance(value, str) and not (
-                value >= 0.0 and math.isfinite(value)
-            ):
-                raise ParameterError(f"{field.name} = {value}; it must be >= 0")
+        numbers = {
+            field.name: value
+            for field in fields(self)
+            if not isinstance(value := getattr(self, field.name), str)
+        }
+        check_nonnegative(**numbers)
 
     @property
     def of_drive(self) -> bool:
-        """Whether a drive is more than a torque."""
+        """Whether a drive does more than pass on its torque."""
         return any((self.backlash, self.cogging, self.drive_lag, self.torque_step))
 
 
-PLAIN = Effects()
+NO_EFFECTS = Effects()
 
 
 class Compliance(NamedTuple):
-    """Of a leg's transmission: N m/rad and N m s/rad; 0 is rigid."""
+    """The compliance of a leg's transmission: N m/rad and N m s/rad; 0 is rigid."""
 
     stiffness: float
     damping: float
 
 
 def compliance(leg: LegParameters, effects: Effects) -> Compliance:
-    """The description's, or that of teeth with backlash.
+    """Return a leg's compliance: the description's, or that of teeth with backlash.
 
     Raises:
         ParameterError: a compliant transmission moves no rotor.
@@ -112,8 +115,9 @@ def compliance(leg: LegParameters, effects: Effects) -> Compliance:
 
 
 def without_rotors(robot: RobotParameters, effects: Effects) -> RobotParameters:
-    """The robot's links alone: rotors behind a compliant transmission turn by
-    themselves, friction acts from outside.
+    """Return the robot's links alone: without the rotors behind a compliant
+    transmission, which turn by themselves, and without motor friction, which acts from
+    outside.
     """
     changes: dict[str, float] = {}
     for side, leg in zip(robot.sides, robot.legs, strict=True):
@@ -123,9 +127,9 @@ def without_rotors(robot: RobotParameters, effects: Effects) -> RobotParameters:
     return robot.replace(**changes)
 
 
-def are_rough(robot: RobotParameters, effects: Effects) -> bool:
-    """Whether more acts at the joints than constant torques and smooth friction of the
-    motors.
+def has_joint_effects(robot: RobotParameters, effects: Effects) -> bool:
+    """Tell whether more acts at the joints than constant torques and smooth friction of
+    the motors.
     """
     passive = [robot.pin_viscous_friction, robot.pin_coulomb_friction]
     for leg in robot.legs:
@@ -138,8 +142,8 @@ def are_rough(robot: RobotParameters, effects: Effects) -> bool:
     return effects.of_drive or any(passive)
 
 
-class Rubbing(NamedTuple):
-    """A place where two bodies rub: between them turns a sum of joints' rates.
+class FrictionElement(NamedTuple):
+    """A place where two bodies rub; a sum of joint rates turns between them.
 
     Attributes:
         name: of the place.
@@ -155,8 +159,10 @@ class Rubbing(NamedTuple):
     inertia: float
 
 
-def rubbings(robot: RobotParameters, effects: Effects) -> list[Rubbing]:
-    """Of the motors, the elbows and the pin, those that have friction.
+def friction_elements(
+    robot: RobotParameters, effects: Effects
+) -> list[FrictionElement]:
+    """List those of the motors, the elbows and the pin that have friction.
 
     The least inertia is that of the two bodies turning freely against each other.
     """
@@ -172,7 +178,7 @@ def rubbings(robot: RobotParameters, effects: Effects) -> list[Rubbing]:
         row = [0.0] * 4
         row[2 * i] = 1.0
         found.append(
-            Rubbing(
+            FrictionElement(
                 f"{side} joint",
                 tuple(row),
                 leg.viscous_friction,
@@ -183,7 +189,7 @@ def rubbings(robot: RobotParameters, effects: Effects) -> list[Rubbing]:
         row = [0.0] * 4
         row[2 * i + 1] = 1.0
         found.append(
-            Rubbing(
+            FrictionElement(
                 f"{side} elbow",
                 tuple(row),
                 leg.passive_viscous_friction,
@@ -193,7 +199,7 @@ def rubbings(robot: RobotParameters, effects: Effects) -> list[Rubbing]:
         )
     turns = between(robot.left.distal_inertia, robot.right.distal_inertia)
     found.append(
-        Rubbing(
+        FrictionElement(
             "pin",
             (-1.0, -1.0, 1.0, 1.0),
             robot.pin_viscous_friction,
@@ -206,25 +212,23 @@ def rubbings(robot: RobotParameters, effects: Effects) -> list[Rubbing]:
 
 @lru_cache
 def acting(places: int) -> Library:
-    """``act``: the torques at the joints of a five-bar over one substep, and what they
-    leave behind.
+    """Return ``act``: the torques at the joints of a five-bar over one substep, and the
+    memory that they leave behind.
 
     Args:
         places: that rub.
     """
     (memory_vector, memory), (drive_vector, drive) = MEMORY.symbols(), DRIVE.symbols()
-    joints, joints_dot, command = (
-        ca.SX.sym("joints", 4),
-        ca.SX.sym("joints_dot", 4),
-        ca.SX.sym("command", 2),
-    )
-    rows, element = (
-        ca.SX.sym("rows", 4 * places),
-        ca.SX.sym("elements", places * len(ELEMENTS)),
-    )
+    joints = ca.SX.sym("joints", 4)
+    joints_dot = ca.SX.sym("joints_dot", 4)
+    command = ca.SX.sym("command", 2)
+    rows = ca.SX.sym("rows", 4 * places)
+    element = ca.SX.sym("elements", places * len(ELEMENTS))
     bristles, h, lead = ca.SX.sym("bristles", places), ca.SX.sym("h"), ca.SX.sym("lead")
     held = joints + lead * joints_dot
-    torque, after = driven(command, held[[0, 2]], joints_dot[[0, 2]], memory, drive, h)
+    torque, after = drive_step(
+        command, held[[0, 2]], joints_dot[[0, 2]], memory, drive, h
+    )
     forces = ca.vertcat(torque[0], 0.0, torque[1], 0.0)
     bent = bristles
     if places:
@@ -236,7 +240,7 @@ def acting(places: int) -> Library:
                 strict=True,
             )
         )
-        rubbed, bent = opposed(against.T @ joints_dot, bristles, numbers, h)
+        rubbed, bent = friction_torque(against.T @ joints_dot, bristles, numbers, h)
         forces -= against @ rubbed
     given = {
         "joints": joints,
@@ -250,7 +254,7 @@ def acting(places: int) -> Library:
         "h": h,
         "lead": lead,
     }
-    results: dict[str, Any] = {
+    results = {
         "forces": forces,
         "memory_next": MEMORY.join(after),
         "bristles_next": bent,
@@ -259,8 +263,8 @@ def acting(places: int) -> Library:
 
 
 class JointEffects:
-    """All of it at the joints of one five-bar, with what it remembers from substep to
-    substep.
+    """Computes all effects at the joints of one five-bar, and keeps their memory from
+    substep to substep.
 
     Args:
         robot: the whole description.
@@ -287,10 +291,8 @@ class JointEffects:
     ) -> None:
         check_steps(period, substeps, [])
         self._h = h = period / substeps
-        found, transmissions = (
-            rubbings(robot, effects),
-            [compliance(leg, effects) for leg in robot.legs],
-        )
+        found = friction_elements(robot, effects)
+        transmissions = [compliance(leg, effects) for leg in robot.legs]
         _check_transmissions(robot, effects, period, substeps)
         check_steps(period, substeps, [_motor(each, robot, effects) for each in found])
         library, count = acting(len(found)), len(found)
@@ -301,7 +303,7 @@ class JointEffects:
                 [each.coulomb for each in found],
                 *np.array(
                     [
-                        stiffest(each.inertia, h) if stick else (0.0, 0.0)
+                        bristle_of(each.inertia, h) if stick else (0.0, 0.0)
                         for each in found
                     ]
                 )
@@ -322,11 +324,9 @@ class JointEffects:
         ):
             setattr(drive, name, float(getattr(effects, name)))
         self._memory, self._bristles = MEMORY.make(), np.zeros(count)
-        self.joints, self.joints_dot, self._command = (
-            np.zeros(4),
-            np.zeros(4),
-            np.zeros(2),
-        )
+        self.joints = np.zeros(4)
+        self.joints_dot = np.zeros(4)
+        self._command = np.zeros(2)
         self._act: Fast = library.fast(
             "act",
             joints=self.joints,
@@ -342,39 +342,44 @@ class JointEffects:
             h=np.array([h]),
             lead=np.array([0.0 if ahead else 0.5 * h]),
         )
-        self.forces: np.ndarray = self._act.results.forces
+        self.forces: Array = self._act.results.forces
         self._compliant = np.array([bool(each.stiffness) for each in transmissions])
         self._at_motor = effects.encoder_at == "motor" and bool(self._compliant.any())
 
     def reset(self, q_a: Sequence[float], q_a_dot: Sequence[float]) -> None:
-        """Begin with rotors that turn with the links, no torque and unbent friction."""
+        """Begin with rotors that turn with the links, no torque and unbent friction;
+        q_a, (2,), rad, and its rates, rad/s.
+        """
         self._memory.numbers[:], self._bristles[:] = 0.0, 0.0
         self._memory.rotor = np.asarray(q_a) + 0.5 * self._h * np.asarray(q_a_dot)
         self._memory.rotor_dot = q_a_dot
 
     def act(self, command: Sequence[float]) -> None:
-        """Over the coming substep, under motor commands (2,), N m; ``joints`` and
-        ``joints_dot`` are those at its begin.
+        """Compute the forces over the coming substep under motor commands, (2,), N m,
+        from ``joints`` and ``joints_dot`` at its begin.
         """
         self._command[:] = command
         self._act.run()
 
     @property
-    def motor_torque(self) -> np.ndarray:
-        """(2,) of the motors at the end of the last substep, N m."""
+    def motor_torque(self) -> Array:
+        """Torque of the motors at the end of the last substep, (2,), N m."""
         return np.array(self._memory.torque)
 
-    def encoded(self, q_a: Sequence[float]) -> list[float]:
-        """Where the encoders' discs stand, rad, at joint angles ``q_a``."""
+    def encoder_angles(self, q_a: Sequence[float]) -> list[float]:
+        """Return the angles of the encoders' discs, (2,), rad, at joint angles ``q_a``,
+        (2,), rad.
+        """
         if not self._at_motor:
             return list(q_a)
         rotor = self._memory.rotor - 0.5 * self._h * self._memory.rotor_dot
-        return np.where(self._compliant, rotor, q_a).tolist()
+        encoded: list[float] = np.where(self._compliant, rotor, q_a).tolist()
+        return encoded
 
 
-def _motor(place: Rubbing, robot: RobotParameters, effects: Effects) -> Motor:
-    """As its friction's steepness is checked: sticking friction brings a steepness that
-    is sound by itself.
+def _motor(place: FrictionElement, robot: RobotParameters, effects: Effects) -> Motor:
+    """Return a place of friction as its steepness is checked; sticking friction brings
+    a steepness that is sound by itself.
     """
     smooth = effects.friction == "smooth"
     if not place.inertia > 0.0:

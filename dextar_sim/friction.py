@@ -1,5 +1,5 @@
-"""Friction that sticks: each place that rubs is an elastic bristle that slips at
-Coulomb's torque, on symbols.
+"""Friction that sticks, on symbols: each place that rubs is an elastic bristle that
+slips at Coulomb's torque.
 
 The bristle is as stiff as the substep bears, so that an explicit step is sound whatever
 the torque. At rest it bends by Coulomb's torque over that stiffness (some 1e-5 rad) and
@@ -31,19 +31,19 @@ most, so that both terms double: 0.98 + 2.8.
 """
 
 
-def stiffest(inertia: float, h: float) -> tuple[float, float]:
-    """Stiffness, N m/rad, and damping, N m s/rad, of a bristle on an inertia, kg m^2,
-    for substeps of ``h``, s.
+def bristle_of(inertia: float, h: float) -> tuple[float, float]:
+    """Return stiffness, N m/rad, and damping, N m s/rad, of the bristle on an inertia,
+    kg m^2, for substeps of ``h``, s.
     """
     stiffness = inertia * (QUICKNESS / h) ** 2
     return stiffness, 2.0 * DAMPING_RATIO * stiffness * h / QUICKNESS
 
 
-def opposed(
+def friction_torque(
     rate: Symbol, bristle: Symbol, p: Mapping[str, Symbol], h: Symbol
 ) -> tuple[Symbol, Symbol]:
-    """Torques (k,), N m, that oppose rates (k,), rad/s, over a substep, and the
-    bristles' bending, rad, at half of it.
+    """Return torques, (k,), N m, that oppose rates, (k,), rad/s, over a substep, and
+    the bristles' bending, (k,), rad, at half of it.
 
     Args:
         bristle: bending half a substep before.

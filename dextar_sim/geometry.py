@@ -1,4 +1,4 @@
-"""Where links and joints of the five-bar are: the simulator's own exact geometry.
+"""The simulator's own exact geometry of the five-bar's links and joints.
 
 Angles are those of the contract's joints q11, q12, q21, q22: active joints from the x
 axis of frame base, passive ones relative to their proximal link, counter-clockwise, in
@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from dextar_control.contract.errors import GeometryError
 from dextar_control.contract.robot import LegParameters, RobotParameters
+from dextar_sim.state import PlantState
 
 Point = tuple[float, float]
 _SIDES = ("left", "right")
@@ -19,12 +20,12 @@ _LEAST_SINE = 1.0e-9
 
 
 def bases(robot: RobotParameters) -> tuple[Point, Point]:
-    """The motor axes (left, right), m."""
+    """Return the motor axes (left, right), m."""
     return robot.left.axis, robot.right.axis
 
 
 def elbow(leg: LegParameters, q: float, base: Point) -> Point:
-    """The elbow of a leg at active angle q, m."""
+    """Return the elbow of a leg at active angle q (rad), m."""
     return base[0] + leg.proximal_length * math.cos(q), base[
         1
     ] + leg.proximal_length * math.sin(q)
@@ -33,8 +34,8 @@ def elbow(leg: LegParameters, q: float, base: Point) -> Point:
 def _intersection(
     first: Point, second: Point, radius_1: float, radius_2: float, side: int
 ) -> Point | None:
-    """The common point of two circles left (side +1) or right (-1) of the line first ->
-    second.
+    """Return the common point of two circles left (side +1) or right (-1) of the line
+    first -> second.
     """
     dx, dy = second[0] - first[0], second[1] - first[1]
     distance = math.hypot(dx, dy)
@@ -51,13 +52,16 @@ def _intersection(
 
 
 def _distal_angle(q: float, elbow_point: Point, x: Sequence[float]) -> float:
-    """Angle of the distal link relative to the proximal one, in [-pi, pi]."""
+    """Return the angle of the distal link relative to the proximal one, in [-pi, pi],
+    rad.
+    """
     angle = math.atan2(x[1] - elbow_point[1], x[0] - elbow_point[0]) - q
     return math.remainder(angle, 2.0 * math.pi)
 
 
 def joints_at(robot: RobotParameters, x: Sequence[float]) -> list[float]:
-    """The four joint angles with the end effector at x, in the robot's working mode.
+    """Return the four joint angles with the end effector at x, in the robot's working
+    mode.
 
     Args:
         robot: the description.
@@ -95,7 +99,7 @@ def joints_at(robot: RobotParameters, x: Sequence[float]) -> list[float]:
 def joints_of(
     robot: RobotParameters, q_a: Sequence[float], assembly_mode: int
 ) -> list[float]:
-    """The four joint angles at active angles q_a, in the given assembly mode.
+    """Return the four joint angles at active angles q_a, in the given assembly mode.
 
     Args:
         robot: the description.
@@ -131,7 +135,8 @@ def joints_of(
 def joints_dot_at(
     robot: RobotParameters, joints: Sequence[float], x_dot: Sequence[float]
 ) -> list[float]:
-    """The four joint velocities with which both distal tips move at x_dot.
+    """Return the four joint velocities, rad/s, with which both distal tips move at
+    x_dot.
 
     Each leg: x_dot = l1 n_1 q_dot + l2 n_2 omega, with u along and n left of a link.
         The parts along
@@ -169,71 +174,63 @@ def joints_dot_at(
     return rates
 
 
-def _tip(
-    base_x: float,
-    base_y: float,
-    l1: float,
-    l2: float,
-    q: float,
-    passive: float,
-    rate: float,
-    passive_rate: float,
-) -> tuple[float, float, float, float]:
-    total, total_rate = q + passive, rate + passive_rate
-    cos_1, sin_1, cos_2, sin_2 = (
-        math.cos(q),
-        math.sin(q),
-        math.cos(total),
-        math.sin(total),
-    )
-    return (
-        base_x + l1 * cos_1 + l2 * cos_2,
-        base_y + l1 * sin_1 + l2 * sin_2,
-        -l1 * sin_1 * rate - l2 * sin_2 * total_rate,
-        l1 * cos_1 * rate + l2 * cos_2 * total_rate,
-    )
-
-
-def shape(robot: RobotParameters) -> tuple[float, ...]:
-    """What ``tips`` takes of a robot: x, y of the motor axis and both lengths, left and
-    right, m.
-    """
-    return tuple(
-        float(value)
-        for leg, base in zip(robot.legs, bases(robot), strict=True)
-        for value in (*base, leg.proximal_length, leg.distal_length)
-    )
-
-
-def tips(
-    shape: tuple[float, ...], joints: tuple[float, ...], joints_dot: tuple[float, ...]
-) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
-    """Position (m) and velocity (m/s) of the left and the right distal tip: x, y,
-    x_dot, y_dot of each.
+def tip_of(robot: RobotParameters, joints: Sequence[float]) -> Point:
+    """Return the end effector, midway between both distal tips, m.
 
     Args:
-        shape: of the robot.
-        joints, joints_dot: q11, q12, q21, q22, rad and rad/s.
+        robot: the description.
+        joints: q11, q12, q21, q22, rad.
     """
-    return (
-        _tip(
-            shape[0],
-            shape[1],
-            shape[2],
-            shape[3],
-            joints[0],
-            joints[1],
-            joints_dot[0],
-            joints_dot[1],
-        ),
-        _tip(
-            shape[4],
-            shape[5],
-            shape[6],
-            shape[7],
-            joints[2],
-            joints[3],
-            joints_dot[2],
-            joints_dot[3],
-        ),
-    )
+    x: list[float] = []
+    y: list[float] = []
+    for leg, base, q, passive in zip(
+        robot.legs, bases(robot), joints[::2], joints[1::2], strict=True
+    ):
+        total = q + passive
+        l1, l2 = leg.proximal_length, leg.distal_length
+        x.append(base[0] + l1 * math.cos(q) + l2 * math.cos(total))
+        y.append(base[1] + l1 * math.sin(q) + l2 * math.sin(total))
+    return 0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1])
+
+
+class FiveBarPlacing:
+    """Puts a plant of the five-bar where it is to begin."""
+
+    robot: RobotParameters
+
+    def reset(
+        self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
+    ) -> PlantState:
+        """Put the end effector at x in the robot's working mode, at time 0.
+
+        Args:
+            x: end effector position, (2,), m.
+            x_dot: end effector velocity, (2,), m/s.
+
+        Raises:
+            GeometryError: a leg does not reach x, or cannot move at x_dot there.
+            StateError: both legs are stretched or folded, which this plant excludes.
+        """
+        return self._begin_at(joints_at(self.robot, x), x_dot)
+
+    def reset_joints(
+        self,
+        q_a: Sequence[float],
+        assembly_mode: int,
+        x_dot: Sequence[float] = (0.0, 0.0),
+    ) -> PlantState:
+        """Put the active joints at q_a in the given assembly mode, at time 0.
+
+        Args:
+            q_a: active angles q11, q21, (2,), rad.
+            assembly_mode: sign of r_1 x r_2, r_i from elbow i to the end effector.
+            x_dot: end effector velocity, (2,), m/s.
+
+        Raises:
+            GeometryError: the distal links do not meet there, or the elbows coincide.
+            StateError: both legs are stretched or folded, which this plant excludes.
+        """
+        return self._begin_at(joints_of(self.robot, q_a, assembly_mode), x_dot)
+
+    def _begin_at(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
+        raise NotImplementedError

@@ -1,11 +1,12 @@
-"""The plant's messages as CDR bytes, and motor commands read back from them."""
+"""The plant's messages as CDR bytes, and motor commands that are read from such
+bytes.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-import numpy as np
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -23,12 +24,13 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.nodekit.cdr import from_time
 from dextar_control.nodekit.layouts import template
-from dextar_sim.sensors import Acknowledgement, Command
+from dextar_control.symbols.types import Array
+from dextar_sim.sensors import Acknowledgement, TorqueCommand
 from dextar_sim.state import PlantState
 
 
 class StateWriter:
-    """CDR bytes of the plant's state topics."""
+    """Writes the CDR bytes of the plant's state topics; stamps are ns."""
 
     def __init__(self) -> None:
         self._measured = template(JOINT_STATES)
@@ -37,18 +39,16 @@ class StateWriter:
         self._pose = template(EXTERNAL_POSE)
         self._clock = template(CLOCK)
 
-    def measured(
-        self, stamp: int, q_a: np.ndarray, q_a_dot: np.ndarray, torque: np.ndarray
-    ) -> bytes:
-        """``joint_states``: encoder position (rad) and velocity (rad/s), applied torque
-        (N m), each (2,).
+    def measured(self, stamp: int, q_a: Array, q_a_dot: Array, torque: Array) -> bytes:
+        """Write ``joint_states``: encoder position (rad) and velocity (rad/s), and
+        applied torque (N m), (2,) each.
         """
         return self._measured.pack(
             stamp, [*q_a.tolist(), *q_a_dot.tolist(), *torque.tolist()]
         )
 
-    def true_joints(self, stamp: int, state: PlantState, torque: np.ndarray) -> bytes:
-        """``sim/joint_states``."""
+    def true_joints(self, stamp: int, state: PlantState, torque: Array) -> bytes:
+        """Write ``sim/joint_states``, with the applied torque, (2,), N m."""
         first, second = torque.tolist()
         return self._true.pack(
             stamp,
@@ -63,23 +63,23 @@ class StateWriter:
         )
 
     def true_end_effector(self, stamp: int, state: PlantState) -> bytes:
-        """``sim/end_effector``."""
+        """Write ``sim/end_effector``."""
         return self._platform.pack(stamp, [*state.x.tolist(), *state.x_dot.tolist()])
 
     def external_pose(self, stamp: int, x: Sequence[float]) -> bytes:
-        """``external_pose``: measured end effector position (m), shape (2,), at the
-        stamp (ns) when it was true.
+        """Write ``external_pose``: the measured end effector position, (2,), m, at the
+        stamp when it was true.
         """
         return self._pose.pack(stamp, (*x, 0.0, 0.0, 0.0, 0.0, 1.0))
 
     def clock(self, stamp: int) -> bytes:
-        """``clock``: simulated time, ns."""
+        """Write ``clock``: the simulated time."""
         return self._clock.pack(stamp, ())
 
 
 def read_efforts(raw: bytes) -> tuple[float, float]:
-    """Torques (N m) of q11 and q21 from the raw bytes of ``effort_commands``; its
-    layout field is not looked at.
+    """Return the torques of q11 and q21 (N m) in the bytes of ``effort_commands``,
+    whose layout field is not looked at.
 
     Raises:
         StateError: not two numbers, or one that is not finite.
@@ -96,15 +96,17 @@ def read_efforts(raw: bytes) -> tuple[float, float]:
 
 
 class CommandReader:
-    """Motor commands from the raw bytes of ``joint_commands``: quickly when laid out as
-    expected.
+    """Reads motor commands from the bytes of ``joint_commands``, quickly where they are
+    laid out as expected.
     """
 
     def __init__(self) -> None:
         self._template = template(JOINT_COMMANDS)
 
-    def read(self, raw: bytes, *, lockstep: bool = False) -> Command | Acknowledgement:
-        """The command, its torques in the contract's order of joints.
+    def read(
+        self, raw: bytes, *, lockstep: bool = False
+    ) -> TorqueCommand | Acknowledgement:
+        """Return the command, its torques in the contract's order of joints.
 
         Args:
             raw: CDR bytes of the message.
@@ -129,7 +131,7 @@ class CommandReader:
             raise StateError(
                 f"{JOINT_COMMANDS.name}: effort {list(torque)} N m is not finite"
             )
-        return Command(stamp, (torque[0], torque[1]))
+        return TorqueCommand(stamp, (torque[0], torque[1]))
 
     def _read_message(self, raw: bytes, message: JointState) -> tuple[int, list[float]]:
         names = list(message.name)

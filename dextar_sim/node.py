@@ -1,4 +1,4 @@
-"""The plant as a rig would stand on the network: motor commands in, joint states out.
+"""The plant node: like a rig it takes motor commands and publishes joint states.
 
 One sample is a state k at stamp k, published; the command that answers it; and the
 physics from k to k+1 under it. In lockstep the command is waited for. In real time the
@@ -14,14 +14,17 @@ acts in simulated time. A command that answers an earlier state is taken as in r
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
+from rclpy.executors import Executor
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
@@ -29,6 +32,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import ParameterError, StateError
 from dextar_control.contract.node_parameters import PARAMETERS
+from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import (
     CLOCK,
     EFFORT_COMMANDS,
@@ -41,18 +45,20 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.nodekit.cdr import NANOSECONDS
 from dextar_control.nodekit.node import DextarNode, qos, run_node
+from dextar_control.nodekit.scheduling import ask_kernel, precise_timers
+from dextar_control.symbols.types import Array
+from dextar_sim.commanders import SPEAKING, CommanderArbiter
 from dextar_sim.messages import CommandReader, StateWriter, read_efforts
-from dextar_sim.pace import Schedule, keeping_pace, spin
+from dextar_sim.pace import Schedule, cycle, keeping_pace
 from dextar_sim.sensors import (
     Acknowledgement,
-    Command,
     CommandDelay,
     CommandHold,
     Encoder,
     PoseSensor,
     StampError,
+    TorqueCommand,
 )
-from dextar_sim.speakers import SPEAKING, Speakers
 
 REPEAT_AFTER = 0.5
 """s without an answer after which lockstep publishes a state again."""
@@ -60,10 +66,12 @@ REPEAT_AFTER = 0.5
 
 COMMANDER_PERIOD = 0.1
 """s between two looks at who publishes commands."""
+IDLE_WAIT = 0.05
+"""s for which a paused plant waits for a service call at a time."""
 
 
 class Reported(NamedTuple):
-    """What stood in a report, from which the next one counts."""
+    """The counters at a report, from which the next report counts."""
 
     ran: int  # ns, steady, without the pauses
     steps: int
@@ -72,7 +80,8 @@ class Reported(NamedTuple):
 
 
 class PlantNode(DextarNode):
-    """Simulated five-bar with the topics of a real one, plus the truth under ``sim/``.
+    """Simulates a five-bar with the topics of a real one, and publishes the truth under
+    ``sim/``.
 
     Raises:
         ParameterError: a parameter is out of its range, or a window is wanted without a
@@ -83,15 +92,15 @@ class PlantNode(DextarNode):
     NAME = "plant"
     PARAMETERS = PARAMETERS[NAME]
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, *, cli_args: list[str] | None = None) -> None:
+        from dextar_sim.disturbances import Disturbances
         from dextar_sim.effects import Effects  # here: --help needs no physics
-        from dextar_sim.happenings import Happenings
         from dextar_sim.plant import Plant, urdf_of
 
-        super().__init__(**options)
+        super().__init__(cli_args=cli_args)
         values = self.values
         period = values["task.sample_period"]
-        self.period_ns = round(period * NANOSECONDS)
+        self.period_ns: int = round(period * NANOSECONDS)
         self.lockstep = values["mode"] == "lockstep"
         pace = values["simulation.real_time_factor"] if self.lockstep else 1.0
         self.paced = pace > 0.0
@@ -133,7 +142,7 @@ class PlantNode(DextarNode):
         self._stamp_error = StampError(
             values["encoder.stamp_error"], period, values["seed"]
         )
-        self._happenings = Happenings(
+        self._disturbances = Disturbances(
             payload=values["payload.mass"],
             payload_time=values["payload.time"],
             push=values["push.force"],
@@ -147,7 +156,7 @@ class PlantNode(DextarNode):
             noise=values["external_pose.noise"],
             seed=values["seed"],
         )
-        self._delay: CommandDelay[Command] = CommandDelay(
+        self._delay: CommandDelay[TorqueCommand] = CommandDelay(
             round(values["drive.command_delay"] / period)
         )
         self._command_timeout = round(values["drive.command_timeout"] * NANOSECONDS)
@@ -162,9 +171,9 @@ class PlantNode(DextarNode):
         self._told = 0
         self._published = -1
         self._oldest = 0
-        self._newest: Command | None = None
-        self._sample: list[tuple[Any, bytes]] | None = None
-        self._sent: list[tuple[Any, bytes]] = []
+        self._newest: TorqueCommand | None = None
+        self._sample: list[tuple[Publisher, bytes]] | None = None
+        self._sent: list[tuple[Publisher, bytes]] = []
         self._pose: bytes | None = None
         self._sent_at = self._published_at = 0.0
         self.answered = False
@@ -218,7 +227,7 @@ class PlantNode(DextarNode):
             kind, topic.name, profile, raw=True
         )
         self._command_type = kind
-        self._speakers = Speakers(
+        self._arbiter = CommanderArbiter(
             lambda: int(self.count_publishers(self._commands.topic_name)),
             lossless=self.lockstep,
         )
@@ -248,17 +257,17 @@ class PlantNode(DextarNode):
 
     @property
     def paused(self) -> bool:
-        """No sample is due, neither running nor stepping."""
+        """Whether no sample is due, neither running nor stepping."""
         return self._budget == 0
 
     @property
     def sample_ready(self) -> bool:
-        """The next state is computed and not yet published."""
+        """Whether the next state is computed and not yet published."""
         return self._sample is not None
 
     @property
     def awaited(self) -> bool:
-        """Somebody commands, and has not answered the published state yet."""
+        """Whether somebody commands, and has not answered the published state yet."""
         newest = self._newest
         return (
             not self.answered
@@ -267,8 +276,8 @@ class PlantNode(DextarNode):
         )
 
     def begin(self) -> None:
-        """Prepare the first state: stamp 0 in lockstep, the system clock's now in real
-        time.
+        """Prepare the first state: its stamp is 0 in lockstep, the system clock's time
+        in real time.
         """
         if self._index < 0:
             self._first_stamp = 0 if self.lockstep else time.time_ns()
@@ -276,8 +285,8 @@ class PlantNode(DextarNode):
             self._prepare(np.zeros(2))
 
     def advance(self) -> None:
-        """The physics of one period under the command the drives hold, and the state
-        after it.
+        """Simulate one period under the command that the drives hold, and prepare the
+        state after it.
         """
         if not self._commanded and self._newest is not None:
             self.counts["late_ticks"] += 1
@@ -288,7 +297,7 @@ class PlantNode(DextarNode):
             self._hold.receive(
                 delayed._replace(stamp=delayed.stamp + later, arrival=arrival)
             )
-        self._happenings.before(
+        self._disturbances.before(
             (self._index - self._since) * self.plant.period, self.plant
         )
         applied = self.plant.step(self._hold.torque(self._stamp(), self._ran()))
@@ -296,21 +305,21 @@ class PlantNode(DextarNode):
         self._prepare(applied)
 
     def _ran(self) -> int | None:
-        """The drives' steady clock, ns, which a pause stops; None in lockstep, where
-        simulated time alone counts.
+        """Return the drives' steady clock, ns, which a pause stops; None in lockstep,
+        where simulated time alone counts.
         """
         return None if self.lockstep else self.schedule.ran(time.monotonic_ns())
 
     def _stamp(self) -> int:
         return self._first_stamp + self._index * self.period_ns
 
-    def _prepare(self, applied: np.ndarray) -> None:
+    def _prepare(self, applied: Array) -> None:
         state = self.plant.state()
         self._told = stamp = max(
             self._stamp() + round(NANOSECONDS * self._stamp_error.next()), 0
         )
         self._max_loop_gap = max(self._max_loop_gap, state.loop_gap)
-        q_a, q_a_dot = self._encoder.read(self.plant.encoded())
+        q_a, q_a_dot = self._encoder.read(self.plant.encoder_angles())
         self._sample = [
             (self._states, self._writer.measured(stamp, q_a, q_a_dot, applied))
         ]
@@ -328,8 +337,8 @@ class PlantNode(DextarNode):
             )
 
     def publish(self) -> None:
-        """Send the prepared state, all topics in one burst, and before it the external
-        pose that arrives then.
+        """Send the prepared state on all topics in one burst, and before it the
+        external pose that arrives then.
         """
         if self._sample is None:
             return
@@ -359,18 +368,20 @@ class PlantNode(DextarNode):
             publisher.publish(raw)
 
     def listen(self) -> None:
-        """Take the commands that have come; about 1 us when there is none."""
+        """Take the commands that have come; this costs about 1 us when there is
+        none.
+        """
         take = self._commands.handle.take_message
         while (taken := take(self._command_type, True)) is not None:
             self._on_command(*taken)
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a command comes, at most for so long."""
+        """Sleep until a command comes, at most for so long, s."""
         self.wait_for(self._commands, seconds)
 
     def _on_command(self, raw: bytes, info: Mapping[str, int]) -> None:
         try:
-            if not self._speakers.hear(
+            if not self._arbiter.take(
                 info.get("publication_sequence_number"),
                 self._index,
                 time.monotonic_ns(),
@@ -401,17 +412,17 @@ class PlantNode(DextarNode):
         self.answered = self.answered or answers
         self._commanded = self._commanded or answers
 
-    def _read_command(self, raw: bytes) -> Command | Acknowledgement:
-        """A command, or in lockstep an acknowledgement, whose stamp is that of a
+    def _read_command(self, raw: bytes) -> TorqueCommand | Acknowledgement:
+        """Return a command, or in lockstep an acknowledgement, whose stamp is that of a
         published state.
 
         In real time a stamp of the sender's own clock counts as an answer to the state
         last published, as does an array, which has none: neither can be told from a
         late one.
         """
-        command: Command | Acknowledgement
+        command: TorqueCommand | Acknowledgement
         if self._arrays:
-            command = Command(max(self._published, 0), read_efforts(raw))
+            command = TorqueCommand(max(self._published, 0), read_efforts(raw))
         else:
             command = self._reader.read(raw, lockstep=self.lockstep)
         if command.stamp <= self._published:
@@ -429,8 +440,8 @@ class PlantNode(DextarNode):
 
     def _count_commanders(self) -> None:
         now = time.monotonic_ns()
-        self._speakers.look(now)
-        if not self._speakers.clear(now):
+        self._arbiter.count_publishers(now)
+        if not self._arbiter.accepts(now):
             self._let_go()
 
     def _let_go(self) -> None:
@@ -439,11 +450,11 @@ class PlantNode(DextarNode):
         self._hold.reset()
 
     def _complaint(self) -> str:
-        """What is wrong with who commands."""
-        count, name = self._speakers.count, self._command_name
+        """Say what is wrong with the publishers of commands."""
+        count, name = self._arbiter.count, self._command_name
         if count <= 1:
             return f"a message on {name} is numbered as another publisher's"
-        if self._speakers.several:
+        if self._arbiter.several:
             return (
                 f"{count} publishers on {name}, more than one speaks; the limit is 1:"
                 " end all but one"
@@ -457,10 +468,8 @@ class PlantNode(DextarNode):
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
         self._budget = 0 if request.data else None
-        response.success, response.message = (
-            True,
-            "paused" if request.data else "running",
-        )
+        response.success = True
+        response.message = "paused" if request.data else "running"
         return response
 
     def _on_step(
@@ -468,10 +477,8 @@ class PlantNode(DextarNode):
     ) -> Trigger.Response:
         if self._budget is None:
             pause = f"{self.get_fully_qualified_name()}/pause"
-            response.success, response.message = (
-                False,
-                f"not paused; call {pause} with data true first",
-            )
+            response.success = False
+            response.message = f"not paused; call {pause} with data true first"
             return response
         count = self.values["simulation.step_count"]
         self._budget += count
@@ -481,10 +488,10 @@ class PlantNode(DextarNode):
     def _on_reset(
         self, _: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        """Start pose at rest as the next sample, without torque; earlier states'
-        commands no longer count.
+        """Put the robot at its start at rest as the next sample, without torque;
+        commands for earlier states no longer count.
         """
-        self._happenings.reset(self.plant)
+        self._disturbances.reset(self.plant)
         self.plant.reset(self.values["task.start"])
         for part in (self._encoder, self._camera, self._delay, self._hold):
             part.reset()
@@ -500,15 +507,13 @@ class PlantNode(DextarNode):
         return response
 
     def report(self) -> None:
-        """Counters since the start on ``/diagnostics``; the real-time factor, and what
-        is judged, since the last report.
+        """Publish the counters since the start on ``/diagnostics``, with the real-time
+        factor and the judgement since the last report.
         """
         before, counts = self._reported, self.counts
-        steps, late, refused = (
-            max(self._index, 0),
-            counts["late_ticks"],
-            counts["commands_refused"],
-        )
+        steps = max(self._index, 0)
+        late = counts["late_ticks"]
+        refused = counts["commands_refused"]
         self._reported = after = Reported(
             self.schedule.ran(time.monotonic_ns()), steps, late, refused
         )
@@ -517,10 +522,8 @@ class PlantNode(DextarNode):
             if after.ran > before.ran
             else 0.0
         )
-        commanders, taken = (
-            self._speakers.count,
-            self._speakers.clear(time.monotonic_ns()),
-        )
+        commanders = self._arbiter.count
+        taken = self._arbiter.accepts(time.monotonic_ns())
         message = self._trouble(before, after)
         level = DiagnosticStatus.WARN if message else DiagnosticStatus.OK
         self.publish_diagnostics(
@@ -544,17 +547,17 @@ class PlantNode(DextarNode):
         )
 
     def _trouble(self, before: Reported, after: Reported) -> str:
-        """What is wrong since the report before, the worst of it; empty when nothing
+        """Say the worst that is wrong since the report before; empty when nothing
         is.
         """
-        commanders = self._speakers.count
+        commanders = self._arbiter.count
         if rivals := self.too_many_publishers(self._states.topic_name):
             return f"{rivals}: another rig or plant"
         if commanders > 1:
             words = f"{commanders} publishers on {self._command_name}"
             return (
                 f"{words}, one speaks"
-                if self._speakers.clear(time.monotonic_ns())
+                if self._arbiter.accepts(time.monotonic_ns())
                 else f"{words}; no torque"
             )
         if after.refused > before.refused:
@@ -583,12 +586,10 @@ class PlantNode(DextarNode):
         )
 
     def close(self) -> None:
-        """The last report, the pace that was kept, then PyBullet."""
+        """Report for the last time, log the pace that was kept, and leave PyBullet."""
         self.report()
-        ran, simulated = (
-            1.0e-9 * self.schedule.ran(time.monotonic_ns()),
-            1.0e-9 * self.period_ns * max(self._index, 0),
-        )
+        ran = 1.0e-9 * self.schedule.ran(time.monotonic_ns())
+        simulated = 1.0e-9 * self.period_ns * max(self._index, 0)
         if simulated and ran:
             self.get_logger().info(
                 f"simulated {simulated:.3f} s in {ran:.3f} s: {simulated / ran:.2f} x"
@@ -597,8 +598,24 @@ class PlantNode(DextarNode):
         self.plant.close()
 
 
+def spin(node: PlantNode, executor: Executor, stop: StopSignal) -> None:
+    """Run the node's own loop until a signal comes."""
+    precise_timers()
+    ask_kernel(node.values, node.get_logger().warning)
+    gc.collect()
+    gc.freeze()
+    while not stop and not node.finished:
+        if node.paused:
+            node.schedule.stop(time.monotonic_ns())
+            executor.spin_once(timeout_sec=IDLE_WAIT)
+            node.listen()
+        else:
+            node.begin()
+            cycle(node, executor)
+
+
 def main(args: list[str] | None = None) -> int:
-    """Console entry; the process's exit code."""
+    """Run the node as a console command; the process's exit code."""
     return run_node(PlantNode, args, spin)
 
 

@@ -1,5 +1,5 @@
-"""Keeping step: with the commander in lockstep, with the steady clock unless that is as
-fast as possible.
+"""The pace of the plant node: in step with the commander in lockstep, and with the
+steady clock unless it runs as fast as possible.
 
 Deadlines lie one period apart on the steady clock. What is late is made up for by
 shorter periods, so that simulated time keeps up with the clock; only a machine that was
@@ -8,13 +8,10 @@ away for longer than ``MOST_BEHIND`` loses that time.
 
 from __future__ import annotations
 
-import gc
 import time
-from typing import Any, Protocol
+from typing import Protocol
 
-from dextar_control.nodekit.scheduling import ask_kernel, precise_timers
-
-_IDLE_WAIT = 0.05
+from rclpy.executors import Executor
 
 SHORTEST = 0.75
 """Share of the period below which two deadlines never come together, however late the
@@ -51,7 +48,7 @@ JUDGED = 500_000_000
 
 
 def keeping_pace(steps: int, late: int, ran: int, period: int) -> list[str]:
-    """What is wrong with the pace of a real-time plant over some time, in words with
+    """Say what is wrong with the pace of a real-time plant over some time, each with
     number, limit and meaning.
 
     Args:
@@ -92,19 +89,18 @@ class Paced(Protocol):
     answered: bool
     period_ns: int
     schedule: Schedule
-    finished: bool
 
     @property
     def paused(self) -> bool:
-        """No sample is due."""
+        """Whether no sample is due."""
 
     @property
     def sample_ready(self) -> bool:
-        """The next state is computed and not yet published."""
+        """Whether the next state is computed and not yet published."""
 
     @property
     def awaited(self) -> bool:
-        """Somebody commands, and has not answered the published state yet."""
+        """Whether somebody commands, and has not answered the published state yet."""
 
     def begin(self) -> None:
         """Prepare the first state."""
@@ -113,7 +109,7 @@ class Paced(Protocol):
         """Take the commands that have come."""
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a command comes, at most for so long."""
+        """Sleep until a command comes, at most for so long, s."""
 
     def advance(self) -> None:
         """Compute the next state."""
@@ -126,7 +122,7 @@ class Paced(Protocol):
 
 
 class Schedule:
-    """When the samples of a periodic task are due, ns of the steady clock.
+    """Knows when the samples of a periodic task are due, ns of the steady clock.
 
     The due times lie whole periods apart. A sample that is late does not move the later
         ones: their deadlines follow it by
@@ -149,10 +145,8 @@ class Schedule:
 
     def __init__(self, period: int) -> None:
         self._period = period
-        self._shortest, self._patient = (
-            round(SHORTEST * period),
-            round(PATIENT * period),
-        )
+        self._shortest = round(SHORTEST * period)
+        self._patient = round(PATIENT * period)
         self._most_behind = max(MOST_BEHIND, period)
         self._due = 0
         self._last = 0
@@ -173,38 +167,38 @@ class Schedule:
         self._last = self._due - self._period
 
     def stop(self, now: int) -> None:
-        """Nothing is due, as during a pause; the time until ``start`` is no overrun and
-        does not count as run.
+        """Pause: nothing is due until ``start``, and the time until then is no overrun
+        and does not count as run.
         """
         self._ran = self.ran(now)
         self.running = False
         self.behind = 0
 
     def ran(self, now: int) -> int:
-        """The steady clock without the pauses, ns since the first ``start``."""
+        """Return the steady clock without the pauses, ns since the first ``start``."""
         return self._ran + now - self._begun if self.running else self._ran
 
     def deadline(self, awaited: bool) -> int:
-        """Of the coming sample: when it is due, or some time after the last one, whose
-        command is awaited or not.
+        """Return the deadline of the coming sample: when it is due, or some time after
+        the last one, whose command is awaited or not.
         """
         return max(
             self._due, self._last + (self._patient if awaited else self._shortest)
         )
 
     def left(self, now: int, awaited: bool) -> float:
-        """Seconds until the deadline, 0 when it has passed."""
+        """Return the seconds until the deadline, 0 when it has passed."""
         return max(0.0, 1.0e-9 * (self.deadline(awaited) - now))
 
     def left_to_work(self, now: int, awaited: bool) -> float:
-        """Seconds until the work for the deadline must begin, 0 when that has
-        passed.
+        """Return the seconds until the work for the deadline must begin, 0 when that
+        has passed.
         """
         reserve = min(self._work, 0.6e-9 * self._period)
         return max(0.0, self.left(now, awaited) - reserve)
 
     def serve(self, now: int) -> bool:
-        """Whether it is time for what else there is to do, as once each
+        """Tell whether timers and services are to be served now, once each
         ``SERVED_EACH``.
         """
         if now - self._served < 1.0e9 * SERVED_EACH:
@@ -213,12 +207,12 @@ class Schedule:
         return True
 
     def worked(self, duration: int) -> None:
-        """Take one measured duration of the work, ns, into the running mean."""
+        """Take one measured duration of the work, ns, into its running mean."""
         self._work += 0.05 * (1.0e-9 * duration - self._work)
 
     def met(self, now: int, awaited: bool) -> None:
-        """The sample that was due is out; the command for the one before it is awaited
-        or not.
+        """Note that the sample that was due is out; the command for the one before it
+        is awaited or not.
         """
         deadline = self.deadline(awaited)
         missed, self.behind = now - deadline, max(0, now - self._due)
@@ -232,9 +226,9 @@ class Schedule:
         self._last = deadline if missed <= JITTER * self._period else now
 
 
-def cycle(node: Paced, executor: Any) -> None:
-    """One sample: its command, the physics, and at its deadline the state; or some of
-    the waiting for that command.
+def cycle(node: Paced, executor: Executor) -> None:
+    """Do one sample: take its command, simulate, and publish the state at its deadline;
+    or spend some of the waiting for that command.
 
     The commands are looked for when they are needed, which spares a waking for each.
     Without lockstep the physics go on when time presses; in lockstep only under the
@@ -273,9 +267,9 @@ def cycle(node: Paced, executor: Any) -> None:
     node.publish()
 
 
-def _pass(node: Paced, executor: Any, left: float) -> None:
-    """Some of the time until the work begins; a sample that makes lateness up waits for
-    its command, to begin with it.
+def _pass(node: Paced, executor: Executor, left: float) -> None:
+    """Spend some of the time until the work begins; a sample that makes lateness up
+    waits for its command, to begin with it.
     """
     soonest = node.schedule.left_to_work(time.monotonic_ns(), False)
     if soonest > 0.0:
@@ -284,8 +278,8 @@ def _pass(node: Paced, executor: Any, left: float) -> None:
         node.wait(left)
 
 
-def _await_command(node: Paced, executor: Any) -> None:
-    """In lockstep, a step's command."""
+def _await_command(node: Paced, executor: Executor) -> None:
+    """Wait in lockstep for the command of a step."""
     node.wait(SERVED_EACH)
     if node.schedule.serve(time.monotonic_ns()):
         _serve(executor)
@@ -294,23 +288,7 @@ def _await_command(node: Paced, executor: Any) -> None:
         node.repeat_unanswered()
 
 
-def _serve(executor: Any) -> None:
-    """Timers and services, where no time that has to pass is spent on them."""
+def _serve(executor: Executor) -> None:
+    """Serve timers and services, without waiting for any."""
     for _ in range(SERVED_AT_ONCE):
         executor.spin_once(timeout_sec=0.0)
-
-
-def spin(node: Any, executor: Any, stop: Any) -> None:
-    """The node's own loop, until a signal."""
-    precise_timers()
-    ask_kernel(node.values, node.get_logger().warning)
-    gc.collect()
-    gc.freeze()
-    while not stop and not node.finished:
-        if node.paused:
-            node.schedule.stop(time.monotonic_ns())
-            executor.spin_once(timeout_sec=_IDLE_WAIT)
-            node.listen()
-        else:
-            node.begin()
-            cycle(node, executor)

@@ -1,5 +1,5 @@
-"""The five-bar as a PyBullet plant: two 2R legs and one point-to-point constraint at
-the end effector. No ROS here.
+"""The five-bar as a PyBullet plant: two 2R legs, pinned together at the end effector.
+No ROS here.
 """
 
 from __future__ import annotations
@@ -8,18 +8,24 @@ from collections.abc import Sequence
 
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.mechanisms import mechanism_named
-from dextar_sim import geometry
 from dextar_sim.body_plant import BodyPlant
-from dextar_sim.effects import PLAIN, Effects, JointEffects, are_rough, without_rotors
+from dextar_sim.effects import (
+    NO_EFFECTS,
+    Effects,
+    JointEffects,
+    has_joint_effects,
+    without_rotors,
+)
+from dextar_sim.geometry import FiveBarPlacing, joints_dot_at
 from dextar_sim.state import PlantState
 from dextar_sim.urdf import bodies_of, urdf
 
 FIVE_BAR = mechanism_named("five_bar")
 
 
-class Plant(BodyPlant):
-    """Placed by the simulator's own geometry, which knows both assembly modes and says
-    what does not reach.
+class Plant(FiveBarPlacing, BodyPlant):
+    """Simulates the five-bar, placed by the simulator's own geometry, which knows both
+    assembly modes and says what does not reach.
 
     Args:
         robot: the description.
@@ -42,10 +48,10 @@ class Plant(BodyPlant):
         substeps: int = 4,
         window: bool = False,
         max_torque: float | None = None,
-        effects: Effects = PLAIN,
+        effects: Effects = NO_EFFECTS,
     ) -> None:
         self.robot, self._links, acting = robot, robot, None
-        if are_rough(robot, effects):
+        if has_joint_effects(robot, effects):
             self._links = without_rotors(robot, effects)
             acting = JointEffects(robot, effects, period, substeps, ahead=True)
         super().__init__(
@@ -60,7 +66,7 @@ class Plant(BodyPlant):
         )
 
     def take_up(self, mass: float) -> None:
-        """Load the end effector with a mass, kg, that moves as it does."""
+        """Load the end effector with a mass, kg, that moves with it."""
         loaded = {"end_effector_mass": self.robot.end_effector_mass + mass}
         self.robot, self._links = (
             self.robot.replace(**loaded),
@@ -68,43 +74,12 @@ class Plant(BodyPlant):
         )
         self.become(flatten(self._links))
 
-    def reset(
-        self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
-    ) -> PlantState:
-        """Put the end effector at x with velocity x_dot, in the robot's working mode,
-        at time 0.
-
-        Args:
-            x: end effector position, m, shape (2,).
-            x_dot: end effector velocity, m/s, shape (2,).
-
-        Raises:
-            GeometryError: a leg does not reach x, or cannot move at x_dot there.
-        """
-        joints = geometry.joints_at(self.robot, x)
-        return self._place(joints, geometry.joints_dot_at(self.robot, joints, x_dot))
-
-    def reset_joints(
-        self,
-        q_a: Sequence[float],
-        assembly_mode: int,
-        x_dot: Sequence[float] = (0.0, 0.0),
-    ) -> PlantState:
-        """Put the active joints at q_a (rad, shape (2,)) in the given assembly mode, at
-        time 0.
-
-        Args:
-            q_a: active angles q11, q21.
-            assembly_mode: sign of r_1 x r_2, r_i from elbow i to the end effector.
-            x_dot: end effector velocity, m/s, shape (2,).
-
-        Raises:
-            GeometryError: the distal links do not meet there, or the elbows coincide.
-        """
-        joints = geometry.joints_of(self.robot, q_a, assembly_mode)
-        return self._place(joints, geometry.joints_dot_at(self.robot, joints, x_dot))
+    def _begin_at(self, joints: Sequence[float], x_dot: Sequence[float]) -> PlantState:
+        return self._place(joints, joints_dot_at(self.robot, joints, x_dot))
 
 
 def urdf_of(robot: RobotParameters) -> str:
-    """Of a five-bar to look at: both legs; what closes the loop is not in it."""
+    """Return the URDF of a five-bar to look at: both legs, without the pin that closes
+    the loop.
+    """
     return urdf(FIVE_BAR.name, bodies_of(FIVE_BAR, flatten(robot)), visual=True)

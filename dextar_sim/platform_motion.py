@@ -1,5 +1,5 @@
-"""Equations of motion of the five-bar in platform coordinates, and their fourth-order
-steps: on symbols.
+"""Equations of motion of the five-bar in platform coordinates, and their steps of
+fourth order, on symbols.
 
 Principle of virtual power with the end effector's position x as the coordinates. Each
 leg's links turn at theta_1 (proximal) and theta_2 (distal) from the x axis; u is the
@@ -25,7 +25,6 @@ import math
 import struct
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -33,6 +32,7 @@ import numpy as np
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.symbols.functions import Library, cache_folder, named
 from dextar_control.symbols.record import Field, Layout
+from dextar_control.symbols.types import Array, Symbol
 from dextar_sim.state import state_layout
 
 _OWN_SINE = 0.2
@@ -48,7 +48,7 @@ STATE = state_layout(2, 4)
 
 @lru_cache
 def drive_layout(torques: int) -> Layout:
-    """Of torques at the two motors, or at all four joints."""
+    """Return the layout of torques at the two motors, or at all four joints."""
     return Layout(
         "drive",
         2,
@@ -62,20 +62,20 @@ def drive_layout(torques: int) -> Layout:
 
 
 Row = tuple[float, ...]
-Term = Any  # a number or a symbol
-Terms = list[Any]
+Term = Symbol  # or a number, which CasADi takes in its place
+Terms = list[Term]
 
 
 def _lesser(value: Term, least: Term) -> Term:
-    """The value unless it is at least ``least``: nan where the value is."""
+    """Return the lesser of both, and nan where the value is nan."""
     return ca.if_else(value >= least, least, value)
 
 
 def _elbow(
     x: Term, y: Term, base: Terms, proximal: Term, distal: Term, side: Term
 ) -> tuple[Term, Term, Term, Term]:
-    """cos and sin of theta_1 and theta_2 with the elbow on a side of the line base ->
-    (x, y); nan out of reach.
+    """Return cos and sin of theta_1 and theta_2 with the elbow on a side of the line
+    base -> (x, y); nan out of reach.
     """
     dx, dy = x - base[0], y - base[1]
     square = dx * dx + dy * dy
@@ -95,7 +95,7 @@ def _acceleration(
     legs: list[Terms],
     shared: Terms,
 ) -> tuple[Term, Term, Term]:
-    """z_ddot and the least |sin delta| of the legs outside the coordinates.
+    """Return z_ddot and the least |sin delta| of the legs outside the coordinates.
 
     Args:
         z, z_dot: x and y, m and m/s, or theta_1 and theta_2 of one leg, rad and rad/s.
@@ -107,29 +107,24 @@ def _acceleration(
         shared: end effector mass, gravity x, gravity y, coulomb speed.
     """
     mass, gx, gy, coulomb_speed = shared
+    one, zero = ca.SX(1.0), ca.SX(0.0)
     x, y = z
     vx, vy = z_dot
-    g_xx, g_xy, g_yx, g_yy, c_x, c_y = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0
+    g_xx, g_xy, g_yx, g_yy, c_x, c_y = one, zero, zero, one, zero, zero
     if chart != PLATFORM:
         l1, l2 = legs[chart][2], legs[chart][6]
         w1, w2 = z_dot
-        cos_1, sin_1, cos_2, sin_2 = (
-            ca.cos(z[0]),
-            ca.sin(z[0]),
-            ca.cos(z[1]),
-            ca.sin(z[1]),
-        )
-        x, y = (
-            legs[chart][0] + l1 * cos_1 + l2 * cos_2,
-            legs[chart][1] + l1 * sin_1 + l2 * sin_2,
-        )
+        cos_1 = ca.cos(z[0])
+        sin_1 = ca.sin(z[0])
+        cos_2 = ca.cos(z[1])
+        sin_2 = ca.sin(z[1])
+        x = legs[chart][0] + l1 * cos_1 + l2 * cos_2
+        y = legs[chart][1] + l1 * sin_1 + l2 * sin_2
         g_xx, g_xy, g_yx, g_yy = -l1 * sin_1, -l2 * sin_2, l1 * cos_1, l2 * cos_2
         vx, vy = g_xx * w1 + g_xy * w2, g_yx * w1 + g_yy * w2
-        c_x, c_y = (
-            -l1 * cos_1 * w1 * w1 - l2 * cos_2 * w2 * w2,
-            -l1 * sin_1 * w1 * w1 - l2 * sin_2 * w2 * w2,
-        )
-    least = ca.SX(1.0)
+        c_x = -l1 * cos_1 * w1 * w1 - l2 * cos_2 * w2 * w2
+        c_y = -l1 * sin_1 * w1 * w1 - l2 * sin_2 * w2 * w2
+    least = one
     m_11 = mass * (g_xx * g_xx + g_yx * g_yx)
     m_12 = mass * (g_xx * g_xy + g_yx * g_yy)
     m_22 = mass * (g_xy * g_xy + g_yy * g_yy)
@@ -138,16 +133,14 @@ def _acceleration(
     for i in range(2):
         *base, l1, m1, c1, i1, l2, m2, c2, i2, viscous, coulomb = legs[i]
         if i == chart:
-            cos_1, sin_1, cos_2, sin_2 = (
-                ca.cos(z[0]),
-                ca.sin(z[0]),
-                ca.cos(z[1]),
-                ca.sin(z[1]),
-            )
-            j11, j12, j21, j22 = 1.0, 0.0, 0.0, 1.0
+            cos_1 = ca.cos(z[0])
+            sin_1 = ca.sin(z[0])
+            cos_2 = ca.cos(z[1])
+            sin_2 = ca.sin(z[1])
+            j11, j12, j21, j22 = one, zero, zero, one
             w1, w2 = z_dot
             inward_1, inward_2 = w1 * w1, w2 * w2
-            g1, g2 = 0.0, 0.0
+            g1, g2 = zero, zero
         else:
             cos_1, sin_1, cos_2, sin_2 = _elbow(x, y, base, l1, l2, sides[i])
             cos_d, sin_d = cos_1 * cos_2 + sin_1 * sin_2, cos_1 * sin_2 - sin_1 * cos_2
@@ -181,19 +174,11 @@ def _acceleration(
         m_11 += i1 * j11 * j11 + i2 * j21 * j21
         m_12 += i1 * j11 * j12 + i2 * j21 * j22
         m_22 += i1 * j12 * j12 + i2 * j22 * j22
-        for body in range(2):
-            if body == 0:
-                m, arm_1, arm_2 = m1, c1, 0.0
-            else:
-                m, arm_1, arm_2 = m2, l1, c2
-            x1, x2 = (
-                -arm_1 * sin_1 * j11 - arm_2 * sin_2 * j21,
-                -arm_1 * sin_1 * j12 - arm_2 * sin_2 * j22,
-            )
-            y1, y2 = (
-                arm_1 * cos_1 * j11 + arm_2 * cos_2 * j21,
-                arm_1 * cos_1 * j12 + arm_2 * cos_2 * j22,
-            )
+        for m, arm_1, arm_2 in ((m1, c1, zero), (m2, l1, c2)):
+            x1 = -arm_1 * sin_1 * j11 - arm_2 * sin_2 * j21
+            x2 = -arm_1 * sin_1 * j12 - arm_2 * sin_2 * j22
+            y1 = arm_1 * cos_1 * j11 + arm_2 * cos_2 * j21
+            y2 = arm_1 * cos_1 * j12 + arm_2 * cos_2 * j22
             b_x = -arm_1 * (sin_1 * g1 + cos_1 * inward_1) - arm_2 * (
                 sin_2 * g2 + cos_2 * inward_2
             )
@@ -224,8 +209,8 @@ def _substep(
     legs: list[Terms],
     shared: Terms,
 ) -> tuple[Terms, Terms, Term]:
-    """One Runge-Kutta step of fourth order: coordinates, rates, and the least |sin
-    delta| met.
+    """Make one Runge-Kutta step of fourth order; return coordinates, rates, and the
+    least |sin delta| met.
     """
 
     def rate(place: Terms, speed: Terms) -> tuple[Terms, Term]:
@@ -258,21 +243,17 @@ def _substep(
 def _placed(
     z: Terms, z_dot: Terms, chart: int, sides: Terms, joints: Terms, legs: list[Terms]
 ) -> tuple[Terms, Terms, Terms, Term]:
-    """Platform (x, y, x_dot, y_dot), joints beside the turns they had, their rates, and
-    the least |sin delta|.
+    """Return the platform (x, y, x_dot, y_dot), the joints beside the turns they had,
+    their rates, and the least |sin delta|.
     """
     (a, b), (a_dot, b_dot) = z, z_dot
     x, y, vx, vy = a, b, a_dot, b_dot
     if chart != PLATFORM:
         base_x, base_y, l1, *_, l2 = legs[chart][:7]
-        x, y = (
-            base_x + l1 * ca.cos(a) + l2 * ca.cos(b),
-            base_y + l1 * ca.sin(a) + l2 * ca.sin(b),
-        )
-        vx, vy = (
-            -l1 * ca.sin(a) * a_dot - l2 * ca.sin(b) * b_dot,
-            l1 * ca.cos(a) * a_dot + l2 * ca.cos(b) * b_dot,
-        )
+        x = base_x + l1 * ca.cos(a) + l2 * ca.cos(b)
+        y = base_y + l1 * ca.sin(a) + l2 * ca.sin(b)
+        vx = -l1 * ca.sin(a) * a_dot - l2 * ca.sin(b) * b_dot
+        vy = l1 * ca.cos(a) * a_dot + l2 * ca.cos(b) * b_dot
     found, rates, least = [], [], ca.SX(1.0)
     for i in range(2):
         if i == chart:
@@ -299,8 +280,8 @@ def _placed(
 
 @lru_cache
 def motion(substeps: int, torques: int) -> Library:
-    """``period_CHART`` for each chart and ``acceleration``, compiled where that can be
-    done.
+    """Return ``period_CHART`` for each chart, and ``acceleration``, compiled where that
+    can be done.
 
     Args:
         substeps: Runge-Kutta steps in one period.
@@ -310,11 +291,9 @@ def motion(substeps: int, torques: int) -> Library:
         ca.SX.sym(name, 2) for name in ("z", "z_dot", "sides", "push")
     )
     motors = ca.SX.sym("motors", torques)
-    (now_vector, now), (drive_vector, drive), h = (
-        STATE.symbols(),
-        drive_layout(torques).symbols(),
-        ca.SX.sym("h"),
-    )
+    (now_vector, now) = STATE.symbols()
+    (drive_vector, drive) = drive_layout(torques).symbols()
+    h = ca.SX.sym("h")
     robot, shared = ca.SX.sym("legs", 2 * LEG_NUMBERS), ca.SX.sym("shared", 4)
     vectors = (z, z_dot, sides, motors, push, now["joints"], shared)
     parts: list[Terms] = [
@@ -393,8 +372,8 @@ def motion(substeps: int, torques: int) -> Library:
 def _begun(
     chart: int, now: dict[str, Term], drive: dict[str, Term], substeps: int
 ) -> dict[str, Term]:
-    """Coordinates, rates and elbows' sides of a state, and motor torques and push of
-    each substep, in columns.
+    """Return coordinates, rates and elbows' sides of a state, and motor torques and
+    push of each substep, in columns.
     """
     joints, rates = now["joints"], now["joints_dot"]
     z, z_dot = now["x"], now["x_dot"]
@@ -418,8 +397,8 @@ def _begun(
 
 
 def _sides(joints: Term) -> Term:
-    """An elbow lies left of the line base -> end effector (+1) where the distal link
-    turns right.
+    """Return the elbows' sides: one lies left of the line base -> end effector (+1)
+    where its distal link turns right.
     """
     return ca.vertcat(
         *(ca.if_else(ca.sin(joints[k]) >= 0.0, -1.0, 1.0) for k in (1, 3))
@@ -429,7 +408,9 @@ def _sides(joints: Term) -> Term:
 def _period(
     name: str, begun: ca.Function, step: ca.Function, place: ca.Function, substeps: int
 ) -> ca.Function:
-    """From state to state: substeps one after the other, then the joints."""
+    """Compose the function from state to state: substeps one after the other, then the
+    joints.
+    """
     drive_size = begun.numel_in("drive")
     sizes = {
         "state": STATE.size,
@@ -468,8 +449,8 @@ def _period(
     )
 
 
-class Motion:
-    """Steps of one robot, from joints to joints.
+class PlatformMotion:
+    """Steps one robot from joints to joints.
 
     Args:
         robot: the description.
@@ -491,11 +472,9 @@ class Motion:
                 [robot.end_effector_mass, *robot.gravity, robot.coulomb_speed]
             ),
         }
-        library, drive, self._told = (
-            motion(substeps, torques),
-            np.zeros(layout.size),
-            np.zeros(3),
-        )
+        library = motion(substeps, torques)
+        drive = np.zeros(layout.size)
+        self._told = np.zeros(3)
         places = {
             "state": self.state.numbers,
             "state_next": self.state.numbers,
@@ -519,14 +498,17 @@ class Motion:
         x: Sequence[float],
         x_dot: Sequence[float],
     ) -> None:
-        """Begin here."""
+        """Begin at these joints, (4,), rad and rad/s, and this end effector, (2,), m
+        and m/s.
+        """
         now = self.state
         now.joints, now.joints_dot, now.x, now.x_dot = joints, joints_dot, x, x_dot
         now.q_a, now.q_a_dot = joints[::2], joints_dot[::2]
         self._sines = abs(math.sin(joints[1])), abs(math.sin(joints[3]))
 
     def advance(self, first: Row, last: Row, late: int, blow: Row) -> float:
-        """One period; the least |sin delta| met, nan when lost.
+        """Advance one period; return the least |sin delta| met, nan when the motion is
+        lost.
 
         Args:
             first, last: torques of the first ``late`` substeps and of the others, N m.
@@ -549,27 +531,25 @@ class Motion:
         return float(least)
 
     def carry(self, mass: float) -> None:
-        """The end effector's mass, kg, from now on."""
+        """Let the end effector have this mass, kg, from now on."""
         self._numbers["shared"][0] = mass
 
-    def acceleration(self, motors: Row) -> np.ndarray:
-        """Of the platform now, m/s^2, shape (2,), off Type 1, under torques before
-        friction, N m.
+    def acceleration(self, motors: Row) -> Array:
+        """Return the platform's acceleration now, (2,), m/s^2, off Type 1, under
+        torques before friction, (2,), N m.
         """
         found, now = self._acceleration.arguments, self.state
         sines = np.sin(now.joints[1::2])
-        found.z[:], found.z_dot[:], found.sides[:], found.motors[:] = (
-            now.x,
-            now.x_dot,
-            np.where(sines >= 0.0, -1.0, 1.0),
-            motors,
-        )
+        found.z[:] = now.x
+        found.z_dot[:] = now.x_dot
+        found.sides[:] = np.where(sines >= 0.0, -1.0, 1.0)
+        found.motors[:] = motors
         self._acceleration.run()
         return np.array(self._acceleration.results.z_ddot)
 
 
 def leg_row(robot: RobotParameters, index: int) -> Row:
-    """What the motion takes of a leg.
+    """List the numbers of a leg that the motion takes.
 
     Returns:
         Base x and y (m), then of the proximal and the distal link length (m), mass

@@ -1,5 +1,5 @@
-"""A recorded motion in PyBullet's window: the linkage set from frame to frame, nothing
-simulated.
+"""Show a recorded motion in PyBullet's window: the linkage is set from frame to frame,
+nothing is simulated.
 
 Started as ``python -m dextar_sim.replay MOTION.npz``; ``dextar replay --window`` makes
 the file.
@@ -13,31 +13,20 @@ import math
 import os
 import time
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pybullet as p
+from numpy.typing import NDArray
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import flatten, from_flat
 from dextar_control.contract.signals import run_command
 from dextar_control.mechanisms import mechanism_named
+from dextar_control.symbols.types import Array
 from dextar_sim.urdf import bodies_of
 from dextar_sim.world import connect, load, release
 
-KEYS = (
-    "time",
-    "q",
-    "x",
-    "torque",
-    "s",
-    "t_s",
-    "planned",
-    "locus",
-    "phase",
-    "speed",
-    "robot",
-)
 T_S_LENGTH = 0.015  # m, half of what is drawn of t_s
 HEIGHT = 0.03  # m, of what is drawn over the linkage
 CAMERA = 0.24  # m over the plane
@@ -45,36 +34,54 @@ BLACK, GREY, RED = (0.0, 0.0, 0.0), (0.5, 0.5, 0.5), (0.65, 0.15, 0.05)
 MOST_SEGMENTS = 120  # of a drawn line: the window takes its time for each
 
 
+class RecordedMotion(NamedTuple):
+    """A recorded motion, frame by frame.
+
+    Attributes:
+        time: of each frame, (n,), s.
+        q: joints q11, q12, q21, q22, (n, 4), rad.
+        x: end effector, (n, 2), m.
+        torque: of the motors, (n, 2), N m.
+        s: singularity measure, (n,).
+        t_s: direction in which the end effector cannot be held, (n, 2).
+        planned: planned path, (m, 2), m; nan parts its pieces.
+        locus: Type 2 locus, (k, 2), m; nan parts its pieces.
+        phase: of the controller, (n,).
+        speed: how many times as fast as real time it is shown.
+        robot: the description as JSON.
+    """
+
+    time: Array
+    q: Array
+    x: Array
+    torque: Array
+    s: Array
+    t_s: Array
+    planned: Array
+    locus: Array
+    phase: NDArray[np.str_]
+    speed: float
+    robot: str
+
+
 class Player:
-    """Shows frames of a motion.
+    """Shows the frames of a motion.
 
     Args:
-        motion: the arrays named in KEYS: time (n,) s, q (n, 4) rad in the order q11,
-            q12, q21, q22, x and t_s (n, 2), torque (n, 2) N m, s (n,), planned (m, 2)
-            and locus (k, 2) m, parted by nan, phase (n,), and the robot as JSON.
+        motion: to be shown.
         window: open PyBullet's window; otherwise nothing is drawn.
 
     Raises:
-        ParameterError: an array is missing, or the window cannot be opened.
+        ParameterError: the window cannot be opened.
     """
 
-    def __init__(self, motion: Any, window: bool) -> None:
-        missing = [key for key in KEYS if key not in motion]
-        if missing:
-            raise ParameterError(f"the motion has no {', '.join(missing)}")
+    def __init__(self, motion: RecordedMotion, window: bool) -> None:
         if window and not os.environ.get("DISPLAY"):
             raise ParameterError(
                 "PyBullet's window needs a display, and DISPLAY is not set"
             )
-        self.time, self.x, self._q = motion["time"], motion["x"], motion["q"]
-        self._torque, self._s, self._t_s, self._phase = (
-            motion["torque"],
-            motion["s"],
-            motion["t_s"],
-            motion["phase"],
-        )
-        self._window = window
-        robot = from_flat(json.loads(str(motion["robot"])))
+        self._motion, self._window = motion, window
+        robot = from_flat(json.loads(motion.robot))
         self.client = connect(window)
         self.loop = load(
             self.client,
@@ -88,18 +95,19 @@ class Player:
             p.resetDebugVisualizerCamera(
                 CAMERA, 0.0, -89.9, [0.0, 0.04, 0.0], physicsClientId=self.client
             )
-            self._line(motion["locus"], GREY, 2.0)
-            self._line(motion["planned"], RED, 3.0)
+            self._line(motion.locus, GREY, 2.0)
+            self._line(motion.planned, RED, 3.0)
 
     def show(self, frame: int) -> None:
-        """Put the linkage where it was."""
-        for joint, angle in zip(self.loop.joints, self._q[frame], strict=True):
+        """Put the linkage where it was in a frame."""
+        motion = self._motion
+        for joint, angle in zip(self.loop.joints, motion.q[frame], strict=True):
             p.resetJointState(
                 self.loop.body, joint, float(angle), 0.0, physicsClientId=self.client
             )
         if not self._window:
             return
-        x, along = self.x[frame], T_S_LENGTH * self._t_s[frame]
+        x, along = motion.x[frame], T_S_LENGTH * motion.t_s[frame]
         self._mark = p.addUserDebugLine(
             [*(x - along), HEIGHT],
             [*(x + along), HEIGHT],
@@ -109,16 +117,17 @@ class Player:
             physicsClientId=self.client,
         )
         moment, s = (
-            round(float(value), 3) + 0.0 for value in (self.time[frame], self._s[frame])
+            round(float(value), 3) + 0.0
+            for value in (motion.time[frame], motion.s[frame])
         )  # no -0.000
         text = "  ".join(
             [
                 f"{moment:.3f} s",
-                str(self._phase[frame]),
+                str(motion.phase[frame]),
                 f"s {s:+.3f}",
                 *(
                     f"tau{index + 1} {torque:+.3f} N m"
-                    for index, torque in enumerate(self._torque[frame])
+                    for index, torque in enumerate(motion.torque[frame])
                     if math.isfinite(torque)
                 ),
             ]
@@ -132,18 +141,16 @@ class Player:
             physicsClientId=self.client,
         )
 
-    def play(self, speed: float) -> None:
-        """Every frame in its time; ends when the window is closed."""
-        begin = time.monotonic()
-        for frame in range(len(self.time)):
+    def play(self) -> None:
+        """Show every frame at its time, until the window is closed."""
+        begin, times = time.monotonic(), self._motion.time
+        for frame in range(len(times)):
             if not p.isConnected(self.client):
                 return
             self.show(frame)
             if self._window:
-                wait = (self.time[frame] - self.time[0]) / speed - (
-                    time.monotonic() - begin
-                )
-                time.sleep(max(wait, 0.0))
+                due = begin + (times[frame] - times[0]) / self._motion.speed
+                time.sleep(max(due - time.monotonic(), 0.0))
         while self._window and p.isConnected(self.client):
             time.sleep(0.1)
 
@@ -152,7 +159,7 @@ class Player:
         release(self.client, self._window)
 
     def _line(
-        self, points: np.ndarray, color: tuple[float, float, float], width: float
+        self, points: Array, color: tuple[float, float, float], width: float
     ) -> None:
         kept = points[:: max(len(points) // MOST_SEGMENTS, 1)]
         for first, second in zip(kept[:-1], kept[1:], strict=True):
@@ -169,21 +176,25 @@ class Player:
                 )
 
 
-def read_motion(file: Path) -> dict[str, Any]:
-    """The arrays of a motion file.
+def read_motion(file: Path) -> RecordedMotion:
+    """Read the motion from a file.
 
     Raises:
-        ParameterError: it cannot be read.
+        ParameterError: the file cannot be read, or lacks an array.
     """
     try:
         with np.load(file) as content:
-            return {key: content[key] for key in content.files}
+            missing = [name for name in RecordedMotion._fields if name not in content]
+            if missing:
+                raise ParameterError(f"the motion {file} has no {', '.join(missing)}")
+            found = RecordedMotion(*(content[name] for name in RecordedMotion._fields))
     except (OSError, ValueError) as error:
         raise ParameterError(f"cannot read the motion {file}: {error}") from error
+    return found._replace(speed=float(found.speed), robot=str(found.robot))
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Show a motion file; 0, or 2 when it cannot be shown."""
+    """Show a motion file; return 0, or 2 when it cannot be shown."""
     parser = argparse.ArgumentParser(
         prog="dextar_sim.replay", description="Show a motion file in PyBullet's window."
     )
@@ -200,10 +211,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _show(file: Path, *, window: bool) -> int:
-    motion = read_motion(file)
-    player = Player(motion, window=window)
+    player = Player(read_motion(file), window=window)
     try:
-        player.play(float(motion["speed"]))
+        player.play()
     except p.error:
         if p.isConnected(player.client):
             raise

@@ -1,5 +1,5 @@
-"""A rig in a plain loop: a plant and everything that stands between it and its
-controller. No ROS here.
+"""A rig in a plain loop: a plant, and what stands between it and its controller. No ROS
+here.
 
 After a reset, again and again: ``sample = rig.read()``, then ``rig.write(torque)`` with
 the controller's answer, or None where the sample was lost.
@@ -11,23 +11,24 @@ import random
 from collections.abc import Sequence
 from dataclasses import fields
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.symbols.types import Array
 from dextar_sim.cartesian import CartesianPlant
+from dextar_sim.disturbances import Disturbances
 from dextar_sim.effects import Effects
-from dextar_sim.happenings import Happenings
 from dextar_sim.plant import Plant
 from dextar_sim.sensors import (
-    Command,
     CommandDelay,
     CommandHold,
     Encoder,
     PoseSensor,
     StampError,
+    TorqueCommand,
     check_probability,
 )
 from dextar_sim.state import AnyPlant, PlantState
@@ -39,7 +40,7 @@ PLANTS: dict[str, type[Plant] | type[CartesianPlant]] = {
 _NANOSECONDS = 1.0e9
 
 
-class Pose(NamedTuple):
+class MeasuredPose(NamedTuple):
     """An external measurement of the end effector.
 
     Attributes:
@@ -48,10 +49,10 @@ class Pose(NamedTuple):
     """
 
     time: float
-    x: np.ndarray  # (2,)
+    x: Array  # (2,)
 
 
-class Sample(NamedTuple):
+class JointSample(NamedTuple):
     """What reaches the controller in one period.
 
     Attributes:
@@ -61,13 +62,13 @@ class Sample(NamedTuple):
     """
 
     time: float
-    q_a: np.ndarray  # (2,)
-    pose: Pose | None
+    q_a: Array  # (2,)
+    pose: MeasuredPose | None
 
 
 class Rig:
-    """A plant behind encoders, a lossy line, drives with a delay and a watchdog, and
-    perhaps a camera.
+    """Simulates a plant behind encoders, a lossy line, drives with a delay and a
+    watchdog, and perhaps a camera.
 
     A run repeats bit for bit from its seed: each reset starts all chance anew.
 
@@ -130,7 +131,7 @@ class Rig:
         stamp_error: float = 0.0,
         payload: float = 0.0,
         payload_time: float = 0.0,
-        **effects: Any,
+        **effects: str | float,
     ) -> None:
         if plant not in PLANTS:
             raise ParameterError(
@@ -148,7 +149,7 @@ class Rig:
             period=period,
             substeps=substeps,
             max_torque=max_torque,
-            effects=Effects(**effects),
+            effects=Effects(**effects),  # type: ignore[arg-type]  # checks each
         )
         self.period = period
         self._period_ns = round(_NANOSECONDS * period)
@@ -176,36 +177,34 @@ class Rig:
             seed=seeds[1],
         )
         self._new_stamps = partial(StampError, stamp_error, period, seeds[4])
-        self._happenings = Happenings(payload=payload, payload_time=payload_time)
-        self._delay: CommandDelay[Command] = CommandDelay(round(command_delay / period))
+        self._disturbances = Disturbances(payload=payload, payload_time=payload_time)
+        self._delay: CommandDelay[TorqueCommand] = CommandDelay(
+            round(command_delay / period)
+        )
         self._delay_ns = self._delay.periods * self._period_ns
         self._timeout = round(_NANOSECONDS * command_timeout)
         self._has_pose = pose_rate > 0.0
         self._begin()
 
     def _begin(self) -> None:
-        """All between plant and controller as new, and the first sample."""
-        self._encoder, self._camera, self._stamps = (
-            self._new_encoder(),
-            self._new_camera(),
-            self._new_stamps(),
-        )
+        """Renew what stands between plant and controller, and take the first sample."""
+        self._encoder = self._new_encoder()
+        self._camera = self._new_camera()
+        self._stamps = self._new_stamps()
         self._delay.reset()
         self._hold = CommandHold(self._timeout, self.plant.max_torque)
-        self._losses, self._lateness = (
-            random.Random(self._seeds[2]),
-            random.Random(self._seeds[3]),
-        )
-        self._newest: Command | None = None
+        self._losses = random.Random(self._seeds[2])
+        self._lateness = random.Random(self._seeds[3])
+        self._newest: TorqueCommand | None = None
         self._applied = (0.0, 0.0)
         self._index = 0
-        self._pose: Pose | None = None
+        self._pose: MeasuredPose | None = None
         self.samples_lost = 0
         self._measure()
 
     @property
     def time(self) -> float:
-        """Of the present sample, s."""
+        """Time of the present sample, s."""
         return self._index * self.period
 
     @property
@@ -215,7 +214,9 @@ class Rig:
 
     @property
     def refused(self) -> int:
-        """Commands since the reset that were not finite: the one before went on."""
+        """Commands since the reset that were not finite, in whose place the one before
+        went on.
+        """
         return self._hold.refused
 
     @property
@@ -226,13 +227,13 @@ class Rig:
     def reset(
         self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
     ) -> PlantState:
-        """Put the end effector at x (m) with velocity x_dot (m/s) in the robot's
-        working mode, at time 0.
+        """Put the end effector at x, (2,), m, with velocity x_dot, (2,), m/s, in the
+        robot's working mode, at time 0.
 
         Raises:
             GeometryError: a leg does not reach x, or cannot move at x_dot there.
         """
-        self._happenings.reset(self.plant)
+        self._disturbances.reset(self.plant)
         state = self.plant.reset(x, x_dot)
         self._begin()
         return state
@@ -243,7 +244,8 @@ class Rig:
         assembly_mode: int,
         x_dot: Sequence[float] = (0.0, 0.0),
     ) -> PlantState:
-        """Put the active joints at q_a (rad) in the given assembly mode, at time 0.
+        """Put the active joints at q_a, (2,), rad, in the given assembly mode, at time
+        0.
 
         Where the true geometry is not the model's, this is how a rig starts where its
         encoders say.
@@ -251,7 +253,7 @@ class Rig:
         Raises:
             GeometryError: the distal links do not meet there, or the elbows coincide.
         """
-        self._happenings.reset(self.plant)
+        self._disturbances.reset(self.plant)
         state = self.plant.reset_joints(q_a, assembly_mode, x_dot)
         self._begin()
         return state
@@ -261,23 +263,23 @@ class Rig:
         if self._has_pose:
             arrived = self._camera.sense(self._index, state.x.tolist())
             if arrived is not None:
-                self._pose = Pose(arrived.sample * self.period, np.array(arrived.x))
-        q_a, told = (
-            self._encoder.position(self.plant.encoded()),
-            self._index * self.period + self._stamps.next(),
-        )
+                self._pose = MeasuredPose(
+                    arrived.sample * self.period, np.array(arrived.x)
+                )
+        q_a = self._encoder.position(self.plant.encoder_angles())
+        told = self._index * self.period + self._stamps.next()
         if self._loss and self._losses.random() < self._loss:
             self.samples_lost += 1
-            self._sample: Sample | None = None
+            self._sample: JointSample | None = None
         else:
-            self._sample = Sample(told, np.array(q_a), self._pose)
+            self._sample = JointSample(told, np.array(q_a), self._pose)
             self._pose = None
 
-    def read(self) -> Sample | None:
-        """The present sample; None when it was lost."""
+    def read(self) -> JointSample | None:
+        """Return the present sample; None when it was lost."""
         return self._sample
 
-    def write(self, torque: Sequence[float] | None) -> np.ndarray:
+    def write(self, torque: Sequence[float] | None) -> Array:
         """Give the command that answers the present sample, and let one period pass.
 
         Args:
@@ -289,30 +291,30 @@ class Rig:
         """
         now = self._index * self._period_ns
         if torque is not None:
-            self._newest = Command(now, (float(torque[0]), float(torque[1])))
+            self._newest = TorqueCommand(now, (float(torque[0]), float(torque[1])))
         delayed = self._delay.shift(self._newest)
         if delayed is not None:
             if self._delay_ns:
-                delayed = Command(delayed.stamp + self._delay_ns, delayed.torque)
+                delayed = TorqueCommand(delayed.stamp + self._delay_ns, delayed.torque)
             self._hold.receive(delayed)
         before, self._applied = self._applied, self._hold.torque(now)
         late = round(self._jitter * self._lateness.random()) if self._jitter else 0
-        self._happenings.before(self._index * self.period, self.plant)
+        self._disturbances.before(self._index * self.period, self.plant)
         applied = self.plant.step(self._applied, before, late)
         self._index += 1
         self._measure()
         return applied
 
     def strike(self, impulse: Sequence[float]) -> None:
-        """Strike the end effector with an impulse (N s, shape (2,)) during the coming
+        """Strike the end effector with an impulse, (2,), N s, during the coming
         period's first substep.
         """
         self.plant.apply_impulse(impulse)
 
     def truth(self) -> PlantState:
-        """The true state now."""
+        """Return the true state now."""
         return self.plant.state()
 
     def close(self) -> None:
-        """Let go of the plant; harmless when repeated."""
+        """Let go of the plant; repeating it does no harm."""
         self.plant.close()

@@ -1,5 +1,5 @@
-"""What stands between plant and controller on a rig: encoder, camera, transport delay,
-drive-side watchdog.
+"""What stands between plant and controller on a rig: encoders, camera, transport delay,
+and the drives' watchdog.
 """
 
 from __future__ import annotations
@@ -14,12 +14,28 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.symbols.types import Array
 
 Item = TypeVar("Item")
 
 
 _ROUNDING = 1.0e-9
 """Share of a sample that a time may be off and still fall on it."""
+
+
+def check_nonnegative(what: str = "", **values: float) -> None:
+    """Refuse numbers that are negative or not finite.
+
+    Args:
+        what: they are of, before their names in the message.
+        values: by name.
+
+    Raises:
+        ParameterError: one is not >= 0.
+    """
+    for name, value in values.items():
+        if not (value >= 0.0 and math.isfinite(value)):
+            raise ParameterError(f"{what} {name} = {value}; it must be >= 0".lstrip())
 
 
 def check_probability(name: str, value: float) -> None:
@@ -33,7 +49,7 @@ def check_probability(name: str, value: float) -> None:
 
 
 class Encoder:
-    """Quantised joint positions and the velocity a drive derives from them.
+    """Gives quantised joint positions, and the velocity that a drive derives from them.
 
     Noise is added before quantisation; the velocity is the difference of quantised
     positions through a first-order low-pass of the given cutoff.
@@ -65,15 +81,14 @@ class Encoder:
         eccentricity: float = 0.0,
         seed: int = 0,
     ) -> None:
-        for name, value in (
-            ("resolution", resolution),
-            ("velocity_cutoff", velocity_cutoff),
-            ("position_noise", position_noise),
-            ("homing_error", homing_error),
-            ("eccentricity", eccentricity),
-        ):
-            if not (value >= 0.0 and math.isfinite(value)):
-                raise ParameterError(f"encoder {name} = {value}; it must be >= 0")
+        check_nonnegative(
+            "encoder",
+            resolution=resolution,
+            velocity_cutoff=velocity_cutoff,
+            position_noise=position_noise,
+            homing_error=homing_error,
+            eccentricity=eccentricity,
+        )
         if not (period > 0.0 and math.isfinite(period)):
             raise ParameterError(f"encoder period = {period} s; it must be > 0")
         self._period = period
@@ -84,29 +99,27 @@ class Encoder:
             else 1.0
         )
         self._noise = position_noise
-        self._random, mounted = (
-            np.random.default_rng(seed),
-            np.random.default_rng([seed, 1]),
-        )
+        self._random = np.random.default_rng(seed)
+        mounted = np.random.default_rng([seed, 1])
         sides = mounted.choice((-1.0, 1.0), len(offset)).tolist()
         self._offset = [
             at + homing_error * side for at, side in zip(offset, sides, strict=True)
         ]
-        self._eccentricity, self._phase = (
-            eccentricity,
-            mounted.uniform(0.0, 2.0 * math.pi, len(offset)).tolist(),
-        )
+        self._eccentricity = eccentricity
+        self._phase = mounted.uniform(0.0, 2.0 * math.pi, len(offset)).tolist()
         self._is_off = bool(eccentricity or any(self._offset))
         self._last: list[float] | None = None
         self._velocity: list[float] = []
 
     def reset(self) -> None:
-        """Forget the last sample: the next one is at rest. The noise goes on."""
+        """Forget the last sample, so that the next one is at rest; the noise goes
+        on.
+        """
         self._last = None
 
     def position(self, q_a: Sequence[float]) -> list[float]:
-        """Measured positions (rad) of true ones (rad, shape (n,)); no sample for the
-        velocity.
+        """Return measured positions, (n,), rad, of true ones, (n,), rad, without a
+        sample for the velocity.
         """
         values: Sequence[float] = q_a
         if self._is_off:
@@ -127,8 +140,8 @@ class Encoder:
             else [float(value) for value in values]
         )
 
-    def read(self, q_a: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-        """One sample.
+    def read(self, q_a: Sequence[float]) -> tuple[Array, Array]:
+        """Take one sample.
 
         Args:
             q_a: true joint positions, rad, shape (n,).
@@ -152,7 +165,7 @@ class Encoder:
 
 
 class StampError:
-    """By how much the stamp of a sample is off: evenly distributed, each anew.
+    """Draws the error of each sample's stamp, evenly distributed.
 
     Args:
         error: largest, s; below half of the period, so that stamps rise.
@@ -173,7 +186,7 @@ class StampError:
         self._random = random.Random(seed)
 
     def next(self) -> float:
-        """Of the next sample, s."""
+        """Return the error of the next sample's stamp, s."""
         return self._random.uniform(-self._error, self._error) if self._error else 0.0
 
 
@@ -190,7 +203,8 @@ class Measurement(NamedTuple):
 
 
 class PoseSensor:
-    """A camera on the end effector: its own rate, latency, noise and gaps.
+    """Simulates a camera on the end effector, with its own rate, latency, noise and
+    gaps.
 
     An exposure falls on the first sample at or after it is due; its result arrives at
     the first sample that is at least the delay later, in the order of the exposures.
@@ -221,9 +235,7 @@ class PoseSensor:
     ) -> None:
         if not (period > 0.0 and math.isfinite(period)):
             raise ParameterError(f"pose period = {period} s; it must be > 0")
-        for name, value in (("rate", rate), ("delay", delay), ("noise", noise)):
-            if not (value >= 0.0 and math.isfinite(value)):
-                raise ParameterError(f"pose {name} = {value}; it must be >= 0")
+        check_nonnegative("pose", rate=rate, delay=delay, noise=noise)
         if rate * period > 1.0 + _ROUNDING:
             raise ParameterError(
                 f"pose rate = {rate} Hz; it must be <= {1.0 / period:g} Hz, that of the"
@@ -244,8 +256,8 @@ class PoseSensor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what is under way; the coming sample is the first. Noise and dropout
-        go on.
+        """Forget what is under way, and count the coming sample as the first; noise and
+        dropout go on.
         """
         self._line: deque[Measurement] = deque()
         self._first: int | None = None
@@ -253,7 +265,7 @@ class PoseSensor:
         self._due = 0
 
     def sense(self, sample: int, x: Sequence[float]) -> Measurement | None:
-        """Look at one sample, and hand out the measurement that arrives with it.
+        """Look at one sample, and return the measurement that arrives with it.
 
         Args:
             sample: its number, one more at each call.
@@ -285,7 +297,7 @@ class PoseSensor:
 
 
 class CommandDelay(Generic[Item]):
-    """What was put in comes out whole periods later; None before anything did.
+    """Gives what was put in some periods ago; None before anything was.
 
     Args:
         periods: of delay; 0 passes through.
@@ -311,7 +323,7 @@ class CommandDelay(Generic[Item]):
         return self._line.popleft()
 
 
-class Command(NamedTuple):
+class TorqueCommand(NamedTuple):
     """A torque command.
 
     Attributes:
@@ -327,7 +339,7 @@ class Command(NamedTuple):
 
 
 class Acknowledgement(NamedTuple):
-    """In lockstep, in the place of a command: none comes for this state.
+    """Says in lockstep, in the place of a command, that none comes for this state.
 
     Attributes:
         stamp: of the state, ns.
@@ -337,8 +349,8 @@ class Acknowledgement(NamedTuple):
 
 
 class CommandHold:
-    """The drive: holds the last command, saturates it, and lets go when it has grown
-    old.
+    """Is the drive: it holds the last command, saturates it, and lets go of it when it
+    has grown old.
 
     A command's age is counted from the stamp of the state it answers, in simulated
     time, so that a controller that answers old states is caught like one that fell
@@ -372,12 +384,12 @@ class CommandHold:
 
     def reset(self) -> None:
         """Let go of the held command; the counters stay."""
-        self._held: Command | None = None
+        self._held: TorqueCommand | None = None
         self._tripped = False
 
-    def receive(self, command: Command) -> bool:
-        """Hold this command from now on; False when it is not finite and the last one
-        stays.
+    def receive(self, command: TorqueCommand) -> bool:
+        """Hold this command from now on; return False when it is not finite and the
+        last one stays.
         """
         first, second = command.torque
         if not (math.isfinite(first) and math.isfinite(second)):
@@ -387,7 +399,7 @@ class CommandHold:
         return True
 
     def torque(self, stamp: int, now: int | None = None) -> tuple[float, float]:
-        """Motor torque (N m); zero without a fresh command.
+        """Return the motor torque, (2,), N m; zero without a fresh command.
 
         Args:
             stamp: simulated time, ns.

@@ -1,4 +1,6 @@
-"""What every plant says about itself, and what it checks before it is built."""
+"""The state of a plant, what all plants offer, and what is checked before one is
+built.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +9,10 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple, Protocol
 
-import numpy as np
-
 from dextar_control.contract.errors import ParameterError, StateError
 from dextar_control.contract.robot import LegParameters, RobotParameters
 from dextar_control.symbols.record import Field, Layout, Record
+from dextar_control.symbols.types import Array
 
 _FRICTION_STABILITY = 1.0
 """Share of a joint's speed that friction may take away in one substep; beyond 2 it
@@ -25,8 +26,8 @@ PlantState = Record
 
 @lru_cache
 def state_layout(n: int, m: int) -> Layout:
-    """Of a plant with n active joints and m in all, each relative to its parent, in the
-    order of the mechanism's bodies.
+    """Return the layout of the state of a plant with n active joints and m in all, each
+    relative to its parent, in the order of the mechanism's bodies.
     """
     return Layout(
         "plant_state",
@@ -49,7 +50,7 @@ def state_layout(n: int, m: int) -> Layout:
 
 
 class AnyPlant(Protocol):
-    """The surface that all plants share."""
+    """What all plants offer."""
 
     robot: RobotParameters
     period: float
@@ -59,8 +60,8 @@ class AnyPlant(Protocol):
     def reset(
         self, x: Sequence[float], x_dot: Sequence[float] = (0.0, 0.0)
     ) -> PlantState:
-        """Put the end effector at x with velocity x_dot, in the robot's working mode,
-        at time 0.
+        """Put the end effector at x, (2,), m, with velocity x_dot, (2,), m/s, in the
+        robot's working mode, at time 0.
         """
 
     def reset_joints(
@@ -69,38 +70,40 @@ class AnyPlant(Protocol):
         assembly_mode: int,
         x_dot: Sequence[float] = (0.0, 0.0),
     ) -> PlantState:
-        """Put the active joints at q_a in the given assembly mode, at time 0."""
+        """Put the active joints at q_a, (2,), rad, in the given assembly mode, at time
+        0.
+        """
 
     def step(
         self,
         torque: Sequence[float],
         earlier: Sequence[float] | None = None,
         late: int = 0,
-    ) -> np.ndarray:
-        """Advance one period; the torque acts after ``late`` substeps under the earlier
-        one.
+    ) -> Array:
+        """Advance one period under torques, (2,), N m; they act after ``late`` substeps
+        under the earlier ones. Return the motor torques at its end, (2,), N m.
         """
 
     def take_up(self, mass: float) -> None:
-        """Load the end effector with a mass that moves as it does."""
+        """Load the end effector with a mass, kg, that moves with it."""
 
-    def encoded(self) -> list[float]:
-        """Where the encoders' discs stand."""
+    def encoder_angles(self) -> list[float]:
+        """Return the angles of the encoders' discs, (2,), rad."""
 
     def apply_impulse(self, impulse: Sequence[float]) -> None:
-        """Strike the end effector with an impulse during the next step's first
-        substep.
+        """Strike the end effector with an impulse, (2,), N s, during the next step's
+        first substep.
         """
 
     def state(self) -> PlantState:
-        """The true state now."""
+        """Return the true state now."""
 
     def close(self) -> None:
         """Let go of what the plant holds."""
 
 
 class Motor(NamedTuple):
-    """A motor as its friction sees it.
+    """A motor as its friction loads it.
 
     Attributes:
         name: of its side.
@@ -114,7 +117,7 @@ class Motor(NamedTuple):
 
 
 def proximal_inertia(leg: LegParameters) -> float:
-    """What a motor moves alone, kg m^2."""
+    """Return the inertia that a motor moves alone, kg m^2."""
     return (
         leg.proximal_inertia
         + leg.rotor_inertia
@@ -123,7 +126,7 @@ def proximal_inertia(leg: LegParameters) -> float:
 
 
 def leg_motors(robot: RobotParameters) -> list[Motor]:
-    """Those of a five-bar."""
+    """List the motors of a five-bar."""
     return [
         Motor(
             side,
@@ -135,8 +138,8 @@ def leg_motors(robot: RobotParameters) -> list[Motor]:
 
 
 def check_steps(period: float, substeps: int, motors: Sequence[Motor]) -> None:
-    """Refuse steps that are none, and an explicit friction that would turn a joint
-    round within one substep.
+    """Refuse a period or substeps out of range, and explicit friction that would turn a
+    joint round within one substep.
 
     Args:
         period: duration of one step, s.
@@ -163,7 +166,7 @@ def check_steps(period: float, substeps: int, motors: Sequence[Motor]) -> None:
 
 
 def saturated(torque: Sequence[float], limit: float) -> tuple[float, ...]:
-    """Motor torques within the limit, N m.
+    """Return motor torques within the limit, N m.
 
     Raises:
         StateError: a torque is not finite.

@@ -1,4 +1,4 @@
-"""Where the bodies of a mechanism are at positions of their joints: on symbols, and as
+"""Where the bodies of a mechanism are at given joint positions: on symbols, and as
 functions that a plant calls.
 """
 
@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
 
@@ -21,7 +20,7 @@ Frame = tuple[Symbol, Symbol]
 
 
 def placed(frame: Frame, place: Symbol) -> Symbol:
-    """A place (2,), m, of a frame in the frame of the ground."""
+    """Return a place, (2,), m, of a frame in the frame of the ground."""
     origin, angle = frame
     cosine, sine = ca.cos(angle), ca.sin(angle)
     return origin + ca.vertcat(
@@ -30,7 +29,7 @@ def placed(frame: Frame, place: Symbol) -> Symbol:
 
 
 def frames(bodies: Bodies, joints: Symbol) -> list[Frame]:
-    """Of each link at positions (m,) of all joints, rad or m."""
+    """List the frame of each link at positions, (m,), of all joints, rad or m."""
     found: list[Frame] = []
     for link, joint in zip(bodies.links, ca.vertsplit(joints), strict=True):
         parent = (
@@ -48,7 +47,7 @@ def frames(bodies: Bodies, joints: Symbol) -> list[Frame]:
 
 
 def gaps(bodies: Bodies, joints: Symbol) -> Symbol:
-    """(2, pins) from one place of each pin to the other, m."""
+    """Return the distances, (2, pins), m, from one place of each pin to the other."""
     at = frames(bodies, joints)
     return ca.horzcat(
         *(
@@ -60,7 +59,8 @@ def gaps(bodies: Bodies, joints: Symbol) -> Symbol:
 
 @lru_cache
 def functions_of(mechanism: Mechanism) -> Mapping[str, ca.Function]:
-    """What a plant asks of a mechanism that has bodies, interpreted.
+    """Return the functions that a plant asks of a mechanism that has bodies,
+    interpreted.
 
     closed: x, x_dot -> q_a, joints, joints_dot. truth: joints as held, joints_dot, lead
         (s) by which held is ahead,
@@ -72,17 +72,13 @@ def functions_of(mechanism: Mechanism) -> Mapping[str, ca.Function]:
     assert bodies is not None
     names, n = [link.joint for link in bodies.links], mechanism.n
     x, x_dot, force = (ca.SX.sym(name, n) for name in ("x", "x_dot", "force"))
-    held, joints_dot, lead = (
-        ca.SX.sym("held", len(names)),
-        ca.SX.sym("joints_dot", len(names)),
-        ca.SX.sym("lead"),
-    )
+    held = ca.SX.sym("held", len(names))
+    joints_dot = ca.SX.sym("joints_dot", len(names))
+    lead = ca.SX.sym("lead")
     q_a = mechanism.inverse_geometric_model(x, p)
     closed = mechanism.tree_joints(q_a, x, p)
-    joints, motors = (
-        held - lead * joints_dot,
-        [names.index(joint.name) for joint in mechanism.joints],
-    )
+    joints = held - lead * joints_dot
+    motors = [names.index(joint.name) for joint in mechanism.joints]
     platform = mechanism.tree_platform(joints, p)
     time, m = ca.SX.sym("time"), len(names)
     state = state_layout(n, m).join(
@@ -98,7 +94,7 @@ def functions_of(mechanism: Mechanism) -> Mapping[str, ca.Function]:
         }
     )
     pushed = ca.jtimes(mechanism.tree_platform(held, p), held, force, True)
-    results: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    results: dict[str, tuple[dict[str, Symbol], dict[str, Symbol]]] = {
         "closed": (
             {"x": x, "x_dot": x_dot},
             {"q_a": q_a, "joints": closed, "joints_dot": ca.jtimes(closed, x, x_dot)},

@@ -1,12 +1,11 @@
-"""A mechanism's bodies as URDF text: a tree of links on a fixed base; what closes the
-loops is not in it.
+"""A mechanism's bodies as URDF text: a tree of links on a fixed base, without the pins
+that close its loops.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import casadi as ca
 
@@ -25,8 +24,8 @@ _THICKNESS = 0.008
 Point = tuple[float, float]
 
 
-def bodies_of(mechanism: Mechanism, values: Mapping[str, Any]) -> Bodies:
-    """A mechanism's bodies with the numbers of its parameters, which stand under their
+def bodies_of(mechanism: Mechanism, values: Mapping[str, object]) -> Bodies:
+    """Return a mechanism's bodies with the numbers of its parameters, given under their
     dotted names.
 
     Raises:
@@ -42,13 +41,14 @@ def bodies_of(mechanism: Mechanism, values: Mapping[str, Any]) -> Bodies:
 
 
 def point(place: Symbol) -> Point:
-    """The two numbers of a place."""
+    """Return the two numbers of a place, m."""
     x, y = ca.DM(place).full().ravel().tolist()
     return x, y
 
 
 def urdf(name: str, bodies: Bodies, *, visual: bool = False) -> str:
-    """URDF of the tree; joints carry their names, links those with ``_link`` behind.
+    """Write the URDF of the tree; joints carry their names, links the same with
+    ``_link`` behind.
 
     Args:
         name: of the robot.
@@ -78,8 +78,8 @@ def urdf(name: str, bodies: Bodies, *, visual: bool = False) -> str:
 
 
 def _pictures(bodies: Bodies) -> list[str]:
-    """Of each link, a box from its joint to each place where another is joined; the
-    links of a leg lie above each other.
+    """Draw for each link a box from its joint to each place where another is joined;
+    the links of a leg lie above each other.
     """
     joined = [(link.parent, link.place) for link in bodies.links]
     joined += [
@@ -99,7 +99,7 @@ def _pictures(bodies: Bodies) -> list[str]:
 
 
 def _box(end: Point, height: float) -> str:
-    """From the link's origin to a place of it."""
+    """Draw a box from the link's origin to a place of it."""
     return (
         f'<visual><origin xyz="{0.5 * end[0]!r} {0.5 * end[1]!r} {height!r}" rpy="0 0'
         f' {math.atan2(end[1], end[0])!r}"/><geometry><box size="{math.hypot(*end)!r}'

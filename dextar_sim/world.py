@@ -1,5 +1,5 @@
-"""A mechanism's bodies in a PyBullet client: a tree of joints, closed by
-constraints.
+"""A mechanism's bodies in a PyBullet client: a tree of joints whose loops constraints
+close.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _idle: list[int] = []
 
 
 def connect(window: bool) -> int:
-    """A connection to PyBullet with an empty world.
+    """Return a connection to PyBullet with an empty world.
 
     Nothing collides here, and the simple broadphase finds that out sooner.
 
@@ -73,7 +73,7 @@ def release(client: int, window: bool) -> None:
 
 
 class Loop(NamedTuple):
-    """Where the bodies are in their client.
+    """Where the bodies of a mechanism are in their client.
 
     Attributes:
         body: unique id of the tree.
@@ -86,7 +86,8 @@ class Loop(NamedTuple):
 
 
 def load(client: int, bodies: Bodies, substep: float, window: bool) -> Loop:
-    """The tree without motors, damping or speed limit, and a constraint for each pin.
+    """Load the tree without motors, damping or speed limit, and a constraint for each
+    pin.
 
     PyBullet keeps URDF text by path, so each plant has a path of its own. The
     constraint's pivots are measured from the centres of mass.
@@ -163,8 +164,8 @@ def load(client: int, bodies: Bodies, substep: float, window: bool) -> Loop:
 
 
 def set_step(client: int, duration: float, parts: int = 0) -> None:
-    """What one ``stepSimulation`` advances: a duration (s), in that many equal parts
-    where there are any.
+    """Let one ``stepSimulation`` advance a duration (s), in that many equal parts where
+    there are any.
     """
     p.setPhysicsEngineParameter(
         fixedTimeStep=duration, numSubSteps=parts, physicsClientId=client

@@ -120,7 +120,7 @@ class OnePaletteWriter(PillowWriter):
 
     def finish(self) -> None:
         """Write the frames with the palette of the one in the middle."""
-        frames = self._frames
+        frames = self._frames  # type: ignore[has-type]  # its stub leaves the type open
         palette = frames[len(frames) // 2].quantize(COLOURS, dither=0)
         self._frames = [frame.quantize(palette=palette, dither=0) for frame in frames]
         super().finish()

@@ -303,7 +303,7 @@ def _side(
     if (
         plan is None
         or not np.isfinite(criterion.mode_confidence).any()
-        or settings.estimator.name in ("DGM", "PLAIN")
+        or settings.estimator in ("dgm", "plain")
     ):
         return None
     time = (criterion.stamps - track.start) * 1e-9

@@ -6,6 +6,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from dextar_control.contract.plug_in import one_of
+from dextar_control.contract.settings import ESTIMATORS, LAWS
+
 SUMMARY = "run A -> B -> A through the singularity in simulation, record and draw it"
 DESCRIPTION = (
     "Starts plant, controller, trajectory server and recorder as separate ROS 2"
@@ -13,9 +16,7 @@ DESCRIPTION = (
     " run.mcap, metrics.json, figure.png, report.html and the nodes' logs. Exit code 0"
     " when the run was a success, 1 when it was not, 2 for a wrong argument."
 )
-LAWS = ("consistent", "projected", "classic", "multi_model", "joint_space")
 EXCITE = 20.0  # s
-ESTIMATORS = ("observer", "dgm", "plain", "external")
 
 
 def add_excite(group: Any) -> None:
@@ -45,16 +46,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's own arguments."""
     parser.add_argument(
         "--law",
-        choices=LAWS,
+        metavar="NAME",
         help=(
-            "control law near the locus; classic is the plain inverse model, which"
-            " fails with the estimator plain (default: config/crossing.yaml)"
+            f"control law near the locus, {one_of(LAWS)}; classic is the plain inverse"
+            " model, which fails with the estimator plain (default:"
+            " config/crossing.yaml)"
         ),
     )
     parser.add_argument(
         "--estimator",
-        choices=ESTIMATORS,
-        help="of the platform state (default: config/crossing.yaml)",
+        metavar="NAME",
+        help=(
+            f"of the platform state, {one_of(ESTIMATORS)} (default:"
+            " config/crossing.yaml)"
+        ),
     )
     where = parser.add_mutually_exclusive_group()
     where.add_argument(

@@ -51,8 +51,9 @@ COMMANDS: dict[str, Any] = {
 NODES = ", ".join(EXECUTABLES)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    whole = argparse.ArgumentParser(
         prog="dextar",
         description=(
             "Drive a five-bar parallel robot through its Type 2 singularities, record"
@@ -63,21 +64,21 @@ def _parser() -> argparse.ArgumentParser:
             f" NODE --help, NODE one of {NODES}"
         ),
     )
-    parsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    parsers = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, command in COMMANDS.items():
         command.add_arguments(
             parsers.add_parser(
                 name, help=command.SUMMARY, description=command.DESCRIPTION
             )
         )
-    return parser
+    return whole
 
 
 def main(argv: list[str] | None = None) -> int:
     """Console entry; the exit code. What a command starts stays on this machine unless
     the environment opens it.
     """
-    arguments = _parser().parse_args(argv)
+    arguments = parser().parse_args(argv)
     prepare_environment()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for stream in (sys.stdout, sys.stderr):

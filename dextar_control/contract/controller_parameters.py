@@ -6,42 +6,27 @@ A name that ends in ``abs_s`` is a limit of |s|; one that ends in ``time`` or
 
 from __future__ import annotations
 
-from enum import IntEnum
-
 from dextar_control.contract.parameters import SCHEDULING, Parameter
 
-
-class Law(IntEnum):
-    """Which torques near the locus; see ``control.law``."""
-
-    CLASSIC = 0
-    PROJECTED = 1
-    CONSISTENT = 2
-    MULTI_MODEL = 3
-    JOINT_SPACE = 4
-
-
-class Estimation(IntEnum):
-    """Which estimator; see ``estimation.estimator``."""
-
-    PLAIN = 0
-    DGM = 1
-    OBSERVER = 2
-    EXTERNAL = 3
-
+LAWS = ("classic", "projected", "consistent", "multi_model", "joint_space")
+"""Ours by their names, which ``control.law`` has."""
+ESTIMATORS = ("plain", "dgm", "observer", "external")
+"""Ours by their names, which ``estimation.estimator`` has."""
 
 CONTROLLER = (
     Parameter(
         "law",
         "The control law computes the torques from the tracking error; the laws differ"
         " near the Type 2 locus.",
-        choices=tuple(law.name.lower() for law in Law),
+        choices=LAWS,
+        own=True,
     ),
     Parameter(
         "estimator",
         "The estimator finds the platform's state and assembly mode from the encoders;"
         " external also takes measured positions.",
-        choices=tuple(kind.name.lower() for kind in Estimation),
+        choices=ESTIMATORS,
+        own=True,
     ),
     Parameter(
         "autostart",

@@ -11,7 +11,6 @@ from typing import Any
 
 from dextar_control.contract import resources
 from dextar_control.contract.parameters import Parameter
-from dextar_control.contract.tables import rate
 from dextar_control.contract.topics import NODES, SERVICES, Topic
 
 WIDTH = 79
@@ -72,6 +71,11 @@ def node_help(node: Any) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
+def rate(topic: Topic) -> str:
+    """A topic's nominal rate in words."""
+    return topic.rate_text or (f"{topic.rate:g} Hz" if topic.rate else "on change")
+
+
 def _section(title: str, items: Iterable[str]) -> str:
     lines = list(items)
     return "\n".join([f"{title}:", *lines]) if lines else ""
@@ -126,10 +130,8 @@ def _parameters(node: str, specs: Iterable[Parameter], robot: bool) -> str:
 
 
 def _words(spec: Parameter) -> str:
-    """The description, the choices behind it."""
-    return spec.description + (
-        f" The choices are {', '.join(spec.choices)}." if spec.choices else ""
-    )
+    """The description, what may be chosen behind it."""
+    return spec.description + (f" It is {spec.allowed}." if spec.allowed else "")
 
 
 def _value(default: Any) -> str:

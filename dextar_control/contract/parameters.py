@@ -12,6 +12,7 @@ from typing import Any
 
 from dextar_control.contract import resources
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plug_in import is_own, one_of
 from dextar_control.contract.robot import PREFIX, ROBOT_KEYS
 
 
@@ -29,6 +30,8 @@ class Parameter:
             empty.
         live: may be changed while the node runs.
         unit: of a number, SI; 1 where it has no dimension.
+        own: whether a string may also be ``module:attribute`` of the user's own code,
+            beside the choices.
         formerly: the name that it had in the release before, which is still taken in
             files and at a node's start.
     """
@@ -41,12 +44,20 @@ class Parameter:
     size: int = 0
     live: bool = False
     unit: str = ""
+    own: bool = False
     formerly: str = ""
 
     @property
     def group(self) -> str:
         """What stands before the dot of its name; empty of a plain name."""
         return self.name.rpartition(".")[0]
+
+    @property
+    def allowed(self) -> str:
+        """Which strings it takes, in words; empty where it takes any."""
+        if self.own:
+            return one_of(self.choices)
+        return f"one of {', '.join(self.choices)}" if self.choices else ""
 
     @property
     def measured(self) -> str:
@@ -125,8 +136,9 @@ def check_value(spec: Parameter, value: Any, default: Any) -> Any:
     if isinstance(default, str):
         if not isinstance(value, str):
             raise fail("a string")
-        if spec.choices and value not in spec.choices:
-            raise fail(f"one of {', '.join(spec.choices)}")
+        known = value in spec.choices or (spec.own and is_own(value))
+        if spec.choices and not known:
+            raise fail(spec.allowed)
         return value
     array = isinstance(default, (list, tuple))
     optional = array and not default

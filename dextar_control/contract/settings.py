@@ -7,18 +7,16 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from enum import IntEnum
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, get_type_hints
 
 from dextar_control.contract.controller_parameters import CONTROLLER
-from dextar_control.contract.controller_parameters import Estimation as Estimation
-from dextar_control.contract.controller_parameters import Law as Law
+from dextar_control.contract.controller_parameters import ESTIMATORS as ESTIMATORS
+from dextar_control.contract.controller_parameters import LAWS as LAWS
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.former_names import present_names, renamed_in_words
 from dextar_control.contract.parameters import nearest_in_words
+from dextar_control.contract.plug_in import is_own, one_of
 from dextar_control.contract.resources import NODES_FILE, config_file, node_defaults
-
-Choice = TypeVar("Choice", bound=IntEnum)
 
 
 @dataclass(frozen=True)
@@ -166,8 +164,8 @@ class Settings:
     is.
     """
 
-    law: Law
-    estimator: Estimation
+    law: str
+    estimator: str
     trajectory: TrajectorySettings
     feedback: FeedbackSettings
     compensation: CompensationSettings
@@ -184,8 +182,7 @@ class Settings:
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> Settings:
-        """Settings from parameter values by dotted name; law and estimator by name or
-        as enums, other keys are ignored.
+        """Settings from parameter values by dotted name; other keys are ignored.
 
         Raises:
             ParameterError: a value is missing, or law or estimator is unknown.
@@ -193,15 +190,15 @@ class Settings:
         missing = [name for name in SETTING_NAMES if name not in values]
         if missing:
             raise ParameterError(f"setting '{missing[0]}' is missing")
-        groups = {}
+        taken: dict[str, Any] = {}
         for group, kind in GROUPS.items():
             names = [field.name for field in fields(kind)]
-            groups[group] = kind(*(values[f"{group}.{name}"] for name in names))
-        return cls(
-            law=choice(Law, "law", values["law"]),
-            estimator=choice(Estimation, "estimator", values["estimator"]),
-            **groups,
-        )
+            taken[group] = kind(*(values[f"{group}.{name}"] for name in names))
+        for name, ours in (("law", LAWS), ("estimator", ESTIMATORS)):
+            taken[name] = value = values[name]
+            if value not in ours and not is_own(str(value)):
+                raise ParameterError(f"{name} = {value!r}; it must be {one_of(ours)}")
+        return cls(**taken)
 
 
 GROUPS: dict[str, Any] = {
@@ -220,22 +217,6 @@ SETTING_NAMES = (
 """The controller's parameters that the loop takes."""
 SETTINGS = tuple(spec for spec in CONTROLLER if spec.name in SETTING_NAMES)
 """What is told of them."""
-
-
-def choice(kind: type[Choice], name: str, value: Any) -> Choice:
-    """A member of an enum by its name in lower case, or as it is.
-
-    Raises:
-        ParameterError: there is none; names those there are.
-    """
-    if isinstance(value, kind):
-        return value
-    known = {member.name.lower(): member for member in kind}
-    if str(value) not in known:
-        raise ParameterError(
-            f"{name} = {value!r}; it must be one of {', '.join(known)}"
-        )
-    return known[str(value)]
 
 
 def default_settings(**changes: object) -> Settings:

@@ -365,8 +365,8 @@ INTERFACES = "dextar_interfaces"
 without.
 """
 WITHOUT_INTERFACES = (
-    f"the package {INTERFACES} is not to be found: build it (README, Action and"
-    " readable messages) and source its setup file"
+    f"the package {INTERFACES} is not to be found: type make interfaces, then"
+    " . install/setup.bash (docs/interfaces.md)"
 )
 READABLE_STATE = Topic(
     f"{CONTROLLER_STATE.name}/readable",

@@ -41,11 +41,13 @@ of one.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import casadi as ca
 
-from dextar_control.contract.settings import Law
+from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plug_in import chosen, short_name
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.estimation.transmission import LEAST_INERTIA
 from dextar_control.mechanisms.mechanism import Mechanism
@@ -108,34 +110,77 @@ OUTPUT = (
 )
 
 
-class Enforcement(NamedTuple):
-    """Input torque of one tick and what the enforcement of the criterion did to it."""
+class Asked(NamedTuple):
+    """What a law is asked at one sample, on symbols.
 
-    tau: Symbol  # (n,) before friction and saturation
-    weight: Symbol
-
-
-def consistent(
-    e: Equations, multipliers_ref: Symbol, zone: Symbol, width: Symbol
-) -> Enforcement:
-    """Torque of w_b and w_d at ``e`` with the weak multiplier from feedback and
-    plan.
+    Attributes:
+        mechanism: whose law it is.
+        equations: of the mechanism, for any state; ``here`` and ``planned`` take them
+            at those that a law needs.
+        vector: the mechanism's parameters; p: the same by their dotted names.
+        gains, ref, hat: by the names of ``GAINS``, of ``estimation.records.REFERENCE``
+            and of ``estimation.records.ESTIMATE``.
+        u: (n,) acceleration of the platform, m/s^2: the reference's and the feedback on
+            the platform's error.
+        a: (n,) feedback on the joints' error, rad/s^2.
     """
-    v = e.singular
-    phi = smooth_step(ca.fabs(e.s_blocks), zone - 0.5 * width, zone + 0.5 * width)
-    strong = v.u_strong @ ((v.v_strong.T @ e.w_d) / v.sigma_strong)
-    weak = (1.0 - phi) * (v.u_weak.T @ multipliers_ref) + phi * over(
-        e.criterion, v.sigma_weak
-    )
-    return Enforcement(
-        e.w_b - e.B.T @ (strong + v.u_weak @ weak), ca.mmin(phi)
-    )  # Eq. 1
+
+    mechanism: Mechanism
+    equations: Equations
+    vector: Symbol
+    p: Any
+    gains: dict[str, Symbol]
+    ref: dict[str, Symbol]
+    hat: dict[str, Symbol]
+    u: Symbol
+    a: Symbol
+
+    def here(self, x_ddot: Symbol) -> Equations:
+        """The equations at the estimated state with an acceleration (n,), m/s^2."""
+        return self._at(self.hat["x"], self.hat["x_dot"], x_ddot)
+
+    def planned(self, x_ddot: Symbol | None = None) -> Equations:
+        """The equations on the reference, with its own acceleration or another one
+        (n,), m/s^2.
+        """
+        x_ddot = self.ref["x_ddot"] if x_ddot is None else x_ddot
+        return self._at(self.ref["x"], self.ref["x_dot"], x_ddot)
+
+    def _at(self, x: Symbol, x_dot: Symbol, x_ddot: Symbol) -> Equations:
+        q_a = self.mechanism.inverse_geometric_model(x, self.p)
+        return self.equations.at(self.vector, q_a, x, x_dot, x_ddot)
 
 
-def projected(e: Equations, band: Symbol) -> Enforcement:
+class Answer(NamedTuple):
+    """What a law answers.
+
+    Attributes:
+        tau: (n,) torques, N m, before friction, disturbances and the limit.
+        e: the equations of which they are; its x_ddot is the acceleration that is asked
+            for.
+        weight: 1 where the weak direction follows the feedback, 0 where it follows the
+            plan.
+    """
+
+    tau: Symbol
+    e: Equations
+    weight: Symbol | float = 1.0
+
+
+Law = Callable[[Asked], Answer]
+
+
+def classic(asked: Asked) -> Answer:
+    """Eq. (4) at the estimated state."""
+    e = asked.here(asked.u)
+    return Answer(e.inverse_dynamics, e)  # Eq. 4
+
+
+def projected(asked: Asked) -> Answer:
     """The paper's torque: within the band of a block that of least norm for the wrench
     projected there, else Eq. (4).
     """
+    e, band = asked.here(asked.u), asked.gains["zone"]
     J, inside = singular_vectors(e.J_inv), ca.fabs(e.s_blocks) <= band
     image = e.w_d - e.singular.v_weak @ ca.if_else(inside, e.criterion, 0.0)  # Eq. 6
     force = e.J_inv.T @ e.w_b + image
@@ -144,19 +189,68 @@ def projected(e: Equations, band: Symbol) -> Enforcement:
         inside, 0.0, over(J.v_weak.T @ force, J.sigma_weak)
     )  # of other blocks
     any_inside = ca.fabs(e.s) <= band
-    return Enforcement(
-        ca.if_else(any_inside, least + J.u_weak @ regular, e.inverse_dynamics),
-        ca.if_else(any_inside, 0.0, 1.0),
+    tau = ca.if_else(any_inside, least + J.u_weak @ regular, e.inverse_dynamics)
+    return Answer(tau, e, ca.if_else(any_inside, 0.0, 1.0))
+
+
+def consistent(asked: Asked) -> Answer:
+    """The weak multiplier from feedback and plan, at the estimated state; each leg is
+    kept from Type 1.
+    """
+    x, x_dot = asked.hat["x"], asked.hat["x_dot"]
+    u = within_reach(
+        asked.mechanism, asked.p, x, x_dot, asked.u, ca.sqrt(asked.gains["K_p"])
+    )
+    return _with_multipliers(asked, asked.here(u))
+
+
+def multi_model(asked: Asked) -> Answer:
+    """The paper's [10]: the reduced model tau = w_b in the joints within the band, else
+    Eq. (4).
+    """
+    e, planned = asked.here(asked.u), asked.planned()
+    q_a_ddot, x_ddot = planned.q_a_ddot + asked.a, asked.ref["x_ddot"]
+    reduced = e.M_a @ q_a_ddot + e.M_ax @ x_ddot + e.c_a  # Eq. 10 with w_d = 0
+    inside = ca.fabs(e.s) <= asked.gains["zone"]
+    return Answer(
+        ca.if_else(inside, reduced, e.inverse_dynamics), e, ca.if_else(inside, 0.0, 1.0)
     )
 
 
-def joint_feedback(planned: Equations, a: Symbol, weight: Symbol) -> Symbol:
-    """Platform acceleration (n,) that realises the joint acceleration a (n,): along the
-    weak direction only by ``weight``.
+def joint_space(asked: Asked) -> Answer:
+    """The joints' feedback as an acceleration of the platform, its weak part fading,
+    with ``consistent``'s multipliers.
     """
-    J = singular_vectors(planned.J_inv)
-    strong = J.v_strong @ ((J.u_strong.T @ a) / J.sigma_strong)
-    return strong + J.v_weak @ (weight * over(J.u_weak.T @ a, J.sigma_weak))
+    planned = asked.planned()
+    J, weight = singular_vectors(planned.J_inv), _feedback_share(asked, planned)
+    strong = J.v_strong @ ((J.u_strong.T @ asked.a) / J.sigma_strong)
+    feedback = strong + J.v_weak @ (weight * over(J.u_weak.T @ asked.a, J.sigma_weak))
+    return _with_multipliers(asked, asked.planned(asked.ref["x_ddot"] + feedback))
+
+
+def _feedback_share(asked: Asked, e: Equations) -> Symbol:
+    """Phi (k,): 1 clear of each block's zone, 0 inside."""
+    zone, width = asked.gains["zone"], asked.gains["zone_width"]
+    return smooth_step(ca.fabs(e.s_blocks), zone - 0.5 * width, zone + 0.5 * width)
+
+
+def _with_multipliers(asked: Asked, e: Equations) -> Answer:
+    """Torque at ``e`` with the weak multiplier from feedback and plan."""
+    v, phi = e.singular, _feedback_share(asked, e)
+    strong = v.u_strong @ ((v.v_strong.T @ e.w_d) / v.sigma_strong)
+    planned, fed_back = (
+        v.u_weak.T @ asked.ref["multipliers"],
+        over(e.criterion, v.sigma_weak),
+    )
+    weak = (1.0 - phi) * planned + phi * fed_back
+    return Answer(e.w_b - e.B.T @ (strong + v.u_weak @ weak), e, ca.mmin(phi))  # Eq. 1
+
+
+LAWS: dict[str, Law] = {
+    law.__name__: law
+    for law in (classic, projected, consistent, multi_model, joint_space)
+}
+"""Ours by their names."""
 
 
 def within_reach(
@@ -198,32 +292,33 @@ def twist_damping(inertia: Symbol, stiffness: Symbol, dt: Symbol) -> Symbol:
     return 2.0 * TWIST_DAMPING * ca.sqrt(inertia * stiffness) / (1.0 + pace**2)
 
 
-def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
+def law_of(mechanism: Mechanism, name: str) -> ca.Function:
     """One tick of a law: (p, gains, reference, estimate, integral, limit, dt) ->
     output, integral_next.
+
+    Args:
+        mechanism: whose law it is.
+        name: of ``LAWS``, or ``module:function`` of one's own.
+
+    Raises:
+        ParameterError: there is no such law, or its equations cannot be built.
     """
-    n = mechanism.n
+    n, law = mechanism.n, chosen("law", name, LAWS)
     vector, p = mechanism.symbols()
     (gains_vector, gains), (ref_vector, ref), (hat_vector, hat) = (
-        Layout(name, n, fields).symbols()
-        for name, fields in (
+        Layout(layout, n, fields).symbols()
+        for layout, fields in (
             ("gains", GAINS),
             ("reference", REFERENCE),
             ("estimate", ESTIMATE),
         )
     )
     integral, limit, dt = ca.SX.sym("integral", n), ca.SX.sym("limit"), ca.SX.sym("dt")
-    equations = equations_of(mechanism)
-
-    def at(x: Symbol, x_dot: Symbol, x_ddot: Symbol) -> Equations:
-        return equations.at(
-            vector, mechanism.inverse_geometric_model(x, p), x, x_dot, x_ddot
-        )
-
     error, error_dot = ref["x"] - hat["x"], ref["x_dot"] - hat["x_dot"]
-    zone, width = gains["zone"], gains["zone_width"]
     grown = ca.if_else(
-        ca.fabs(ref["s"]) > zone + width, integral + dt * error, integral
+        ca.fabs(ref["s"]) > gains["zone"] + gains["zone_width"],
+        integral + dt * error,
+        integral,
     )
     u = (
         ref["x_ddot"]
@@ -234,35 +329,11 @@ def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
     a = gains["K_p"] * wrapped(ref["q_a"] - hat["q_a"]) + gains["K_d"] * (
         ref["q_a_dot"] - hat["q_a_dot"]
     )
-    if law is Law.JOINT_SPACE:
-        planned = at(ref["x"], ref["x_dot"], ref["x_ddot"])
-        weight = smooth_step(
-            ca.fabs(planned.s_blocks), zone - 0.5 * width, zone + 0.5 * width
-        )
-        u = ref["x_ddot"] + joint_feedback(planned, a, weight)
-        e = at(ref["x"], ref["x_dot"], u)
-    else:
-        if law is Law.CONSISTENT:
-            u = within_reach(
-                mechanism, p, hat["x"], hat["x_dot"], u, ca.sqrt(gains["K_p"])
-            )
-        e = at(hat["x"], hat["x_dot"], u)
-    if law in (Law.CONSISTENT, Law.JOINT_SPACE):
-        tau, weight = consistent(e, ref["multipliers"], zone, width)
-    elif law is Law.PROJECTED:
-        tau, weight = projected(e, zone)
-    elif law is Law.MULTI_MODEL:
-        planned = at(ref["x"], ref["x_dot"], ref["x_ddot"])
-        reduced = (
-            e.M_a @ (planned.q_a_ddot + a) + e.M_ax @ ref["x_ddot"] + e.c_a
-        )  # Eq. 10 with w_d = 0
-        inside = ca.fabs(e.s) <= zone
-        tau, weight = (
-            ca.if_else(inside, reduced, e.inverse_dynamics),
-            ca.if_else(inside, 0.0, 1.0),
-        )
-    else:
-        tau, weight = e.inverse_dynamics, ca.SX(1.0)  # Eq. 4
+    tau, e, weight = _answer(
+        name,
+        law,
+        Asked(mechanism, equations_of(mechanism), vector, p, gains, ref, hat, u, a),
+    )
     tau = tau + gains["friction_compensation"] * mechanism.friction(ref["q_a_dot"], p)
     tau = tau - gains["disturbance_compensation"] * hat["d"]
     if transmission := mechanism.transmission(p):
@@ -276,7 +347,7 @@ def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
         "tau": tau,
         "error": error,
         "error_dot": error_dot,
-        "u": u,
+        "u": e.x_ddot,
         "force": e.J_inv.T @ tau,
         "residual": nearest(e.s_blocks, e.criterion),
         "s": e.s,
@@ -300,4 +371,30 @@ def law_of(mechanism: Mechanism, law: Law) -> ca.Function:
         "output": Layout("output", n, OUTPUT).join(found),
         "integral_next": grown,
     }
-    return named(f"law_{law.name.lower()}", arguments, results)
+    return named(f"law_{short_name(name)}", arguments, results)
+
+
+def _answer(name: str, law: Law, asked: Asked) -> Answer:
+    """A law's answer, which may be somebody's own.
+
+    Raises:
+        ParameterError: it fails, or answers what is no torque.
+    """
+    if name in LAWS:
+        return law(asked)
+    try:
+        tau, e, weight = law(asked)
+        tau, weight = ca.SX(tau), ca.SX(weight)
+    except Exception as error:
+        raise ParameterError(
+            f"law {name!r} fails as its equations are built:"
+            f" {type(error).__name__}: {error}"
+        ) from error
+    n = asked.mechanism.n
+    if tau.shape != (n, 1) or weight.shape != (1, 1) or not isinstance(e, Equations):
+        raise ParameterError(
+            f"law {name!r} answers tau of shape {tau.shape}, e of type"
+            f" {type(e).__name__} and a weight of shape {weight.shape}; they must be of"
+            f" shape ({n}, 1), Equations and of shape (1, 1)"
+        )
+    return Answer(tau, e, weight)

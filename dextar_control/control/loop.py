@@ -11,8 +11,9 @@ import math
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
-from dextar_control.contract.settings import Law, Settings
-from dextar_control.control.law import GAINS
+from dextar_control.contract.plug_in import short_name
+from dextar_control.contract.settings import Settings
+from dextar_control.control.law import GAINS, LAWS
 from dextar_control.control.phases import LIMP, MOVING, Frame, Phase, Tick
 from dextar_control.control.reference import PlannedReference
 from dextar_control.control.safe_stop import SafeStop, Stage, Stopped
@@ -117,7 +118,7 @@ class ControlLoop:
             "crossing": np.zeros(1),
             "q_meas": self._q_a,
         }
-        self._acts: dict[Law, Fast] = {}
+        self._acts: dict[str, Fast] = {}
         self._time = math.nan
         self._start = 0.0
         self._pending: tuple[Trajectory, Certificate, float | None] | None = None
@@ -130,8 +131,9 @@ class ControlLoop:
         """Take gains and limits, also while running; the estimator's kind stays.
 
         Raises:
-            ParameterError: the law's transition would reach the locus itself, or the
-                zones of the test of crossed against bounced are not in order.
+            ParameterError: the law's transition would reach the locus itself, the zones
+                of the test of crossed against bounced are not in order, or there is no
+                such law.
         """
         near, test, dgm = settings.near_locus, settings.crossing_test, settings.dgm
         if near.fade_abs_s < 0.5 * near.fade_width_abs_s:
@@ -150,8 +152,12 @@ class ControlLoop:
         self.settings = settings
         self._held = dgm.hold_below_abs_s, dgm.fade_width_abs_s
         if settings.law not in self._acts:
-            self._acts[settings.law] = acts_of(self.model.mechanism).fast(
-                f"act_{settings.law.name.lower()}",
+            ours = tuple(LAWS)  # compiled together; one's own by itself
+            library = acts_of(
+                self.model.mechanism, ours if settings.law in ours else (settings.law,)
+            )
+            self._acts[settings.law] = library.fast(
+                f"act_{short_name(settings.law)}",
                 p=self.model.p,
                 gains=self._gains.numbers,
                 reference=self._reference.numbers,
@@ -170,7 +176,7 @@ class ControlLoop:
         gains.K_i = feedback.integral_frequency * gains.K_p
         gains.zone = (
             near.replace_below_abs_s
-            if settings.law in (Law.PROJECTED, Law.MULTI_MODEL)
+            if settings.law in ("projected", "multi_model")
             else near.fade_abs_s
         )
         gains.zone_width = near.fade_width_abs_s

@@ -20,8 +20,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from dextar_control.contract.settings import Law, Settings
-from dextar_control.control.law import OUTPUT, law_of
+from dextar_control.contract.plug_in import short_name
+from dextar_control.contract.settings import Settings
+from dextar_control.control.law import LAWS, OUTPUT, law_of
 from dextar_control.estimation.estimate import Estimator
 from dextar_control.estimation.records import ESTIMATE
 from dextar_control.mechanisms.mechanism import Mechanism
@@ -286,12 +287,15 @@ def timer_after(timer: float, dt: float, passed: bool) -> float:
 
 
 @lru_cache
-def acts_of(mechanism: Mechanism) -> Library:
+def acts_of(mechanism: Mechanism, laws: tuple[str, ...] = tuple(LAWS)) -> Library:
     """``act_NAME`` of each law: its tick, and the watches on what it answers; what is
     between the two is its output.
+
+    Raises:
+        ParameterError: there is no law of a name, or its equations cannot be built.
     """
     watch, acts = watch_of(mechanism), []
-    for law in Law:
+    for law in laws:
         tick = law_of(mechanism, law)
         sizes = {
             name: function.size1_in(name)
@@ -309,7 +313,7 @@ def acts_of(mechanism: Mechanism) -> Library:
         )
         acts.append(
             ca.Function(
-                f"act_{law.name.lower()}",
+                f"act_{short_name(law)}",
                 list(given.values()),
                 list(found.values()),
                 list(given),

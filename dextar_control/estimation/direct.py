@@ -24,7 +24,7 @@ import numpy as np
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.settings import Settings
-from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimate import Estimator
 from dextar_control.estimation.joint_filter import JOINTS, track_joints
 from dextar_control.estimation.records import ESTIMATE, REFERENCE
 from dextar_control.mechanisms.mechanism import Mechanism
@@ -173,16 +173,23 @@ def direct_of(mechanism: Mechanism) -> Library:
     )
 
 
-class DirectEstimator:
-    """``dgm`` and, with ``held`` false, ``plain``."""
+class DirectEstimator(Estimator):
+    """``dgm``: the direct geometric model but within ``dgm.hold_below_abs_s`` of the
+    locus.
+    """
+
+    held = True
 
     def __init__(
-        self, model: Model, settings: Settings, estimate: Record | None, *, held: bool
+        self,
+        model: Model,
+        settings: Settings,
+        min_type1: float,
+        estimate: Record | None = None,
     ) -> None:
-        self._held, self._blocks = held, len(model.blocks)
         self._memory = Layout("joints", model.n, JOINTS).make()
-        self.estimate = estimate or Layout("estimate", model.n, ESTIMATE).make()
-        self.estimate.s = np.nan
+        self._outside = np.inf
+        super().__init__(model, settings, min_type1, estimate)
         library, memory, shown = (
             direct_of(model.mechanism),
             self._memory.numbers,
@@ -199,19 +206,14 @@ class DirectEstimator:
             library.fast("follow", **shared),
             library.fast("coast", **shared),
         )
-        self._mode = 1.0
-        self._outside = np.inf
-        self.mode_known = True
-        self.tells_side, self.note = False, ""
-        self.configure(settings)
 
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
+        super().configure(settings)
         self._bandwidth, self._return_time = (
             settings.joint_filter.bandwidth,
             settings.dgm.fade_time,
         )
-        self.unknown_s = settings.dgm.hold_below_abs_s
 
     def start(self, x: Array, q_a: Array, assembly_mode: int) -> None:
         """See ``Estimator``."""
@@ -221,14 +223,8 @@ class DirectEstimator:
 
     def tell_mode(self, assembly_mode: int, q_a: Array) -> None:
         """See ``Estimator``."""
-        self._mode = float(assembly_mode)
-        self.estimate.assembly_mode, self.estimate.confidence = self._mode, 1.0
-        self.mode_known = True
-
-    @property
-    def modes(self) -> list[tuple[float, float]]:
-        """See ``Estimator``: the same of all blocks."""
-        return [(self.estimate.assembly_mode, self.estimate.confidence)] * self._blocks
+        self.believe(assembly_mode, 1.0)
+        self._known = True
 
     def rebase(self, q_a: Array) -> None:
         """See ``Estimator``."""
@@ -237,7 +233,7 @@ class DirectEstimator:
 
     def release(self, crossing: bool) -> None:
         """See ``Estimator``."""
-        self.mode_known = self.mode_known and not crossing
+        super().release(crossing)
         self._memory.q_ref, self._memory.q_ref_dot = self._memory.q, 0.0
 
     def _take(self, step: Any, dt: float, q_a: Array) -> None:
@@ -246,9 +242,13 @@ class DirectEstimator:
         given.dt[0], given.bandwidth[0], given.assembly_mode[0] = (
             dt,
             self._bandwidth,
-            self._mode,
+            self.estimate.assembly_mode,
         )
         step.run()
+
+    def observe(self, dt: float, q_a: Array, tau: Array) -> None:
+        """See ``Estimator``: about the joints' last place."""
+        self._take(self._coast, dt, q_a)
 
     def track(
         self,
@@ -259,16 +259,15 @@ class DirectEstimator:
         zone: float,
         width: float,
     ) -> None:
-        """See ``Estimator``."""
+        """See ``Estimator``: about the reference, with which the direct model's branch
+        changes.
+        """
         s_ref = reference.s
-        if (
-            s_ref * self._mode < 0.0
-        ):  # the reference has crossed: the direct model's branch changes with it
-            self._mode = -self._mode
-            self.estimate.confidence = 0.5
+        if s_ref * self.estimate.assembly_mode < 0.0:
+            self.believe(-self.estimate.assembly_mode, 0.5)
         given = self._follow.arguments
         given.reference[:] = reference.numbers
-        given.zone[0], given.width[0] = zone if self._held else 0.0, width
+        given.zone[0], given.width[0] = zone if self.held else 0.0, width
         given.time_outside[0], given.time_return[0] = (
             min(self._outside, 1e9),
             self._return_time,
@@ -276,12 +275,8 @@ class DirectEstimator:
         self._take(self._follow, dt, q_a)
         self._outside = self._outside + dt if abs(s_ref) > zone else 0.0
 
-    def coast(self, dt: float, q_a: Array, tau: Array) -> None:
-        """See ``Estimator``."""
-        self._take(self._coast, dt, q_a)
-        if not abs(self.estimate.s) >= self.unknown_s:
-            self.mode_known = False
-            self.estimate.confidence = 0.5
 
-    def take_pose(self, pose: Pose, time: float) -> None:
-        """See ``Estimator``."""
+class PlainEstimator(DirectEstimator):
+    """``plain``: the direct geometric model everywhere."""
+
+    held = False

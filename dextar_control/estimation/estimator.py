@@ -12,19 +12,32 @@
 
 from __future__ import annotations
 
-from dextar_control.contract.settings import Estimation, Settings
-from dextar_control.estimation.direct import DirectEstimator
+from collections.abc import Callable
+
+from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.plug_in import chosen
+from dextar_control.contract.settings import Settings
+from dextar_control.estimation.direct import DirectEstimator, PlainEstimator
 from dextar_control.estimation.estimate import Estimator
 from dextar_control.estimation.external import ExternalEstimator
 from dextar_control.estimation.observing import ObserverEstimator
 from dextar_control.model.model import Model
 from dextar_control.symbols.record import Record
 
+ESTIMATORS: dict[str, Callable[[Model, Settings, float, Record | None], Estimator]] = {
+    "plain": PlainEstimator,
+    "dgm": DirectEstimator,
+    "observer": ObserverEstimator,
+    "external": ExternalEstimator,
+}
+"""Ours by their names."""
+
 
 def make_estimator(
     model: Model, settings: Settings, min_type1: float, estimate: Record | None = None
 ) -> Estimator:
-    """The estimator that the settings name.
+    """The estimator that the settings name: of ``ESTIMATORS``, or ``module:class`` of
+    one's own.
 
     Args:
         model: of the robot, as the controller knows it.
@@ -34,13 +47,24 @@ def make_estimator(
             its own when None.
 
     Raises:
-        ParameterError: a setting is out of its range, or the mechanism has no direct
-            model for this estimator.
+        ParameterError: there is no such estimator, it cannot be made, a setting is out
+            of its range, or the mechanism has no direct model for this estimator.
     """
-    if settings.estimator in (Estimation.PLAIN, Estimation.DGM):
-        return DirectEstimator(
-            model, settings, estimate, held=settings.estimator is Estimation.DGM
+    name = settings.estimator
+    make = chosen("estimator", name, ESTIMATORS)
+    try:
+        made = make(model, settings, min_type1, estimate)
+    except DextarError:
+        raise
+    except Exception as error:
+        if name in ESTIMATORS:
+            raise
+        raise ParameterError(
+            f"estimator {name!r} cannot be made: {type(error).__name__}: {error}"
+        ) from error
+    if not isinstance(made, Estimator):
+        raise ParameterError(
+            f"estimator {name!r} makes a {type(made).__name__}; it must be a class"
+            " derived from estimation.estimate.Estimator"
         )
-    if settings.estimator is Estimation.EXTERNAL:
-        return ExternalEstimator(model, settings, min_type1, estimate)
-    return ObserverEstimator(model, settings, min_type1, estimate)
+    return made

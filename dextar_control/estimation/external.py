@@ -35,6 +35,8 @@ class ExternalEstimator(ObserverEstimator):
         outages: how often the positions stopped.
     """
 
+    takes_poses = True
+
     def __init__(
         self,
         model: Model,
@@ -110,7 +112,8 @@ class ExternalEstimator(ObserverEstimator):
             self._last_stamp = pose.time
             self._waiting.append((pose, max(age, 0.0)))
 
-    def _advance(self, dt: float, q_a: Array, tau: Array) -> None:
+    def observe(self, dt: float, q_a: Array, tau: Array) -> None:
+        """See ``Estimator``."""
         self._history.take_sample(tau, dt, q_a)
         self._silence += dt
         for pose, age in self._waiting:

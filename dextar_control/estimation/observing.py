@@ -6,7 +6,7 @@ import numpy as np
 
 from dextar_control.contract.settings import Settings
 from dextar_control.estimation.belief import CERTAIN, Belief
-from dextar_control.estimation.estimate import Pose
+from dextar_control.estimation.estimate import Estimator
 from dextar_control.estimation.joint_filter import JointFilter
 from dextar_control.estimation.observer import REST_SPEED, Observer, Passage
 from dextar_control.model.model import Model
@@ -14,15 +14,10 @@ from dextar_control.symbols.record import Record
 from dextar_control.symbols.types import Array
 
 
-class ObserverEstimator:
-    """``observer``.
+class ObserverEstimator(Estimator):
+    """``observer``."""
 
-    Args:
-        model: of the robot, as the controller knows it.
-        settings: of the controller.
-        min_type1: the robot's least distance to Type 1.
-        estimate: the record that it keeps; one of its own when None.
-    """
+    tells_side = True
 
     def __init__(
         self,
@@ -33,9 +28,7 @@ class ObserverEstimator:
     ) -> None:
         self.observer = Observer(model, min_type1, estimate)
         self._joints = JointFilter(model.mechanism)
-        self.estimate = self.observer.estimate
-        self.tells_side, self.note = True, ""
-        self.configure(settings)
+        super().__init__(model, settings, min_type1, self.observer.estimate)
 
     def configure(self, settings: Settings) -> None:
         """See ``Estimator``."""
@@ -129,14 +122,12 @@ class ObserverEstimator:
             self.observer.noise.shock_speed,
         )
 
-    def rebase(self, q_a: Array) -> None:
-        """See ``Estimator``."""
-
     def release(self, crossing: bool) -> None:
         """See ``Estimator``."""
         self._joints.set(self.estimate.q_a, self.estimate.q_a_dot)
 
-    def _advance(self, dt: float, q_a: Array, tau: Array) -> None:
+    def observe(self, dt: float, q_a: Array, tau: Array) -> None:
+        """See ``Estimator``."""
         if self.observer.observe(tau, dt, q_a):
             self.observer.tell_side()
 
@@ -150,18 +141,15 @@ class ObserverEstimator:
         width: float,
     ) -> None:
         """See ``Estimator``."""
-        self._advance(dt, q_a, tau)
+        self.observe(dt, q_a, tau)
 
     def coast(self, dt: float, q_a: Array, tau: Array) -> None:
         """See ``Estimator``: what brakes are the joints themselves, wherever the
         platform is thought to be.
         """
-        self._advance(dt, q_a, tau)
+        self.observe(dt, q_a, tau)
         self._joints.take(q_a, dt, self._bandwidth)
         self.estimate.q_a, self.estimate.q_a_dot = (
             self._joints.memory.q,
             self._joints.memory.q_dot,
         )
-
-    def take_pose(self, pose: Pose, time: float) -> None:
-        """See ``Estimator``."""

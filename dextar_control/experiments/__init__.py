@@ -1,3 +1,3 @@
-"""What is tried with the nodes or without them: the demo, benches, campaigns and
-faults, on one way to start a stack.
+"""Experiments with the nodes or without them: the demo, benches, campaigns and faults,
+on one way to start a stack.
 """

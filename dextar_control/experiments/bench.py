@@ -1,20 +1,22 @@
-"""What a tick, a round trip and a plant step cost, each beside something bare of the
-same minute.
+"""Measure what a tick, a round trip and a plant step cost, each beside something bare
+in the same minute.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
-import signal
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
-import rclpy
+from rclpy.executors import Executor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
 from rich.table import Table
 from sensor_msgs.msg import JointState
 
@@ -32,6 +34,8 @@ from dextar_control.experiments.bench_stack import (
     bench_panel,
 )
 from dextar_control.experiments.echo import STAMP
+from dextar_control.experiments.monitor import start_ros
+from dextar_control.experiments.processes import NodesError, Processes, node_arguments
 from dextar_control.model.model import Model
 from dextar_control.nodekit.domain import own_domain
 from dextar_control.nodekit.layouts import template
@@ -41,11 +45,12 @@ from dextar_control.planning.planner import plan_return_trip
 TURNS = 2  # the echo and the controller take turns
 START_TIMEOUT = 60.0  # s until the process under test answers
 RATE = 1000.0  # states a second
+WARM_UP = 200  # answers that do not count
 
 
 def bench_tick() -> dict[str, tuple[float, float]]:
-    """(p50, p99) of one control tick along the trip and of one numpy pinv of 2 x 2,
-    microseconds.
+    """Return (p50, p99) of one control tick along the trip, and of one numpy pinv of 2
+    x 2, microseconds.
     """
     robot = load_robot(config_file(ROBOT_FILE))
     task = node_defaults("trajectory_server")
@@ -124,40 +129,33 @@ class _Pinger(Node):
         self._sent.clear()
 
     def send(self) -> None:
-        """One state, stamped now."""
+        """Publish one state, stamped now."""
         raw = self._template.pack(time.time_ns(), self._values)
         self._sent[raw[STAMP]] = time.perf_counter()
         self._publisher.publish(raw)
 
 
 def _round_trips(module: str, seconds: float) -> tuple[list[float], int]:
-    """Round trips against one process, s, and how many states were not answered within
-    their period.
+    """Return the round trips against one process, s, and how many states were not
+    answered within their period.
     """
-    process = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            module,
-            "--ros-args",
-            "-p",
-            "joint_states.timeout:=10.0",
-            "-p",
-            "joint_states.healthy_time:=0.0",
-        ],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        stdin=subprocess.DEVNULL,
-        start_new_session=True,
-    )
     pinger, executor = _Pinger(), make_executor()
     executor.add_node(pinger)
     sent = 0
-    try:
+    with contextlib.ExitStack() as stack:
+        stack.callback(executor.shutdown)
+        stack.callback(pinger.destroy_node)
+        stack.callback(executor.remove_node, pinger)
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        processes = Processes(folder, modules={"controller": module})
+        stack.enter_context(processes)
+        values = "joint_states.timeout:=10.0", "joint_states.healthy_time:=0.0"
+        processes.start("controller", node_arguments("controller", values))
         deadline = time.monotonic() + START_TIMEOUT
-        while len(pinger.round_trips) < 200:
-            if process.poll() is not None or time.monotonic() > deadline:
-                raise DextarError(
+        while len(pinger.round_trips) < WARM_UP:
+            processes.check()
+            if time.monotonic() > deadline:
+                raise NodesError(
                     f"{module} did not answer within {START_TIMEOUT:.0f} s"
                 )
             _tick(pinger, executor, time.monotonic() + 1.0 / RATE)
@@ -171,23 +169,17 @@ def _round_trips(module: str, seconds: float) -> tuple[list[float], int]:
         return list(pinger.round_trips), sent - sum(
             trip < 1.0 / RATE for trip in pinger.round_trips
         )
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.wait(timeout=10.0)
-        executor.remove_node(pinger)
-        pinger.destroy_node()
-        executor.shutdown()
 
 
-def _tick(pinger: _Pinger, executor: object, deadline: float) -> None:
+def _tick(pinger: _Pinger, executor: Executor, deadline: float) -> None:
     pinger.send()
     while (left := deadline - time.monotonic()) > 0.0:
-        executor.spin_once(timeout_sec=left)  # type: ignore[attr-defined]
+        executor.spin_once(timeout_sec=left)
 
 
 def bench_round_trip(seconds: float) -> dict[str, tuple[float, float, int]]:
-    """(p50, p99) microseconds and unanswered states, of the bare echo and of the
-    controller.
+    """Return (p50, p99), microseconds, and the unanswered states, of the bare echo and
+    of the controller.
     """
     modules = {
         "echo": "dextar_control.experiments.echo",
@@ -195,7 +187,7 @@ def bench_round_trip(seconds: float) -> dict[str, tuple[float, float, int]]:
     }
     trips: dict[str, list[float]] = {name: [] for name in modules}
     missed = dict.fromkeys(modules, 0)
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    start_ros()
     try:
         for _ in range(TURNS):
             for name, module in modules.items():
@@ -203,12 +195,12 @@ def bench_round_trip(seconds: float) -> dict[str, tuple[float, float, int]]:
                 trips[name] += times
                 missed[name] += late
     finally:
-        rclpy.try_shutdown()
+        try_shutdown()
     return {name: (*_percentiles(times), missed[name]) for name, times in trips.items()}
 
 
 def run_bench(seconds: float) -> int:
-    """Measure and print; the exit code."""
+    """Measure and print; return the exit code."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     console = Terminal()

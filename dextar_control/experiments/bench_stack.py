@@ -1,5 +1,5 @@
-"""What the running nodes cost, and whether the demo is right on a busy machine:
-``dextar bench --nodes``, ``--demos``.
+"""Measure what the running nodes cost, and whether the demo is right on a busy machine
+(``dextar bench``, with ``--demos``).
 """
 
 from __future__ import annotations
@@ -9,32 +9,28 @@ import contextlib
 import hashlib
 import json
 import os
-import signal
 import struct
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.signals import SignalHandlerOptions
 from tornado.websocket import websocket_connect
 
 from dextar_control.contract.errors import DextarError
-from dextar_control.contract.topics import DIAGNOSTICS, JOINT_STATES
-from dextar_control.experiments.processes import processor_time
-from dextar_control.nodekit.node import qos
+from dextar_control.contract.topics import JOINT_STATES
+from dextar_control.experiments.monitor import Monitor, monitoring
+from dextar_control.experiments.processes import (
+    NodesError,
+    Processes,
+    node_arguments,
+    processor_time,
+)
 
-MODULES = {
-    "plant": "dextar_sim.node",
-    "controller": "dextar_control.nodes.controller",
-    "recorder": "dextar_control.nodes.recorder",
-}
 START_TIMEOUT = 60.0  # s until the nodes run
 SETTLING = 2.0  # s of running before their processor time counts
 STOPS = 20  # that a page asks for
@@ -43,106 +39,93 @@ VERDICT = "verdict"
 SPENT_TIMEOUT = 600.0  # s for one demo
 
 
-@contextlib.contextmanager
-def _processes(
-    commands: dict[str, list[str]],
-) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
-    """Processes by name, ended with SIGINT and then with SIGKILL."""
-    started: dict[str, subprocess.Popen[bytes]] = {}
-    try:
-        for name, command in commands.items():
-            started[name] = subprocess.Popen(
-                [sys.executable, *command],
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,
+class Usage(NamedTuple):
+    """What the nodes had used when the plant told of itself."""
+
+    used: dict[str, float]  # s of processor time of each node
+    steps: float  # of the plant
+    late: float  # of them without their command in time
+
+    def cores(self, name: str, end: Usage) -> float:
+        """Return the cores that a node used from here to a later look, at 1 kHz."""
+        return (end.used[name] - self.used[name]) / (1.0e-3 * (end.steps - self.steps))
+
+    def late_share(self, end: Usage) -> float:
+        """Return the share of late steps from here to a later look."""
+        return (end.late - self.late) / (end.steps - self.steps)
+
+
+class RealTimeStack:
+    """Runs nodes in real time while the controller holds the robot.
+
+    Args:
+        processes: that are to run them.
+        monitor: hears them.
+        nodes: NAME:=VALUE of each of them.
+
+    Raises:
+        NodesError: a node ends, or the robot is not held in time.
+    """
+
+    def __init__(
+        self, processes: Processes, monitor: Monitor, nodes: Mapping[str, Sequence[str]]
+    ) -> None:
+        self._processes, self.monitor, self._nodes = processes, monitor, nodes
+        for name, values in nodes.items():
+            processes.start(name, node_arguments(name, values))
+        if not monitor.until(self._holds, START_TIMEOUT):
+            raise NodesError(
+                f"{', '.join(nodes)} did not come to hold the robot within"
+                f" {START_TIMEOUT:.0f} s; heard of:"
+                f" {', '.join(monitor.status) or 'none'}"
             )
-        yield started
-    finally:
-        for process in started.values():
-            process.send_signal(signal.SIGINT)
-        for process in started.values():
-            try:
-                process.wait(timeout=10.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        monitor.wait(SETTLING)
+
+    def _holds(self) -> bool:
+        self._processes.check()
+        heard = self._nodes.keys() <= self.monitor.status.keys()
+        return heard and self.monitor.get("controller", "phase") == "HOLD"
+
+    def look(self) -> Usage:
+        """Wait until the plant tells of itself, and read what the nodes have used."""
+        before = self.monitor.get("plant", "steps")
+        self.monitor.until(
+            lambda: self.monitor.get("plant", "steps") != before, START_TIMEOUT
+        )
+        self._processes.check()
+        used = {name: processor_time(self._processes.pid(name)) for name in self._nodes}
+        plant = self.monitor.status["plant"]
+        return Usage(used, float(plant["steps"]), float(plant["late_ticks"]))
+
+
+@contextlib.contextmanager
+def _holding(folder: str, **nodes: Sequence[str]) -> Iterator[RealTimeStack]:
+    """A context in which plant, controller and further nodes hold the robot."""
+    given = {
+        "plant": ["mode:=realtime"],
+        "controller": ["joint_states.healthy_time:=0.1"],
+        **nodes,
+    }
+    with Processes(Path(folder)) as processes, monitoring("bench") as monitor:
+        yield RealTimeStack(processes, monitor, given)
 
 
 def bench_nodes(seconds: float) -> dict[str, float]:
-    """Processor time of plant, controller and recorder in real time, cores: s for each
-    second of 1 kHz states, while holding.
+    """Measure the cores that plant, controller and recorder use while holding.
+
+    Args:
+        seconds: for which is measured, s.
+
+    Returns:
+        Cores of each node: s of processor time for each second of 1 kHz states.
     """
-    looks: list[tuple[int, dict[str, float]]] = []
     with tempfile.TemporaryDirectory() as folder:
-        given = {
-            "plant": ["plant:mode:=realtime"],
-            "controller": ["controller:joint_states.healthy_time:=0.1"],
-            "recorder": [
-                f"recorder:output:={folder}/run/run.mcap",
-                "recorder:bag.parameters_of:=''",
-            ],
-        }
-        commands = {
-            name: [
-                "-m",
-                module,
-                "--ros-args",
-                *(part for value in given[name] for part in ("-p", value)),
-            ]
-            for name, module in MODULES.items()
-        }
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        try:
-            node = rclpy.create_node(
-                "bench", start_parameter_services=False, enable_rosout=False
-            )
-            phase = ""
-            with _processes(commands) as running:
-
-                def look(message: DiagnosticArray) -> None:
-                    nonlocal phase
-                    values = {
-                        entry.key: entry.value for entry in message.status[0].values
-                    }
-                    if message.status[0].name == "/controller":
-                        phase = values["phase"]
-                    elif message.status[0].name == "/plant" and phase == "HOLD":
-                        looks.append(
-                            (
-                                int(values["steps"]),
-                                {
-                                    name: processor_time(one.pid)
-                                    for name, one in running.items()
-                                },
-                            )
-                        )
-
-                node.create_subscription(
-                    DiagnosticArray, DIAGNOSTICS.name, look, qos(DIAGNOSTICS)
-                )
-                deadline = time.monotonic() + START_TIMEOUT + seconds
-                while len(looks) < 2 or looks[-1][0] - looks[0][0] < 1000.0 * (
-                    seconds + SETTLING
-                ):
-                    rclpy.spin_once(node, timeout_sec=0.2)
-                    ended = [
-                        name for name, one in running.items() if one.poll() is not None
-                    ]
-                    if ended or time.monotonic() > deadline:
-                        raise DextarError(
-                            f"the {', '.join(ended) or 'nodes'} did not run as expected"
-                        )
-            node.destroy_node()
-        finally:
-            rclpy.try_shutdown()
-    begin = next(look for look in looks if look[0] - looks[0][0] >= 1000.0 * SETTLING)
-    end = looks[-1]
-    return {
-        name: (end[1][name] - begin[1][name]) / (1.0e-3 * (end[0] - begin[0]))
-        for name in MODULES
-    }
+        recorder = [f"output:={folder}/run/run.mcap", "bag.parameters_of:=''"]
+        with _holding(folder, recorder=recorder) as stack:
+            begin = stack.look()
+            stack.monitor.wait(seconds)
+            end = stack.look()
+    return {name: begin.cores(name, end) for name in begin.used}
 
 
 class PanelCost(NamedTuple):
@@ -157,108 +140,51 @@ class PanelCost(NamedTuple):
 
 
 def bench_panel(seconds: float, viewers: int = 1) -> PanelCost:
-    """Measure it on a plant and a controller that holds, which a stop lets hold on:
-    each for so long without and with pages.
+    """Measure the panel beside a plant and a controller that holds, which a stop lets
+    hold on.
+
+    Args:
+        seconds: for which is measured without pages, and with them, s.
+        viewers: pages that look on.
     """
-    given = {
-        "plant": ["plant:mode:=realtime"],
-        "controller": ["controller:joint_states.healthy_time:=0.1"],
-        "panel": ["panel:port:=0"],
-    }
-    modules = MODULES | {"panel": "dextar_control.nodes.panel"}
-    commands = {
-        name: [
-            "-m",
-            modules[name],
-            "--ros-args",
-            *(part for value in own for part in ("-p", value)),
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        _holding(folder, panel=["port:=0"]) as stack,
+        ThreadPoolExecutor(viewers) as pool,
+    ):
+        monitor = stack.monitor
+        alone = stack.look()
+        monitor.wait(seconds)
+        opened = stack.look()
+        pages = [
+            pool.submit(
+                watch_panel,
+                monitor.get("panel", "address"),
+                seconds + SETTLING,
+                STOPS * (number == 0),
+            )
+            for number in range(viewers)
         ]
-        for name, own in given.items()
-    }
-    told: dict[str, dict[str, str]] = {}
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        node = rclpy.create_node(
-            "bench", start_parameter_services=False, enable_rosout=False
+        monitor.wait(SETTLING)
+        begin = stack.look()
+        monitor.until(
+            lambda: all(page.done() for page in pages), START_TIMEOUT + seconds
         )
-
-        def hear(message: DiagnosticArray) -> None:
-            for status in message.status:
-                told[status.name.strip("/")] = {
-                    entry.key: entry.value for entry in status.values
-                }
-
-        def spin(until: float, done: Callable[[], bool]) -> None:
-            while time.monotonic() < until and not done():
-                rclpy.spin_once(node, timeout_sec=0.1)
-
-        node.create_subscription(
-            DiagnosticArray, DIAGNOSTICS.name, hear, qos(DIAGNOSTICS)
-        )
-        with _processes(commands) as running:
-
-            def look(name: str) -> tuple[float, float, float]:
-                return (
-                    processor_time(running[name].pid),
-                    float(told["plant"]["steps"]),
-                    float(told["plant"]["late_ticks"]),
-                )
-
-            def over(
-                begin: tuple[float, float, float], end: tuple[float, float, float]
-            ) -> tuple[float, float]:
-                steps = end[1] - begin[1]
-                return (end[0] - begin[0]) / (1.0e-3 * steps), (
-                    end[2] - begin[2]
-                ) / steps
-
-            def holds() -> bool:
-                return told.get("controller", {}).get("phase") == "HOLD" and {
-                    "panel",
-                    "plant",
-                } <= set(told)
-
-            spin(time.monotonic() + START_TIMEOUT, holds)
-            if not holds():
-                raise DextarError(
-                    "plant, controller and panel did not come to hold within"
-                    f" {START_TIMEOUT:.0f} s"
-                )
-            spin(time.monotonic() + SETTLING, lambda: False)
-            looks = [look("panel")]
-            spin(time.monotonic() + seconds, lambda: False)
-            looks.append(look("panel"))
-            with ThreadPoolExecutor(viewers) as pool:
-                pages = [
-                    pool.submit(
-                        watch_panel,
-                        told["panel"]["address"],
-                        seconds + SETTLING,
-                        STOPS * (number == 0),
-                    )
-                    for number in range(viewers)
-                ]
-                spin(time.monotonic() + SETTLING, lambda: False)
-                looks.append(look("panel"))
-                spin(
-                    time.monotonic() + START_TIMEOUT + seconds,
-                    lambda: all(page.done() for page in pages),
-                )
-                looks.append(look("panel"))
-                pictures, stops = pages[0].result()
-        node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
-    (unwatched, late_unwatched), (watched, late_watched) = (
-        over(*looks[:2]),
-        over(*looks[2:]),
+        end = stack.look()
+        pictures, stops = pages[0].result()
+    return PanelCost(
+        alone.cores("panel", opened),
+        begin.cores("panel", end),
+        alone.late_share(opened),
+        begin.late_share(end),
+        pictures,
+        stops,
     )
-    return PanelCost(unwatched, watched, late_unwatched, late_watched, pictures, stops)
 
 
 def watch_panel(address: str, seconds: float, stops: int) -> tuple[float, list[float]]:
-    """Look on as a page does, and ask for stops evenly: pictures in a second, and s
-    from asking to the controller's answer.
+    """Look on as a page does, and ask for stops evenly; return the pictures in a
+    second, and s from asking to the controller's answer.
     """
 
     async def run() -> tuple[float, list[float]]:
@@ -289,8 +215,8 @@ def watch_panel(address: str, seconds: float, stops: int) -> tuple[float, list[f
 
 
 def fingerprint(folder: Path) -> str:
-    """Of the joint states in a demo's bag up to the end of its trip, all bytes in
-    order; when it stops after that is chance.
+    """Return a digest of the joint states in a demo's bag up to the end of its trip,
+    all bytes in order; when it stops after that is chance.
     """
     from mcap.reader import make_reader
 
@@ -308,7 +234,8 @@ def fingerprint(folder: Path) -> str:
 
 
 def bench_demos(count: int, busy: int, arguments: list[str]) -> int:
-    """Demos one after the other beside busy processes, a line for each; the exit code.
+    """Run demos one after the other beside busy processes, and print a line for each;
+    return the exit code.
 
     Args:
         count: of demos.
@@ -316,8 +243,11 @@ def bench_demos(count: int, busy: int, arguments: list[str]) -> int:
         arguments: of ``dextar demo``.
     """
     successes, kinds = 0, set()
-    spinners = {f"busy {number}": ["-c", BUSY] for number in range(busy)}
-    with tempfile.TemporaryDirectory() as folder, _processes(spinners):
+    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as spinners:
+        for _ in range(busy):
+            spinner = subprocess.Popen([sys.executable, "-c", BUSY])
+            spinners.callback(spinner.wait)
+            spinners.callback(spinner.kill)
         for number in range(1, count + 1):
             output = Path(folder) / str(number)
             begin, verdict, told = time.monotonic(), float("nan"), ""
@@ -339,10 +269,8 @@ def bench_demos(count: int, busy: int, arguments: list[str]) -> int:
                 assert demo.stdout is not None
                 for line in demo.stdout:
                     if VERDICT in line:
-                        verdict, told = (
-                            time.monotonic() - begin,
-                            line.strip(" │\n").removeprefix(VERDICT).strip(" │"),
-                        )
+                        verdict = time.monotonic() - begin
+                        told = line.strip(" │\n").removeprefix(VERDICT).strip(" │")
                 code = demo.wait(timeout=SPENT_TIMEOUT)
             states = fingerprint(output / "latest")
             kinds.add(states)
@@ -360,8 +288,8 @@ def bench_demos(count: int, busy: int, arguments: list[str]) -> int:
 
 
 def bench_imports() -> dict[str, float]:
-    """Wall time of a new process, best of three, s: ``dextar --help``, the mathematics,
-    a bare ``import numpy`` beside.
+    """Return the wall time of a new process, best of three, s: ``dextar --help``, the
+    mathematics, and a bare ``import numpy``.
     """
     commands = {
         "dextar --help": ["-m", "dextar_control.cli.main", "--help"],

@@ -1,5 +1,5 @@
-"""A bare echo node, the baseline of the round trip: raw state in, one fixed command
-out.
+"""A bare echo node, the baseline of the round trip: it answers each raw state with one
+fixed command.
 """
 
 from __future__ import annotations

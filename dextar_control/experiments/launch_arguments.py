@@ -1,4 +1,4 @@
-"""The launch file's arguments: their meaning, and what they may be, checked before
+"""The launch file's arguments: their meaning and what they may be, checked before
 anything is compiled or started.
 """
 
@@ -8,7 +8,7 @@ import difflib
 import importlib.util
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
@@ -16,12 +16,14 @@ from rclpy.validate_namespace import validate_namespace
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.parameters import Parameter, check_value
+from dextar_control.contract.plug_in import is_own, one_of
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.topics import INTERFACES
 from dextar_control.contract.yaml_text import load_parameters
 from dextar_control.experiments.start_check import check_start
 from dextar_control.nodes import task
 
+Value = bool | float | str
 TRUE, FALSE = ("true", "1", "yes", "on"), ("false", "0", "no", "off")
 """In any case; launch's own conditions take the first two of each."""
 SPECS = {
@@ -43,30 +45,38 @@ class Argument(NamedTuple):
         description: for ``--show-args``.
         kind: switch, word, number, parameter file, bag, or namespace.
         choices: of a word.
+        own: whether a word may also be ``module:attribute`` of the user's own code.
     """
 
     default: str
     description: str
     kind: str = "switch"
     choices: tuple[str, ...] = ()
+    own: bool = False
+
+    @property
+    def allowed(self) -> str:
+        """What may be given, in words; empty where that is no choice."""
+        choices = ("true", "false") if self.kind == "switch" else self.choices
+        if self.own:
+            return one_of(choices)
+        return f"one of {', '.join(choices)}" if choices else ""
 
     @property
     def told(self) -> str:
         """The description with what may be given."""
-        choices = ("true", "false") if self.kind == "switch" else self.choices
-        return (
-            f"{self.description} The choices are {', '.join(choices)}."
-            if choices
-            else self.description
-        )
+        allowed = f" It is {self.allowed}." if self.allowed else ""
+        return f"{self.description}{allowed}"
 
 
 LEFT = "Empty leaves it to params_file."
 ARGUMENTS = {
-    "law": Argument("", f"{LAW.description} {LEFT}", "word", LAW.choices),
-    "estimator": Argument(
-        "", f"{ESTIMATOR.description} {LEFT}", "word", ESTIMATOR.choices
-    ),
+    **{
+        spec.name: Argument(
+            "", f"{spec.description} {LEFT}", "word", spec.choices, own=True
+        )
+        for spec in (LAW, ESTIMATOR)
+    },
     **{
         name: Argument("", f"{spec.measured} {LEFT}", "number")
         for name, spec in TASK.items()
@@ -131,9 +141,9 @@ launch file sets it.
 """
 
 
-def read(given: Mapping[str, str]) -> dict[str, Any]:
-    """The arguments' values, of their types; an empty text stands for what is left to
-    the parameter files.
+def read(given: Mapping[str, str]) -> dict[str, Value]:
+    """Return the arguments' values in their types; an empty text stands for what is
+    left to the parameter files.
 
     Args:
         given: as typed; others than ``ARGUMENTS`` are passed over.
@@ -162,15 +172,15 @@ def read(given: Mapping[str, str]) -> dict[str, Any]:
     return values
 
 
-def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The nodes that are to be started, and what the arguments change of their
+def changes(values: Mapping[str, Value]) -> dict[str, dict[str, Value]]:
+    """Return the nodes that are to be started, and what the arguments change of their
     parameters.
 
     Args:
         values: from ``read``.
     """
     lockstep = values["plant"] and not values["real_time"]  # a rig waits for nobody
-    own: dict[str, dict[str, Any]] = {
+    own: dict[str, dict[str, Value]] = {
         "plant": {
             "mode": "lockstep" if lockstep else "realtime",
             "window": values["window"],
@@ -207,7 +217,7 @@ def changes(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     }
 
 
-def check_nodes(values: Mapping[str, Any]) -> None:
+def check_nodes(values: Mapping[str, Value]) -> None:
     """Refuse, before anything is started, parameters that a node would refuse.
 
     Args:
@@ -217,12 +227,10 @@ def check_nodes(values: Mapping[str, Any]) -> None:
         ParameterError: a parameter is unknown or cannot be used; names the files, the
             node and the parameter.
     """
-    files = [values[name] for name in ("robot_file", "params_file")]
+    files = [Path(str(values[name])) for name in ("robot_file", "params_file")]
     for node, parameters in changes(values).items():
         try:
-            check_start(
-                node, parameters, *map(Path, files), namespace=values["namespace"]
-            )
+            check_start(node, parameters, *files, namespace=str(values["namespace"]))
         except ParameterError as error:
             raise ParameterError(
                 f"the nodes refuse robot_file:={files[0]} params_file:={files[1]}:"
@@ -231,8 +239,8 @@ def check_nodes(values: Mapping[str, Any]) -> None:
 
 
 def misspelt(given: Iterable[str]) -> list[str]:
-    """Sentences about names that are no arguments and look like one; launch itself says
-    nothing about them.
+    """Write sentences about names that are no arguments and look like one; launch
+    itself says nothing about them.
     """
     told = []
     for name in given:
@@ -245,7 +253,7 @@ def misspelt(given: Iterable[str]) -> list[str]:
     return told
 
 
-def _value(name: str, argument: Argument, text: str) -> Any:
+def _value(name: str, argument: Argument, text: str) -> Value:
     def fail(limit: str) -> ParameterError:
         return ParameterError(
             f"launch argument '{name}' = '{text}'; it must be {limit}"
@@ -268,9 +276,11 @@ def _value(name: str, argument: Argument, text: str) -> Any:
     if not plain and argument.default == "":
         return ""
     if kind == "word":
+        if argument.own and is_own(plain):
+            return plain
         words = {choice.lower(): choice for choice in argument.choices}
         if plain.lower() not in words:
-            raise fail(f"one of {', '.join(argument.choices)}")
+            raise fail(argument.allowed)
         return words[plain.lower()]
     if kind == "number":
         return _number(TASK.get(name, PACE), plain, fail)
@@ -279,21 +289,22 @@ def _value(name: str, argument: Argument, text: str) -> Any:
     return plain
 
 
-def _number(spec: Parameter, text: str, fail: Callable[[str], ParameterError]) -> Any:
+def _number(spec: Parameter, text: str, fail: Callable[[str], ParameterError]) -> float:
     node = "plant" if spec is PACE else "trajectory_server"
     try:
         number = float(text)
     except ValueError:
         raise fail("a number") from None
     try:
-        return check_value(spec, number, node_defaults(node)[spec.name])
+        value: float = check_value(spec, number, node_defaults(node)[spec.name])
+        return value
     except ParameterError as error:
         raise fail(str(error).rpartition("it must be ")[2]) from error
 
 
 def _checked_file(text: str, fail: Callable[[str], ParameterError]) -> str:
-    """The path; raises where no node could take it: launch finds that out only when the
-    nodes start.
+    """Return the path, or raise where no node could take it: launch finds that out only
+    when the nodes start.
     """
     try:
         path = Path(text).expanduser()

@@ -1,49 +1,111 @@
-"""The nodes' processes: started, killed, started again, each with its log."""
+"""The one way to start, watch, log and end a stack of nodes.
+
+Each node is a process of its own with a log of its own. It is a new interpreter, or a
+fork of this process where that has loaded what all nodes need.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
+from dextar_control.contract import signals
 from dextar_control.contract.errors import DextarError
+from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
+from dextar_control.executables import EXECUTABLES
 
 MODULES = {
     "plant": "dextar_sim.node",
     "controller": "dextar_control.nodes.controller",
     "trajectory_server": "dextar_control.nodes.trajectory_server",
     "recorder": "dextar_control.nodes.recorder",
+    "panel": "dextar_control.nodes.panel",
 }
+# the commander first; the recorder last, which keeps what the others say at their end
+STOP_ORDER = "trajectory_server", "panel", "controller", "plant", "recorder"
 PR_SET_PDEATHSIG = 1  # of Linux' prctl
+LIBC = ctypes.CDLL(None)
 STOP_TIMEOUT = 15.0  # s until a node that does not end is killed
 
 
 class NodesError(DextarError):
-    """The nodes could not be started, or not be brought to where they are needed; the
-    message says which and why.
+    """The nodes could not be started, or did not do what was asked of them; the message
+    says which and why.
     """
 
 
-def end_with_parent() -> None:
-    """Have the kernel send SIGTERM to this process when its parent dies, however it
+class _Fork:
+    """A fork of this process, used like a Popen; no thread and no ROS may run yet."""
+
+    def __init__(self, run: Callable[[], None], name: str) -> None:
+        self._process = multiprocessing.get_context("fork").Process(
+            target=run, name=name
+        )
+        self._process.start()
+        self.pid = self._process.pid or 0
+
+    def poll(self) -> int | None:
+        return self._process.exitcode
+
+    def send_signal(self, sig: int) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, sig)
+
+    def wait(self, timeout: float | None = None) -> int:
+        self._process.join(timeout)
+        code = self._process.exitcode
+        if code is None:
+            raise subprocess.TimeoutExpired(self._process.name, timeout or 0.0)
+        return code
+
+
+def end_with_parent(number: int = signal.SIGTERM) -> None:
+    """Have the kernel send this process a signal when its parent dies, however it
     dies.
     """
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    LIBC.prctl(PR_SET_PDEATHSIG, number)
+
+
+def node_arguments(
+    name: str,
+    values: Iterable[str],
+    files: Sequence[Path] | None = None,
+    remappings: Iterable[str] = (),
+) -> list[str]:
+    """List the ROS arguments of a node.
+
+    Args:
+        name: of the node.
+        values: NAME:=VALUE of single parameters, over those of the files.
+        files: parameter files; the shipped ones when None.
+        remappings: OLD:=NEW of topics.
+    """
+    if files is None:
+        files = [config_file(ROBOT_FILE), config_file(NODES_FILE)]
+    # with the node's name: a plain -p counts as /**, which a file's section for the
+    # node overrides
+    return [
+        *(part for path in files for part in ("--params-file", str(path))),
+        *(part for value in values for part in ("-p", f"{name}:{value}")),
+        *(part for rule in remappings for part in ("-r", rule)),
+    ]
 
 
 class Processes:
-    """Nodes by name.
+    """Runs the nodes of one stack, by name; leaving it as a context ends them.
 
     Args:
         folder: of the logs.
-        arguments: ROS arguments of each node.
         prefix: command words before a node's own, by name: where it is to run.
         modules: run in the place of a node's own, by name.
+        forked: nodes are forks of this process; prefix and modules have no effect then.
 
     Attributes:
         exits: exit codes of the nodes that ended since ``forget``.
@@ -52,23 +114,30 @@ class Processes:
     def __init__(
         self,
         folder: Path,
-        arguments: Mapping[str, Sequence[str]],
+        *,
         prefix: Mapping[str, Sequence[str]] | None = None,
         modules: Mapping[str, str] | None = None,
+        forked: bool = False,
     ) -> None:
         self.exits: dict[str, int] = {}
-        self._wanted: set[str] = set()
-        self._folder = folder
-        self._arguments = arguments
+        self._allowed: set[str] = set()
+        self._folder, self._forked = folder, forked
         self._prefix = prefix or {}
         self._modules = {**MODULES, **(modules or {})}
-        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._running: dict[str, subprocess.Popen[bytes] | _Fork] = {}
         self._offsets: dict[str, int] = {}
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.stop_all()
 
     def start(
         self,
         name: str,
-        extra: Sequence[str] = (),
+        arguments: Sequence[str] = (),
+        *,
         wrap: Sequence[str] = (),
         limit: Callable[[], None] | None = None,
     ) -> None:
@@ -76,29 +145,31 @@ class Processes:
 
         Args:
             name: of the node.
-            extra: further ROS arguments.
+            arguments: ROS arguments, see ``node_arguments``.
             wrap: command words before Python's.
             limit: called in the new process before the node.
         """
+        self.exits.pop(name, None)
+        self._allowed.discard(name)
+        log = self.log_path(name)
+        if self._forked:
+            self._running[name] = _Fork(lambda: _be_node(name, arguments, log), name)
+            return
 
         def prepare() -> None:
             end_with_parent()
             if limit is not None:
                 limit()
 
-        self.exits.pop(name, None)
-        self._wanted.discard(name)
         command = [
-            *self._prefix.get(name, ()),
-            *wrap,
-            sys.executable,
-            "-m",
-            self._modules[name],
+            *(*self._prefix.get(name, ()), *wrap),
+            *(sys.executable, "-m", self._modules[name]),
+            *("--ros-args", *arguments),
         ]
-        with self.log_path(name).open("ab") as log:
+        with log.open("ab") as output:
             self._running[name] = subprocess.Popen(
-                [*command, "--ros-args", *self._arguments[name], *extra],
-                stdout=log,
+                command,
+                stdout=output,
                 stderr=subprocess.STDOUT,
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,
@@ -106,25 +177,26 @@ class Processes:
             )
 
     def log_path(self, name: str) -> Path:
-        """Where a node's output goes, over all its lives."""
+        """Return where a node's output goes, over all its lives."""
         return self._folder / f"{name}.log"
 
     def send(self, name: str, number: int) -> None:
         """Send one node a signal that is to end it."""
         self.may_end(name)
-        with contextlib.suppress(ProcessLookupError):
-            self._running[name].send_signal(number)
+        if (process := self._running.get(name)) is not None:
+            with contextlib.suppress(ProcessLookupError):
+                process.send_signal(number)
 
     def pid(self, name: str) -> int:
-        """Of a node that runs."""
+        """Return the process id of a node that runs."""
         return self._running[name].pid
 
     def may_end(self, name: str) -> None:
-        """This node's end is part of a fault."""
-        self._wanted.add(name)
+        """Allow this node to end: ``check`` does not complain of it."""
+        self._allowed.add(name)
 
     def ended(self, name: str) -> bool:
-        """Whether a node has ended, or was never started; its exit code is then in
+        """Tell whether a node has ended, or was never started; its exit code is then in
         ``exits``.
         """
         process = self._running.get(name)
@@ -141,33 +213,34 @@ class Processes:
         """Raise NodesError when a node has ended that nobody ended."""
         for name in list(self._running):
             self.ended(name)
-        for name in self.exits:
-            if name not in self._wanted:
-                raise NodesError(
-                    f"{name} ended with code {self.exits[name]}:"
-                    f" {self.last_words(name)}"
-                )
+        for name, code in self.exits.items():
+            if name not in self._allowed:
+                raise NodesError(self.describe_end(name, code))
+
+    def describe_end(self, name: str, code: int) -> str:
+        """Say in words how a node ended."""
+        if code < 0:
+            return f"{name} was killed by {signal.Signals(-code).name}"
+        return f"{name} ended with exit code {code}: {self.last_words(name)}"
 
     def last_words(self, name: str) -> str:
-        """The last telling line of a node's log."""
+        """Return the last line of a node's log that tells of an error, or its last."""
         lines = self._text(name, 0).strip().splitlines()
         telling = [line for line in lines if "error" in line.lower()]
         return (telling or lines or ["nothing"])[-1]
 
     def forget(self) -> None:
-        """Exit codes and logs count from here on."""
-        self.exits, self._wanted = {}, set()
+        """Begin anew: exit codes and logs count from here on."""
+        self.exits, self._allowed = {}, set()
         self._offsets = {
-            name: self.log_path(name).stat().st_size
-            for name in MODULES
-            if self.log_path(name).exists()
+            log.stem: log.stat().st_size for log in self._folder.glob("*.log")
         }
 
     def logs(self) -> dict[str, str]:
-        """What each node printed since ``forget``."""
+        """Return what each node printed since ``forget``."""
         return {
             name: self._text(name, self._offsets.get(name, 0))
-            for name in MODULES
+            for name in self._modules
             if self.log_path(name).exists()
         }
 
@@ -176,28 +249,42 @@ class Processes:
             file.seek(offset)
             return file.read().decode(errors="replace")
 
-    def stop(self, name: str) -> None:
-        """End one node with SIGINT; SIGKILL when it does not."""
-        process = self._running.pop(name, None)
-        if process is None:
-            return
-        if process.poll() is None:
+    def stop(self, *names: str) -> dict[str, int]:
+        """End nodes one after another with SIGINT, with SIGKILL where that does not;
+        return the exit codes of those that were started.
+        """
+        codes: dict[str, int] = {}
+        for name in names:
+            process = self._running.pop(name, None)
+            if process is None:
+                codes |= {name: self.exits[name]} if name in self.exits else {}
+                continue
             process.send_signal(signal.SIGINT)
             try:
-                process.wait(timeout=STOP_TIMEOUT)
+                codes[name] = process.wait(timeout=STOP_TIMEOUT)
             except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+                process.send_signal(signal.SIGKILL)
+                codes[name] = process.wait()
+        return codes
 
-    def stop_all(self) -> None:
-        """Commander first, recorder last."""
-        for name in ("trajectory_server", "controller", "plant", "recorder"):
-            self.stop(name)
+    def stop_all(self) -> dict[str, int]:
+        """End all nodes in ``STOP_ORDER``; return the exit codes of those started."""
+        return self.stop(*STOP_ORDER)
+
+
+def _be_node(name: str, arguments: Sequence[str], log: Path) -> None:
+    """Run a node in a process just forked."""
+    end_with_parent()
+    os.setsid()
+    for stream in (1, 2):
+        os.dup2(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), stream)
+    signals.install(signal.SIG_DFL)
+    sys.argv = [name, "--ros-args", *arguments]
+    sys.exit(EXECUTABLES[name]())
 
 
 def processor_time(pid: int) -> float:
-    """Processor time of a process with all its threads so far, s."""
-    fields = (
-        Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    )
+    """Return the processor time of a process with all its threads so far, s."""
+    stat = Path(f"/proc/{pid}/stat").read_text(encoding="ascii")
+    fields = stat.rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

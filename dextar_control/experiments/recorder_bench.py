@@ -1,4 +1,4 @@
-"""Does the recorder keep up beside the running stack? ``python -m
+"""Measure whether the recorder keeps up beside the running stack: ``python -m
 dextar_control.experiments.recorder_bench 600``.
 
 Runs plant (with a camera at the loop's rate), controller, trajectory server and
@@ -16,22 +16,24 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import rclpy
 from mcap.reader import make_reader
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rich.progress import BarColumn, TimeRemainingColumn
 from rich.table import Column, Table
 from std_srvs.srv import Trigger
 
 from dextar_control.contract.errors import DextarError
-from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.signals import EXIT_FAILED, run_command
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.contract.yaml_text import assignment
-from dextar_control.experiments.processes import NodesError, Processes, processor_time
+from dextar_control.experiments.monitor import Monitor, monitoring
+from dextar_control.experiments.processes import (
+    NodesError,
+    Processes,
+    node_arguments,
+    processor_time,
+)
 from dextar_control.nodekit.domain import choose_domain
 
 CAMERA_RATE = 1000.0  # Hz
@@ -40,8 +42,8 @@ ANSWER = 5.0  # s
 STARTING = 120.0  # s until the nodes have to be there
 
 
-class Stream(NamedTuple):
-    """One topic of a bag."""
+class TopicCount(NamedTuple):
+    """The messages of one topic of a bag."""
 
     topic: str
     messages: int
@@ -49,9 +51,9 @@ class Stream(NamedTuple):
     dropped: int  # as the recorder counted itself: lost on the way or before the disk
 
 
-def streams(bag: Path) -> list[Stream]:
-    """Per topic with one publisher, the numbers missing between the first and the last
-    one in the bag.
+def topic_counts(bag: Path) -> list[TopicCount]:
+    """Count, for each topic with one publisher, the numbers missing between the first
+    and the last one in the bag.
     """
     numbers: dict[str, list[int]] = {}
     counts: dict[str, dict[str, int]] = {}
@@ -68,7 +70,7 @@ def streams(bag: Path) -> list[Stream]:
         "/parameter_events",
     )  # by several publishers, each with its own numbers
     return [
-        Stream(
+        TopicCount(
             topic,
             len(seen),
             0 if topic in shared else max(seen) - min(seen) + 1 - len(set(seen)),
@@ -79,11 +81,11 @@ def streams(bag: Path) -> list[Stream]:
 
 
 def run(seconds: int, output: Path, reliable: bool) -> int:
-    """Measure and print; 0 when nothing is missing."""
+    """Measure and print; return 0 when nothing is missing."""
     console = Terminal()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     choose_domain()
-    settings: dict[str, dict[str, Any]] = {
+    settings: dict[str, dict[str, object]] = {
         "recorder": {
             "output": output / "run.mcap",
             "topics.reliable": reliable,
@@ -93,32 +95,13 @@ def run(seconds: int, output: Path, reliable: bool) -> int:
         "controller": {},
         "trajectory_server": {"autostart": True, "task.repeat": 10},
     }
-    files = [
-        "--params-file",
-        str(config_file(ROBOT_FILE)),
-        "--params-file",
-        str(config_file(NODES_FILE)),
-    ]
-    processes = Processes(
-        output,
-        {
-            name: [
-                *files,
-                *(
-                    part
-                    for item in values.items()
-                    for part in ("-p", f"{name}:{assignment(*item)}")
-                ),
-            ]
-            for name, values in settings.items()
-        },
-    )
-    operator = _Operator()
-    try:
-        for name in settings:
-            processes.start(name)
+    asked = refused = 0
+    with Processes(output) as processes, monitoring("recorder_bench") as monitor:
+        for name, values in settings.items():
+            given = [assignment(*item) for item in values.items()]
+            processes.start(name, node_arguments(name, given))
         with console.working("starting the nodes"):
-            _wait_for_all(output, processes)
+            _wait_for_all(monitor, processes, output)
         before = {name: processor_time(processes.pid(name)) for name in settings}
         begin = time.monotonic()
         with Steps(
@@ -130,8 +113,9 @@ def run(seconds: int, output: Path, reliable: bool) -> int:
             bar = progress.add_task("recording", total=seconds)
             for second in range(seconds):
                 if second % TOUR_PERIOD == TOUR_PERIOD - 1:
-                    operator.start_tour()
-                time.sleep(max(0.0, begin + second + 1.0 - time.monotonic()))
+                    asked += 1
+                    refused += not _tour_starts(monitor)
+                monitor.wait(begin + second + 1.0 - time.monotonic())
                 processes.check()
                 progress.advance(bar)
         elapsed = time.monotonic() - begin
@@ -140,10 +124,7 @@ def run(seconds: int, output: Path, reliable: bool) -> int:
             for name in settings
         }
         memory = {name: _memory(processes.pid(name)) for name in settings}
-    finally:
-        operator.close()
-        processes.stop_all()
-    found = streams(output / "run.mcap")
+    found = topic_counts(output / "run.mcap")
     columns = (
         Column("topic", overflow="fold"),
         "messages",
@@ -159,63 +140,41 @@ def run(seconds: int, output: Path, reliable: bool) -> int:
             f"{name} {load[name]:.2f} cores, {memory[name]:.0f} MB" for name in load
         )
     )
-    console.print(
-        f"tours asked for: {1 + operator.asked}; refused or not answered:"
-        f" {operator.refused}"
-    )
+    console.print(f"tours asked for: {1 + asked}; refused or not answered: {refused}")
     console.print(
         f"load average {os.getloadavg()[1]:.1f} on {os.cpu_count()} cores; bag {output}"
     )
     return EXIT_FAILED if any(row.missing or row.dropped for row in found) else 0
 
 
-class _Operator:
-    """Asks the trajectory server for another tour."""
-
-    def __init__(self) -> None:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = Node(
-            "recorder_bench", enable_rosout=False, start_parameter_services=False
-        )
-        self._client = self._node.create_client(Trigger, "trajectory_server/start")
-        self.asked = self.refused = 0
-
-    def start_tour(self) -> None:
-        """Ask, and count what is not granted."""
-        self.asked += 1
-        future = self._client.call_async(Trigger.Request())
-        rclpy.spin_until_future_complete(self._node, future, timeout_sec=ANSWER)
-        answer = future.result() if future.done() else None
-        self.refused += answer is None or not answer.success
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._node.destroy_node()
-        rclpy.try_shutdown()
+def _tour_starts(monitor: Monitor) -> bool:
+    """Ask the trajectory server for another tour; tell whether it is granted."""
+    try:
+        return monitor.call(Trigger, "trajectory_server/start", ANSWER).success
+    except NodesError:
+        return False
 
 
-def _wait_for_all(output: Path, processes: Processes) -> None:
-    deadline = time.monotonic() + STARTING
-    while "accepted" not in processes.log_path("controller").read_text(
-        errors="replace"
-    ):
+def _wait_for_all(monitor: Monitor, processes: Processes, output: Path) -> None:
+    def accepted() -> bool:
         processes.check()
-        if time.monotonic() > deadline:
-            raise NodesError(
-                f"no trajectory was accepted within {STARTING:.0f} s: see the logs in"
-                f" {output}"
-            )
-        time.sleep(0.2)
+        return monitor.get("controller", "trajectory") == "accepted"
+
+    if not monitor.until(accepted, STARTING):
+        raise NodesError(
+            f"no trajectory was accepted within {STARTING:.0f} s: see the logs in"
+            f" {output}"
+        )
 
 
 def _memory(pid: int) -> float:
-    """Largest resident size, MB."""
+    """Return the largest resident size of a process, MB."""
     status = Path(f"/proc/{pid}/status").read_text()
     return int(status.partition("VmHWM:")[2].split()[0]) / 1024.0
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Console entry."""
+    """Run the bench as a console command."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("seconds", type=int, nargs="?", default=600)
     parser.add_argument(

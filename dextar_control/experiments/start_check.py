@@ -1,12 +1,11 @@
-"""The parameters with which nodes would start, checked by the nodes' own rules before
-any of them is started.
+"""Check the parameters with which nodes would start by the nodes' own rules, before any
+of them is started.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.former_names import present_names, present_parameters
@@ -25,9 +24,9 @@ KINDS: dict[str, type[DextarNode]] = {kind.NAME: kind for kind in NODES}
 
 
 def check_start(
-    node: str, changes: Mapping[str, Any], *files: Path, namespace: str = ""
-) -> dict[str, Any]:
-    """The values of a node's parameters.
+    node: str, changes: Mapping[str, object], *files: Path, namespace: str = ""
+) -> dict[str, object]:
+    """Return the values of a node's parameters.
 
     Args:
         node: its name.

@@ -21,6 +21,8 @@ from dextar_control.contract.errors import ParameterError
 from dextar_control.mechanisms.bodies import Bodies
 from dextar_control.symbols.types import Array, Symbol
 
+LEAST_SQUARE = 1e-12  # of a sine at Type 1, whose root has a derivative
+
 
 @dataclass(frozen=True)
 class Coordinate:
@@ -126,11 +128,12 @@ class Mechanism(ABC):
     ) -> Symbol:
         """L(q_a, x, q_a_dot, x_dot), J: kinetic less potential energy."""
 
-    @abstractmethod
     def inverse_geometric_model(self, x: Symbol, p: Any) -> Symbol:
         """q_a (n,) of a platform position in the working mode of ``p``; nan where it is
-        not reached.
+        not reached. Here, those of ``nearest_joints``.
         """
+        q_a, extension = self.nearest_joints(x, p)
+        return ca.if_else(ca.fabs(extension) <= 1.0, q_a, ca.SX.nan(self.n))
 
     def nearest_joints(self, x: Symbol, p: Any) -> tuple[Symbol, Symbol]:
         """(q_a (n,), extension (n,)): the inverse geometric model with finite numbers
@@ -152,16 +155,16 @@ class Mechanism(ABC):
             f"x = {np.round(x, 6).tolist()} is out of reach: {joint} has no angle there"
         )
 
-    @abstractmethod
     def direct_geometric_model(
         self, q_a: Symbol, assembly_mode: Symbol, p: Any
     ) -> Symbol | None:
         """x (n,) of joint positions with sign(s) = assembly_mode, its root kept above
-        zero; None where it has no closed form.
+        zero; None, as here, where it has no closed form and is solved.
 
         Where A_r has k blocks the assembly mode has a sign for each (k,), or one for
         all.
         """
+        return None
 
     def type2_locus(
         self, family: Symbol, branch: Symbol, angle: Symbol, p: Any
@@ -240,19 +243,24 @@ class Mechanism(ABC):
         Type 2 locus; (k,) of blocks of A_r.
         """
 
-    @abstractmethod
     def singularity_length(self, p: Any) -> Symbol:
-        """What the least singular value of A_r is divided by to be dimensionless."""
+        """What the least singular value of A_r is divided by to be dimensionless. Here,
+        the n-th root of the scale, where A_r has one block.
+        """
+        return self.singularity_scale(p) ** (1.0 / self.n)
 
-    @abstractmethod
     def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
         """One number a leg that is zero where the leg is at a Type 1 singularity, and
-        at most 1 in size.
+        at most 1 in size. Here, by the extensions of ``nearest_joints``.
         """
+        _, extension = self.nearest_joints(x, p)
+        return ca.sqrt(ca.fmax(1.0 - extension**2, LEAST_SQUARE))
 
-    @abstractmethod
     def friction(self, q_a_dot: Symbol, p: Any) -> Symbol:
-        """Friction torque of the active joints (n,), opposing q_a_dot."""
+        """Friction torque of the active joints (n,), N m (N), opposing q_a_dot; none
+        here.
+        """
+        return ca.SX.zeros(self.n)
 
     def passive_friction(
         self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any

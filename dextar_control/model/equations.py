@@ -194,15 +194,9 @@ def equations(mechanism: Mechanism) -> Equations:
     drift = -ca.solve(B, b)  # Eq. 12
     q_a_ddot = J_inv @ x_ddot + drift  # Eq. 12
     w_b, w_d = ca.substitute([w_b, w_d], [a], [q_a_ddot])  # Eq. 10
-    force = (
-        J_inv.T @ w_b + w_d
-    )  # Eqs. 7, 8; w_b and w_d are Eq. 10's, which makes it what Eq. 13 inverts
-    M = (
-        J_inv.T @ M_a @ J_inv + J_inv.T @ M_ax + M_ax.T @ J_inv + M_x
-    )  # Eq. 14, with cross terms
-    h = (
-        J_inv.T @ (M_a @ drift + c_a) + M_ax.T @ drift + c_x
-    )  # Eq. 14, with M_a on B^-1 b
+    force = J_inv.T @ w_b + w_d  # Eqs. 7, 8, and 13 before its pseudo-inverse
+    M = J_inv.T @ M_a @ J_inv + J_inv.T @ M_ax + M_ax.T @ J_inv + M_x  # Eq. 14
+    h = J_inv.T @ (M_a @ drift + c_a) + M_ax.T @ drift + c_x  # Eq. 14, corrected
     multipliers = ca.solve(A_r.T, w_d)  # Eq. 1
     inverse_dynamics = w_b - B.T @ multipliers  # Eq. 4
     singular = singular_vectors(A_r)

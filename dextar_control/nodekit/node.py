@@ -343,8 +343,7 @@ class DextarNode(Node):
 
 def _descriptor(spec: Parameter, value: Any) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=spec.measured, dynamic_typing=True)
-    if spec.choices:
-        descriptor.additional_constraints = f"one of: {', '.join(spec.choices)}"
+    descriptor.additional_constraints = spec.allowed
     if spec.minimum is None and spec.maximum is None:
         return descriptor
     if isinstance(value, float):

@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import DextarError, ParameterError, StateError
 from dextar_control.contract.node_parameters import PARAMETERS
-from dextar_control.contract.settings import SETTING_NAMES, Estimation, Settings
+from dextar_control.contract.settings import SETTING_NAMES, Settings
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
 from dextar_control.control.loop import ControlLoop
@@ -134,11 +134,7 @@ class ControllerNode(ManagedNode):
         self._closers.append(self._outputs.close)
         self._reference = ReferenceReader(self)
         self._closers.append(self._reference.close)
-        self._poses = (
-            ExternalPoseReader(self)
-            if loop.settings.estimator is Estimation.EXTERNAL
-            else None
-        )
+        self._poses = ExternalPoseReader(self) if loop.estimator.takes_poses else None
         if self._poses is not None:
             self._closers.append(self._poses.close)
         profile = qos(JOINT_STATES, reliable=self._lockstep)

@@ -25,7 +25,7 @@ from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
-from dextar_control.experiments.campaign import learnt
+from dextar_control.experiments.campaign import self_calibration
 from dextar_control.identification.calibration import (
     Calibration,
     Prediction,
@@ -207,13 +207,13 @@ def test_numbers_come_back_within_their_deviations() -> None:
 
 def test_a_tour_that_the_robot_was_driven_through_calibrates_it() -> None:
     numbers = wrong(np.random.default_rng(3))
-    readings = driven(numbers)
+    readings = drive_step(numbers)
     found = fit(LINKAGE, NOMINAL, folds_of(readings))
     assert found.used.sum() == 12
     assert np.abs(found.numbers - as_kept(numbers))[LENGTHS].max() <= 20e-6
 
 
-def driven(numbers: np.ndarray) -> np.ndarray:
+def drive_step(numbers: np.ndarray) -> np.ndarray:
     """What the encoders read while the controller drives a robot through the tour that
     it takes for the described one.
     """
@@ -345,7 +345,7 @@ def behind_belts(numbers: np.ndarray, stiffness: float, known: float) -> Calibra
         f"{side}.transmission_stiffness": known for side in ("left", "right")
     }
     described_so = ROBOT.replace(**told) if known else ROBOT
-    recorded = learnt.record(described_so, tour(), rig)
+    recorded = self_calibration.record_motion(described_so, tour(), rig)
     return calibrate_recorded(described_so, [recorded], poses=known == 0.0)
 
 
@@ -384,7 +384,9 @@ def test_a_tour_that_ends_early_is_made_up_for_the_other_way_round() -> None:
         rigs.append(Rig(built, plant="cartesian", pose_rate=100.0, pose_noise=2e-4))
         return rigs[-1]
 
-    found, told = learnt.learnt(ROBOT, rig, calibrated=True, identified=False)
+    found, told = self_calibration.calibrated_description(
+        ROBOT, rig, calibrated=True, identified=False
+    )
     assert told == {"calibrated": True}
     assert len(rigs) == 2
     assert np.abs(numbers_of(found) - numbers)[LENGTHS].max() <= 60e-6

@@ -7,6 +7,7 @@ from __future__ import annotations
 import inspect
 import math
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,8 @@ from dextar_control.experiments.campaign.design import CrossingPoint, Trial
 from dextar_control.experiments.campaign.ranges import PERTURBATIONS
 from dextar_control.experiments.campaign.trial import (
     RIG_OPTIONS,
-    build,
-    known,
+    built_robot,
+    controller_model,
     run_trial,
     sample_points,
 )
@@ -45,6 +46,8 @@ def run(
     place: CrossingPoint,
     direction: int = 1,
     seed: int = 1,
+    law: str = "consistent",
+    estimator: str = "observer",
     **perturbation: float,
 ) -> dict[str, Any]:
     trial = Trial(
@@ -55,8 +58,8 @@ def run(
         direction=direction,
         case="tried",
         perturbation=perturbation,
-        law="consistent",
-        estimator="observer",
+        law=law,
+        estimator=estimator,
         plant="cartesian",
         seed=seed,
         duration=0.33,
@@ -205,10 +208,10 @@ def test_the_true_robot_has_what_the_controller_knows_a_share_of(
         "tilt": 0.1,
         "geometry_signs": 2e-4,
     }
-    true = build(
+    true = built_robot(
         robot, perturbation, np.random.default_rng(0), np.random.default_rng(1)
     )
-    leg, model = true.left, known(robot, perturbation)
+    leg, model = true.left, controller_model(robot, perturbation)
     assert (
         leg.transmission_stiffness,
         leg.passive_coulomb_friction,
@@ -244,7 +247,9 @@ def test_the_true_robot_has_what_the_controller_knows_a_share_of(
         }
     )
     assert (
-        known(robot, perturbation | {"belt_modelled": 1.0}).right.transmission_stiffness
+        controller_model(
+            robot, perturbation | {"belt_modelled": 1.0}
+        ).right.transmission_stiffness
         == 200.0
     )
 
@@ -284,3 +289,12 @@ def test_a_blow_is_a_force_for_a_while_that_turns_the_robot_round(
     row = run(robot, place, bounce=1.0, blow=10.0, blow_duration=0.012)
     assert row["crossed"] < 2
     assert row["recognised"] is not None
+
+
+def test_a_row_runs_with_a_law_and_an_estimator_of_ones_own(
+    robot: RobotParameters, place: CrossingPoint, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "examples"))
+    own = "own_estimator:Luenberger"
+    row = run(robot, place, law="own_law:damped", estimator=own)
+    assert row["success"], row["reason"]

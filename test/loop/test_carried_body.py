@@ -1,4 +1,4 @@
-"""The mechanism of ``examples/carried_body.py``: a locus where two motions are
+"""The mechanism of ``carried_body.py``: a locus where two motions are
 uncontrollable at once, and crossings of it.
 
 What the body does is compared with its own equations of motion in the plane, bound to
@@ -10,15 +10,16 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
+import carried_body
 import casadi as ca
 import numpy as np
 import pytest
 from crossing_polynomial import crossing_polynomial
-from plain_loop import Run, drive, example, heavier
+from plain_loop import Run, drive, heavier
 from scipy.optimize import newton
 
 from dextar_control.contract.errors import ParameterError
-from dextar_control.contract.settings import Estimation, default_settings
+from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import Phase
 from dextar_control.control.verdicts import Verdict
@@ -47,7 +48,7 @@ BOTH = [(-1.0, 1.0, -1.0), (-1.0, 1.0, -1.0)]  # sides of the two blocks, in tur
 
 @pytest.fixture(scope="module")
 def carried() -> Any:
-    return example("carried_body")
+    return carried_body
 
 
 @pytest.fixture(scope="module")
@@ -358,4 +359,4 @@ def test_an_external_position_is_not_taken_for_it(robot: Robot) -> None:
             "estimator external needs an A_r of one block; that of carried_body has 2"
         ),
     ):
-        ControlLoop(robot, default_settings(estimator=Estimation.EXTERNAL), 1)
+        ControlLoop(robot, default_settings(estimator="external"), 1)

@@ -24,9 +24,9 @@ from dextar_control.contract.errors import (
     TrajectoryError,
 )
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
-from dextar_control.experiments.campaign import learnt
+from dextar_control.experiments.campaign import self_calibration
 from dextar_control.experiments.campaign.design import CrossingPoint, Trial
-from dextar_control.experiments.campaign.learnt import record
+from dextar_control.experiments.campaign.self_calibration import record
 from dextar_control.experiments.campaign.trial import run_trial, sample_points
 from dextar_control.identification.dynamics import DynamicFit
 from dextar_control.identification.identification import (
@@ -332,7 +332,7 @@ def test_bags_of_two_robots_do_not_go_together() -> None:
 def test_a_robot_that_learnt_its_passive_friction_crosses_as_planned(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(learnt, "_exciting", lambda robot: exciting())
+    monkeypatch.setattr(self_calibration, "_exciting", lambda robot: exciting())
     point = sample_points(ROBOT, 4, 0, 3)[0]
     given = trial_of(point, {"passive": 0.01, "identified": 1.0})
     row = run_trial(ROBOT, given, Rig)

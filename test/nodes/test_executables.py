@@ -114,7 +114,7 @@ def test_help_tells_default_unit_range_and_whether_a_parameter_is_live() -> None
     text = node_help(ControllerNode)
     assert "\n  joint_states.healthy_time = 0.5 s (0 to 60; live)\n" in text
     assert "\n  lockstep = false\n" in text
-    assert "The choices are classic, projected, consistent" in " ".join(text.split())
+    assert "It is one of classic, projected, consistent" in " ".join(text.split())
     assert "\n  bag.max_size = 0 bytes (>= 0)\n" in node_help(RecorderNode)
     assert "\n  task.start = [-0.025, 0.115] m (2 numbers)\n" in node_help(PlantNode)
 

@@ -42,7 +42,7 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.nodekit.cdr import from_time, to_time
 from dextar_control.nodekit.node import make_executor, qos
-from dextar_sim.happenings import Happenings
+from dextar_sim.disturbances import Disturbances
 from dextar_sim.node import PlantNode
 from dextar_sim.plant import Plant
 
@@ -808,7 +808,7 @@ def test_a_plant_unlike_its_drawing_does_what_its_parameters_say(
     off = times - PERIOD * np.arange(60)
     assert np.diff(times).min() > 0 and 100_000 < np.abs(off).max() <= 200_000
     plant = Plant(load_robot(config_file(ROBOT_FILE)).replace(**stiffness))
-    happenings = Happenings(
+    happenings = Disturbances(
         push=(0.1, 0.2),
         push_time=0.01,
         push_duration=0.02,
@@ -827,7 +827,7 @@ def test_a_plant_unlike_its_drawing_does_what_its_parameters_say(
             plant.state().joints.tolist(), abs=1e-9
         )
         assert state.position.tolist() == pytest.approx(
-            np.add(plant.encoded(), [0.01, 0.0]).tolist(), abs=1e-9
+            np.add(plant.encoder_angles(), [0.01, 0.0]).tolist(), abs=1e-9
         )
     plant.close()
     commander.close()

@@ -23,7 +23,7 @@ from dextar_control.control.loop import ControlLoop
 from dextar_control.experiments.campaign.trial import (
     _drive,
     _judge,
-    build,
+    built_robot,
     sample_points,
 )
 from dextar_control.planning.certificate import Plan
@@ -67,7 +67,7 @@ def main() -> None:
             for name, perturbation in CASES.items():
                 generators = (np.random.default_rng([row, k]) for k in range(2))
                 ended[name] += ends_well(
-                    robot, plan, build(robot, perturbation, *generators)
+                    robot, plan, built_robot(robot, perturbation, *generators)
                 )
         print(
             f"{locus_time:.2f} | {np.median(peaks):.4f} |"

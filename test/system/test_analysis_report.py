@@ -502,3 +502,22 @@ def test_the_plan_is_a_table_beside_its_limits() -> None:
     run, _, page = made()
     row = next(row for row in page.rows if row[:1] == ["peak torque"])
     assert row[2:] == ["-", f"{run.robot.max_torque:g}", "N m"] and float(row[1]) > 0.0
+
+
+def test_a_recorded_robot_is_not_taken_for_another(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        cli.main(
+            [
+                "analyze",
+                str(lockstep_bag()),
+                "--output",
+                str(tmp_path),
+                "--namespace",
+                "/left",
+            ]
+        )
+        == 2
+    )
+    assert "is of the robot in namespace '/', not '/left'" in capsys.readouterr().err

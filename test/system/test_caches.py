@@ -15,6 +15,7 @@ import pytest
 
 from dextar_control.contract import caches
 from dextar_control.contract.caches import cache_folder, prepare_environment
+from dextar_control.planning.planner import Plan
 from dextar_control.symbols.functions import compiler
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
@@ -201,3 +202,65 @@ print(
         cwd=ROOT,
     )
     assert answer.stdout.splitlines()[-1] == "set() []"
+
+
+@needs_compiler
+def test_two_processes_that_start_at_once_share_one_library(tmp_path: Path) -> None:
+    code = (
+        "import numpy as np; from dextar_control.contract.resources import"
+        " config_file;from dextar_control.contract.robot import flatten, load_robot;"
+        " from dextar_control.mechanisms import mechanism_named;from"
+        " dextar_control.model.model import Model;m ="
+        " Model(mechanism_named('five_bar'),"
+        " flatten(load_robot(config_file('dextar.yaml'))));assert m.library.compiled; x"
+        " = np.array([0.0, 0.115]); print(m.state(m.inverse_geometric_model(x), x,"
+        " np.zeros(2)).s)"
+    )
+    environment = os.environ | {
+        "XDG_CACHE_HOME": str(tmp_path),
+        "PYTHONPATH": str(ROOT),
+    }
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-W", "error", "-c", code],
+            env=environment,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(3)
+    ]
+    answers = {
+        process.communicate(timeout=120)[0].split("\n")[0] for process in started
+    }
+    assert all(process.returncode == 0 for process in started) and len(answers) == 1
+    assert (
+        len(list(tmp_path.rglob("*.so"))) == 1
+        and len(list(tmp_path.rglob(".model-*"))) == 0
+    )
+
+
+def test_it_plans_the_same_without_a_compiler(trip: Plan, tmp_path: Path) -> None:
+    program = """
+from dextar_control.contract.resources import ROBOT_FILE, config_file
+from dextar_control.contract.robot import load_robot
+from dextar_control.planning.planner import plan_return_trip
+plan = plan_return_trip(load_robot(config_file(ROBOT_FILE)), [-0.025, 0.115], [0.01, 0.06], 0.33, 0.2)
+print(plan.certificate.peak_torque, plan.certificate.crossing_times[0])
+"""
+    found = subprocess.run(
+        [sys.executable, "-c", program],
+        check=True,
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env=dict(os.environ) | {"DEXTAR_CC": "", "XDG_CACHE_HOME": str(tmp_path)},
+    )
+    peak, crossing = (float(number) for number in found.stdout.split())
+    assert peak == pytest.approx(
+        trip.certificate.peak_torque, rel=1e-4
+    )  # where a descent ends that rounding may bend
+    assert crossing - 0.2 == pytest.approx(
+        trip.certificate.crossing_times[0] - 0.2, abs=1e-3
+    )
+    assert found.stderr.count("are interpreted") == len(found.stderr.splitlines()) == 1
+    assert not list(tmp_path.rglob("*.so"))

@@ -30,8 +30,9 @@ from dextar_control.experiments.campaign.config import CampaignConfig
 from dextar_control.experiments.campaign.design import Trial, code_digest, trials_of
 from dextar_control.experiments.campaign.pool import DIED, Pool
 from dextar_control.experiments.campaign.rerun import TIMES
+from dextar_control.experiments.campaign.rows import Row
 from dextar_control.experiments.campaign.store import Store, read_rows
-from dextar_control.experiments.campaign.worker import Job, Row, run_trials
+from dextar_control.experiments.campaign.worker import Job, run_trials
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = (

@@ -22,7 +22,7 @@ from dextar_control.contract.validation import validate
 from dextar_control.experiments.faults import run
 from dextar_control.experiments.faults.cases import FaultConfig
 from dextar_control.experiments.faults.judgement import Check
-from dextar_control.experiments.faults.stack import Request
+from dextar_control.experiments.faults.stack import SessionRequest
 
 ROOT = Path(__file__).resolve().parents[2]
 CASES = yaml.safe_load(config_file("faults.yaml").read_text(encoding="utf-8"))
@@ -33,7 +33,7 @@ def session(
     folder: Path, cases: dict[str, int], **changes: Any
 ) -> tuple[int, list[dict[str, Any]]]:
     """Exit code and events of one session in simulated time, in a domain of its own."""
-    request = Request(
+    request = SessionRequest(
         str(folder),
         "lockstep",
         cases,
@@ -154,8 +154,8 @@ def test_a_session_that_is_being_started_while_the_run_is_stopped_is_ended_too(
 ) -> None:
     """The signal comes between the start of the process and the moment it is known."""
     config = validate(FaultConfig, CASES, "cases")
-    worker = run.Worker(
-        run.Plan("lockstep", {"states_nan": 1}),
+    worker = run.SessionRunner(
+        run.SessionPlan("lockstep", {"states_nan": 1}),
         tmp_path,
         config,
         1,
@@ -180,7 +180,7 @@ def test_a_session_that_is_being_started_while_the_run_is_stopped_is_ended_too(
 
 
 def test_a_session_ends_its_nodes_however_often_it_is_told_to(tmp_path: Path) -> None:
-    request = Request(
+    request = SessionRequest(
         str(tmp_path),
         "lockstep",
         {"states_nan": 1},

@@ -23,7 +23,7 @@ from dextar_control.experiments.faults.frames import (
     LinkError,
     LinkQuality,
 )
-from dextar_control.experiments.faults.netns import ADDRESSES, FaultyLink
+from dextar_control.experiments.faults.netns import ADDRESSES, FaultyLink, Side
 
 ROOT = Path(__file__).resolve().parents[2]
 PEER = [sys.executable, link_peer.__file__]
@@ -172,21 +172,26 @@ def test_a_missing_tool_is_named(
         pass
 
 
-def _datagrams(link: FaultyLink, count: int) -> list[tuple[int, int]]:
-    """(number, delay in ns) of the datagrams that came through from a to b, in order of
-    arrival.
-    """
-    receiver = link.popen(
-        "b",
-        [*PEER, "receive"],
+def _start(link: FaultyLink, side: Side, *command: str) -> subprocess.Popen[str]:
+    """A process on one side of a link."""
+    return subprocess.Popen(
+        [*link.inside(side), *PEER, *command],
+        env=link.environment(),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
     )
+
+
+def _datagrams(link: FaultyLink, count: int) -> list[tuple[int, int]]:
+    """(number, delay in ns) of the datagrams that came through from a to b, in order of
+    arrival.
+    """
+    receiver = _start(link, "b", "receive")
     assert receiver.stdout is not None
     assert receiver.stdout.readline() == "ready\n"
     before = link.statistics()["a_to_b"].received
-    link.run("a", [*PEER, "send", ADDRESSES["b"], str(count)], check=True)
+    assert _start(link, "a", "send", ADDRESSES["b"], str(count)).wait(PATIENCE) == 0
     deadline = time.monotonic() + PATIENCE
     while (now := link.statistics()["a_to_b"]).received < before + count or now.waiting:
         assert time.monotonic() < deadline, now
@@ -234,7 +239,8 @@ def test_the_datagrams_overtaken_or_doubled_between_the_namespaces_are_counted()
 def test_nothing_passes_during_an_outage_and_everything_after_it() -> None:
     with FaultyLink() as link:
         with link.outage():
-            link.run("a", [*PEER, "send", ADDRESSES["b"], "20"], check=True)
+            sender = _start(link, "a", "send", ADDRESSES["b"], "20")
+            assert sender.wait(PATIENCE) == 0
             assert link.statistics()["a_to_b"].dropped == 20
         assert [number for number, _ in _datagrams(link, 20)] == list(range(20))
 
@@ -245,12 +251,8 @@ def test_reliable_topics_get_through_a_bad_link_whole() -> None:
     with FaultyLink(
         loss=0.1, delay=0.002, jitter=0.002, reorder=0.05, duplicate=0.05, seed=13
     ) as link:
-        listener = link.popen(
-            "b", [*PEER, "subscribe", str(count)], stdout=subprocess.PIPE, text=True
-        )
-        talker = link.popen(
-            "a", [*PEER, "publish", str(count)], stdout=subprocess.PIPE, text=True
-        )
+        listener = _start(link, "b", "subscribe", str(count))
+        talker = _start(link, "a", "publish", str(count))
         assert json.loads(listener.communicate(timeout=PATIENCE)[0]) == list(
             range(count)
         )
@@ -296,10 +298,8 @@ def _runs(pid: int) -> bool:
 @needs_root
 def test_an_error_inside_the_context_ends_the_processes_of_the_link() -> None:
     with pytest.raises(RuntimeError, match="on purpose"), FaultyLink() as link:
-        inner = link.popen("a", ["sleep", "1000"])
         pids = link.helper_pids()
         raise RuntimeError("on purpose")
-    assert inner.returncode == -signal.SIGTERM
     assert not any(_runs(pid) for pid in pids)
     with pytest.raises(LinkError, match="there is no side 'a' of the link now"):
-        link.popen("a", ["true"])
+        link.inside("a")

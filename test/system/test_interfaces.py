@@ -123,7 +123,7 @@ def test_without_the_package_its_server_says_what_to_do(
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The environment of a shell that has sourced both packages, built by colcon as the
-    README says.
+    documentation says.
     """
     prefix = next(
         (

@@ -64,6 +64,37 @@ def test_package_xml_setup_py_and_the_installation_agree_on_the_version():
     assert importlib.metadata.version("dextar") == version
 
 
+def test_everything_that_describes_the_package_says_the_same():
+    asked = ["--name", "--version", "--description", "--license", "--maintainer"]
+    told = subprocess.run(
+        [sys.executable, "setup.py", "-q", *asked],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.splitlines()
+    tags = "name", "version", "description", "license", "maintainer"
+    assert told[-len(asked) :] == [MANIFEST.findtext(tag) for tag in tags]
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    described = {
+        "title": "name",
+        "version": "version",
+        "abstract": "description",
+        "license": "license",
+    }
+    assert {key: cited[key] for key in described} == {
+        key: MANIFEST.findtext(tag) for key, tag in described.items()
+    }
+    assert cited["authors"] == [{"name": MANIFEST.findtext("maintainer")}]
+    changes = (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8").splitlines()
+    assert "Changelog for package dextar" in changes and "Forthcoming" in changes
+    beside = ElementTree.parse(ROOT / "interfaces" / "package.xml").getroot()
+    assert all(
+        beside.findtext(tag) == MANIFEST.findtext(tag)
+        for tag in ("version", "license", "maintainer")
+    )
+
+
 ROSDEP = {  # the rosdep key that brings a requirement of setup.py
     "numpy": "python3-numpy",
     "scipy": "python3-scipy",

@@ -207,7 +207,7 @@ def goes(page: Page) -> None:
 @pytest.mark.skipif(
     not PICTURE,
     reason=(
-        "makes the documentation's picture: DEXTAR_PICTURE=doc/panel.png, -k picture"
+        "makes the documentation's picture: DEXTAR_PICTURE=docs/panel.png, -k picture"
     ),
 )
 def test_the_documentations_picture_is_taken_in_a_crossing(

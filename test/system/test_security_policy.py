@@ -39,7 +39,7 @@ from dextar_control.contract.topics import (
     TOPICS,
     TRAJECTORY,
 )
-from dextar_control.experiments.demo import _Monitor
+from dextar_control.experiments.monitor import Monitor
 from dextar_control.nodekit.node import qos
 from dextar_control.nodes.operator import Operator
 from dextar_control.security.policy import TRIPS, build_policy, policy_text
@@ -325,7 +325,7 @@ def test_commands_and_states_have_one_publisher_each(system: System) -> None:
 @pytest.mark.parametrize(
     ("name", "make"),
     [
-        ("demo", _Monitor),
+        ("demo", lambda: Monitor("demo")),
         ("operator", lambda: Operator("", SimpleNamespace())),
         ("check_rig", lambda: RigWatch("", "", "", arrays=False)),
     ],

@@ -100,12 +100,11 @@ def subscribe(count: int) -> None:
 
 
 def hold() -> None:
-    """Own a link with a process on one side until killed."""
+    """Own a link until killed."""
     from dextar_control.experiments.faults.netns import FaultyLink
 
     with FaultyLink() as link:
-        inner = link.popen("a", ["sleep", "1000"])
-        print(json.dumps([inner.pid, *link.helper_pids()]), flush=True)
+        print(json.dumps(link.helper_pids()), flush=True)
         time.sleep(1000)
 
 

@@ -4,21 +4,18 @@ mechanism; exact, or PyBullet's bodies.
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
+from dextar_control.model import exact_plant
 from dextar_control.model.model import Model
 from dextar_control.model.robot import Robot
 from dextar_control.planning.certificate import NEAR_LOCUS, Plan
 from dextar_sim.body_plant import BodyPlant
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PERIOD = 1e-3  # s
 SUBSTEPS = 4  # of Runge and Kutta's method, a period
 AFTER = 0.1  # s of holding after the trip
@@ -26,46 +23,26 @@ TURN = 2.0 * np.pi / 2**17  # rad, of an encoder's count
 
 
 class ExactPlant:
-    """The mechanism's own forward dynamics, regular on the Type 2 locus, at rest in x
-    (n,); joints through an encoder.
-    """
+    """The package's, at rest in x (n,); joints through an encoder."""
 
     def __init__(self, robot: Robot, x: np.ndarray, resolution: float = TURN) -> None:
-        self.model, self.resolution = Model.of(robot), resolution
-        self.x, self.x_dot = x.copy(), np.zeros(self.model.n)
+        self.resolution, self._plant = resolution, exact_plant.ExactPlant(robot, PERIOD)
+        self.model, self.step = self._plant.model, self._plant.step
+        self._plant.reset(x)
+
+    @property
+    def x(self) -> np.ndarray:
+        """(n,) of the platform."""
+        return self._plant.state().x
 
     def joints(self) -> np.ndarray:
         """(n,) as the encoders count them."""
-        return (
-            np.round(self.model.place(self.x).q_a / self.resolution) * self.resolution
-        )
+        return np.round(self._plant.state().q_a / self.resolution) * self.resolution
 
     def turn(self, blocks: tuple[int, ...]) -> None:
         """The velocity along t_s of these blocks of A_r turns round."""
-        self.x_dot = _turned(self.model, self.x, self.x_dot, blocks)
-
-    def step(self, tau: np.ndarray) -> None:
-        """One period under torques (n,)."""
-
-        def rate(state: np.ndarray) -> np.ndarray:
-            x, x_dot = np.split(state, 2)
-            return np.concatenate(
-                [
-                    x_dot,
-                    self.model.platform_dynamics(
-                        self.model.place(x).q_a, x, x_dot, tau
-                    ).x_ddot,
-                ]
-            )
-
-        state, h = np.concatenate([self.x, self.x_dot]), PERIOD / SUBSTEPS
-        for _ in range(SUBSTEPS):
-            k1 = rate(state)
-            k2 = rate(state + 0.5 * h * k1)
-            k3 = rate(state + 0.5 * h * k2)
-            k4 = rate(state + h * k3)
-            state = state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        self.x, self.x_dot = np.split(state, 2)
+        state = self._plant.state()
+        self._plant.reset(state.x, _turned(self.model, state.x, state.x_dot, blocks))
 
     def close(self) -> None:
         """Nothing is held."""
@@ -205,17 +182,6 @@ def drive(
         plant.step(tau)
     plant.close()
     return Run(loop, *(np.array(part) for part in zip(*rows, strict=True)))
-
-
-def example(name: str) -> Any:
-    """The module of ``examples/<name>.py``."""
-    file = EXAMPLES / f"{name}.py"
-    specification = importlib.util.spec_from_file_location(name, file)
-    assert specification is not None and specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[name] = module
-    specification.loader.exec_module(module)
-    return module
 
 
 def heavier(robot: Robot, share: float) -> Robot:

@@ -6,15 +6,13 @@ from __future__ import annotations
 
 import copy
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from mcap.writer import Writer
-from recorded_run import lockstep_bag, rewrite
+from recorded_run import rewrite
 from synthetic_run import START, TICKS, message
 
 from dextar_control.analysis import load_run
@@ -163,22 +161,6 @@ def test_every_command_refuses_it_in_one_line(
     assert not (tmp_path / "out").exists()
 
 
-def test_the_process_itself_ends_with_two_and_no_traceback(
-    good: Path, tmp_path: Path
-) -> None:
-    bad = two_runs(good, tmp_path)
-    command = [sys.executable, "-m", "dextar_control.cli.main", "analyze", str(bad)]
-    answer = subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=Path(__file__).parents[2],
-    )
-    assert answer.returncode == 2
-    assert "two runs in one bag" in answer.stderr and "Traceback" not in answer.stderr
-
-
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_truncated_bag_is_analysed_and_says_so(
     good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -289,22 +271,3 @@ def test_a_time_that_is_none_is_damage(
         "has the time 9223372036854775808 ns: the file is damaged"
         in capsys.readouterr().err
     )
-
-
-def test_a_recorded_robot_is_not_taken_for_another(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert (
-        cli.main(
-            [
-                "analyze",
-                str(lockstep_bag()),
-                "--output",
-                str(tmp_path),
-                "--namespace",
-                "/left",
-            ]
-        )
-        == 2
-    )
-    assert "is of the robot in namespace '/', not '/left'" in capsys.readouterr().err

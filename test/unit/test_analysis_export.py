@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
 import sys
 from pathlib import Path
 
@@ -195,29 +194,20 @@ def test_a_folder_that_cannot_be_written_is_one_sentence(
     assert error.startswith("dextar export: cannot write to") and error.count("\n") == 1
 
 
-def test_only_parquet_needs_pyarrow(tmp_path: Path, folder: Path) -> None:
-    """In a process in which pyarrow cannot be imported."""
+def test_only_parquet_needs_pyarrow(
+    tmp_path: Path,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)  # its import fails
     write_run(tmp_path / "run.mcap")
-    code = f"""
-import sys
-sys.modules["pyarrow"] = None
-from dextar_control.cli import main as cli
-bag = {str(tmp_path / "run.mcap")!r}
-kinds = "csv", "mat", "parquet"
-codes = [cli.main(["export", bag, "--format", kind]) for kind in kinds]
-print(codes, cli.main(["export", bag]))
-"""
-    command = [sys.executable, "-c", code]
-    answer = subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=Path(__file__).parents[2],
-    )
-    assert answer.stdout.splitlines()[-1] == "[0, 0, 2] 2", answer.stderr
-    assert len(answer.stderr.splitlines()) == 2
-    for line in answer.stderr.splitlines():
+    export = ["export", str(tmp_path / "run.mcap")]
+    kinds = [["--format", kind] for kind in ("csv", "mat", "parquet")]
+    assert [cli.main(export + kind) for kind in (*kinds, [])] == [0, 0, 2, 2]
+    refused = capsys.readouterr().err.splitlines()
+    assert len(refused) == 2
+    for line in refused:
         assert line.startswith(
             "dextar export: --format parquet (--format csv does not) needs the package"
             " pyarrow"

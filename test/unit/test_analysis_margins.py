@@ -32,7 +32,7 @@ CHANGES = {"trajectory.max_residual": 1.0}  # N
 PUSH, PUSHED = 1.0, (0.34, 0.36)  # N along y, s
 
 
-def driven() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
+def drive_step() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
     """A pushed trip in a plain loop as a bag would hold it: (run, (share, value, limit)
     per watch, longest time saturated).
     """
@@ -127,7 +127,7 @@ def by_name(margins: Margins) -> dict[str, Margin]:
 
 
 def test_the_watches_are_those_that_the_controller_had() -> None:
-    run, nearest, longest = driven()
+    run, nearest, longest = drive_step()
     track = tracked(run)
     margins = measure_margins(
         run, track, None, measure_timing(run, track), math.inf, math.nan

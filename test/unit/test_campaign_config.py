@@ -12,8 +12,8 @@ import yaml
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.experiments.campaign.config import CampaignConfig, load_config
-from dextar_control.experiments.campaign.loading import resolve
 from dextar_control.experiments.campaign.ranges import BARS
+from dextar_control.experiments.campaign.rig import resolve
 from dextar_control.experiments.campaign.selection import check_names, names, select
 from dextar_control.experiments.campaign.summary import MEASURES, Group
 
@@ -205,7 +205,7 @@ def test_names_that_do_not_exist_are_refused_with_those_that_do() -> None:
     "name", ["nowhere:Rig", "dextar_control:Nothing", "dextar_control", ":Rig"]
 )
 def test_a_rig_that_cannot_be_loaded_is_named(name: str) -> None:
-    with pytest.raises(ParameterError, match=f"rig '{name}'"):
+    with pytest.raises(ParameterError, match=f"rig = '{name}'"):
         resolve(name)
 
 

@@ -26,7 +26,7 @@ from dextar_control.experiments.campaign.summary import (
     real_time_factor,
     summarise,
 )
-from dextar_control.experiments.campaign.trial import SAID
+from dextar_control.experiments.campaign.trial import CONFIDENCE_BINS
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = {
@@ -198,7 +198,9 @@ def said(count: int, right: float, stated: float) -> list[dict[str, Any]]:
     time.
     """
     bins = {
-        f"{kind}_{odds:g}": 0.0 for kind in ("said", "right", "stated") for odds in SAID
+        f"{kind}_{odds:g}": 0.0
+        for kind in ("said", "right", "stated")
+        for odds in CONFIDENCE_BINS
     }
     told = {
         "said_0.99": 1,

@@ -7,9 +7,6 @@ from __future__ import annotations
 import importlib
 import math
 import re
-import signal
-import subprocess
-import sys
 from array import array
 from operator import attrgetter
 from pathlib import Path
@@ -22,7 +19,6 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from dextar_control.cli import demo
 from dextar_control.contract.controller_parameters import CONTROLLER
 from dextar_control.contract.errors import ParameterError, StateError, TrajectoryError
 from dextar_control.contract.node_parameters import PARAMETERS
@@ -41,9 +37,9 @@ from dextar_control.contract.robot import (
     load_robot,
 )
 from dextar_control.contract.settings import (
+    ESTIMATORS,
+    LAWS,
     SETTING_NAMES,
-    Estimation,
-    Law,
     default_settings,
 )
 from dextar_control.contract.topics import (
@@ -61,7 +57,9 @@ from dextar_control.contract.topics import (
     Service,
     Topic,
 )
+from dextar_control.control import law
 from dextar_control.control.phases import Phase
+from dextar_control.estimation import estimator
 from dextar_control.nodekit.cdr import from_time, to_time
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodekit.node import qos
@@ -289,9 +287,9 @@ def test_an_array_that_may_be_empty_is_one_of_floats(
     assert all(isinstance(number, float) for number in cast)
 
 
-def test_the_command_line_offers_every_law_and_estimator() -> None:
-    assert sorted(demo.LAWS) == sorted(law.name.lower() for law in Law)
-    assert sorted(demo.ESTIMATORS) == sorted(kind.name.lower() for kind in Estimation)
+def test_every_law_and_estimator_that_is_named_is_there() -> None:
+    assert tuple(law.LAWS) == LAWS
+    assert tuple(estimator.ESTIMATORS) == ESTIMATORS
 
 
 @pytest.mark.parametrize("entry", [*TOPICS, *SERVICES], ids=lambda entry: entry.name)
@@ -435,37 +433,6 @@ def test_a_description_without_joint_ranges_has_none(robot: RobotParameters) -> 
     }
     legs = from_flat(flat).legs
     assert {(leg.min_angle, leg.max_angle) for leg in legs} == {(-math.pi, math.pi)}
-
-
-SWALLOWED = """
-import sys, time
-from dextar_control.contract.signals import StopSignal
-stop, word = StopSignal(), "ready\\n"
-while True:
-    try:
-        told, word = word, ""
-        print(told, end="", flush=True)
-        time.sleep(0.01)
-    except KeyboardInterrupt:
-        pass
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_node_that_is_being_made_ends_although_the_compiler_swallows_the_interrupt(
-    number: int,
-) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-c", SWALLOWED],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "ready\n"
-    process.send_signal(number)
-    output, _ = process.communicate(timeout=60.0)
-    assert (process.returncode, output) == (0, "")
 
 
 def test_motor_axes_are_told_by_their_distance_or_each_by_its_place(

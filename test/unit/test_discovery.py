@@ -85,7 +85,7 @@ def test_the_demos_nodes_stay_on_this_machine_unless_the_variable_opens_them(
     monkeypatch.setenv(VARIABLE, given or "")
     if given is None:
         monkeypatch.delenv(VARIABLE)
-    monkeypatch.setattr(demo._Processes, "start", start)
+    monkeypatch.setattr(demo.Processes, "start", start)
     monkeypatch.setattr(
         signal, "signal", lambda number, handler: None
     )  # the demo's handlers are not the tests'

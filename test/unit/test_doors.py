@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import subprocess
 import sys
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -198,18 +197,3 @@ def test_the_controller_never_imports_the_simulator() -> None:
                 item.split(".")[0] in ("dextar_sim", "pybullet")
                 for item in _imports(path)
             ), path
-
-
-def test_importing_the_mathematics_loads_neither_ros_nor_simulator() -> None:
-    code = (
-        "import sys, dextar_control.control.loop, dextar_control.planning.tour;"
-        "print('rclpy' in sys.modules or 'pybullet' in sys.modules)"
-    )
-    answer = subprocess.run(
-        [sys.executable, "-c", code],
-        check=True,
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-    )
-    assert answer.stdout.split()[-1] == "False"

@@ -14,8 +14,8 @@ from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.robot import RobotParameters, load_robot
 from dextar_sim.cartesian import CartesianPlant
+from dextar_sim.disturbances import Disturbances
 from dextar_sim.effects import Effects
-from dextar_sim.happenings import Happenings
 from dextar_sim.plant import Plant
 from dextar_sim.rig import PLANTS, Rig
 from dextar_sim.sensors import Encoder
@@ -77,7 +77,7 @@ def test_a_belt_resonates_where_rotors_and_links_say(kind: Kind) -> None:
     twists = []
     for _ in range(4000):
         plant.step((0.0, 0.0))
-        twists.append(np.subtract(plant.encoded(), plant.state().q_a))
+        twists.append(np.subtract(plant.encoder_angles(), plant.state().q_a))
         if len(twists) % 500 == 0:
             plant.step((0.0, 0.0))
     plant.close()
@@ -116,7 +116,7 @@ def test_a_damped_belt_comes_to_rest_under_a_torque_bent_by_it_over_its_stiffnes
         plant.reset(AT)
         state = run(plant, 300, (0.05, -0.03))[-1]
         np.testing.assert_allclose(
-            np.subtract(plant.encoded(), state.q_a),
+            np.subtract(plant.encoder_angles(), state.q_a),
             seen * np.array([5e-4, -3e-4]),
             atol=1e-6,
         )
@@ -242,7 +242,7 @@ def test_backlash_leaves_a_motor_half_of_it_to_each_side(kind: Kind) -> None:
     rests = []
     for torque in (0.05, -0.05, 0.05):
         state = run(plant, 1500, (torque, -torque))[-1]
-        rests.append(plant.encoded()[0] - state.q_a[0])
+        rests.append(plant.encoder_angles()[0] - state.q_a[0])
     plant.close()
     assert rests == pytest.approx(
         [1.05e-3, -1.05e-3, 1.05e-3], abs=1e-6
@@ -316,7 +316,7 @@ def test_a_push_does_the_work_of_its_force(kind: Kind) -> None:
     force = np.array([0.3, -0.4])
     plant, pushed = (
         kind(DEXTAR),
-        Happenings(push=force.tolist(), push_time=0.01, push_duration=0.02),
+        Disturbances(push=force.tolist(), push_time=0.01, push_duration=0.02),
     )
     states = [plant.reset(AT)]
     for step in range(32):

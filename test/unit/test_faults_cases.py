@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +11,15 @@ import pytest
 import yaml
 from PIL import Image
 
+from dextar_control.cli import main as cli
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.validation import validate
 from dextar_control.experiments.faults.cases import FaultConfig, load_cases
 from dextar_control.experiments.faults.figure import draw
 from dextar_control.experiments.faults.judgement import Check, Outcome
-from dextar_control.experiments.faults.link import Shape
-from dextar_control.experiments.faults.run import plans, select
+from dextar_control.experiments.faults.link import MessageShape
+from dextar_control.experiments.faults.run import select, session_plans
 from dextar_control.experiments.faults.table import Summary
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -54,7 +53,7 @@ def test_the_shipped_file_tries_at_least_a_thousand_crossings_and_every_kind_of_
     delays = [value for _, key, value in transports if key == "delay"]
     assert min(delays) == 0.001 and max(delays) == 0.01
     assert {case.window.shape for case in cases if case.window} == {
-        shape.value for shape in Shape
+        shape.value for shape in MessageShape
     }
     assert {(case.kill.node, case.kill.signal) for case in cases if case.kill} == {
         (node, number) for node in NODES for number in ("SIGKILL", "SIGTERM")
@@ -123,7 +122,7 @@ def test_cases_are_chosen_by_name_or_beginning_and_shared_among_the_sets_of_node
         "a quick run must not depend on the machine's noise"
     )
     everything = select(config, [], None, quick=False)
-    groups = plans(config, everything, 2)
+    groups = session_plans(config, everything, 2)
     assert [[plan.kind for plan in group] for group in groups] == [
         ["lockstep", "lockstep"],
         ["realtime"],
@@ -150,27 +149,17 @@ def test_cases_are_chosen_by_name_or_beginning_and_shared_among_the_sets_of_node
     ],
 )
 def test_the_command_refuses_a_wrong_argument_with_one_line(
-    arguments: tuple[str, ...], message: str, tmp_path: Path
+    arguments: tuple[str, ...],
+    message: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    answer = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "dextar_control.cli.main",
-            "faults",
-            *arguments,
-            "--output",
-            str(tmp_path),
-        ],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        stdin=subprocess.DEVNULL,
-        check=False,
-    )
-    assert answer.returncode == 2
-    assert message in answer.stderr
-    assert "Traceback" not in answer.stderr
+    try:
+        code = cli.main(["faults", *arguments, "--output", str(tmp_path)])
+    except SystemExit as end:  # argparse's
+        code = end.code
+    assert code == 2
+    assert message in capsys.readouterr().err
 
 
 def record(case: str, outcome: Outcome, **changes: Any) -> dict[str, Any]:
@@ -205,7 +194,7 @@ def filled() -> Summary:
     summary.take(
         record(
             "controller_sigkill",
-            Outcome.LIMP,
+            Outcome.NO_TORQUE,
             curve=[[-0.01, 0.05], [0.0, 0.05], [0.03, 0.0], [0.12, 0.0]],
         )
     )

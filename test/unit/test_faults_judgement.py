@@ -11,7 +11,7 @@ from mcap.writer import CompressionType, Writer
 
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.experiments.faults import bag_check, judgement
-from dextar_control.experiments.faults.judgement import Evidence, Seen
+from dextar_control.experiments.faults.judgement import Evidence, NodeReports
 from dextar_control.model.model import Model
 from dextar_sim import geometry
 
@@ -134,7 +134,7 @@ def test_a_silent_publisher_is_seen_by_its_largest_gap() -> None:
     assert judgement.paused(np.delete(times, range(40, 61)), 0.02)
 
 
-def seen(**changes: object) -> Seen:
+def seen(**changes: object) -> NodeReports:
     status = {
         "controller": {"missed_states": "3", "reason": ""},
         "plant": {"late_ticks": "7"},
@@ -147,7 +147,7 @@ def seen(**changes: object) -> Seen:
         "logs": {},
         "answers": [],
     }
-    return Seen(**(fields | changes))  # type: ignore[arg-type]
+    return NodeReports(**(fields | changes))  # type: ignore[arg-type]
 
 
 WAYS = [

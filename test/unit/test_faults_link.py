@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from dextar_control.contract.errors import ParameterError
 from dextar_control.experiments.faults.link import (
     Delivery,
-    Link,
-    Shape,
+    FaultWindow,
+    MessageLink,
+    MessageShape,
     Transport,
-    Window,
 )
 
 MS = 1_000_000
@@ -22,12 +22,12 @@ COUNT = 2000
 
 
 def run(
-    transport: Transport, windows: tuple[Window, ...] = (), seed: int = 3
+    transport: Transport, windows: tuple[FaultWindow, ...] = (), seed: int = 3
 ) -> list[tuple[int, Delivery[int]]]:
     """(time of arrival, delivery) of COUNT messages, one each millisecond, looked for
     at each millisecond.
     """
-    link: Link[int] = Link(transport, seed)
+    link: MessageLink[int] = MessageLink(transport, seed)
     for window in windows:
         link.add(window)
     arrived = []
@@ -57,7 +57,7 @@ def test_the_share_that_is_lost_is_the_one_asked_for(drop: float) -> None:
 
 
 def test_a_delay_is_kept_to_the_nanosecond() -> None:
-    link: Link[str] = Link(Transport(delay=0.003))
+    link: MessageLink[str] = MessageLink(Transport(delay=0.003))
     link.send(7, "a")
     assert list(link.due(3 * MS + 6)) == []
     assert link.next_due() == 3 * MS + 7
@@ -97,8 +97,8 @@ def test_a_window_gives_its_shape_to_what_is_sent_in_it_and_an_outage_lets_nothi
     None
 ):
     windows = (
-        Window(10 * MS, 15 * MS, Shape.OUTAGE),
-        Window(20 * MS - 7, 22 * MS, Shape.NAN),
+        FaultWindow(10 * MS, 15 * MS, MessageShape.OUTAGE),
+        FaultWindow(20 * MS - 7, 22 * MS, MessageShape.NAN),
     )
     arrived = [delivery for _, delivery in run(Transport(), windows)]
     assert [delivery.item for delivery in arrived][:12] == [*range(10), 15, 16]
@@ -107,7 +107,7 @@ def test_a_window_gives_its_shape_to_what_is_sent_in_it_and_an_outage_lets_nothi
         for delivery in arrived
         if delivery.shape is not None
     ]
-    assert shaped == [(20, Shape.NAN, 20 * MS), (21, Shape.NAN, 20 * MS)]
+    assert shaped == [(20, MessageShape.NAN, 20 * MS), (21, MessageShape.NAN, 20 * MS)]
 
 
 @given(
@@ -126,10 +126,10 @@ def test_nothing_gets_lost_that_is_not_counted(
     jitter: float,
     seed: int,
 ) -> None:
-    link: Link[int] = Link(
+    link: MessageLink[int] = MessageLink(
         Transport(drop, duplicate, reorder, 0.003, delay, jitter), seed
     )
-    link.add(Window(20 * MS, 30 * MS, Shape.OUTAGE))
+    link.add(FaultWindow(20 * MS, 30 * MS, MessageShape.OUTAGE))
     for tick in range(100):
         link.send(tick * MS, tick)
     arrived = list(link.due(10**12))

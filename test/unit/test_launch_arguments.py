@@ -15,7 +15,6 @@ import pytest
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
-from dextar_control.contract.settings import Estimation
 from dextar_control.experiments.launch_arguments import (
     ARGUMENTS,
     changes,
@@ -320,7 +319,7 @@ def test_only_what_was_given_overrides_the_parameter_files(
         "law": "multi_model",
         "duration": "2",
         "output": "a: b #1.mcap",
-        "estimator": Estimation.PLAIN.name.lower(),
+        "estimator": "plain",
     }
     nodes = {
         node.named["name"]: node.named["parameters"][2]

@@ -151,7 +151,7 @@ def test_a_place_out_of_reach_names_what_does_not_reach(robot: RobotParameters) 
 
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_a_mechanism_says_units_and_meaning_of_each_parameter(name: str) -> None:
-    mechanism = MECHANISMS[name]
+    mechanism = mechanism_named(name)
     names = [parameter.name for parameter in mechanism.parameters]
     assert len(set(names)) == len(names)
     assert all(

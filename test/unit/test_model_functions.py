@@ -4,10 +4,7 @@ the disk and other processes do.
 
 from __future__ import annotations
 
-import os
 import stat
-import subprocess
-import sys
 from pathlib import Path
 
 import casadi as ca
@@ -177,39 +174,6 @@ def test_a_library_that_is_no_library_is_compiled_again(tmp_path: Path) -> None:
     again = Library(_functions(), tmp_path)
     assert again.compiled
     np.testing.assert_allclose(again.fast("length")([3.0, 4.0]).norm, 5.0)
-
-
-@needs_compiler
-def test_two_processes_that_start_at_once_share_one_library(tmp_path: Path) -> None:
-    code = (
-        "import numpy as np; from dextar_control.contract.resources import"
-        " config_file;from dextar_control.contract.robot import flatten, load_robot;"
-        " from dextar_control.mechanisms import mechanism_named;from"
-        " dextar_control.model.model import Model;m ="
-        " Model(mechanism_named('five_bar'),"
-        " flatten(load_robot(config_file('dextar.yaml'))));assert m.library.compiled; x"
-        " = np.array([0.0, 0.115]); print(m.state(m.inverse_geometric_model(x), x,"
-        " np.zeros(2)).s)"
-    )
-    root = str(Path(__file__).resolve().parents[2])
-    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": root}
-    started = [
-        subprocess.Popen(
-            [sys.executable, "-W", "error", "-c", code],
-            env=environment,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        for _ in range(3)
-    ]
-    answers = {
-        process.communicate(timeout=120)[0].split("\n")[0] for process in started
-    }
-    assert all(process.returncode == 0 for process in started) and len(answers) == 1
-    assert (
-        len(list(tmp_path.rglob("*.so"))) == 1
-        and len(list(tmp_path.rglob(".model-*"))) == 0
-    )
 
 
 def test_the_five_bars_compiled_functions_are_its_interpreted_ones(

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -247,13 +244,3 @@ def test_window_without_a_display_is_one_clear_error(
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(ParameterError, match="DISPLAY"):
         Plant(DEXTAR, window=True)
-
-
-def test_plants_sensors_and_rig_know_no_ros() -> None:
-    code = "import sys, dextar_sim.rig; sys.exit('rclpy' in sys.modules)"
-    assert (
-        subprocess.run(
-            [sys.executable, "-c", code], env=os.environ, check=False
-        ).returncode
-        == 0
-    )

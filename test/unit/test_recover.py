@@ -4,8 +4,6 @@ nothing is overwritten.
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -21,6 +19,7 @@ from test_mcap_writer import numbers_in, write_numbers
 from dextar_control.analysis.load import load_run
 from dextar_control.bags.recover import recover
 from dextar_control.bags.writer import BagWriter
+from dextar_control.cli import main as cli
 from dextar_control.contract.errors import BagError
 
 
@@ -281,49 +280,16 @@ def test_what_need_not_or_cannot_be_recovered_is_refused_in_one_sentence(
 
 
 def test_the_command_says_how_much_of_what_and_until_when(
-    bag: Path, tmp_path: Path
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut = tmp_path / "run.mcap"
     cut.write_bytes(bag.read_bytes()[:-40])
-
-    def command() -> subprocess.CompletedProcess[str]:
-        arguments = [
-            sys.executable,
-            "-m",
-            "dextar_control.cli.main",
-            "recover",
-            str(cut),
-        ]
-        return subprocess.run(
-            arguments,
-            capture_output=True,
-            text=True,
-            cwd=Path(__file__).parents[2],
-            timeout=120,
-        )
-
-    answer = command()
-    assert answer.returncode == 0, answer.stderr
-    assert "/joint_states" in answer.stdout
-    assert "1001" in answer.stdout
-    assert "until 2023-11-14T22:13:20.006+00:00" in answer.stdout  # START and 6006 us
-    again = command()
-    assert again.returncode == 2
-    assert again.stderr.startswith("dextar recover: ")
-    assert len(again.stderr.splitlines()) == 1
-
-
-def test_recovering_needs_no_ros() -> None:
-    code = (
-        "import sys, dextar_control.bags.recover; print([n for n in ('rclpy',"
-        " 'rosidl_runtime_py') if n in sys.modules])"
-    )
-    command = [sys.executable, "-c", code]
-    answer = subprocess.run(
-        command,
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=Path(__file__).parents[2],
-    )
-    assert answer.stdout.strip() == "[]"
+    assert cli.main(["recover", str(cut)]) == 0
+    printed = capsys.readouterr().out
+    assert "/joint_states" in printed
+    assert "1001" in printed
+    assert "until 2023-11-14T22:13:20.006+00:00" in printed  # START and 6006 us
+    assert cli.main(["recover", str(cut)]) == 2
+    refused = capsys.readouterr().err
+    assert refused.startswith("dextar recover: ")
+    assert len(refused.splitlines()) == 1

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from dextar_control.contract.errors import ParameterError
-from dextar_sim.sensors import Command, CommandDelay, CommandHold, Encoder, PoseSensor
+from dextar_sim.sensors import (
+    CommandDelay,
+    CommandHold,
+    Encoder,
+    PoseSensor,
+    TorqueCommand,
+)
 
 PERIOD = 1.0e-3
 MILLISECOND = 1_000_000
@@ -90,7 +96,7 @@ def test_delay_hands_out_after_its_periods(periods: int) -> None:
 
 def hold_with(torque: tuple[float, float]) -> CommandHold:
     hold = CommandHold(20 * MILLISECOND, 0.3)
-    assert hold.receive(Command(0, torque))
+    assert hold.receive(TorqueCommand(0, torque))
     return hold
 
 
@@ -111,7 +117,7 @@ def test_one_silence_is_one_trip_and_a_fresh_command_ends_it() -> None:
     for stamp in range(21, 40):
         assert hold.torque(stamp * MILLISECOND) == (0.0, 0.0)
     assert hold.trips == 1
-    hold.receive(Command(40 * MILLISECOND, (0.2, 0.0)))
+    hold.receive(TorqueCommand(40 * MILLISECOND, (0.2, 0.0)))
     assert hold.torque(40 * MILLISECOND) == (0.2, 0.0)
     hold.torque(61 * MILLISECOND)
     assert hold.trips == 2
@@ -122,26 +128,26 @@ def test_silence_counts_by_the_steady_clock_too_whichever_is_first() -> None:
     own clock does not.
     """
     hold = CommandHold(20 * MILLISECOND, 0.3)
-    hold.receive(Command(0, (0.1, -0.2), arrival=1000 * MILLISECOND))
+    hold.receive(TorqueCommand(0, (0.1, -0.2), arrival=1000 * MILLISECOND))
     assert hold.torque(MILLISECOND, 1020 * MILLISECOND) == (0.1, -0.2)
     assert hold.torque(MILLISECOND, 1020 * MILLISECOND + 1) == (0.0, 0.0)
     assert hold.torque(20 * MILLISECOND + 1, 1001 * MILLISECOND) == (0.0, 0.0)
     assert hold.trips == 1
-    hold.receive(Command(2 * MILLISECOND, (0.2, 0.0), arrival=3000 * MILLISECOND))
+    hold.receive(TorqueCommand(2 * MILLISECOND, (0.2, 0.0), arrival=3000 * MILLISECOND))
     assert hold.torque(2 * MILLISECOND, 3001 * MILLISECOND) == (0.2, 0.0)
 
 
 def test_in_lockstep_only_simulated_time_counts() -> None:
     hold = CommandHold(20 * MILLISECOND, 0.3)
-    hold.receive(Command(0, (0.1, -0.2)))
+    hold.receive(TorqueCommand(0, (0.1, -0.2)))
     assert hold.torque(MILLISECOND, 10**15) == (0.1, -0.2)
-    hold.receive(Command(0, (0.1, -0.2), arrival=0))
+    hold.receive(TorqueCommand(0, (0.1, -0.2), arrival=0))
     assert hold.torque(MILLISECOND) == (0.1, -0.2)
 
 
 def test_answers_to_old_states_trip_the_watchdog_too() -> None:
     hold = CommandHold(20 * MILLISECOND, 0.3)
-    hold.receive(Command(0, (0.1, 0.1)))
+    hold.receive(TorqueCommand(0, (0.1, 0.1)))
     assert hold.torque(100 * MILLISECOND) == (0.0, 0.0)
 
 
@@ -223,7 +229,7 @@ def test_command_that_is_not_finite_is_refused_and_the_last_one_stays(
     bad: float,
 ) -> None:
     hold = hold_with((0.1, -0.1))
-    assert not hold.receive(Command(MILLISECOND, (bad, 0.0)))
+    assert not hold.receive(TorqueCommand(MILLISECOND, (bad, 0.0)))
     assert hold.refused == 1
     assert hold.torque(MILLISECOND) == (0.1, -0.1)
 

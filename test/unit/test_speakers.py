@@ -10,7 +10,7 @@ from itertools import product
 
 import pytest
 
-from dextar_sim.speakers import SLACK, SPEAKING, UNNUMBERED, Speakers
+from dextar_sim.commanders import SLACK, SPEAKING, UNNUMBERED, CommanderArbiter
 
 MILLISECOND = 1_000_000
 WINDOW = SPEAKING // MILLISECOND
@@ -31,7 +31,7 @@ class Topic:
 
     def __init__(self, graph: int = 1, *, lossless: bool = False) -> None:
         self.graph, self.now, self.states = graph, 0, 0
-        self.speakers = Speakers(lambda: self.graph, lossless=lossless)
+        self.speakers = CommanderArbiter(lambda: self.graph, lossless=lossless)
 
     def wait(self, milliseconds: int, *, states: bool = True) -> None:
         self.now += milliseconds * MILLISECOND
@@ -39,11 +39,11 @@ class Topic:
 
     def say(self, voice: Voice) -> bool:
         voice.number += 1
-        return self.speakers.hear(voice.number, self.states, self.now)
+        return self.speakers.take(voice.number, self.states, self.now)
 
     def appear(self, count: int) -> None:
         self.graph = count
-        self.speakers.look(self.now)
+        self.speakers.count_publishers(self.now)
 
     def talk(self, voice: Voice, milliseconds: int) -> list[bool]:
         """A message for each state."""
@@ -55,7 +55,7 @@ class Topic:
 
     @property
     def clear(self) -> bool:
-        return self.speakers.clear(self.now)
+        return self.speakers.accepts(self.now)
 
 
 def test_one_publisher_is_taken_from_its_first_message_on() -> None:
@@ -277,8 +277,8 @@ def test_lossless_numbers_follow_one_by_one_at_any_pace() -> None:
 @pytest.mark.parametrize("number", [None, *UNNUMBERED])
 def test_without_numbers_the_graph_alone_counts(number: int | None) -> None:
     topic = Topic()
-    assert topic.speakers.hear(number, 0, 0)
+    assert topic.speakers.take(number, 0, 0)
     topic.appear(2)
     topic.wait(1000)
-    assert not topic.speakers.hear(number, 1000, topic.now)
+    assert not topic.speakers.take(number, 1000, topic.now)
     assert not topic.clear

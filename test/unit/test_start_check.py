@@ -27,16 +27,14 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     names: list[str] = []
 
     def refuse(*_: object) -> None:
-        raise demo.DemoError("the trajectory server: there is no trip")
+        raise demo.NodesError("the trajectory server: there is no trip")
 
     monkeypatch.setattr(
         demo,
-        "_monitor",
-        lambda: contextlib.nullcontext(SimpleNamespace(resume=lambda: None)),
+        "monitoring",
+        lambda _: contextlib.nullcontext(SimpleNamespace()),
     )
-    monkeypatch.setattr(
-        demo._Processes, "start", lambda _, name, __: names.append(name)
-    )
+    monkeypatch.setattr(demo.Processes, "start", lambda _, name, __: names.append(name))
     monkeypatch.setattr(demo, "_wait_until_ready", refuse)
     return names
 
@@ -146,7 +144,7 @@ def test_a_simulated_robot_of_its_own_stands_where_its_encoders_read_the_start(
 ) -> None:
     given = dict[str, list[str]]()
     monkeypatch.setattr(
-        demo._Processes,
+        demo.Processes,
         "start",
         lambda _, name, arguments: given.setdefault(name, arguments),
     )

@@ -4,6 +4,7 @@ equations are in it.
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import re
 from pathlib import Path
@@ -51,7 +52,7 @@ class Row(NamedTuple):
 def rows() -> list[Row]:
     """All of them."""
     found = []
-    for line in (ROOT / "doc" / "symbols.md").read_text(encoding="utf-8").splitlines():
+    for line in (ROOT / "docs" / "symbols.md").read_text(encoding="utf-8").splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) == 6 and cells[1].startswith("`"):
             numbers = {int(number) for number in cells[4].split(",")}
@@ -61,13 +62,25 @@ def rows() -> list[Row]:
     return found
 
 
+def _names(assignment: ast.Assign) -> set[str]:
+    return {
+        name
+        for target in assignment.targets
+        for name in ast.unparse(target).strip("()").split(", ")
+    }
+
+
 @pytest.mark.parametrize("row", rows(), ids=lambda row: row.name)
 def test_a_symbol_is_defined_on_lines_that_carry_its_equations(row: Row) -> None:
-    tagged: set[int] = set()
-    for line in (ROOT / row.file).read_text(encoding="utf-8").splitlines():
-        left, tag = line.partition(" = ")[0], TAG.search(line)
-        if tag and row.name in [name.strip() for name in left.split(",")]:
-            tagged |= {int(number) for number in re.findall(r"\d+", tag.group(1))}
+    text = (ROOT / row.file).read_text(encoding="utf-8")
+    lines, tagged = text.splitlines(), set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Assign) and row.name in _names(node):
+            for line in lines[node.lineno - 1 : node.end_lineno]:
+                if tag := TAG.search(line):
+                    tagged |= {
+                        int(number) for number in re.findall(r"\d+", tag.group(1))
+                    }
     assert row.numbers <= tagged, f"{row.name} is defined by Eqs. {sorted(tagged)}"
 
 

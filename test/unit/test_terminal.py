@@ -257,10 +257,12 @@ def test_the_demo_tells_what_the_analysis_warns_of_in_one_line(
         monkeypatch.setattr(demo, name, lambda *_: None)
     monkeypatch.setattr(
         demo,
-        "_monitor",
-        lambda: contextlib.nullcontext(SimpleNamespace(resume=lambda: None)),
+        "monitoring",
+        lambda _: contextlib.nullcontext(
+            SimpleNamespace(call=lambda *_, **__: SimpleNamespace(success=True))
+        ),
     )
-    monkeypatch.setattr(demo._Processes, "start", lambda *_: None)
+    monkeypatch.setattr(demo.Processes, "start", lambda *_: None)
     monkeypatch.setattr(report, "analyze", analyze)
     assert cli.main(["demo", "--output", str(tmp_path)]) == 0
     assert capsys.readouterr().err == "dextar demo: the bag breaks off\n"

@@ -1,8 +1,8 @@
-"""Many crossings in a plain loop: points x directions x cases x laws x estimators x
-plants x seeds.
+"""A campaign runs many crossings in plain loops: points x directions x cases x laws x
+estimators x plants x seeds.
 
 - ``config``: what the campaign file says, checked; ``ranges``: limits of perturbations
-  and bars; ``selection``: what the command line changes; ``loading``: the rig that the
+  and bars; ``selection``: what the command line changes; ``rig``: the rig that the
   file names.
 - ``design``: the trials that follow from it, each with its key; ``trial``: one of them,
   run.

@@ -1,4 +1,4 @@
-"""``dextar campaign``: from arguments to a campaign."""
+"""Run ``dextar campaign`` from its arguments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def run_command(
     trial_module: str = TRIAL_MODULE,
     printed: Callable[[Path], Path] | None = None,
 ) -> int:
-    """Run a campaign, or one of its rows; the exit code.
+    """Run a campaign, or one of its rows; return the exit code.
 
     Args:
         arguments: of the command line.

@@ -1,11 +1,11 @@
-"""The campaign file: what it may hold, and one sentence for each mistake in it."""
+"""The campaign file: what it may hold, with one sentence for each mistake in it."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import (
     Field,
@@ -23,11 +23,14 @@ from dextar_control.contract.validation import Section, problem, unknown, valida
 from dextar_control.contract.yaml_text import load_document
 from dextar_control.experiments.campaign.ranges import BARS, PERTURBATIONS, Range
 
+Item = TypeVar("Item")
 Numbers = dict[str, Annotated[float, Field(allow_inf_nan=False)]]
 
 
 class Points(Section):
-    """How many crossing points, and how many of them with the distal links folded."""
+    """Says how many crossing points there are, and how many of them with the distal
+    links folded.
+    """
 
     count: int = Field(ge=1, le=100_000)
     folded: int = Field(default=0, ge=0)
@@ -42,7 +45,7 @@ class Points(Section):
 
 
 class Combination(Section):
-    """A law with an estimator, and what only this pair gets."""
+    """Names a law with an estimator, and what only this pair gets."""
 
     law: str
     estimator: str
@@ -56,8 +59,8 @@ class Combination(Section):
 
 
 class Default(Section):
-    """The combination and the plant that the bars are for; ``judged_plants`` names
-    others, or more.
+    """Names the combination and the plant that the bars are for; ``judged_plants``
+    names others, or more.
     """
 
     law: str
@@ -66,8 +69,8 @@ class Default(Section):
 
 
 class Case(Section):
-    """One perturbation, and what the default combination, or those that it names, must
-    reach under it.
+    """Describes one perturbation, and what the default combination, or those that it
+    names, must reach under it.
     """
 
     title: str = ""
@@ -89,7 +92,7 @@ class Case(Section):
 
 
 class Sweep(Section):
-    """One number of the perturbation at several levels, each a case named ``<sweep>
+    """Gives one number of the perturbation several levels, each a case named ``<sweep>
     <level>``.
 
     Attributes:
@@ -123,11 +126,11 @@ class Sweep(Section):
         return levels
 
     def shown(self, level: float) -> str:
-        """A level as it is drawn, to three digits."""
+        """Write a level as it is drawn, to three digits."""
         return f"{float(f'{level * self.scale:.3g}'):g}"
 
     def case(self, level: float) -> Case:
-        """The case of one level."""
+        """Return the case of one level."""
         title = f"{self.title} {self.shown(level)} {self.unit}".strip()
         numbers = self.perturbation | {self.number: level}
         return Case(
@@ -139,7 +142,9 @@ class Sweep(Section):
 
 
 class CampaignConfig(Section):
-    """Everything a campaign is made of; the cases of its sweeps are among the cases."""
+    """Holds everything that a campaign is made of; the cases of its sweeps are among
+    the cases.
+    """
 
     robot: str
     rig: str
@@ -230,12 +235,12 @@ class CampaignConfig(Section):
 
 
 def sweep_case(sweep: str, level: float) -> str:
-    """The name of the case of one level of a sweep."""
+    """Return the name of the case of one level of a sweep."""
     return f"{sweep} {level:g}"
 
 
 def load_config(path: str | Path) -> CampaignConfig:
-    """A campaign from its YAML file.
+    """Load a campaign from its YAML file.
 
     Raises:
         ParameterError: the file cannot be read, or something in it is unknown, missing
@@ -287,7 +292,7 @@ def _known(name: str, known: Collection[str], what: str, where: str = "") -> Non
         raise problem(f"{where}{unknown(name, known, what)}")
 
 
-def _each_once(items: list[Any], what: str) -> list[Any]:
+def _each_once(items: list[Item], what: str) -> list[Item]:
     for item in items:
         if items.count(item) > 1:
             raise problem(

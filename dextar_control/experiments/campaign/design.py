@@ -12,12 +12,13 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.experiments.campaign.config import CampaignConfig
+from dextar_control.experiments.campaign.rows import Row
 
 KEY_LENGTH = 16  # hexadecimal digits of a row's key
 
@@ -32,7 +33,7 @@ class CrossingPoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Trial:
-    """Everything that determines one row.
+    """Holds everything that determines one row.
 
     Attributes:
         index: of the crossing point.
@@ -71,8 +72,8 @@ class Trial:
         """Crossing point and direction: what trials with the same plans share."""
         return self.index, self.direction
 
-    def columns(self) -> dict[str, Any]:
-        """One flat cell for each attribute; mappings as JSON text."""
+    def columns(self) -> Row:
+        """Return one flat cell for each attribute; mappings as JSON text."""
         cells = dataclasses.asdict(self)
         cells["point_x"], cells["point_y"] = cells.pop("point")
         cells["working_mode"] = "".join(
@@ -86,7 +87,8 @@ class Trial:
 def trials_of(
     config: CampaignConfig, points: Sequence[CrossingPoint]
 ) -> Iterator[Trial]:
-    """The trials, those with the same crossing point and direction one after the other.
+    """Give the trials, those with the same crossing point and direction one after the
+    other.
 
     The seed of a row depends on the campaign's seed, the point, the direction and the
     row's number among the seeds alone: laws, estimators and cases meet the same random
@@ -139,21 +141,21 @@ def _at(
 
 
 def row_key(robot: RobotParameters, rig: str, trial: Trial) -> str:
-    """Digest of all that determines a row: the trial, the robot, the rig and the
-    package's version.
+    """Return a digest of all that determines a row: the trial, the robot, the rig and
+    the package's version.
     """
     return digest([dataclasses.asdict(trial), flatten(robot), rig, version()])[
         :KEY_LENGTH
     ]
 
 
-def digest(content: Any) -> str:
-    """SHA-256 of plain data, independent of the order of keys."""
+def digest(content: object) -> str:
+    """Return the SHA-256 of plain data, independent of the order of keys."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def version() -> str:
-    """Of the installed package."""
+    """Return the version of the installed package."""
     try:
         return importlib.metadata.version("dextar")
     except importlib.metadata.PackageNotFoundError:
@@ -173,17 +175,21 @@ NUMBERS = (
 """Rooms that a row comes from."""
 
 
-def code_digest(rig: str, trial: str) -> str:
-    """Digest of the sources that a row's numbers come from: contract, mathematics, the
-    trial and the rig's package.
+def code_digest(rig: str, trial: str, own: Sequence[str] = ()) -> str:
+    """Return a digest of the sources that a row's numbers come from: contract,
+    mathematics, the trial, the rig's package and one's own.
 
     Args:
         rig: ``module:Class``.
         trial: the module that runs a trial.
+        own: laws and estimators of the user's own, ``module:attribute``.
     """
     home = Path(__file__).resolve().parents[2]
     sources = [source for room in NUMBERS for source in home.glob(f"{room}/*.py")]
-    for module, whole_folder in ((rig.partition(":")[0], True), (trial, False)):
+    for module, whole_folder in (
+        (trial, False),
+        *((name.partition(":")[0], True) for name in (rig, *own)),
+    ):
         spec = importlib.util.find_spec(module)
         if spec is not None and spec.origin is not None:
             origin = Path(spec.origin)

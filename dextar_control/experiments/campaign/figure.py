@@ -1,12 +1,13 @@
-"""Success, error and torque against each perturbation, by law and estimator."""
+"""Draw success, error and torque against each perturbation, by law and estimator."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TypedDict
 
 import matplotlib
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -22,10 +23,21 @@ ERROR_RANGE = (1e-2, 1e3)  # mm
 TORQUE_RANGE = (1e-1, 1e2)
 
 
+class MarkerStyle(TypedDict, total=False):
+    """How matplotlib draws the markers of one combination."""
+
+    marker: str
+    markerfacecolor: str
+    markeredgecolor: str
+    markersize: float
+    markeredgewidth: float
+    color: str
+
+
 @matplotlib.rc_context(matplotlib_settings(LIGHT))
 def draw_summary(config: CampaignConfig, groups: Sequence[Group], plant: str) -> Figure:
-    """The figure of one plant: a row for each case, a marker for each combination, a
-    line for each bar.
+    """Draw one plant: a row for each case, a marker for each combination, a line for
+    each bar.
     """
     groups = [group for group in groups if group.plant == plant]
     names = [
@@ -91,8 +103,8 @@ def draw_summary(config: CampaignConfig, groups: Sequence[Group], plant: str) ->
 
 @matplotlib.rc_context(matplotlib_settings(LIGHT))
 def draw_frontier(config: CampaignConfig, groups: Sequence[Group]) -> Figure:
-    """Share of the trials that crossed, and that were ok, over the levels of each
-    sweep, by the default combination.
+    """Draw the share of the trials that crossed, and that were ok, over the levels of
+    each sweep, by the default combination.
     """
     default, columns = config.default, 3
     found = {
@@ -166,8 +178,8 @@ def draw_frontier(config: CampaignConfig, groups: Sequence[Group]) -> Figure:
     return figure
 
 
-def _styles(combinations: Sequence[str], default: str) -> dict[str, dict[str, Any]]:
-    styles = {}
+def _styles(combinations: Sequence[str], default: str) -> dict[str, MarkerStyle]:
+    styles: dict[str, MarkerStyle] = {}
     others = [name for name in combinations if name != default]
     for index, name in enumerate(others):
         styles[name] = {
@@ -192,12 +204,12 @@ def _offset(index: int, count: int) -> float:
     return BAND * ((index + 0.5) / count - 0.5)
 
 
-def _point(axes: Any, y: float, value: float, style: dict[str, Any]) -> None:
+def _point(axes: Axes, y: float, value: float, style: MarkerStyle) -> None:
     if math.isfinite(value):
         axes.plot([value], [y], linestyle="", clip_on=False, zorder=4, **style)
 
 
-def _range(axes: Any, y: float, low: float, high: float, style: dict[str, Any]) -> None:
+def _range(axes: Axes, y: float, low: float, high: float, style: MarkerStyle) -> None:
     if math.isfinite(low):
         axes.plot([low, high], [y, y], color=style["color"], linewidth=1.0, zorder=3)
         axes.plot([high], [y], marker="|", color=style["color"], markersize=6, zorder=3)
@@ -205,9 +217,9 @@ def _range(axes: Any, y: float, low: float, high: float, style: dict[str, Any]) 
 
 
 def _bars(
-    success: Any, error: Any, torque: Any, row: int, bars: dict[str, float]
+    success: Axes, error: Axes, torque: Axes, row: int, bars: dict[str, float]
 ) -> None:
-    scaled: list[tuple[str, Any, Callable[[float], float], str]] = [
+    scaled: list[tuple[str, Axes, Callable[[float], float], str]] = [
         ("min_success", success, lambda limit: 100.0 * limit, "-"),
         ("max_error", error, lambda limit: 1e3 * limit, "-"),
         ("median_error", error, lambda limit: 1e3 * limit, ":"),
@@ -225,14 +237,14 @@ def _bars(
             )
 
 
-def _bands(axes: Any, count: int) -> None:
+def _bands(axes: Axes, count: int) -> None:
     for row in range(0, count, 2):
         axes.axhspan(row - 0.5, row + 0.5, color=LIGHT["wash"], zorder=0)
     axes.grid(axis="x", color=LINE, linewidth=0.6, zorder=1)
     axes.tick_params(axis="y", length=0)
 
 
-def _log(axes: Any, limits: tuple[float, float], label: str) -> None:
+def _log(axes: Axes, limits: tuple[float, float], label: str) -> None:
     axes.set_xscale("log")
     low, high = axes.get_xlim()
     low = min(max(10.0 ** math.floor(math.log10(low)), limits[0]), limits[1] / 10.0)

@@ -1,5 +1,5 @@
-"""What a campaign leaves behind: columnar file, summary, failures, figure, and the
-verdict on its bars.
+"""Write what a campaign leaves behind: columnar file, summary, failures, figures, and
+the verdict on its bars.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ import json
 import math
 import platform
 from collections.abc import Sequence
-from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -21,8 +20,8 @@ from dextar_control.experiments.campaign import design, reliability, report, sum
 from dextar_control.experiments.campaign.config import CampaignConfig
 from dextar_control.experiments.campaign.figure import draw_frontier, draw_summary
 from dextar_control.experiments.campaign.pool import core_count
+from dextar_control.experiments.campaign.rows import Row
 from dextar_control.experiments.campaign.store import Store
-from dextar_control.experiments.campaign.worker import Row
 
 EXIT_FAILED = 1
 Reliability = dict[str, dict[str, reliability.Bin]]
@@ -204,7 +203,7 @@ def _page(
     figures: Sequence[Figure],
     others: dict[str, Figure],
 ) -> str:
-    """All of it in one page that opens offline."""
+    """Put all of it on one page that opens offline."""
     verdict, missed = judged
     many = len({group.plant for group in groups}) > 1
     columns = [
@@ -275,7 +274,7 @@ def _json(
     held: int,
     bars: int,
 ) -> str:
-    content: dict[str, Any] = {
+    content: dict[str, object] = {
         "version": design.version(),
         "seed": config.seed,
         "default": config.default.model_dump(),

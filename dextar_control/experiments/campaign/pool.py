@@ -23,7 +23,8 @@ from distributed.scheduler import KilledWorker
 from dextar_control.contract import signals
 from dextar_control.contract.errors import CampaignError, DextarError, ParameterError
 from dextar_control.experiments.campaign.design import Trial
-from dextar_control.experiments.campaign.worker import Job, Row, failed_row
+from dextar_control.experiments.campaign.rows import Row, failed_row
+from dextar_control.experiments.campaign.worker import Job
 
 AHEAD = 2  # batches in flight for each core: one runs, one waits beside it
 ATTEMPTS = 2  # of a trial that runs alone and whose worker dies each time
@@ -43,7 +44,7 @@ class _Batch(NamedTuple):
 
 
 def core_count() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return (
         len(os.sched_getaffinity(0))
         if hasattr(os, "sched_getaffinity")
@@ -52,7 +53,7 @@ def core_count() -> int:
 
 
 def check_workers(workers: int | None, scheduler: str | None) -> None:
-    """Whether there can be a ``Pool`` of them, without starting any.
+    """Check that there can be a ``Pool`` of them, without starting any.
 
     Raises:
         ParameterError: there are too few, or workers and scheduler contradict each
@@ -68,7 +69,7 @@ def check_workers(workers: int | None, scheduler: str | None) -> None:
 
 
 class Pool:
-    """Worker processes that may die; a context manager."""
+    """Runs trials in worker processes that may die; a context manager."""
 
     def __init__(
         self, workers: int | None = None, scheduler: str | None = None
@@ -114,7 +115,7 @@ class Pool:
     def map(
         self, call: Call, job: Job, batches: Iterable[Sequence[Trial]]
     ) -> Iterator[tuple[Sequence[Trial], list[Row]]]:
-        """Each batch with its rows, in the order in which they are done.
+        """Give each batch with its rows, in the order in which they are done.
 
         The trials of a batch whose worker died run again one by one, no two of them at
             the same time: what
@@ -126,13 +127,15 @@ class Pool:
         """
         waiting = deque(_Batch(trials) for trials in batches)
         suspects: deque[_Batch] = deque()
-        running: dict[Future, _Batch] = {}
-        alone: Future | None = None
+        running: dict[Future[list[Row]], _Batch] = {}
+        alone: Future[list[Row]] | None = None
         in_a_row = 0
         done = as_completed()
 
-        def submit(batch: _Batch) -> Future:
-            future = self._client.submit(call, job, batch.trials, pure=False)
+        def submit(batch: _Batch) -> Future[list[Row]]:
+            future: Future[list[Row]] = self._client.submit(
+                call, job, batch.trials, pure=False
+            )
             running[future] = batch
             done.add(future)
             return future
@@ -166,9 +169,9 @@ class Pool:
         finally:
             self._client.cancel(list(running))
 
-    def _next(self, done: as_completed) -> Future:
-        """What is done next. Dask now and then starts no other worker for one that
-        died: without any one is asked for.
+    def _next(self, done: as_completed) -> Future[list[Row]]:
+        """Wait for the batch that is done next; where a worker died and Dask started no
+        other, ask for one.
 
         Raises:
             CampaignError: none comes.
@@ -189,7 +192,8 @@ class Pool:
                 )
             elif self._cluster is not None:
                 self._cluster.scale(self.workers)
-        return next(done)
+        future: Future[list[Row]] = next(done)
+        return future
 
     def _local(self, workers: int) -> Client:
         with (
@@ -210,7 +214,7 @@ class Pool:
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """A signal that asks to end waits until the block is done.
+    """Hold back signals that ask to end until the block is done.
 
     Threads and processes that start in it, and theirs, never see a signal of the
     terminal (Ctrl-C, hang-up): who started them ends them. The tracker of
@@ -261,13 +265,14 @@ def _connected(scheduler: str) -> Client:
     return client
 
 
-def _result(future: Future) -> list[Row] | None:
-    """Rows of a batch, None if its worker died."""
+def _result(future: Future[list[Row]]) -> list[Row] | None:
+    """Return the rows of a batch, None if its worker died."""
     if future.status == "cancelled" or future.status == "lost":
         raise CampaignError("the connection to the Dask scheduler is lost")
     error = future.exception()
     if error is None:
-        return future.result()
+        rows: list[Row] = future.result()
+        return rows
     if isinstance(error, KilledWorker):
         return None
     if isinstance(error, DextarError):

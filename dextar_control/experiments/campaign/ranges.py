@@ -1,4 +1,6 @@
-"""What a campaign may perturb, and what it may ask of a case: names, units, limits."""
+"""What a campaign may perturb, and what it may ask of a case: names, meanings, units
+and limits.
+"""
 
 from __future__ import annotations
 

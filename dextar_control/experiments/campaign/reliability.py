@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import matplotlib
 import numpy as np
@@ -12,8 +12,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dextar_control.contract.style import LIGHT, matplotlib_settings
-from dextar_control.experiments.campaign.trial import SAID
-from dextar_control.experiments.campaign.worker import Row
+from dextar_control.experiments.campaign.rows import Row, number, text
+from dextar_control.experiments.campaign.trial import CONFIDENCE_BINS
+from dextar_control.symbols.types import Array
 
 SURE = 1.96  # deviations of a 95 % interval
 END = 3e-4  # chance to be wrong by which the axes' end, 1, is away
@@ -24,7 +25,7 @@ VERDICTS = "verdicts"
 
 
 class Bin(NamedTuple):
-    """Stated confidences of one range.
+    """The stated confidences of one range.
 
     Attributes:
         low, high: of the range, from and below.
@@ -45,33 +46,35 @@ class Bin(NamedTuple):
 
 
 def wilson(right: float, count: int) -> tuple[float, float]:
-    """95 % interval of a share that was found in a number of trials."""
+    """Return the 95 % interval of a share that was found in a number of trials."""
     z = SURE * SURE / count
-    middle, half = (
-        right + 0.5 * z,
-        SURE * math.sqrt(right * (1.0 - right) / count + 0.25 * z / count),
-    )
+    middle = right + 0.5 * z
+    half = SURE * math.sqrt(right * (1.0 - right) / count + 0.25 * z / count)
     return max((middle - half) / (1.0 + z), 0.0), min((middle + half) / (1.0 + z), 1.0)
 
 
 def reliability(rows: Iterable[Row]) -> dict[str, dict[str, Bin]]:
-    """Per estimator that tells the side, the ranges that were stated, by their lower
-    end, and its verdicts.
+    """Collect, for each estimator that tells the side, the ranges that it stated, by
+    their lower end, and its verdicts.
     """
     of: dict[str, list[Row]] = {}
     for row in rows:
-        if row.get(f"said_{SAID[0]:g}") is not None:
-            of.setdefault(row["estimator"], []).append(row)
+        if row.get(f"said_{CONFIDENCE_BINS[0]:g}") is not None:
+            of.setdefault(text(row, "estimator"), []).append(row)
     return {estimator: _bins(stated) for estimator, stated in of.items()}
 
 
 def _bins(rows: Sequence[Row]) -> dict[str, Bin]:
     found = {}
-    for low, high in zip(SAID, (*SAID[1:], 1.0), strict=True):
+    for low, high in zip(CONFIDENCE_BINS, (*CONFIDENCE_BINS[1:], 1.0), strict=True):
         stated = [row for row in rows if row[f"said_{low:g}"]]
+        middle = 0.5 * (low + high)
         if stated:
-            right = sum(row[f"right_{low:g}"] for row in stated) / len(stated)
-            means = [row.get(f"stated_{low:g}") or 0.5 * (low + high) for row in stated]
+            right = sum(number(row, f"right_{low:g}") for row in stated) / len(stated)
+            means = [
+                number(row, f"stated_{low:g}") if row.get(f"stated_{low:g}") else middle
+                for row in stated
+            ]
             found[f"{low:g}"] = Bin(
                 low,
                 high,
@@ -80,33 +83,28 @@ def _bins(rows: Sequence[Row]) -> dict[str, Bin]:
                 right,
                 *wilson(right, len(stated)),
             )
-    told = sum(
-        (row.get("called_crossed") or 0) + (row.get("called_bounced") or 0)
-        for row in rows
-    )
+    told = _count(rows, "called_crossed") + _count(rows, "called_bounced")
     if told:
-        right = (
-            1.0
-            - sum(
-                (row.get("false_alarms") or 0) + (row.get("missed_bounces") or 0)
-                for row in rows
-            )
-            / told
-        )
+        wrong = _count(rows, "false_alarms") + _count(rows, "missed_bounces")
+        right = 1.0 - wrong / told
         found[VERDICTS] = Bin(
-            SAID[-1],
+            CONFIDENCE_BINS[-1],
             1.0,
-            1.0 - 0.5 * (1.0 - SAID[-1]),
-            int(told),
+            1.0 - 0.5 * (1.0 - CONFIDENCE_BINS[-1]),
+            told,
             right,
-            *wilson(right, int(told)),
+            *wilson(right, told),
         )
     return found
 
 
+def _count(rows: Sequence[Row], column: str) -> int:
+    return sum(int(row.get(column) or 0) for row in rows)
+
+
 def in_words(estimator: str, bins: dict[str, Bin]) -> str:
-    """Where an estimator is surer than it is right, beyond what chance explains, in one
-    sentence.
+    """Say in one sentence where an estimator is surer than it is right, beyond what
+    chance explains.
     """
     over = [
         one for key, one in bins.items() if key != VERDICTS and one.most < one.stated
@@ -128,8 +126,8 @@ def in_words(estimator: str, bins: dict[str, Bin]) -> str:
 
 @matplotlib.rc_context(matplotlib_settings(LIGHT))
 def draw_reliability(found: dict[str, dict[str, Bin]]) -> Figure:
-    """Share right over stated confidence, both on a scale that is logarithmic in the
-    chance to be wrong.
+    """Draw the share right over the stated confidence, both on a scale that is
+    logarithmic in the chance to be wrong.
     """
     figure = Figure(figsize=(4.8, 4.8), layout="constrained")
     FigureCanvasAgg(figure)
@@ -150,13 +148,12 @@ def draw_reliability(found: dict[str, dict[str, Bin]]) -> Figure:
     for index, (estimator, bins) in enumerate(found.items()):
         marker, fill = MARKERS[index % len(MARKERS)]
         for key, one in bins.items():
-            style: dict[str, Any] = {"color": INK, "linewidth": 1.0, "zorder": 3}
-            axes.plot([one.stated] * 2, [one.least, one.most], **style)
+            axes.plot(
+                [one.stated] * 2, [one.least, one.most], c=INK, linewidth=1.0, zorder=3
+            )
             if key != VERDICTS:
                 axes.plot(
-                    [one.low, one.high],
-                    [one.right] * 2,
-                    **style | {"color": MID, "zorder": 2},
+                    [one.low, one.high], [one.right] * 2, c=MID, linewidth=1.0, zorder=2
                 )
             shape, face = ("D", PAPER) if key == VERDICTS else (marker, fill)
             axes.plot(
@@ -215,9 +212,11 @@ def draw_reliability(found: dict[str, dict[str, Bin]]) -> Figure:
     return figure
 
 
-def _forward(share: Any) -> Any:
-    return -np.log10(np.maximum(1.0 - share + END, 0.1 * END))
+def _forward(share: Array) -> Array:
+    place: Array = -np.log10(np.maximum(1.0 - share + END, 0.1 * END))
+    return place
 
 
-def _backward(place: Any) -> Any:
-    return 1.0 + END - 10.0**-place
+def _backward(place: Array) -> Array:
+    share: Array = 1.0 + END - 10.0**-place
+    return share

@@ -1,5 +1,5 @@
-"""The campaign in words: its table for a terminal and for a file, and the trials that
-failed.
+"""Tell a campaign in words: its table for a terminal and for a file, and the trials
+that failed.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from rich import box
 from rich.table import Table
 
 from dextar_control.experiments.campaign.reliability import VERDICTS, Bin
+from dextar_control.experiments.campaign.rows import Row, number, text
 from dextar_control.experiments.campaign.summary import Group
-from dextar_control.experiments.campaign.trial import SAID
-from dextar_control.experiments.campaign.worker import Row
+from dextar_control.experiments.campaign.trial import CONFIDENCE_BINS
 
 LENGTHS = {"max_error", "median_error", "max_end_error"}  # bars in m, said in mm
 SHARES = {
@@ -61,8 +61,8 @@ FAILURE_HEADINGS = (
 
 
 def terminal_table(groups: Sequence[Group], title: str) -> Table:
-    """The summary for a terminal, a section for each case; columns without a number are
-    left out.
+    """Make the summary for a terminal, a section for each case, without the columns
+    that have no number.
     """
     many = len({group.plant for group in groups}) > 1
     rows = [cells(group, many) for group in groups]
@@ -101,7 +101,7 @@ def terminal_table(groups: Sequence[Group], title: str) -> Table:
 
 
 def markdown_table(groups: Sequence[Group]) -> str:
-    """The summary for a file."""
+    """Write the summary for a file."""
     many = len({group.plant for group in groups}) > 1
     rows = []
     for group in groups:
@@ -116,7 +116,7 @@ def markdown_table(groups: Sequence[Group]) -> str:
 
 
 def cells(group: Group, with_plant: bool) -> list[str]:
-    """One group in the order of ``HEADINGS``."""
+    """List one group in the order of ``HEADINGS``."""
     name = f"{group.law} / {group.estimator}" + (
         f" / {group.plant}" if with_plant else ""
     )
@@ -138,10 +138,10 @@ def cells(group: Group, with_plant: bool) -> list[str]:
 
 
 def reliability_table(found: dict[str, dict[str, Bin]]) -> str:
-    """How often the estimators that tell the side were right, by the confidence that
-    they stated.
+    """Write how often the estimators that tell the side were right, by the confidence
+    that they stated.
     """
-    names = [*(f"{odds:g}" for odds in SAID), VERDICTS]
+    names = [*(f"{odds:g}" for odds in CONFIDENCE_BINS), VERDICTS]
     lines = [
         [estimator, *(_share_right(bins.get(name)) for name in names)]
         for estimator, bins in found.items()
@@ -166,7 +166,7 @@ def _share_right(one: Bin | None) -> str:
 
 
 def missed_lines(groups: Iterable[Group]) -> list[str]:
-    """One sentence for each bar that does not hold."""
+    """Write one sentence for each bar that does not hold."""
     return [
         f"{group.case}, {group.law} / {group.estimator}: {verdict.bar} is"
         f" {_bar_value(verdict.bar, verdict.measured)}, the bar is"
@@ -177,19 +177,21 @@ def missed_lines(groups: Iterable[Group]) -> list[str]:
 
 
 def failures(rows: Iterable[Row]) -> list[list[str]]:
-    """Cells of each row that is no success, in the order of ``FAILURE_HEADINGS``."""
+    """List the cells of each row that is no success, in the order of
+    ``FAILURE_HEADINGS``.
+    """
     return [
         [
-            row["key"],
-            row["case"],
+            text(row, "key"),
+            text(row, "case"),
             f"{row['law']} / {row['estimator']}",
-            row["plant"],
-            str(row["index"]),
-            f"{1e3 * row['point_x']:.1f}, {1e3 * row['point_y']:.1f}",
-            row["working_mode"],
-            row["family"],
-            f"{row['direction']:+d}",
-            mm(math.nan if row.get("max_error") is None else row["max_error"]),
+            text(row, "plant"),
+            text(row, "index"),
+            f"{1e3 * number(row, 'point_x'):.1f}, {1e3 * number(row, 'point_y'):.1f}",
+            text(row, "working_mode"),
+            text(row, "family"),
+            f"{number(row, 'direction'):+.0f}",
+            mm(number(row, "max_error")),
             reason_of(row),
         ]
         for row in rows
@@ -198,14 +200,14 @@ def failures(rows: Iterable[Row]) -> list[list[str]]:
 
 
 def reason_of(row: Row) -> str:
-    """Why a row is no success."""
+    """Say why a row is no success."""
     return str(row.get("plan_problem") or row.get("reason") or "no reason given")
 
 
 def markdown_failures(
     judged: Sequence[list[str]], others: Sequence[list[str]], judged_name: str
 ) -> str:
-    """The trials that failed, those that the bars are for first."""
+    """Write the trials that failed, those that the bars are for first."""
     parts = []
     for title, found in ((judged_name, judged), ("the other combinations", others)):
         parts.append(f"## {title}: {len(found)} failed\n")
@@ -217,15 +219,15 @@ def markdown_failures(
 
 
 def percent(share: float) -> str:
-    """A share in percent; 100 only if it is all."""
+    """Write a share in percent; it is 100 only if it is all."""
     if not math.isfinite(share):
         return "-"
-    text = f"{100.0 * share:.1f}"
-    return "99.9" if text == "100.0" and share < 1.0 else text.removesuffix(".0")
+    shown = f"{100.0 * share:.1f}"
+    return "99.9" if shown == "100.0" and share < 1.0 else shown.removesuffix(".0")
 
 
 def mm(length: float) -> str:
-    """A length in m, said in mm."""
+    """Write a length, m, in mm."""
     return _number(1e3 * length, ".3f" if abs(length) < 1e-2 else ".1f")
 
 
@@ -249,8 +251,8 @@ def _number(value: float, form: str) -> str:
 
 
 def _markdown(headings: Sequence[str], rows: Iterable[Sequence[str]], left: int) -> str:
-    """A table whose first columns are aligned to the left."""
+    """Write a table whose first columns are aligned to the left."""
     rule = "|".join(["---"] * left + ["---:"] * (len(headings) - left))
     lines = [[*headings], *([cell.replace("|", "\\|") for cell in row] for row in rows)]
-    text = [f"| {' | '.join(line)} |" for line in lines]
-    return "\n".join([text[0], f"|{rule}|", *text[1:]])
+    drawn = [f"| {' | '.join(line)} |" for line in lines]
+    return "\n".join([drawn[0], f"|{rule}|", *drawn[1:]])

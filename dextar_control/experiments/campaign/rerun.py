@@ -1,4 +1,4 @@
-"""One row of a campaign, run again."""
+"""Run one row of a campaign again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A campaign from its file to its folder: plan, run what is missing, judge."""
+"""Run a campaign from its file to its folder: plan, run what is missing, judge."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from rich.progress import (
     BarColumn,
@@ -26,10 +25,10 @@ from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.experiments.campaign import design
 from dextar_control.experiments.campaign.config import CampaignConfig
 from dextar_control.experiments.campaign.design import Trial
-from dextar_control.experiments.campaign.loading import resolve
 from dextar_control.experiments.campaign.outcome import judge
 from dextar_control.experiments.campaign.pool import Pool, check_workers
-from dextar_control.experiments.campaign.selection import check_names
+from dextar_control.experiments.campaign.rig import resolve
+from dextar_control.experiments.campaign.selection import check_names, own_names
 from dextar_control.experiments.campaign.store import Store, read_rows
 from dextar_control.experiments.campaign.worker import Job, plan_trials, run_trials
 
@@ -39,14 +38,14 @@ TRIAL_MODULE = "dextar_control.experiments.campaign.trial"
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign file with all that follows from it."""
+    """Holds a campaign file with all that follows from it."""
 
     config: CampaignConfig
     job: Job
     trials: dict[str, Trial]  # by key, in the order in which they run
 
     @property
-    def manifest(self) -> dict[str, Any]:
+    def manifest(self) -> dict[str, object]:
         """What the rows of a folder are of."""
         return {
             "version": design.version(),
@@ -56,8 +55,8 @@ class Campaign:
         }
 
     def folder(self, path: Path) -> Path:
-        """Where the campaign of a file goes unless it is told: the same campaign always
-        into the same folder.
+        """Return where the campaign of a file goes unless it is told: the same campaign
+        always into the same folder.
         """
         return Path("runs") / f"{path.stem}-{design.digest(self.manifest)[:8]}"
 
@@ -65,7 +64,7 @@ class Campaign:
 def prepare(
     config: CampaignConfig, path: Path, trial_module: str = TRIAL_MODULE
 ) -> Campaign:
-    """The trials of a campaign.
+    """Prepare the trials of a campaign.
 
     Args:
         config: checked by itself; the names of its rig's plants stand in ``PLANTS`` of
@@ -88,8 +87,13 @@ def prepare(
     points = physics.sample_points(
         robot, config.points.count, config.points.folded, config.seed
     )
+    own = own_names(config)
     job = Job(
-        robot, config.rig, trial_module, design.code_digest(config.rig, trial_module)
+        robot,
+        config.rig,
+        trial_module,
+        design.code_digest(config.rig, trial_module, own),
+        own,
     )
     trials = {
         design.row_key(robot, config.rig, trial): trial
@@ -203,8 +207,8 @@ def _run(
 
 
 def _distinct_plans(trials: Iterable[Trial]) -> list[Trial]:
-    """One trial for each plan that trials with the same crossing point and direction
-    need.
+    """Choose one trial for each plan that trials with the same crossing point and
+    direction need.
     """
     return list(
         {

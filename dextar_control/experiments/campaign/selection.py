@@ -1,10 +1,11 @@
-"""What the command line changes of a campaign, and whether the names in it exist."""
+"""Change a campaign as the command line asks, and check that the names in it exist."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plug_in import chosen, is_own
 from dextar_control.contract.validation import unknown, validate
 from dextar_control.experiments.campaign.config import CampaignConfig, sweep_case
 
@@ -18,8 +19,8 @@ def select(
     laws: list[str] | None = None,
     estimators: list[str] | None = None,
 ) -> CampaignConfig:
-    """A campaign with what the command line changes; with both laws and estimators each
-    law meets each estimator.
+    """Return a campaign with what the command line changes; with both laws and
+    estimators each law meets each estimator.
 
     Raises:
         ParameterError: a case is not of this campaign, or nothing is left to run.
@@ -95,17 +96,34 @@ def check_names(
     estimators: Collection[str],
     plants: Collection[str],
 ) -> None:
-    """Raise for a law, an estimator or a plant that does not exist."""
-    for law in [combination.law for combination in config.combinations] + [
-        config.default.law
-    ]:
-        _check(law, laws, "law")
-    for estimator in [combination.estimator for combination in config.combinations] + [
-        config.default.estimator
-    ]:
-        _check(estimator, estimators, "estimator")
+    """Raise for a law, an estimator or a plant that does not exist; a law or an
+    estimator of one's own is loaded.
+    """
+    pairs = _pairs(config)
+    for what, found, known in (
+        ("law", {law for law, _ in pairs}, laws),
+        ("estimator", {estimator for _, estimator in pairs}, estimators),
+    ):
+        for name in sorted(found):
+            if is_own(name):
+                chosen(what, name, {})
+            else:
+                _check(name, known, what)
     for plant in [*config.plants, config.default.plant]:
         _check(plant, plants, "plant")
+
+
+def own_names(config: CampaignConfig) -> tuple[str, ...]:
+    """Laws and estimators of a campaign that are its user's own."""
+    return tuple(
+        sorted({name for pair in _pairs(config) for name in pair if is_own(name)})
+    )
+
+
+def _pairs(config: CampaignConfig) -> list[tuple[str, str]]:
+    """Law and estimator of each combination, and of the default."""
+    default = config.default.law, config.default.estimator
+    return [*((one.law, one.estimator) for one in config.combinations), default]
 
 
 def _check(name: str, known: Collection[str], what: str) -> None:
@@ -114,7 +132,7 @@ def _check(name: str, known: Collection[str], what: str) -> None:
 
 
 def names(text: str | None) -> list[str] | None:
-    """The names of a comma-separated argument."""
+    """Split a comma-separated argument into its names."""
     return (
         None
         if text is None

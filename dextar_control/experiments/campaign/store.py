@@ -1,5 +1,5 @@
-"""A campaign's folder: what it is of, its rows appended as they come, and the columnar
-file in the end.
+"""A campaign's folder: its manifest, its rows, which are appended as they come, and the
+columnar file in the end.
 """
 
 from __future__ import annotations
@@ -9,22 +9,23 @@ import json
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from dextar_control.contract.errors import CampaignError
 from dextar_control.contract.plain_data import as_plain
-from dextar_control.experiments.campaign.worker import Row
+from dextar_control.experiments.campaign.rows import Cell, Row, text
 
 MANIFEST, ROWS, TABLE = "campaign.json", "rows.jsonl", "rows.parquet"
 
 
 class Store:
-    """The folder of one campaign, held by one process at a time; a context manager."""
+    """Holds the folder of one campaign, for one process at a time; a context
+    manager.
+    """
 
-    def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
+    def __init__(self, folder: Path, manifest: Mapping[str, object]) -> None:
         """Open a folder, new or of the same campaign.
 
         Args:
@@ -59,23 +60,23 @@ class Store:
         self._file.close()
 
     def append(self, rows: Iterable[Row]) -> None:
-        """Rows with their ``key``; on the disk when this returns."""
+        """Append rows with their ``key``; they are on the disk when this returns."""
         rows = list(rows)
-        text = "".join(
+        lines = "".join(
             json.dumps(as_plain(row), allow_nan=False) + "\n" for row in rows
         )
         try:
-            self._file.write(text.encode())
+            self._file.write(lines.encode())
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError as error:
             raise CampaignError(
                 f"cannot write into {self.folder / ROWS}: {error.strerror or error}"
             ) from error
-        self.rows.update({row["key"]: as_plain(row) for row in rows})
+        self.rows.update({text(row, "key"): as_plain(row) for row in rows})
 
     def write_table(self, keys: Iterable[str]) -> Path:
-        """All rows as a Parquet file, in the order of the keys."""
+        """Write all rows as a Parquet file, in the order of the keys."""
         path = self.folder / TABLE
         rows = [self.rows[key] for key in keys if key in self.rows]
         part = path.with_suffix(".part")
@@ -83,13 +84,13 @@ class Store:
         part.replace(path)
         return path
 
-    def write_text(self, name: str, text: str) -> Path:
-        """A text file of the folder."""
+    def write_text(self, name: str, content: str) -> Path:
+        """Write a text file of the folder."""
         path = self.folder / name
-        path.write_text(text, encoding="utf-8")
+        path.write_text(content, encoding="utf-8")
         return path
 
-    def _check(self, manifest: Mapping[str, Any]) -> None:
+    def _check(self, manifest: Mapping[str, object]) -> None:
         path = self.folder / MANIFEST
         wanted = json.loads(json.dumps(manifest))
         if path.is_file():
@@ -114,7 +115,7 @@ class Store:
             part.replace(path)
 
     def _kept(self) -> dict[str, Row]:
-        """Rows of an earlier run; a last line that broke off is cut away."""
+        """Read the rows of an earlier run, and cut off a last line that broke off."""
         self._file.seek(0)
         content = self._file.read()
         whole = content.rfind(b"\n") + 1
@@ -124,7 +125,8 @@ class Store:
 
 
 def read_rows(folder: Path) -> dict[str, Row]:
-    """Rows of a folder by key, without holding it; none if there is no such folder.
+    """Read the rows of a folder by key, without holding it; none if there is no such
+    folder.
 
     Raises:
         CampaignError: a line is not a row.
@@ -150,13 +152,13 @@ def _rows(path: Path, content: bytes) -> dict[str, Row]:
 
 
 def as_table(rows: list[Row]) -> pa.Table:
-    """Rows as columns, those that some rows lack filled with nulls."""
+    """Make a table of rows, with nulls where rows lack a column."""
     names = dict.fromkeys(name for row in rows for name in row)
     columns = {name: _column([row.get(name) for row in rows]) for name in names}
     return pa.table(columns)
 
 
-def _column(values: list[Any]) -> pa.Array:
+def _column(values: list[Cell]) -> pa.Array:
     kinds = {type(value) for value in values if value is not None}
     if kinds == {int, float}:
         return pa.array(values, pa.float64())
@@ -167,8 +169,8 @@ def _column(values: list[Any]) -> pa.Array:
     return pa.array(values, pa.float64() if not kinds else None)
 
 
-def _difference(found: Any, wanted: Any, where: str = "") -> str:
-    """The first place where two pieces of plain data differ, in words."""
+def _difference(found: object, wanted: object, where: str = "") -> str:
+    """Say where two pieces of plain data differ first."""
     if isinstance(found, dict) and isinstance(wanted, dict):
         for key in {**wanted, **found}:
             name = f"{where}.{key}" if where else str(key)
@@ -185,6 +187,6 @@ def _difference(found: Any, wanted: Any, where: str = "") -> str:
     )
 
 
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+def _short(value: object) -> str:
+    shown = json.dumps(value)
+    return shown if len(shown) <= 60 else f"{shown[:57]}..."

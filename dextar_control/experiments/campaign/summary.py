@@ -8,15 +8,17 @@ import dataclasses
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from dextar_control.contract.plain_data import as_plain
 from dextar_control.experiments.campaign.config import CampaignConfig
-from dextar_control.experiments.campaign.worker import Row
+from dextar_control.experiments.campaign.rows import Row, number, text
+from dextar_control.symbols.types import Array
 
 
-class Verdict(NamedTuple):
+class BarVerdict(NamedTuple):
     """One bar of a case beside what was reached."""
 
     bar: str
@@ -27,7 +29,7 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True)
 class Group:
-    """The rows of one case, law, estimator and plant.
+    """Holds the statistics of the rows of one case, law, estimator and plant.
 
     Shares are of all rows; a trial without a plan, a raised exception and a dead worker
     count as not crossed. Errors and torques are of the rows that have them; nan if none
@@ -62,7 +64,7 @@ class Group:
         float  # share of the recognised bounces whose torque brakes or is gone in time
     )
     judged: bool = False
-    verdicts: tuple[Verdict, ...] = ()
+    verdicts: tuple[BarVerdict, ...] = ()
 
     @property
     def name(self) -> str:
@@ -70,8 +72,8 @@ class Group:
         return f"{self.law}/{self.estimator}"
 
     @property
-    def missed(self) -> list[Verdict]:
-        """Bars that do not hold."""
+    def missed(self) -> list[BarVerdict]:
+        """The bars that do not hold."""
         return [verdict for verdict in self.verdicts if not verdict.holds]
 
 
@@ -96,13 +98,19 @@ MEASURES = {
 
 
 def summarise(config: CampaignConfig, rows: Iterable[Row]) -> list[Group]:
-    """One group for each case, plant and combination, in the order of the campaign
-    file.
+    """Summarise one group for each case, plant and combination, in the order of the
+    campaign file.
     """
     sorted_rows: dict[tuple[str, str, str, str], list[Row]] = {}
     for row in rows:
         sorted_rows.setdefault(
-            (row["case"], row["plant"], row["law"], row["estimator"]), []
+            (
+                text(row, "case"),
+                text(row, "plant"),
+                text(row, "law"),
+                text(row, "estimator"),
+            ),
+            [],
         ).append(row)
     groups = []
     default = f"{config.default.law}/{config.default.estimator}"
@@ -127,28 +135,28 @@ def summarise(config: CampaignConfig, rows: Iterable[Row]) -> list[Group]:
 
 
 def crossed_all(row: Row) -> bool:
-    """Whether the true robot crossed at each planned crossing."""
-    planned = row.get("crossings_planned") or 0
-    return planned > 0 and (row.get("crossed") or 0) >= planned
+    """Tell whether the true robot crossed at each planned crossing."""
+    planned = number(row, "crossings_planned")
+    return planned > 0 and number(row, "crossed") >= planned
 
 
 def real_time_factor(rows: Iterable[Row]) -> float:
-    """Simulated over wall time of a worker, which has one core: the median over the
-    rows, nan without any.
+    """Return simulated over wall time of a worker, which has one core: the median over
+    the rows, nan without any.
     """
-    times = [(row.get("simulated_time"), row.get("wall_time")) for row in rows]
-    factors = [simulated / wall for simulated, wall in times if simulated and wall]
+    times = [(number(row, "simulated_time"), number(row, "wall_time")) for row in rows]
+    factors = [
+        simulated / wall for simulated, wall in times if simulated > 0.0 and wall > 0.0
+    ]
     return float(np.median(factors)) if factors else math.nan
 
 
-def as_json(group: Group) -> dict[str, Any]:
-    """Plain data; numbers that are not finite as None."""
-    data = dataclasses.asdict(group)
-    data["verdicts"] = [verdict._asdict() for verdict in group.verdicts]
-    for entry in [data, *data["verdicts"]]:
-        for key, value in entry.items():
-            if isinstance(value, float) and not math.isfinite(value):
-                entry[key] = None
+def as_json(group: Group) -> dict[str, object]:
+    """Return a group as plain data, with None for numbers that are not finite."""
+    verdicts = [verdict._asdict() for verdict in group.verdicts]
+    data: dict[str, object] = as_plain(
+        {**dataclasses.asdict(group), "verdicts": verdicts}
+    )
     return data
 
 
@@ -157,10 +165,10 @@ def _group(rows: list[Row]) -> Group:
     saturated = _numbers(rows, "saturated")
     errors = _numbers(rows, "max_error")
     return Group(
-        case=rows[0]["case"],
-        law=rows[0]["law"],
-        estimator=rows[0]["estimator"],
-        plant=rows[0]["plant"],
+        case=text(rows[0], "case"),
+        law=text(rows[0], "law"),
+        estimator=text(rows[0], "estimator"),
+        plant=text(rows[0], "plant"),
         rows=count,
         planned=sum(bool(row.get("planned")) for row in rows) / count,
         crossed=sum(map(crossed_all, rows)) / count,
@@ -185,14 +193,15 @@ def _group(rows: list[Row]) -> Group:
     )
 
 
-def _verdict(group: Group, bar: str, limit: float) -> Verdict:
+def _verdict(group: Group, bar: str, limit: float) -> BarVerdict:
     measured = float(getattr(group, MEASURES[bar]))
     holds = measured >= limit if bar.startswith("min_") else measured <= limit
-    return Verdict(bar, limit, measured, holds)
+    return BarVerdict(bar, limit, measured, holds)
 
 
-def _numbers(rows: list[Row], name: str) -> np.ndarray:
-    return np.array([float(row[name]) for row in rows if row.get(name) is not None])
+def _numbers(rows: list[Row], name: str) -> Array:
+    found = (row.get(name) for row in rows)
+    return np.array([float(value) for value in found if value is not None])
 
 
 def _share(rows: list[Row], name: str) -> float:
@@ -205,5 +214,5 @@ def _total(rows: list[Row], name: str) -> float:
     return float(values.sum()) if values.size else math.nan
 
 
-def _largest(values: np.ndarray) -> float:
+def _largest(values: Array) -> float:
     return float(values.max()) if values.size else math.nan

@@ -8,20 +8,25 @@ import dataclasses
 import gc
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.robot import RobotParameters, flatten
-from dextar_control.contract.settings import Estimation, Law, default_settings
+from dextar_control.contract.settings import ESTIMATORS as ESTIMATORS
+from dextar_control.contract.settings import LAWS as LAWS
+from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
 from dextar_control.control.phases import LIMP, Phase
 from dextar_control.control.verdicts import Verdict
 from dextar_control.estimation.estimate import Pose
-from dextar_control.experiments.campaign.learnt import learnt
+from dextar_control.experiments.campaign.rig import RigInterface, RigMaker
+from dextar_control.experiments.campaign.rows import Row
+from dextar_control.experiments.campaign.self_calibration import calibrated_description
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import clear_times
 from dextar_control.planning.locus import locus_point, nearest_point, sample_locus
@@ -31,10 +36,8 @@ from dextar_control.symbols.types import Array
 if TYPE_CHECKING:
     from dextar_control.experiments.campaign.design import CrossingPoint, Trial
 
-LAWS = tuple(law.name.lower() for law in Law)
-ESTIMATORS = tuple(estimator.name.lower() for estimator in Estimation)
 MAX_ERROR, END_ERROR = 5e-3, 1e-3  # m, true
-SAID = (
+CONFIDENCE_BINS = (
     0.5,
     0.6,
     0.8,
@@ -99,7 +102,7 @@ RIG_OPTIONS = (
 def sample_points(
     robot: RobotParameters, count: int, folded: int, seed: int
 ) -> list[CrossingPoint]:
-    """Crossing points spread over the locus."""
+    """Spread crossing points over the locus."""
     from dextar_control.experiments.campaign.design import CrossingPoint
 
     return [
@@ -112,13 +115,13 @@ def sample_points(
     ]
 
 
-def build(
+def built_robot(
     robot: RobotParameters,
     perturbation: Mapping[str, float],
     generator: np.random.Generator,
     sides: np.random.Generator,
 ) -> RobotParameters:
-    """A robot as it was built and not as it was drawn.
+    """Return a robot as it was built and not as it was drawn.
 
     ``masses``: each mass and inertia is off by an evenly distributed share of up to
     this. ``geometry``: the four lengths and both coordinates of both motor axes, eight
@@ -128,7 +131,7 @@ def build(
         generator: of how far things are off.
         sides: of the signs and directions of what is off by a given number.
     """
-    changes: dict[str, Any] = {}
+    changes: dict[str, float | tuple[float, float]] = {}
     flat = flatten(robot)
     shares = perturbation.get("masses", 0.0) * generator.uniform(-1.0, 1.0, len(BODIES))
     for name, share in zip(BODIES, shares, strict=True):
@@ -155,9 +158,11 @@ def build(
     )
 
 
-def known(robot: RobotParameters, perturbation: Mapping[str, float]) -> RobotParameters:
-    """The controller's model: of the perturbation it knows the modelled share of the
-    friction, and perhaps the belt.
+def controller_model(
+    robot: RobotParameters, perturbation: Mapping[str, float]
+) -> RobotParameters:
+    """Return the controller's model, which knows of the perturbation the modelled share
+    of the friction, and perhaps the belt.
     """
     changes = _friction_and_belt(
         robot,
@@ -176,9 +181,11 @@ def _friction_and_belt(
     passive: float,
     *,
     belt: bool,
-) -> dict[str, Any]:
-    """Of the perturbation, with these shares of the friction."""
-    changes: dict[str, Any] = {}
+) -> dict[str, float]:
+    """Return the changes that the perturbation makes with these shares of the
+    friction.
+    """
+    changes: dict[str, float] = {}
     for side, leg in zip(robot.sides, robot.legs, strict=True):
         if "coulomb" in perturbation:
             changes[f"{side}.coulomb_friction"] = coulomb * perturbation["coulomb"]
@@ -187,10 +194,8 @@ def _friction_and_belt(
                 "pin_coulomb_friction"
             ] = passive * perturbation["passive"]
         if belt and perturbation.get("belt"):
-            stiffness, ratio = (
-                perturbation["belt"],
-                perturbation.get("belt_damping", BELT_DAMPING),
-            )
+            stiffness = perturbation["belt"]
+            ratio = perturbation.get("belt_damping", BELT_DAMPING)
             changes[f"{side}.transmission_stiffness"] = stiffness
             changes[f"{side}.transmission_damping"] = (
                 2.0 * ratio * math.sqrt(stiffness * leg.rotor_inertia)
@@ -199,20 +204,22 @@ def _friction_and_belt(
 
 
 def plan_trial(robot: RobotParameters, trial: Trial) -> Plan:
-    """The trip of a trial whose robot learns nothing first, by what the controller
-    knows of it.
+    """Plan the trip of a trial whose robot is not calibrated first, by what the
+    controller knows of it.
 
     Those of one process that ask for the same share one.
 
     Raises:
         DextarError: there is none.
     """
-    robot = known(robot.replace(working_mode=trial.working_mode), trial.perturbation)
+    robot = controller_model(
+        robot.replace(working_mode=trial.working_mode), trial.perturbation
+    )
     return _plan_for(robot, trial)
 
 
 def _plan_for(robot: RobotParameters, trial: Trial) -> Plan:
-    """The trip that is planned for a robot as it is known."""
+    """Plan the trip for a robot as the controller knows it."""
     criterion = (
         Criterion.ZERO_WRENCH if trial.law == "multi_model" else Criterion.RECIPROCAL
     )
@@ -243,10 +250,8 @@ def _planned(
     )
 
 
-def run_trial(
-    robot: RobotParameters, trial: Trial, rig: Callable[..., Any]
-) -> dict[str, float | int | str | bool | None]:
-    """One row of results.
+def run_trial(robot: RobotParameters, trial: Trial, rig: RigMaker) -> Row:
+    """Run a trial, and return its row of results.
 
     Args:
         robot: as the controller knows it but for working mode and friction.
@@ -256,14 +261,13 @@ def run_trial(
     """
     begin = time.perf_counter()
     perturbation = dict(trial.perturbation)
-    generator, sides = (
-        np.random.default_rng(trial.seed),
-        np.random.default_rng([trial.seed, 1]),
-    )
+    generator = np.random.default_rng(trial.seed)
+    sides = np.random.default_rng([trial.seed, 1])
     drawn, mode = robot, {"working_mode": trial.working_mode}
-    built = build(robot.replace(**mode), perturbation, generator, sides)
+    built = built_robot(robot.replace(**mode), perturbation, generator, sides)
     options = _rig_options(perturbation)
-    robot, told = known(drawn.replace(**mode), perturbation), dict[str, bool]()
+    robot = controller_model(drawn.replace(**mode), perturbation)
+    told = dict[str, bool]()
     try:
         if perturbation.get("calibrated") or perturbation.get("identified"):
             recorder = partial(
@@ -273,8 +277,8 @@ def run_trial(
                 seed=trial.seed,
                 **options,
             )
-            robot, told = learnt(
-                known(drawn, perturbation),
+            robot, told = calibrated_description(
+                controller_model(drawn, perturbation),
                 recorder,
                 calibrated=bool(perturbation.get("calibrated")),
                 identified=bool(perturbation.get("identified")),
@@ -329,9 +333,9 @@ def run_trial(
     )
 
 
-def _rig_options(perturbation: Mapping[str, float]) -> dict[str, Any]:
-    """Of the rig, by its own names."""
-    options: dict[str, Any] = {
+def _rig_options(perturbation: Mapping[str, float]) -> dict[str, float | str]:
+    """Return the perturbation's options of the rig, by the rig's names."""
+    options: dict[str, float | str] = {
         name: perturbation[name] for name in RIG_OPTIONS if name in perturbation
     }
     for name in ("encoder_resolution", "cogging_periods"):
@@ -345,7 +349,7 @@ def _rig_options(perturbation: Mapping[str, float]) -> dict[str, Any]:
 
 
 class Strike(NamedTuple):
-    """A blow, or a push: a blow in each of several periods."""
+    """A blow, or a push, which is a blow in each of several periods."""
 
     time: float  # s
     impulse: Array  # (2,) N s, of a blow, N of a push
@@ -375,7 +379,7 @@ def _strike_of(
     generator: np.random.Generator,
     sides: np.random.Generator,
 ) -> Strike | None:
-    """What hits the robot at the first crossing, if anything does.
+    """Return what hits the robot at the first crossing, if anything does.
 
     A push acts along t_s, or across it. A bounce turns the motion round: of the planned
         velocity the part along t_s, which the
@@ -420,7 +424,9 @@ def _strike_of(
     return Strike(moment, -(1.0 + generator.uniform(*RESTITUTION)) * (mass @ turned))
 
 
-def _drive(loop: ControlLoop, plan: Plan, rig: Any, strike: Strike | None) -> Log:
+def _drive(
+    loop: ControlLoop, plan: Plan, rig: RigInterface, strike: Strike | None
+) -> Log:
     start, certificate = plan.trajectory.at(0.0).x, plan.certificate
     place = loop.model.place(start)
     rig.reset_joints(place.q_a, round(np.sign(place.s[0])))
@@ -465,7 +471,7 @@ def _drive(loop: ControlLoop, plan: Plan, rig: Any, strike: Strike | None) -> Lo
         numbers[:, truth.layout.places[name][0]] for name in ("joints", "x", "q_a_dot")
     )
     return Log(
-        time=np.arange(count) * period,
+        time=period * np.arange(count, dtype=np.float64),
         x=x,
         x_ref=np.array(x_refs),
         tau=tau_log,
@@ -483,17 +489,17 @@ def _drive(loop: ControlLoop, plan: Plan, rig: Any, strike: Strike | None) -> Lo
     )
 
 
-def sides(certificate: Certificate, log: Log, index: int) -> tuple[float, float]:
-    """True s before and after a planned crossing, where the plan is clear of the
-    locus.
+def s_around_crossing(
+    certificate: Certificate, log: Log, index: int
+) -> tuple[float, float]:
+    """Return the true s before and after a planned crossing, where the plan is clear of
+    the locus.
     """
     first, last = np.searchsorted(log.time, clear_times(certificate, index))
     return float(log.s[max(first - 1, 0)]), float(log.s[min(last, len(log.s) - 1)])
 
 
-def _judge(
-    loop: ControlLoop, log: Log, bounced: bool
-) -> dict[str, float | int | str | bool | None]:
+def _judge(loop: ControlLoop, log: Log, bounced: bool) -> Row:
     certificate = loop.certificate
     if certificate is None:
         return {
@@ -506,7 +512,7 @@ def _judge(
     count = len(certificate.crossing_times)
     crossed = []
     for index in range(count):
-        before, after = sides(certificate, log, index)
+        before, after = s_around_crossing(certificate, log, index)
         sign = certificate.crossing_signs[index]
         crossed.append(before * sign < 0.0 < after * sign)
     verdicts = [passed.verdict for passed in loop.passed]
@@ -514,7 +520,6 @@ def _judge(
         _on_side(log, passed.time, sign)
         for passed, sign in zip(loop.passed, certificate.crossing_signs, strict=True)
     ]
-    said = _reliability(log)
     near = np.abs(log.s) < NEAR
     wrong = (
         np.logical_not(log.limp)
@@ -523,7 +528,7 @@ def _judge(
     )
     planned = certificate.peak_torque
     reason = _reason(loop, crossed, error)
-    row: dict[str, float | int | str | bool | None] = {
+    row: Row = {
         "planned": True,
         "plan_problem": "",
         "crossings_planned": count,
@@ -559,17 +564,7 @@ def _judge(
         "wrong_side_time": float(wrong.sum() * (log.time[1] - log.time[0])),
         "stopped_after_crossing": crossed[0] and loop.phase in LIMP,
         "recognised": None,
-        **{
-            f"said_{odds:g}": number for odds, number in zip(SAID, said[0], strict=True)
-        },
-        **{
-            f"right_{odds:g}": number
-            for odds, number in zip(SAID, said[1], strict=True)
-        },
-        **{
-            f"stated_{odds:g}": number
-            for odds, number in zip(SAID, said[2], strict=True)
-        },
+        **_stated_confidences(log),
     }
     return (
         row | _bounce(loop, log, certificate.crossing_signs[0], truths[0], planned)
@@ -578,24 +573,28 @@ def _judge(
     )
 
 
-def _reliability(log: Log) -> tuple[list[int], list[float], list[float]]:
-    """Of each bin of SAID whether the run stated it clear of the locus, share of that
-    time it was right, mean confidence.
+def _stated_confidences(log: Log) -> Row:
+    """For each bin of confidence: whether the run stated it clear of the locus, for
+    which share of that time the side was right, and the mean of what it stated.
     """
-    clear = np.abs(log.s) >= CLEAR
-    which = np.digitize(log.confidence, SAID) - 1
-    bins = [clear & (which == k) & (log.mode != 0.0) for k in range(len(SAID))]
-    right = log.mode * log.s > 0.0
-    shares, means = (
-        [float(of[found].mean()) if found.any() else 0.0 for found in bins]
-        for of in (right, log.confidence)
-    )
-    return [int(found.any()) for found in bins], shares, means
+    told = (np.abs(log.s) >= CLEAR) & (log.mode != 0.0)
+    bins = np.digitize(log.confidence, CONFIDENCE_BINS) - 1
+    when = {f"{low:g}": told & (bins == k) for k, low in enumerate(CONFIDENCE_BINS)}
+
+    def mean(values: Array, found: NDArray[np.bool_]) -> float:
+        return float(values[found].mean()) if found.any() else 0.0
+
+    right = (log.mode * log.s > 0.0).astype(np.float64)
+    return {
+        **{f"said_{low}": int(found.any()) for low, found in when.items()},
+        **{f"right_{low}": mean(right, found) for low, found in when.items()},
+        **{f"stated_{low}": mean(log.confidence, found) for low, found in when.items()},
+    }
 
 
 def _on_side(log: Log, time_of_verdict: float, sign: float) -> bool:
-    """Whether the true robot was on the planned side when the verdict fell; true where
-    none did.
+    """Tell whether the true robot was on the planned side when the verdict fell; true
+    where none did.
     """
     if math.isnan(time_of_verdict):
         return True
@@ -627,8 +626,8 @@ def _reason(loop: ControlLoop, crossed: list[bool], error: Array) -> str:
 
 
 def _turned(log: Log, sign: float) -> bool:
-    """Whether the true robot went back from the locus after the blow, before it came
-    well clear of it on the other side.
+    """Tell whether the true robot went back from the locus after the blow, before it
+    came well clear of it on the other side.
 
     One that was only slowed crosses late, and one that was left standing near the locus
     is on neither side.
@@ -642,9 +641,9 @@ def _turned(log: Log, sign: float) -> bool:
 
 def _bounce(
     loop: ControlLoop, log: Log, sign: float, on_side: bool, planned: float
-) -> dict[str, float | int | str | bool | None]:
-    """What became of a run that was struck; ``recognised`` is None when the blow did
-    not turn the robot round.
+) -> Row:
+    """Judge a run that was struck; ``recognised`` is None when the blow did not turn
+    the robot round.
 
     Args:
         sign: of s behind the planned crossing.
@@ -664,7 +663,7 @@ def _bounce(
     stopped = np.flatnonzero(log.limp)
     struck = int(np.searchsorted(log.time, log.strike))
     after = np.abs(log.tau[struck:]).max(axis=1)
-    row: dict[str, float | int | str | bool | None] = {
+    row: Row = {
         "recognised": named,
         "success": named,
         "reason": (

@@ -1,6 +1,4 @@
-"""What a worker process does: a few trials, each of which may fail without the
-others.
-"""
+"""Run a few trials in a worker process, each of which may fail without the others."""
 
 from __future__ import annotations
 
@@ -8,14 +6,13 @@ import importlib
 import time
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from dextar_control.contract.errors import CampaignError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.experiments.campaign.design import Trial, code_digest
-from dextar_control.experiments.campaign.loading import resolve
-
-Row = dict[str, Any]
+from dextar_control.experiments.campaign.rig import RigMaker, resolve
+from dextar_control.experiments.campaign.rows import Row, failed_row
 
 
 class Job(NamedTuple):
@@ -25,10 +22,13 @@ class Job(NamedTuple):
     rig: str  # module:Class
     trial: str  # the module that plans and runs a trial
     code: str  # digest of the sources
+    own: tuple[str, ...] = ()  # laws and estimators of the user's own
 
 
 def run_trials(job: Job, trials: Sequence[Trial]) -> list[Row]:
-    """Results of each trial; one that raises yields a row with the reason."""
+    """Return the results of each trial; one that raises yields a row with the
+    reason.
+    """
     rig = _prepared(job)
     run = importlib.import_module(job.trial).run_trial
     rows = []
@@ -45,8 +45,8 @@ def run_trials(job: Job, trials: Sequence[Trial]) -> list[Row]:
 
 
 def plan_trials(job: Job, trials: Sequence[Trial]) -> list[Row]:
-    """Plans of the trials into the planner's cache; what cannot be planned says so when
-    it is run.
+    """Put the plans of the trials into the planner's cache; what cannot be planned says
+    so when it is run.
     """
     _prepared(job)
     plan = importlib.import_module(job.trial).plan_trial
@@ -58,19 +58,14 @@ def plan_trials(job: Job, trials: Sequence[Trial]) -> list[Row]:
     return [{} for _ in trials]
 
 
-def failed_row(reason: str) -> Row:
-    """Results of a trial that has none."""
-    return {"success": False, "reason": reason}
-
-
 def _in_words(error: BaseException) -> str:
     said = " ".join(str(error).split())
     return f"{type(error).__name__}: {said}" if said else type(error).__name__
 
 
 @lru_cache(maxsize=8)
-def _prepared(job: Job) -> Any:
-    mine = code_digest(job.rig, job.trial)
+def _prepared(job: Job) -> RigMaker:
+    mine = code_digest(job.rig, job.trial, job.own)
     if mine != job.code:
         raise CampaignError(
             f"a worker runs other code ({mine}) than this process ({job.code}); install"

@@ -1,4 +1,4 @@
-"""How each kind of fault is done to the nodes during one trip, and undone after it."""
+"""Do each kind of fault to the nodes during one trip, and undo it after the trip."""
 
 from __future__ import annotations
 
@@ -11,23 +11,32 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.client import Client
+from rclpy.publisher import Publisher
+from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.topics import JOINT_COMMANDS
 from dextar_control.experiments.faults.bag_check import finished
-from dextar_control.experiments.faults.cases import Case
+from dextar_control.experiments.faults.cases import FaultCase
+from dextar_control.experiments.faults.events import CrossingRecord, Network
 from dextar_control.experiments.faults.judgement import Evidence, Outcome
-from dextar_control.experiments.faults.link import Link, Shape, Transport, Window
-from dextar_control.experiments.faults.operator import parameter
+from dextar_control.experiments.faults.link import (
+    FaultWindow,
+    MessageLink,
+    MessageShape,
+    Transport,
+)
+from dextar_control.experiments.faults.monitor import parameters
 from dextar_control.experiments.faults.stack import Stack
 from dextar_control.experiments.processes import NodesError
 from dextar_control.nodekit.cdr import NANOSECONDS
@@ -42,6 +51,7 @@ END_PATIENCE = 20.0  # s until a node that was sent SIGTERM has ended
 SECOND_TORQUE = (0.05, -0.05)  # N m, of the second commander
 SECOND_LASTS = 0.5  # s
 MOST_PENDING = 40  # services asked and not answered
+UNCOMPRESSED = {"bag.compression": "none"}  # what the full disk is reached by sooner
 GAINS = {
     "feedback.natural_frequency": (45.0, 55.0),
     "feedback.damping_ratio": (0.9, 1.1),
@@ -81,8 +91,8 @@ class Trouble(NamedTuple):
 
 
 class Action:
-    """A fault of one kind: prepared, armed once the trip has begun, polled, released,
-    and its damage repaired.
+    """Does a fault of one kind: it is prepared, armed once the trip has begun, polled,
+    released, and its damage repaired.
 
     Attributes:
         single: one crossing of the trip is faulted, not each.
@@ -95,7 +105,7 @@ class Action:
     grace = 0
     refused = False
 
-    def __init__(self, case: Case, stack: Stack) -> None:
+    def __init__(self, case: FaultCase, stack: Stack) -> None:
         self.case, self.stack = case, stack
 
     @property
@@ -104,62 +114,66 @@ class Action:
         return True
 
     def prepare(self, chance: random.Random) -> None:
-        """Before the trip begins."""
+        """Prepare the fault before the trip begins."""
         self.chance = chance
 
     def arm(self, times: Sequence[int]) -> None:
-        """The trip has begun; ``times`` at which the faults are due, ns of the rig's
-        clock.
+        """Take the ``times`` at which the faults are due, ns of the rig's clock; the
+        trip has begun.
         """
 
     def poll(self, now: int) -> Trouble | None:
-        """In each turn; a trouble that only this fault's maker can know."""
+        """Act in each turn; return a trouble that only this action can know."""
         return None
 
     def release(self) -> None:
-        """No more faults."""
+        """Do no more faults."""
 
     def took_effect(self) -> bool:
-        """Whether anything was done that somebody must have noticed."""
+        """Tell whether anything was done that somebody must have noticed."""
         return True
 
     def restore(self) -> None:
         """Repair what ``Stack.recover`` does not."""
 
     def bags(self) -> list[Path]:
-        """Recordings that ended in this trip."""
+        """List the recordings that ended in this trip."""
         return []
 
     def broken_bags(self) -> list[str]:
-        """A line for each of these that should have been finished and is not."""
+        """Write a line for each of these that should have been finished and is not."""
         return []
 
-    def extra(self, records: list[dict[str, Any]], evidence: Evidence) -> None:
+    def extra(self, records: list[CrossingRecord], evidence: Evidence) -> None:
         """Add to the records what only this kind has."""
 
 
 class LinkAction(Action):
-    """``transport`` and ``window``, by the injector."""
+    """Does ``transport`` and ``window`` faults, by the injector."""
 
     def prepare(self, chance: random.Random) -> None:
         """Find the links."""
         super().prepare(chance)
-        injector = self.stack.operator.injector
+        injector = self.stack.monitor.injector
         if injector is None:
             raise NodesError("no injector stands between rig and controller")
         ways = {"states": injector.states, "commands": injector.commands}
-        self._links: list[Link[bytes]] = [ways[way] for way in self.case.ways]
+        self._links: list[MessageLink[bytes]] = [ways[way] for way in self.case.ways]
         self._before = [dict(link.counts) for link in self._links]
         if self.case.window is not None:
             self.grace = round((self.case.window.lasting + REACTION) * NANOSECONDS)
 
     def arm(self, times: Sequence[int]) -> None:
-        """Windows at the times, or the transport from now on."""
+        """Put windows at the times, or change the transport from now on."""
         if self.case.window is not None:
             lasting = round(self.case.window.lasting * NANOSECONDS)
             for link in self._links:
                 for at in times:
-                    link.add(Window(at, at + lasting, Shape(self.case.window.shape)))
+                    link.add(
+                        FaultWindow(
+                            at, at + lasting, MessageShape(self.case.window.shape)
+                        )
+                    )
         else:
             for link in self._links:
                 link.configure(
@@ -167,13 +181,13 @@ class LinkAction(Action):
                 )
 
     def release(self) -> None:
-        """Whole links."""
+        """Make the links whole."""
         for link in self._links:
             link.configure(Transport(), 0)
             link.clear_windows()
 
     def took_effect(self) -> bool:
-        """Whether a message was touched."""
+        """Tell whether a message was touched."""
         transport = Transport(**self.case.transport or {})
         if transport.delay or transport.jitter:
             return True
@@ -186,13 +200,13 @@ class LinkAction(Action):
 
 
 class KillAction(Action):
-    """A signal to a node, and its start again."""
+    """Sends a signal to a node, and starts it again."""
 
     single = True
     grace = round(1.0 * NANOSECONDS)
 
     def arm(self, times: Sequence[int]) -> None:
-        """Once, at the first time."""
+        """Choose the first time, for the fault is done once."""
         assert self.case.kill is not None
         self._node, self._at, self._killed = self.case.kill.node, times[0], 0
         self._bag = self.stack.current_bag()
@@ -203,26 +217,26 @@ class KillAction(Action):
         return bool(self._killed) and self.stack.processes.ended(self._node)
 
     def poll(self, now: int) -> Trouble | None:
-        """Kill; a killed commander leaves a robot without torque."""
+        """Kill the node; a killed controller leaves a robot without torque."""
         assert self.case.kill is not None
         if not self._killed and now >= self._at:
             self._killed = now
             self.stack.processes.send(self._node, signal.Signals[self.case.kill.signal])
         return (
-            Trouble(self._killed, Outcome.LIMP)
+            Trouble(self._killed, Outcome.NO_TORQUE)
             if self._node == "controller" and self.done
             else None
         )
 
     def took_effect(self) -> bool:
-        """Whether it was killed."""
+        """Tell whether the node was killed."""
         return bool(self._killed)
 
     def restore(self) -> None:
-        """Start it again."""
+        """Start the node again."""
         if not self._killed:
             return
-        if not self.stack.operator.until(
+        if not self.stack.monitor.until(
             lambda: self.stack.processes.ended(self._node), END_PATIENCE
         ):
             raise NodesError(
@@ -231,16 +245,18 @@ class KillAction(Action):
         self.stack.restart(self._node)
 
     def bags(self) -> list[Path]:
-        """The killed recorder's."""
+        """Return the bag of a killed recorder."""
         if self._node != "recorder" or self._bag is None or not self._killed:
             return []
-        self.stack.operator.until(
+        self.stack.monitor.until(
             lambda: self.stack.processes.ended(self._node), END_PATIENCE
         )
         return [self._bag]
 
     def broken_bags(self) -> list[str]:
-        """SIGTERM asks a recorder to finish its file."""
+        """Write a line where the recorder did not finish its file although SIGTERM
+        asked for it.
+        """
         assert self.case.kill is not None
         if self.case.kill.signal != "SIGTERM":
             return []
@@ -250,10 +266,8 @@ class KillAction(Action):
             for path in unfinished
         ]
 
-    def extra(self, records: list[dict[str, Any]], evidence: Evidence) -> None:
-        """Torque after the commander's last word, for the figure; how much of a
-        recording was lost.
-        """
+    def extra(self, records: list[CrossingRecord], evidence: Evidence) -> None:
+        """Add the torque after the controller's last command, for the figure."""
         if self._node == "controller" and records:
             last = (
                 evidence.command_stamps[-1]
@@ -270,21 +284,21 @@ class KillAction(Action):
 
 
 class CommanderAction(Action):
-    """A second publisher on the command topic that commands a torque."""
+    """Publishes a torque on the command topic as a second commander."""
 
     single = True
     grace = round(1.0 * NANOSECONDS)
 
     def arm(self, times: Sequence[int]) -> None:
-        """Once, at the first time."""
+        """Choose the first time, for the fault is done once."""
         self._at, self._sent, self._begun = times[0], 0, 0
-        self._publisher: Any = None
+        self._publisher: Publisher | None = None
         self._template = template(JOINT_COMMANDS)
 
     @property
     def done(self) -> bool:
         """Whether it was there for long enough."""
-        return bool(self._begun) and self.stack.operator.now >= self._begun + round(
+        return bool(self._begun) and self.stack.monitor.now >= self._begun + round(
             SECOND_LASTS * NANOSECONDS
         )
 
@@ -293,7 +307,7 @@ class CommanderAction(Action):
         if now >= self._at and now > self._sent:
             if self._publisher is None:
                 self._begun = now
-                self._publisher = self.stack.operator.create_publisher(
+                self._publisher = self.stack.monitor.create_publisher(
                     JointState, JOINT_COMMANDS.name, qos(JOINT_COMMANDS)
                 )
             self._publisher.publish(self._template.pack(now, SECOND_TORQUE))
@@ -302,62 +316,61 @@ class CommanderAction(Action):
 
     def release(self) -> None:
         """Leave the topic."""
-        operator = self.stack.operator
+        monitor = self.stack.monitor
         if self._publisher is not None:
-            operator.destroy_publisher(self._publisher)
+            monitor.destroy_publisher(self._publisher)
             self._publisher = None
-            operator.until(
-                lambda: operator.count_publishers(JOINT_COMMANDS.name) <= 1,
-                END_PATIENCE,
+            monitor.until(
+                lambda: monitor.count_publishers(JOINT_COMMANDS.name) <= 1, END_PATIENCE
             )
 
     def took_effect(self) -> bool:
-        """Whether it commanded."""
+        """Tell whether it commanded."""
         return bool(self._begun)
 
 
 class FloodAction(Action):
-    """More service calls than anybody needs, to every node."""
+    """Calls more services than anybody needs, of every node."""
 
     def prepare(self, chance: random.Random) -> None:
-        """Clients of services that change nothing."""
+        """Make the clients of services that change nothing."""
         super().prepare(chance)
-        operator = self.stack.operator
-        self._calls: list[tuple[Any, Any]] = [
-            (operator.client(SetBool, "controller/enable"), SetBool.Request(data=True)),
+        monitor = self.stack.monitor
+        self._calls: list[tuple[Client, object]] = [
+            (monitor.client(SetBool, "controller/enable"), SetBool.Request(data=True)),
             (
-                operator.client(GetParameters, "controller/get_parameters"),
+                monitor.client(GetParameters, "controller/get_parameters"),
                 GetParameters.Request(names=["law", "near_locus.fade_abs_s"]),
             ),
             (
-                operator.client(SetParameters, "controller/set_parameters"),
+                monitor.client(SetParameters, "controller/set_parameters"),
                 SetParameters.Request(),
             ),
-            (operator.client(Trigger, "plant/step"), Trigger.Request()),
+            (monitor.client(Trigger, "plant/step"), Trigger.Request()),
             (
-                operator.client(GetParameters, "plant/get_parameters"),
+                monitor.client(GetParameters, "plant/get_parameters"),
                 GetParameters.Request(names=["mode"]),
             ),
             (
-                operator.client(GetParameters, "trajectory_server/get_parameters"),
+                monitor.client(GetParameters, "trajectory_server/get_parameters"),
                 GetParameters.Request(names=["task.repeat"]),
             ),
         ]
-        if not operator.until(
+        if not monitor.until(
             lambda: all(client.service_is_ready() for client, _ in self._calls),
             START_PATIENCE,
         ):
             raise NodesError("not every service is there to be flooded")
-        self._pending: list[tuple[str, Any]] = []
+        self._pending: list[tuple[str, Future]] = []
         self._sent = self._answered = 0
         self._begun = 0.0
 
     def arm(self, times: Sequence[int]) -> None:
-        """From now on."""
+        """Begin now."""
         self._begun = time.monotonic()
 
     def poll(self, now: int) -> Trouble | None:
-        """As many calls as are due."""
+        """Call as many services as are due."""
         self._count()
         due = int(self.case.flood * (time.monotonic() - self._begun))
         while self._begun and self._sent < due and len(self._pending) < MOST_PENDING:
@@ -374,7 +387,7 @@ class FloodAction(Action):
     def release(self) -> None:
         """Wait for the answers still to come."""
         self._begun = 0.0
-        self.stack.operator.until(
+        self.stack.monitor.until(
             lambda: all(future.done() for _, future in self._pending), END_PATIENCE
         )
         self._count()
@@ -384,19 +397,19 @@ class FloodAction(Action):
             self.stack.answers.append("every call was answered")
 
     def took_effect(self) -> bool:
-        """Whether anything was asked."""
+        """Tell whether anything was asked."""
         return self._sent > 0
 
 
 class ParameterAction(Action):
-    """A gain that may be changed live, and a value that must be refused, while the
+    """Sets a gain that may be changed live, and a value that must be refused, while the
     robot crosses.
     """
 
     def arm(self, times: Sequence[int]) -> None:
-        """At each time."""
+        """Take the times, at each of which both are asked."""
         self._times, self.refused, self._asked = list(times), False, 0
-        self._futures: list[tuple[Any, bool]] = []
+        self._futures: list[tuple[Future, bool]] = []
 
     @property
     def done(self) -> bool:
@@ -404,7 +417,7 @@ class ParameterAction(Action):
         return not self._times
 
     def poll(self, now: int) -> Trouble | None:
-        """One valid and one invalid change at each time."""
+        """Ask for one valid and one invalid change at each time."""
         if self._times and now >= self._times[0]:
             self._times.pop(0)
             name, (low, high) = self.chance.choice(list(GAINS.items()))
@@ -412,14 +425,9 @@ class ParameterAction(Action):
             self._ask(self.chance.choice(REFUSED), valid=False)
         return None
 
-    def _ask(self, values: dict[str, Any], *, valid: bool) -> None:
-        client = self.stack.operator.client(SetParameters, "controller/set_parameters")
-        request = SetParameters.Request(
-            parameters=[
-                parameter(name.replace("__", "."), value)
-                for name, value in values.items()
-            ]
-        )
+    def _ask(self, values: Mapping[str, int | float], *, valid: bool) -> None:
+        client = self.stack.monitor.client(SetParameters, "controller/set_parameters")
+        request = SetParameters.Request(parameters=parameters(values))
         self._futures.append((client.call_async(request), valid))
         self._asked += 1
 
@@ -427,7 +435,7 @@ class ParameterAction(Action):
         """Take the answers; a valid change refused or an invalid one taken is a fault
         of the controller.
         """
-        self.stack.operator.until(
+        self.stack.monitor.until(
             lambda: all(future.done() for future, _ in self._futures), END_PATIENCE
         )
         right = 0
@@ -448,27 +456,27 @@ class ParameterAction(Action):
             self.stack.answers.append("each answer as it should be")
 
     def restore(self) -> None:
-        """The gains of the parameter file."""
+        """Set the gains of the parameter file again."""
         defaults = node_defaults("controller")
-        self.stack.operator.change_parameters(
+        self.stack.monitor.change_parameters(
             "controller", **{name: float(defaults[name]) for name in GAINS}
         )
 
 
 class DiskAction(Action):
-    """A disk under the recorder that becomes full while the robot crosses."""
+    """Lets the disk under the recorder become full while the robot crosses."""
 
     def prepare(self, chance: random.Random) -> None:
-        """Another recorder, on a disk of its own; by a limit on the file's size where
-        no such disk can be made.
+        """Start another recorder on a small disk of its own, or with a limit on the
+        file's size where no such disk can be made.
         """
         super().prepare(chance)
         stack = self.stack
         stack.processes.stop("recorder")
-        stack.operator.until(lambda: False, 0.3)
+        stack.monitor.until(lambda: False, 0.3)
         self._bag = stack.bag()
         size = round(1e6 * self.case.disk * chance.uniform(0.5, 1.0))
-        stack.operator.status.pop("recorder", None)
+        stack.monitor.status.pop("recorder", None)
         if can_mount():
             disk = stack.folder / "small_disk"
             disk.mkdir(exist_ok=True)
@@ -484,17 +492,15 @@ class DiskAction(Action):
                 str(self._bag),
             ]
             stack.start_recorder(
-                wrap=wrap, path=disk / "run.mcap", **{"bag.compression": "none"}
+                wrap=wrap, path=disk / "run.mcap", parameters=UNCOMPRESSED
             )
         else:
             limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
-            stack.start_recorder(
-                path=self._bag, limit=limit, **{"bag.compression": "none"}
-            )
+            stack.start_recorder(path=self._bag, limit=limit, parameters=UNCOMPRESSED)
         stack.processes.may_end("recorder")
-        if not stack.operator.until(
+        if not stack.monitor.until(
             lambda: (
-                "recorder" in stack.operator.status or stack.processes.ended("recorder")
+                "recorder" in stack.monitor.status or stack.processes.ended("recorder")
             ),
             START_PATIENCE,
         ):
@@ -506,32 +512,36 @@ class DiskAction(Action):
         return self.stack.processes.ended("recorder")
 
     def release(self) -> None:
-        """A robot that stopped early leaves the recorder to fill the disk."""
-        self.stack.operator.until(lambda: self.done, END_PATIENCE)
+        """Wait until the recorder has filled the disk, also after a robot that stopped
+        early.
+        """
+        self.stack.monitor.until(lambda: self.done, END_PATIENCE)
 
     def took_effect(self) -> bool:
-        """Whether the recorder has given up."""
+        """Tell whether the recorder has given up."""
         return self.done
 
     def restore(self) -> None:
-        """A recorder with room."""
+        """Start a recorder with room."""
         self.stack.processes.stop("recorder")
         self.stack.restart("recorder")
 
     def bags(self) -> list[Path]:
-        """What was saved from the small disk."""
+        """Return what was saved from the small disk."""
         return [self._bag] if self.done else []
 
 
 class NetworkAction(Action):
-    """A bad link between two network namespaces, which the parent process holds."""
+    """Makes the link between two network namespaces bad, which the parent process
+    holds.
+    """
 
     def arm(self, times: Sequence[int]) -> None:
-        """From now on."""
+        """Make the link bad from now on."""
         self._counts = self._ask(self.case.network or {})
 
     def release(self) -> None:
-        """A whole link."""
+        """Make the link whole."""
         after = self._ask({})
         self._took = any(
             after[key] > self._counts[key]
@@ -540,18 +550,19 @@ class NetworkAction(Action):
         self._took |= bool({"delay", "jitter"} & set(self.case.network or {}))
 
     def took_effect(self) -> bool:
-        """Whether a frame was touched."""
+        """Tell whether a frame was touched."""
         return self._took
 
     @staticmethod
     def _ask(quality: dict[str, float]) -> dict[str, int]:
-        print(json.dumps({"event": "network", "quality": quality}), flush=True)
+        event: Network = {"event": "network", "quality": quality}
+        print(json.dumps(event), flush=True)
         counts: dict[str, int] = json.loads(sys.stdin.readline())
         return counts
 
 
 def can_mount() -> bool:
-    """Whether this process may mount a disk in a namespace of its own."""
+    """Tell whether this process may mount a disk in a namespace of its own."""
     if os.geteuid() != 0 or shutil.which("unshare") is None:
         return False
     return (
@@ -562,7 +573,7 @@ def can_mount() -> bool:
     )
 
 
-KINDS: dict[str, Callable[[Case, Stack], Action]] = {
+KINDS: dict[str, Callable[[FaultCase, Stack], Action]] = {
     "transport": LinkAction,
     "window": LinkAction,
     "kill": KillAction,
@@ -574,6 +585,6 @@ KINDS: dict[str, Callable[[Case, Stack], Action]] = {
 }
 
 
-def make_action(case: Case, stack: Stack) -> Action:
-    """What does a case's fault."""
+def make_action(case: FaultCase, stack: Stack) -> Action:
+    """Return the action that does a case's fault."""
     return KINDS[case.kind](case, stack)

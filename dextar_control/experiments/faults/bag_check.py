@@ -1,5 +1,5 @@
-"""Whether a bag can be read up to its last complete chunk, told by this package's
-reader and by mcap's.
+"""Check that a bag can be read up to its last complete chunk, by this package's reader
+and by mcap's.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from dextar_control.bags.scan import MAGIC, PER_MESSAGE, Messages, Scan
 
 
 def finished(path: Path) -> bool:
-    """Whether the file ends as a whole one does."""
+    """Tell whether the file ends as a whole one does."""
     return _scan(path)[0].whole
 
 
 def unreadable(path: Path) -> list[str]:
-    """One line when the bag does not begin as one or cannot be read up to its last
-    complete chunk.
+    """Write one line when the bag does not begin as one or cannot be read up to its
+    last complete chunk.
     """
     try:
         with path.open("rb") as file:
@@ -45,8 +45,8 @@ def _scan(path: Path) -> tuple[Scan, int]:
 
 
 def _read(path: Path) -> int:
-    """How many messages mcap's reader gives before the file's end, or before it breaks
-    off.
+    """Count the messages that mcap's reader gives before the file's end, or before it
+    breaks off.
     """
     messages = 0
     with path.open("rb") as file:

@@ -1,5 +1,5 @@
-"""The cases of ``config/faults.yaml``: which fault, where, how often, what may come of
-it and who must say so.
+"""The cases of ``config/faults.yaml``: which fault is done, where, how often, what may
+come of it and who must report it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dextar_control.contract.errors import DextarError
 from dextar_control.contract.validation import Section, load_yaml, problem, unknown
 from dextar_control.experiments.faults.frames import LinkQuality
 from dextar_control.experiments.faults.judgement import Outcome
-from dextar_control.experiments.faults.link import Shape, Transport
+from dextar_control.experiments.faults.link import MessageShape, Transport
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Node = Literal["plant", "controller", "trajectory_server", "recorder"]
@@ -30,15 +30,15 @@ KINDS = (
 )
 
 
-class Kill(Section):
-    """A signal to one node."""
+class KillSettings(Section):
+    """Names a signal to one node."""
 
     node: Node
     signal: Literal["SIGKILL", "SIGTERM"]
 
 
-class Window(Section):
-    """A span of time in which each message has one shape."""
+class WindowSettings(Section):
+    """Describes a span of time in which each message has one shape."""
 
     shape: str
     lasting: Number = Field(gt=0.0, le=1.0)
@@ -46,14 +46,14 @@ class Window(Section):
     @field_validator("shape")
     @classmethod
     def _known_shape(cls, shape: str) -> str:
-        known = [item.value for item in Shape]
+        known = [item.value for item in MessageShape]
         if shape not in known:
             raise problem(unknown(shape, known, "shape"))
         return shape
 
 
-class Case(Section):
-    """One fault: exactly one of the ``KINDS``.
+class FaultCase(Section):
+    """Describes one fault: exactly one of the ``KINDS``.
 
     ``crossings`` faulted ones are tried in a full run, ``quick`` in a quick one (0
     leaves the case out); ``trips`` return trips make one trajectory. An outcome that is
@@ -69,8 +69,8 @@ class Case(Section):
     clock: Literal["lockstep", "realtime"] = "lockstep"
     ways: Annotated[list[Way], Field(min_length=1)] = ["states"]
     transport: dict[str, Number] | None = None
-    window: Window | None = None
-    kill: Kill | None = None
+    window: WindowSettings | None = None
+    kill: KillSettings | None = None
     commander: bool = False
     flood: Number = Field(default=0.0, ge=0.0, le=10_000.0)
     parameters: bool = False
@@ -84,7 +84,7 @@ class Case(Section):
 
     @property
     def kind(self) -> str:
-        """Which of the faults it is."""
+        """The kind of fault that it is."""
         return next(kind for kind in KINDS if getattr(self, kind))
 
     @field_validator("expect")
@@ -98,7 +98,7 @@ class Case(Section):
         return expect
 
     @model_validator(mode="after")
-    def _one_fault(self) -> Case:
+    def _one_fault(self) -> FaultCase:
         kinds = [kind for kind in KINDS if getattr(self, kind)]
         if len(kinds) != 1:
             raise problem(
@@ -119,23 +119,25 @@ class Case(Section):
         return self
 
 
-class Trip(Section):
-    """The return trip that is made again and again: seconds one way, and at rest."""
+class TripSettings(Section):
+    """Describes the return trip that is made again and again: seconds one way, and at
+    rest.
+    """
 
     duration: Number = Field(gt=0.02, le=60.0)
     dwell: Number = Field(ge=0.01, le=60.0)
 
 
 class FaultConfig(Section):
-    """Everything a run of faults is made of."""
+    """Holds everything that a run of faults is made of."""
 
     seed: int = Field(default=0, ge=0, lt=2**32)
-    trip: Trip
-    cases: dict[str, Case] = Field(min_length=1)
+    trip: TripSettings
+    cases: dict[str, FaultCase] = Field(min_length=1)
 
 
 def load_cases(path: str | Path) -> FaultConfig:
-    """The cases of a YAML file.
+    """Load the cases of a YAML file.
 
     Raises:
         ParameterError: the file cannot be read, or something in it is unknown, missing

@@ -1,4 +1,6 @@
-"""Outcome shares of each fault, and the torque after the commander's death."""
+"""Draw the outcome shares of each fault, and the torque after the controller's
+death.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ SHADES = {
     Outcome.REFUSED: (LIGHT["wash"], "..."),
     Outcome.SAFE_STOP: (LIGHT["link"], ""),
     Outcome.FAULT: (LIGHT["mid"], ""),
-    Outcome.LIMP: (LIGHT["soft"], ""),
+    Outcome.NO_TORQUE: (LIGHT["soft"], ""),
     Outcome.MISSED: (LIGHT["ink"], "xxx"),
     Outcome.DISTURBED: (LIGHT["paper"], "///"),
 }
@@ -25,7 +27,7 @@ INK = LIGHT["ink"]
 
 @matplotlib.rc_context(matplotlib_settings(LIGHT))
 def draw(summary: Summary, timeout: float) -> Figure:
-    """The figure of a run; ``timeout`` of the drives, s."""
+    """Draw a run; ``timeout`` is that of the drives, s."""
     cases = [case for case in summary.cases.values() if case.outcomes]
     figure = Figure(
         figsize=(13.0, max(4.5, 1.4 + ROW * len(cases))), layout="constrained"

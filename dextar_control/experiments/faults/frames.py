@@ -1,5 +1,5 @@
-"""What a bad link does to the frames of one direction: which are lost, and when the
-others leave.
+"""Decide what a bad link does to the frames of one direction: which are lost, and when
+the others leave.
 """
 
 from __future__ import annotations
@@ -41,10 +41,8 @@ class LinkQuality:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value, limit = (
-                getattr(self, field.name),
-                LONGEST if field.name in TIMES else 1.0,
-            )
+            value = getattr(self, field.name)
+            limit = LONGEST if field.name in TIMES else 1.0
             if not (math.isfinite(value) and 0.0 <= value <= limit):
                 raise LinkError(
                     f"link quality '{field.name}' = {value}; it must lie in [0,"
@@ -58,7 +56,7 @@ LONGEST = 10.0  # s
 
 @dataclass
 class LinkStatistics:
-    """What became of the frames of one direction.
+    """Counts what became of the frames of one direction.
 
     Attributes:
         received: frames that entered the link.
@@ -82,13 +80,13 @@ class LinkStatistics:
     waiting: int = 0
 
     def to_dict(self) -> dict[str, int]:
-        """The counts by name."""
+        """Return the counts by name."""
         return asdict(self)
 
 
 class FrameSchedule:
-    """The queue of one direction. The n-th frame's fate depends on the seed and n
-    alone, not on the clock.
+    """Queues the frames of one direction; the n-th frame's fate depends on the seed and
+    n alone, not on the clock.
 
     Args:
         quality: of the link; may be replaced at any time.
@@ -107,7 +105,7 @@ class FrameSchedule:
         self._newest = -1
 
     def enter(self, now: float, frame: bytes) -> None:
-        """A frame comes in at the time now (s)."""
+        """Take in a frame at the time now, s."""
         quality, number = self.quality, self.statistics.received
         lost, late, held, twice = (self._random.random() for _ in range(4))
         self.statistics.received += 1
@@ -129,12 +127,12 @@ class FrameSchedule:
             self.statistics.waiting += 1
 
     def next_departure(self) -> float:
-        """When the next frame leaves, s; infinite while none waits."""
+        """Return when the next frame leaves, s; infinite while none waits."""
         return self._queue[0][0] if self._queue else math.inf
 
     def leave(self, now: float) -> list[bytes]:
-        """The frames whose time has come at the time now (s), in the order in which
-        they leave.
+        """Take out the frames whose time has come at the time now, s, in the order in
+        which they leave.
         """
         frames = []
         while self._queue and self._queue[0][0] <= now:

@@ -1,5 +1,5 @@
-"""Between rig and controller: states one way, commands the other, each through a faulty
-link.
+"""The injector between rig and controller passes states one way and commands the other,
+each through a faulty link.
 
 The rig's topics are remapped to ``rig/joint_states`` and ``rig/joint_commands``; the
 controller keeps the contract's. Messages pass as the bytes they are; only one that gets
@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any
 
+from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
@@ -27,8 +27,8 @@ from dextar_control.experiments.faults.link import (
     STAMP_EARLINESS,
     STAMP_SHIFT,
     Delivery,
-    Link,
-    Shape,
+    MessageLink,
+    MessageShape,
 )
 from dextar_control.nodekit.cdr import NANOSECONDS, CdrTemplate, from_time, to_time
 from dextar_control.nodekit.node import qos
@@ -41,9 +41,9 @@ REMAPPINGS = (
 )
 ANSWERED = (
     None,
-    Shape.STEP,
-    Shape.STAMP_FUTURE,
-    Shape.STAMP_EARLY,
+    MessageShape.STEP,
+    MessageShape.STAMP_FUTURE,
+    MessageShape.STAMP_EARLY,
 )  # states that a controller answers
 PATIENCE = 2.0  # s on the steady clock for an answer of a controller that answers
 # s for one of a controller that did not answer last, or to a state that need not be
@@ -52,34 +52,36 @@ SHORT_PATIENCE = 0.01
 
 
 def stamp_of(raw: bytes) -> int:
-    """The stamp, ns, of a message whose first field is a header."""
+    """Return the stamp, ns, of a message whose first field is a header."""
     seconds = int.from_bytes(raw[4:8], "little", signed=True)
     return seconds * NANOSECONDS + int.from_bytes(raw[8:12], "little")
 
 
-def reshape(raw: bytes, shape: Shape, began: int) -> bytes:
-    """A joint state or command in another shape; ``began`` is the frozen stamp, ns."""
+def reshape(raw: bytes, shape: MessageShape, began: int) -> bytes:
+    """Return a joint state or command in another shape; ``began`` is the frozen stamp,
+    ns.
+    """
     message = deserialize_message(raw, JointState)
     numbers = message.position if len(message.position) else message.effort
     values = list(numbers)
     stamp = from_time(message.header.stamp)
-    if shape is Shape.NAN:
+    if shape is MessageShape.NAN:
         values[0] = math.nan
-    elif shape is Shape.INFINITY:
+    elif shape is MessageShape.INFINITY:
         values[1] = math.inf
-    elif shape is Shape.NAMES:
+    elif shape is MessageShape.NAMES:
         message.name = ["joint_1", "joint_2"]
-    elif shape is Shape.SIZES:
+    elif shape is MessageShape.SIZES:
         values = values[:1]
-    elif shape is Shape.STAMP_BACK:
+    elif shape is MessageShape.STAMP_BACK:
         message.header.stamp = to_time(max(stamp - STAMP_SHIFT, 0))
-    elif shape is Shape.STAMP_FUTURE:
+    elif shape is MessageShape.STAMP_FUTURE:
         message.header.stamp = to_time(stamp + STAMP_SHIFT)
-    elif shape is Shape.STAMP_EARLY:
+    elif shape is MessageShape.STAMP_EARLY:
         message.header.stamp = to_time(max(stamp - STAMP_EARLINESS, 0))
-    elif shape is Shape.STAMP_FROZEN:
+    elif shape is MessageShape.STAMP_FROZEN:
         message.header.stamp = to_time(began)
-    elif shape is Shape.STEP:
+    elif shape is MessageShape.STEP:
         values[0] += ENCODER_STEP
     if len(message.position):
         message.position = values
@@ -89,7 +91,7 @@ def reshape(raw: bytes, shape: Shape, began: int) -> bytes:
 
 
 class Injector:
-    """The two links on the wire.
+    """Passes messages through its two links.
 
     Args:
         node: on which the entities are made; its executor drives the injector.
@@ -103,9 +105,9 @@ class Injector:
         unanswered: states that were delivered whole and not answered in time.
     """
 
-    def __init__(self, node: Any, *, lockstep: bool) -> None:
-        self.states: Link[bytes] = Link()
-        self.commands: Link[bytes] = Link()
+    def __init__(self, node: Node, *, lockstep: bool) -> None:
+        self.states: MessageLink[bytes] = MessageLink()
+        self.commands: MessageLink[bytes] = MessageLink()
         self.now = -1
         self.bad_stamps: list[int] = []
         self.unanswered = 0
@@ -140,8 +142,8 @@ class Injector:
         )
 
     def clock(self) -> int:
-        """The links' time, ns: the rig's, in real time with what has passed since its
-        last state.
+        """Return the links' time, ns: the rig's, in real time with what has passed
+        since its last state.
         """
         return (
             self.now
@@ -150,15 +152,13 @@ class Injector:
         )
 
     def clear(self) -> None:
-        """Links without windows and with nothing under way, as after a restart of the
-        rig.
-        """
+        """Forget windows and what is under way, as after a restart of the rig."""
         self.states.clear()
         self.commands.clear()
         self.bad_stamps.clear()
 
     def forget_rig(self) -> None:
-        """The rig was restarted: its stamps begin anew."""
+        """Begin anew with a rig that was restarted, whose stamps do."""
         self.clear()
         self.now = -1
         self._waiting, self._newest_delivered = None, -1
@@ -195,7 +195,9 @@ class Injector:
         self._settle()
 
     def poll(self) -> None:
-        """What is due by time alone; to be called in each turn of the loop."""
+        """Pass on what is due by time alone; this is called in each turn of the
+        loop.
+        """
         if not self._lockstep:
             self._deliver_states()
             self._deliver_commands()
@@ -203,7 +205,7 @@ class Injector:
             self._settle()
 
     def left(self) -> float:
-        """Seconds until ``poll`` has something to do, at most 0.05."""
+        """Return the seconds until ``poll`` has something to do, at most 0.05."""
         if self._lockstep:
             return (
                 0.05
@@ -239,7 +241,8 @@ class Injector:
             raw = self._shaped(delivery)
             self._to_rig.publish(raw)
             self._answered_at_rig |= (
-                delivery.shape in (None, Shape.STEP) and stamp_of(raw) == self.now
+                delivery.shape in (None, MessageShape.STEP)
+                and stamp_of(raw) == self.now
             )
 
     def _settle(self) -> None:

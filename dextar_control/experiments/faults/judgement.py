@@ -1,5 +1,5 @@
-"""What became of a faulted crossing, and what must never happen: from the robot's truth
-and the topics at the rig.
+"""Judge what became of a faulted crossing, and what must never happen, by the robot's
+truth and the topics at the rig.
 
 Nothing here asks the controller: the torque is the one the drives applied, the side of
 the locus that of the true joints, and when a commander was last heard is read from its
@@ -11,11 +11,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dextar_control.contract.robot import RobotParameters
+from dextar_control.symbols.types import Array
+
+Stamps = NDArray[np.int64]
 
 DEAD_AFTER = 0.1  # s without a usable command from which on there must be no torque
 NO_TORQUE = 1e-9  # N m
@@ -24,7 +27,7 @@ NANOSECONDS = 1e9
 
 
 class Outcome(str, Enum):
-    """Of one faulted crossing."""
+    """What became of one faulted crossing."""
 
     CROSSED = (  # the true robot is on the planned side, and the controller goes on
         "crossed"
@@ -34,7 +37,7 @@ class Outcome(str, Enum):
     )
     SAFE_STOP = "safe stop"
     FAULT = "fault"
-    LIMP = "no torque"  # the commander is gone, and the robot without torque
+    NO_TORQUE = "no torque"  # the commander is gone, and the robot without torque
     # the true robot is not on the planned side, and the controller goes on: never
     # expected
     MISSED = "missed"
@@ -60,7 +63,7 @@ class Check(str, Enum):
 
 @dataclass
 class Tally:
-    """How often each check was made, and where it failed."""
+    """Counts how often each check was made, and where it failed."""
 
     looked: dict[str, int] = field(
         default_factory=lambda: dict.fromkeys((check.value for check in Check), 0)
@@ -86,25 +89,27 @@ class Evidence:
         period: between two states, ns.
     """
 
-    stamps: np.ndarray
-    joints: np.ndarray
-    torque: np.ndarray
-    command_stamps: np.ndarray
-    command_torque: np.ndarray
+    stamps: Stamps
+    joints: Array
+    torque: Array
+    command_stamps: Stamps
+    command_torque: Array
     period: int
 
 
-def true_side(joints: np.ndarray) -> np.ndarray:
-    """Sign of r_1 x r_2, r_i along distal link i, of joints (n, 4): the assembly mode,
-    shape (n,).
+def true_side(joints: Array) -> Array:
+    """Return the assembly mode, (n,), the sign of r_1 x r_2 with r_i along distal link
+    i, of joints, (n, 4), rad.
     """
     return np.sign(
         np.sin((joints[:, 2] + joints[:, 3]) - (joints[:, 0] + joints[:, 1]))
     )
 
 
-def true_position(robot: RobotParameters, joints: np.ndarray) -> np.ndarray:
-    """End effector (n, 2), m, of joints (n, 4), along the left leg."""
+def true_position(robot: RobotParameters, joints: Array) -> Array:
+    """Return the end effector, (n, 2), m, of joints, (n, 4), rad, along the left
+    leg.
+    """
     first, second = joints[:, 0], joints[:, 0] + joints[:, 1]
     near, far = robot.left.proximal_length, robot.left.distal_length
     reached = near * np.column_stack(
@@ -114,14 +119,14 @@ def true_position(robot: RobotParameters, joints: np.ndarray) -> np.ndarray:
 
 
 def largest_torque(evidence: Evidence) -> float:
-    """Largest applied torque, N m; 0 without states."""
+    """Return the largest applied torque, N m; 0 without states."""
     return float(np.abs(evidence.torque).max(initial=0.0))
 
 
 def torque_after_death(
     evidence: Evidence, dead_after: float = DEAD_AFTER
 ) -> tuple[int, list[str]]:
-    """Torque acting although no usable command answers a state of the last
+    """Find torque that acts although no usable command answers a state of the last
     ``dead_after`` seconds.
 
     Returns:
@@ -152,8 +157,8 @@ def torque_after_death(
 
 
 def torque_beyond(evidence: Evidence, limit: float) -> tuple[int, list[str]]:
-    """Applied torque beyond the limit or not a number; how many states were looked at,
-    and a line for each span.
+    """Find applied torque beyond the limit, N m, or not a number; return how many
+    states were looked at, and a line for each span.
     """
     size = np.abs(evidence.torque).max(axis=1, initial=0.0)
     bad = ~(size <= limit * (1.0 + ROUNDING))
@@ -165,10 +170,10 @@ def torque_beyond(evidence: Evidence, limit: float) -> tuple[int, list[str]]:
 
 
 def not_finite(
-    stamps: np.ndarray, torque: np.ndarray, bad_stamps: Iterable[int], limit: float
+    stamps: Stamps, torque: Array, bad_stamps: Iterable[int], limit: float
 ) -> tuple[int, list[str]]:
-    """Commands that are not finite or beyond the limit, or answer a state that was not
-    finite with a torque.
+    """Find commands that are not finite or beyond the limit, or answer a state that was
+    not finite with a torque.
 
     Args:
         stamps: of the controller's commands, ns, shape (n,).
@@ -195,14 +200,14 @@ def not_finite(
     return len(stamps), lines
 
 
-def paused(times: np.ndarray, limit: float) -> bool:
-    """Whether a publisher was silent for longer than the limit, s; ``times`` of
-    publication, ns, ascending.
+def paused(times: Stamps, limit: float) -> bool:
+    """Tell whether a publisher was silent for longer than the limit, s, by its times of
+    publication, (n,), ns, ascending.
     """
     return bool(len(times) > 1 and np.diff(times).max() > limit * NANOSECONDS)
 
 
-def _spans(mask: np.ndarray) -> list[tuple[int, int]]:
+def _spans(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     edges = np.flatnonzero(
         np.diff(np.concatenate([[False], mask, [False]]).astype(int))
     )
@@ -213,7 +218,7 @@ def _spans(mask: np.ndarray) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True)
-class Seen:
+class NodeReports:
     """What the nodes said during one trip.
 
     Attributes:
@@ -234,7 +239,7 @@ class Seen:
     silent: Collection[str] = ()
 
     def report(self, wanted: str) -> bool:
-        """Whether one way of reporting (see ``cases.Case``) was used."""
+        """Tell whether one way of reporting (see ``cases.FaultCase``) was used."""
         place, _, words = wanted.partition("~")
         if place == "answer":
             return any(words in answer for answer in self.answers)
@@ -252,12 +257,12 @@ class Seen:
         )
 
     def reports(self, wanted: Iterable[str]) -> list[str]:
-        """Those ways of reporting that were used."""
+        """List those ways of reporting that were used."""
         return [way for way in wanted if self.report(way)]
 
 
-def _number(text: Any) -> float:
+def _number(text: str | None) -> float:
     try:
-        return float(text)
-    except (TypeError, ValueError):
+        return float(text or 0.0)
+    except ValueError:
         return 0.0

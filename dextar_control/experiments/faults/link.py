@@ -1,5 +1,5 @@
-"""One direction of a faulty transport, driven by the receiver's clock: what arrives,
-when, and in which shape.
+"""One direction of a faulty transport, driven by the receiver's clock: which messages
+arrive, when, and in which shape.
 
 It knows no ROS: messages are opaque, time is whatever integer nanoseconds its user
 counts. From one seed the fate of the n-th message is always the same.
@@ -20,7 +20,7 @@ Item = TypeVar("Item")
 NANOSECONDS = 1.0e9
 
 
-class Shape(Enum):
+class MessageShape(Enum):
     """What is wrong with the messages of a window."""
 
     OUTAGE = "outage"  # none arrives
@@ -40,12 +40,12 @@ class Shape(Enum):
 STAMP_SHIFT = 50_000_000  # ns
 STAMP_EARLINESS = 900_000  # ns
 ENCODER_STEP = 0.05  # rad
-NON_FINITE = (Shape.NAN, Shape.INFINITY)
+NON_FINITE = (MessageShape.NAN, MessageShape.INFINITY)
 
 
 @dataclass(frozen=True)
 class Transport:
-    """What a link does to each message, independently of the others.
+    """Says what a link does to each message, independently of the others.
 
     Attributes:
         drop: probability that it is lost.
@@ -79,12 +79,12 @@ class Transport:
                 )
 
 
-class Window(NamedTuple):
+class FaultWindow(NamedTuple):
     """A span of time, ns, half open, in which each message has one shape."""
 
     begin: int
     end: int
-    shape: Shape
+    shape: MessageShape
 
 
 class Delivery(NamedTuple, Generic[Item]):
@@ -97,12 +97,12 @@ class Delivery(NamedTuple, Generic[Item]):
     """
 
     item: Item
-    shape: Shape | None
+    shape: MessageShape | None
     began: int
 
 
-class Link(Generic[Item]):
-    """A line of messages with chance and windows.
+class MessageLink(Generic[Item]):
+    """Passes messages in one direction, subject to chance and windows.
 
     Args:
         transport: what happens to each message.
@@ -129,12 +129,12 @@ class Link(Generic[Item]):
         self._line: list[tuple[int, int, Delivery[Item]]] = []
         self._number = 0
         self._last_due = 0
-        self._windows: list[Window] = []
-        self._began: dict[Window, int] = {}
+        self._windows: list[FaultWindow] = []
+        self._began: dict[FaultWindow, int] = {}
         self.configure(transport or Transport(), seed)
 
     def configure(self, transport: Transport, seed: int) -> None:
-        """Another behaviour from the next message on; what is under way arrives as it
+        """Behave otherwise from the next message on; what is under way arrives as it
         was going to.
         """
         self._transport = transport
@@ -145,7 +145,7 @@ class Link(Generic[Item]):
         """What happens to each message."""
         return self._transport
 
-    def add(self, window: Window) -> None:
+    def add(self, window: FaultWindow) -> None:
         """Give the messages sent in this window its shape."""
         self._windows.append(window)
 
@@ -163,11 +163,9 @@ class Link(Generic[Item]):
     def send(self, time: int, item: Item) -> None:
         """Put in one message at a time, ns."""
         transport, draw, counts = self._transport, self._random.random, self.counts
-        lost, twice, held = (
-            draw() < transport.drop,
-            draw() < transport.duplicate,
-            draw() < transport.reorder,
-        )
+        lost = draw() < transport.drop
+        twice = draw() < transport.duplicate
+        held = draw() < transport.reorder
         late, back = (
             draw(),
             draw(),
@@ -177,7 +175,7 @@ class Link(Generic[Item]):
             (window for window in self._windows if window.begin <= time < window.end),
             None,
         )
-        if window is not None and window.shape is Shape.OUTAGE:
+        if window is not None and window.shape is MessageShape.OUTAGE:
             counts["lost_in_outage"] += 1
             return
         if lost:
@@ -204,5 +202,5 @@ class Link(Generic[Item]):
             yield heapq.heappop(self._line)[2]
 
     def next_due(self) -> int | None:
-        """When the next message arrives, ns."""
+        """Return when the next message arrives, ns."""
         return self._line[0][0] if self._line else None

@@ -10,19 +10,16 @@ network is touched.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import json
 import os
 import select
 import shutil
-import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from functools import partial
 from types import TracebackType
-from typing import Any, Literal
+from typing import Literal
 
 from dextar_control.experiments.faults.frames import (
     LinkError,
@@ -39,8 +36,6 @@ MTU = 1500
 TOOLS = ("ip", "unshare", "nsenter")
 START_TIMEOUT = 20.0  # s
 STOP_TIMEOUT = 5.0  # s between SIGTERM and SIGKILL
-PR_SET_PDEATHSIG = 1  # of Linux' prctl
-LIBC = ctypes.CDLL(None)
 # What holds a namespace: no IPv6 (its router and address frames would be counted), then
 # sleep until the input ends.
 HOLDER = (
@@ -50,8 +45,8 @@ HOLDER = (
 
 
 class FaultyLink:
-    """A context: namespaces ``a`` and ``b``, and frames between them lost, late, out of
-    order or twice.
+    """Holds namespaces ``a`` and ``b`` as a context; frames between them are lost,
+    late, out of order or doubled.
 
     Args:
         seed: of the faults; the n-th frame of a direction has the same fate each time.
@@ -63,10 +58,6 @@ class FaultyLink:
     Raises:
         LinkError: a quality out of its limits; on entering: no root, or a tool is
             missing.
-
-    Note:
-        Processes started with ``popen`` are killed when the thread that started them
-        ends.
     """
 
     def __init__(
@@ -86,7 +77,6 @@ class FaultyLink:
         self._mtu = mtu
         self._holders: dict[str, subprocess.Popen[str]] = {}
         self._relay: subprocess.Popen[str] | None = None
-        self._processes: list[subprocess.Popen[Any]] = []
 
     def __enter__(self) -> FaultyLink:
         try:
@@ -169,7 +159,7 @@ class FaultyLink:
             )
 
     def inside(self, side: Side) -> list[str]:
-        """Command words that put what follows them on one side."""
+        """Return the command words that put what follows them on one side."""
         return self._inside(side)
 
     def _inside(self, name: str) -> list[str]:
@@ -183,8 +173,8 @@ class FaultyLink:
 
     @staticmethod
     def environment() -> dict[str, str]:
-        """What a ROS process inside needs: discovery by multicast, and no shared memory
-        past the link.
+        """Return the environment that a ROS process inside needs: discovery by
+        multicast, and no shared memory past the link.
         """
         kept = {
             name: value
@@ -194,37 +184,6 @@ class FaultyLink:
         return kept | {
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-        }
-
-    def popen(
-        self, side: Side, command: Sequence[str], **options: Any
-    ) -> subprocess.Popen[Any]:
-        """Start a process on one side; it ends with the context. Options are those of
-        ``subprocess.Popen``.
-
-        Args:
-            side: ``a`` or ``b``.
-            command: program and arguments.
-            options: ``env`` replaces ``environment()``; ``preexec_fn`` is taken
-                already.
-        """
-        process = subprocess.Popen(
-            [*self._inside(side), *command], **self._options(options)
-        )
-        self._processes.append(process)
-        return process
-
-    def run(
-        self, side: Side, command: Sequence[str], **options: Any
-    ) -> subprocess.CompletedProcess[Any]:
-        """``subprocess.run`` on one side."""
-        return subprocess.run([*self._inside(side), *command], **self._options(options))
-
-    def _options(self, options: Mapping[str, Any]) -> dict[str, Any]:
-        return {
-            "env": self.environment(),
-            **options,
-            "preexec_fn": partial(_end_with, os.getpid()),
         }
 
     def set_quality(
@@ -248,7 +207,7 @@ class FaultyLink:
 
     @contextlib.contextmanager
     def outage(self) -> Iterator[None]:
-        """A context in which no frame passes in either direction."""
+        """Let no frame pass in either direction while the context lasts."""
         before = dict(self.qualities)
         try:
             for direction in before:
@@ -259,7 +218,7 @@ class FaultyLink:
                 self.set_quality(direction, **asdict(quality))  # type: ignore[arg-type]
 
     def statistics(self) -> dict[str, LinkStatistics]:
-        """Frames so far, by direction.
+        """Return the counts of the frames so far, by direction.
 
         Raises:
             LinkError: the relay is gone.
@@ -268,7 +227,7 @@ class FaultyLink:
             name: LinkStatistics(**counts) for name, counts in self._ask({}).items()
         }
 
-    def _ask(self, request: Mapping[str, Any]) -> dict[str, dict[str, int]]:
+    def _ask(self, request: Mapping[str, object]) -> dict[str, dict[str, int]]:
         relay = self._relay
         if relay is None or relay.poll() is not None or relay.stdin is None:
             raise LinkError("the relay between the namespaces is not running")
@@ -284,33 +243,19 @@ class FaultyLink:
         return counts
 
     def helper_pids(self) -> list[int]:
-        """Process ids of the relay and of what holds the namespaces."""
+        """Return the process ids of the relay and of what holds the namespaces."""
         own = [self._relay] if self._relay is not None else []
         return [process.pid for process in [*own, *self._holders.values()]]
 
     def close(self) -> None:
-        """End every process of the link; its namespaces go with the last of them."""
-        running = [process for process in self._processes if process.poll() is None]
-        for process in running:
-            process.terminate()
-        for process in running:
-            _end(process)
+        """End relay and holders; the namespaces go with the last process in them."""
         own = [self._relay] if self._relay is not None else []
         for helper in [*own, *self._holders.values()]:
             _end(helper)
             for pipe in (helper.stdout, helper.stderr):
                 if pipe is not None:
                     pipe.close()
-        self._processes, self._relay, self._holders = [], None, {}
-
-
-def _end_with(owner: int) -> None:
-    """Have the kernel kill this process, just forked, when its owner dies, however it
-    dies.
-    """
-    LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != owner:  # it has died already
-        os._exit(1)
+        self._relay, self._holders = None, {}
 
 
 def _start(command: list[str]) -> subprocess.Popen[str]:
@@ -324,7 +269,7 @@ def _start(command: list[str]) -> subprocess.Popen[str]:
 
 
 def _answer(process: subprocess.Popen[str]) -> str:
-    """The next line that a helper says, empty when it says none."""
+    """Return the next line that a helper says, empty when it says none."""
     assert process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], START_TIMEOUT)
     return process.stdout.readline().strip() if ready else ""
@@ -336,7 +281,7 @@ def _last_words(process: subprocess.Popen[str]) -> str:
     return (process.stderr.read().strip().splitlines() or ["nothing was said"])[-1]
 
 
-def _end(process: subprocess.Popen[Any]) -> None:
+def _end(process: subprocess.Popen[str]) -> None:
     """Close a process's input, and kill it when that does not end it."""
     if process.stdin is not None and not process.stdin.closed:
         with contextlib.suppress(OSError, ValueError):

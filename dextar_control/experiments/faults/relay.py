@@ -1,4 +1,4 @@
-"""The process between two network interfaces: it reads Ethernet frames off one and
+"""The process between two network interfaces, which reads Ethernet frames off one and
 sends them out of the other.
 
 Started by ``netns.FaultyLink``. One JSON object a line on its standard input, one in
@@ -75,7 +75,7 @@ def switch_offloads_off(pid: int, interface: str) -> None:
 
 
 class Relay:
-    """Two interfaces and the queues between them."""
+    """Carries frames between two interfaces, through a queue each way."""
 
     def __init__(
         self, interfaces: tuple[str, str], qualities: dict[str, LinkQuality], seed: int
@@ -160,7 +160,7 @@ def _read(source: socket.socket, schedule: FrameSchedule) -> None:
 
 
 def main() -> int:
-    """Entry of the process; its argument is one JSON object, see ``FaultyLink``."""
+    """Run the process, whose argument is one JSON object, see ``FaultyLink``."""
     parser = argparse.ArgumentParser(
         description="Carry frames between two ends, some of them late or never."
     )

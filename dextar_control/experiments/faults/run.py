@@ -1,5 +1,5 @@
-"""A run of faults: sessions as processes, some side by side, their events counted,
-shown and written.
+"""A run of faults: its sessions are processes, some side by side, whose events are
+counted, shown and written.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ import contextlib
 import json
 import os
 import queue
-import random
 import signal
 import subprocess
 import sys
@@ -18,33 +17,33 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TimeElapsedColumn
 
-from dextar_control.contract.errors import BagError, ParameterError
+from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.plain_data import as_plain
 from dextar_control.contract.resources import config_file, node_defaults
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn
 from dextar_control.contract.yaml_text import dump_document
 from dextar_control.experiments.faults.cases import FaultConfig, load_cases
+from dextar_control.experiments.faults.events import Event
 from dextar_control.experiments.faults.figure import draw
-from dextar_control.experiments.faults.frames import LinkError
 from dextar_control.experiments.faults.netns import FaultyLink
-from dextar_control.experiments.faults.stack import Request
+from dextar_control.experiments.faults.stack import SessionRequest
 from dextar_control.experiments.faults.table import Summary
-from dextar_control.experiments.processes import NodesError, end_with_parent
+from dextar_control.experiments.processes import end_with_parent
+from dextar_control.nodekit.domain import own_domain
 
 CONFIG_NAME = "faults.yaml"
 ATTEMPTS = 3  # sessions in which a case may begin before it is given up
 STOP_TIMEOUT = 90.0  # s
 RESOLUTION = 130  # dots per inch
-DOMAINS = range(1, 200)
 
 
 @dataclass
-class Plan:
-    """Cases for sessions of one kind.
+class SessionPlan:
+    """The cases for sessions of one kind.
 
     Attributes:
         kind: ``lockstep``, ``realtime`` or ``network``.
@@ -63,7 +62,7 @@ class Plan:
         self.tries = dict.fromkeys(self.cases, 0)
 
 
-class Worker(threading.Thread):
+class SessionRunner(threading.Thread):
     """Runs the sessions of one plan, one after the other, and hands on their events.
 
     Args:
@@ -77,26 +76,24 @@ class Worker(threading.Thread):
 
     def __init__(
         self,
-        plan: Plan,
+        plan: SessionPlan,
         folder: Path,
         config: FaultConfig,
         seed: int,
-        events: queue.Queue[dict[str, Any] | None],
+        events: queue.Queue[Event | None],
         label: str,
     ) -> None:
         super().__init__(name=label, daemon=True)
-        self._plan, self._folder, self._config, self._seed, self._events = (
-            plan,
-            folder,
-            config,
-            seed,
-            events,
-        )
+        self._plan = plan
+        self._folder = folder
+        self._config = config
+        self._seed = seed
+        self._events = events
         self._process: subprocess.Popen[str] | None = None
         self._stopped = False
 
     def run(self) -> None:
-        """Sessions until nothing is left or a case was begun too often."""
+        """Run sessions until nothing is left or a case was begun too often."""
         number = 0
         try:
             while not self._stopped and (
@@ -121,7 +118,7 @@ class Worker(threading.Thread):
                     self._session(
                         self._folder / f"{self.name}-{number}", cases, link, number
                     )
-        except (LinkError, NodesError) as error:
+        except DextarError as error:
             self._events.put({"event": "failed", "case": "", "text": str(error)})
         finally:
             self._events.put(None)
@@ -139,7 +136,7 @@ class Worker(threading.Thread):
     ) -> None:
         folder.mkdir(parents=True)
         kind = self._plan.kind
-        request = Request(
+        request = SessionRequest(
             str(folder),
             "lockstep" if kind == "lockstep" else "realtime",
             cases,
@@ -150,42 +147,38 @@ class Worker(threading.Thread):
             prefix={"controller": link.inside("b")} if link is not None else {},
         )
         command = [sys.executable, "-m", "dextar_control.experiments.faults.session"]
+        place = [] if link is None else link.inside("a")
         environment = os.environ if link is None else link.environment()
-        domain = str(random.SystemRandom().choice(DOMAINS))
-        with (folder / "session.log").open("wb") as log:
-            options: dict[str, Any] = {
-                "stdin": subprocess.PIPE,
-                "stdout": subprocess.PIPE,
-                "stderr": log,
-                "text": True,
-                "env": {**environment, "ROS_DOMAIN_ID": domain},
-                "start_new_session": (
-                    True
-                ),  # signals to this process's group would reach it twice
-            }
-            if link is not None:
-                self._process = link.popen("a", command, **options)
-            else:
-                self._process = subprocess.Popen(
-                    command, preexec_fn=end_with_parent, **options
-                )
+        with (folder / "session.log").open("wb") as log, contextlib.ExitStack() as end:
+            self._process = process = subprocess.Popen(
+                [*place, *command],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                env={**environment, "ROS_DOMAIN_ID": str(own_domain())},
+                start_new_session=True,  # a signal to this group would reach it twice
+                preexec_fn=end_with_parent,
+            )
+            end.callback(process.terminate)  # where the link breaks
             if self._stopped:  # while it was being started
                 self.stop()
             with contextlib.suppress(BrokenPipeError):  # it ended at once
                 self._write(json.dumps(asdict(request)))
-            assert self._process.stdout is not None
+            assert process.stdout is not None
             failed = ""
-            for line in self._process.stdout:
-                event = json.loads(line)
+            for line in process.stdout:
+                event: Event = json.loads(line)
                 if event["event"] == "record" and event["outcome"] != "disturbed":
                     self._plan.left[event["case"]] -= 1
-                elif event["event"] == "network" and link is not None:
+                elif event["event"] == "network":
+                    assert link is not None
                     self._write(json.dumps(_apply(link, event["quality"])))
                     continue
                 elif event["event"] == "failed":
                     failed = event["case"] or next(iter(cases))
                 self._events.put(event)
-            code = self._process.wait()
+            code = process.wait()
         if code and not failed and not self._stopped:
             words = (
                 (folder / "session.log")
@@ -215,7 +208,7 @@ class Worker(threading.Thread):
 
 
 def _apply(link: FaultyLink, quality: dict[str, float]) -> dict[str, int]:
-    """Give both directions a quality; the frames so far, both together."""
+    """Give both directions a quality; return the frames so far, both together."""
     clean = {"loss": 0.0, "delay": 0.0, "jitter": 0.0, "reorder": 0.0, "duplicate": 0.0}
     directions: tuple[Literal["a_to_b", "b_to_a"], ...] = ("a_to_b", "b_to_a")
     for direction in directions:
@@ -227,7 +220,7 @@ def _apply(link: FaultyLink, quality: dict[str, float]) -> dict[str, int]:
 def select(
     config: FaultConfig, names: Sequence[str], count: int | None, quick: bool
 ) -> dict[str, int]:
-    """How many crossings of which case.
+    """Select how many crossings of which case are tried.
 
     Args:
         config: the cases.
@@ -257,9 +250,11 @@ def select(
     return {name: count or number for name, number in wanted.items() if number}
 
 
-def plans(config: FaultConfig, counts: dict[str, int], jobs: int) -> list[list[Plan]]:
-    """Plans that run side by side, one group after the other: the machine's noise
-    matters in real time only.
+def session_plans(
+    config: FaultConfig, counts: dict[str, int], jobs: int
+) -> list[list[SessionPlan]]:
+    """Plan sessions that run side by side, one group after the other: the machine's
+    noise matters in real time only.
     """
     kinds: dict[str, dict[str, int]] = {"lockstep": {}, "realtime": {}, "network": {}}
     for name, count in counts.items():
@@ -273,15 +268,19 @@ def plans(config: FaultConfig, counts: dict[str, int], jobs: int) -> list[list[P
             shares,
             key=lambda share: sum(_cost(config, *item) for item in share.items()),
         )[name] = count
-    groups = [[Plan("lockstep", share) for share in shares if share]]
+    groups = [[SessionPlan("lockstep", share) for share in shares if share]]
     groups += [
-        [Plan(kind, kinds[kind])] for kind in ("realtime", "network") if kinds[kind]
+        [SessionPlan(kind, kinds[kind])]
+        for kind in ("realtime", "network")
+        if kinds[kind]
     ]
     return [group for group in groups if group]
 
 
 def _cost(config: FaultConfig, name: str, count: int) -> float:
-    """Seconds, roughly: a fault that ends the trip costs a recovery."""
+    """Estimate the seconds that a case takes: a fault that ends the trip costs a
+    recovery.
+    """
     return count * (0.5 if config.cases[name].trips > 1 else 2.5)
 
 
@@ -295,7 +294,7 @@ def run_faults(
     jobs: int,
     output: Path,
 ) -> int:
-    """Try the faults, print the table, write the folder; the exit code.
+    """Try the faults, print the table, write the folder; return the exit code.
 
     Raises:
         ParameterError: a wrong case or file.
@@ -328,7 +327,7 @@ def run_faults(
     ):
         whole = progress.add_task("faulted crossings", total=sum(counts.values()))
         try:
-            for index, group in enumerate(plans(config, counts, jobs)):
+            for index, group in enumerate(session_plans(config, counts, jobs)):
                 with contextlib.closing(
                     _run_group(group, folder, config, seed, index, progress)
                 ) as events:
@@ -355,16 +354,16 @@ def run_faults(
 
 
 def _run_group(
-    group: list[Plan],
+    group: list[SessionPlan],
     folder: Path,
     config: FaultConfig,
     seed: int,
     index: int,
     progress: Steps,
-) -> Generator[dict[str, Any], None, None]:
-    events: queue.Queue[dict[str, Any] | None] = queue.Queue()
+) -> Generator[Event, None, None]:
+    events: queue.Queue[Event | None] = queue.Queue()
     workers = [
-        Worker(
+        SessionRunner(
             plan,
             folder,
             config,
@@ -389,15 +388,12 @@ def _run_group(
             if event is None:
                 running -= 1
                 continue
-            if event.get("case") in bars:
+            if event["event"] == "start":
                 kind, bar = bars[event["case"]]
-                if event["event"] == "start":
-                    progress.update(
-                        bar,
-                        description=f"  {kind}: {config.cases[event['case']].title}",
-                    )
-                elif event["event"] == "record":
-                    progress.advance(bar)
+                title = config.cases[event["case"]].title
+                progress.update(bar, description=f"  {kind}: {title}")
+            elif event["event"] == "record":
+                progress.advance(bars[event["case"]][1])
             yield event
     finally:
         for worker in workers:

@@ -1,4 +1,4 @@
-"""One set of nodes and the cases tried on it; a process of its own that tells its
+"""One set of nodes and the cases tried on it, as a process of its own that tells its
 results as lines of JSON.
 
 ``python -m dextar_control.experiments.faults.session`` reads a ``Request`` as one line
@@ -18,7 +18,6 @@ import sys
 import time
 import traceback
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from std_srvs.srv import Trigger
@@ -31,15 +30,16 @@ from dextar_control.contract.topics import CRITERION_NAMES
 from dextar_control.control.phases import MOVING, Phase
 from dextar_control.experiments.faults import bag_check, judgement
 from dextar_control.experiments.faults.actions import Action, Trouble, make_action
-from dextar_control.experiments.faults.cases import Case
+from dextar_control.experiments.faults.cases import FaultCase
+from dextar_control.experiments.faults.events import CrossingRecord, Event
 from dextar_control.experiments.faults.judgement import (
     Check,
     Evidence,
+    NodeReports,
     Outcome,
-    Seen,
     Tally,
 )
-from dextar_control.experiments.faults.stack import Request, Stack
+from dextar_control.experiments.faults.stack import SessionRequest, Stack
 from dextar_control.experiments.processes import MODULES, NodesError
 from dextar_control.nodekit.cdr import NANOSECONDS
 from dextar_control.planning.planner import Plan, plan_return_trip
@@ -61,9 +61,9 @@ PHASE = CRITERION_NAMES.index("phase")
 
 
 class Session(Stack):
-    """The nodes, and the cases on them."""
+    """Tries cases on the nodes of a stack."""
 
-    def __init__(self, request: Request) -> None:
+    def __init__(self, request: SessionRequest) -> None:
         super().__init__(request)
         self.robot = load_robot(config_file(ROBOT_FILE))
         self.period = round(node_defaults("plant")["task.sample_period"] * NANOSECONDS)
@@ -73,8 +73,8 @@ class Session(Stack):
         self._plans: dict[int, Plan] = {}
 
     def plan(self, trips: int) -> Plan:
-        """The trajectory of so many return trips, as the server plans it from the same
-        numbers.
+        """Return the trajectory of so many return trips, as the server plans it from
+        the same numbers.
         """
         if trips not in self._plans:
             task, trip = node_defaults("trajectory_server"), self.config.trip
@@ -84,8 +84,8 @@ class Session(Stack):
             )
         return self._plans[trips]
 
-    def run_case(self, name: str, count: int) -> Iterator[dict[str, Any]]:
-        """Events of one case: a record for each faulted crossing, the checks of each
+    def run_case(self, name: str, count: int) -> Iterator[Event]:
+        """Try one case; give a record for each faulted crossing, and the checks of each
         trip.
         """
         case = self.config.cases[name]
@@ -93,9 +93,7 @@ class Session(Stack):
         done = idle = 0
         while done < count:
             trips = min(case.trips, (count - done + 1) // 2)
-            refusals = self.operator.change_parameters(
-                "trajectory_server", repeat=trips
-            )
+            refusals = self.monitor.change_parameters("trajectory_server", repeat=trips)
             if any(refusals):
                 raise NodesError(
                     f"the trajectory server does not take repeat = {trips}:"
@@ -104,7 +102,8 @@ class Session(Stack):
             records, tally = self.trip(name, case, action, trips, count - done)
             recovered = self._back(action)
             for record in records:
-                yield {"event": "record", **record, "recovered": recovered}
+                record["recovered"] = recovered
+                yield record
             yield {
                 "event": "checks",
                 "case": name,
@@ -131,7 +130,7 @@ class Session(Stack):
                 self.processes.check()
                 raise NodesError(
                     "the robot did not come back to HOLD:"
-                    f" {self.operator.get('controller', 'reason')}"
+                    f" {self.monitor.get('controller', 'reason')}"
                 )
 
     def _back(self, action: Action) -> bool:
@@ -140,17 +139,17 @@ class Session(Stack):
         return self.recover()
 
     def trip(
-        self, name: str, case: Case, action: Action, trips: int, left: int
-    ) -> tuple[list[dict[str, Any]], Tally]:
-        """One trajectory with faults in its crossings; their records and the checks on
-        everything seen.
+        self, name: str, case: FaultCase, action: Action, trips: int, left: int
+    ) -> tuple[list[CrossingRecord], Tally]:
+        """Make one trajectory with faults in its crossings; return their records and
+        the checks on everything seen.
         """
-        operator, plan = self.operator, self.plan(trips)
+        monitor, plan = self.monitor, self.plan(trips)
         self.processes.check()
         self.processes.forget()
-        operator.forget()
+        monitor.forget()
         self.answers = []
-        before = {node: dict(values) for node, values in operator.status.items()}
+        before = {node: dict(values) for node, values in monitor.status.items()}
         planned = plan.certificate.crossing_times
         faulted = list(range(len(planned)))
         if trips == 1 and case.kind != "transport" and self.random.random() < 0.5:
@@ -175,18 +174,16 @@ class Session(Stack):
         action.release()
         self.linger(0.02)
         until = (
-            operator.now
+            monitor.now
         )  # what is judged: a command may come to this reader later than to the drives
-        operator.until(
-            lambda: (
-                bool(operator.at_rig.stamps) and operator.at_rig.stamps[-1] >= until
-            ),
+        monitor.until(
+            lambda: bool(monitor.at_rig.stamps) and monitor.at_rig.stamps[-1] >= until,
             CATCH_UP,
         )
         took = action.took_effect()
         ways = self._reports(case, before, took)
         self._last_reason = (
-            self.operator.get("controller", "reason") if trouble is not None else ""
+            self.monitor.get("controller", "reason") if trouble is not None else ""
         )
         tally = Tally()
         evidence, records = self._judge(
@@ -220,8 +217,8 @@ class Session(Stack):
         return records, tally
 
     def _start(self, plan: Plan) -> tuple[int, float]:
-        """``_serve``, once more where the last trip left the robot off its start or its
-        side unknown.
+        """Serve the plan, once more where the last trip left the robot off its start or
+        its side unknown.
         """
         try:
             return self._serve(plan)
@@ -231,96 +228,98 @@ class Session(Stack):
             return self._serve(plan)
 
     def _serve(self, plan: Plan) -> tuple[int, float]:
-        """(stamp of the start, s that the way to the start takes before the plan)."""
-        operator = self.operator
-        refused = operator.get("controller", "trajectory")
+        """Serve the plan; return the stamp of its start, ns, and the time that the way
+        to the start takes before it, s.
+        """
+        monitor = self.monitor
+        refused = monitor.get("controller", "trajectory")
         for _ in range(
             SERVE_ATTEMPTS
         ):  # a busy machine keeps the controller's words from the server
-            answer = operator.call(Trigger, "trajectory_server/start")
+            answer = monitor.call(Trigger, "trajectory_server/start")
             if answer.success:
                 break
-            operator.until(lambda: False, 1.0)
+            monitor.wait(1.0)
         else:
             raise NodesError(f"the trajectory server: {answer.message}")
-        first = max(len(operator.criterion.rows) - 1, 0)
+        first = max(len(monitor.criterion.rows) - 1, 0)
 
         def moving() -> int | None:
             nonlocal first
-            rows = operator.criterion.rows
+            rows = monitor.criterion.rows
             while first < len(rows):
                 if int(rows[first][PHASE]) in MOVING:
-                    return operator.criterion.stamps[first]
+                    return monitor.criterion.stamps[first]
                 first += 1
-            note = operator.get("controller", "trajectory")
+            note = monitor.get("controller", "trajectory")
             if note.startswith("refused") and note != refused:
                 raise NodesError(f"the controller {note}")
             return None
 
-        if not operator.until(moving, TRIP_PATIENCE):
+        if not monitor.until(moving, TRIP_PATIENCE):
             raise NodesError(
                 "the trajectory did not begin; the controller is in phase"
-                f" {operator.get('controller', 'phase')}"
+                f" {monitor.get('controller', 'phase')}"
             )
         start = moving()
         assert start is not None
         duration = plan.certificate.duration
-        operator.until(
-            lambda: operator.get("controller", "phase") != Phase.HOLD.name, 5.0
+        monitor.until(
+            lambda: monitor.get("controller", "phase") != Phase.HOLD.name, 5.0
         )  # these words are of this trajectory
         return start, max(
-            float(operator.get("controller", "duration") or duration) - duration, 0.0
+            float(monitor.get("controller", "duration") or duration) - duration, 0.0
         )
 
     def _follow(self, action: Action, end: int, duration: float) -> Trouble | None:
         """Watch until the trajectory is over or the robot is without control, and a
         little longer.
         """
-        operator = self.operator
+        monitor = self.monitor
         deadline = time.monotonic() + TRIP_PATIENCE + 20.0 * duration
         limp = (Phase.FAULT, Phase.SAFE_STOP)
         while time.monotonic() < deadline:
-            operator.turn()
-            trouble = action.poll(operator.now)
+            monitor.turn()
+            trouble = action.poll(monitor.now)
             if trouble is not None:
                 self.linger(SETTLE)
                 return trouble
-            if operator.phase in limp or operator.get("controller", "phase") in [
+            if monitor.phase in limp or monitor.get("controller", "phase") in [
                 phase.name for phase in limp
             ]:
                 phase = (
-                    operator.phase
-                    if operator.phase in limp
-                    else Phase[operator.get("controller", "phase")]
+                    monitor.phase
+                    if monitor.phase in limp
+                    else Phase[monitor.get("controller", "phase")]
                 )
-                stamps = operator.criterion.stamps
+                stamps = monitor.criterion.stamps
                 self.linger(SETTLE)
                 outcome = Outcome.FAULT if phase == Phase.FAULT else Outcome.SAFE_STOP
-                return Trouble(stamps[-1] if stamps else operator.now, outcome)
-            if operator.now >= end + round(0.05 * NANOSECONDS) and action.done:
+                return Trouble(stamps[-1] if stamps else monitor.now, outcome)
+            if monitor.now >= end + round(0.05 * NANOSECONDS) and action.done:
                 return None
         raise NodesError(
             "the trip did not end; the controller is in phase"
-            f" {operator.get('controller', 'phase')}"
+            f" {monitor.get('controller', 'phase')}"
         )
 
     def _reports(
-        self, case: Case, before: dict[str, dict[str, str]], took: bool
+        self, case: FaultCase, before: dict[str, dict[str, str]], took: bool
     ) -> list[str]:
-        operator, processes = self.operator, self.processes
+        monitor, processes = self.monitor, self.processes
 
         def look() -> list[str]:
             for name in MODULES:
                 processes.ended(name)
             silent = {
                 name
-                for name, heard in operator.heard.items()
+                for name, heard in monitor.heard.items()
                 if time.monotonic() - heard > SILENT
             }
-            seen = Seen(
+            seen = NodeReports(
                 before,
-                operator.status,
-                operator.texts,
+                monitor.status,
+                monitor.texts,
                 processes.exits,
                 processes.logs(),
                 self.answers,
@@ -328,13 +327,13 @@ class Session(Stack):
             )
             return seen.reports(case.reported)
 
-        operator.until(look, REPORT_PATIENCE if took and case.reported else 0.0)
+        monitor.until(look, REPORT_PATIENCE if took and case.reported else 0.0)
         return look()
 
     def _judge(
         self,
         name: str,
-        case: Case,
+        case: FaultCase,
         plan: Plan,
         start: int,
         shift: float,
@@ -344,12 +343,12 @@ class Session(Stack):
         trouble: Trouble | None,
         action: Action,
         until: int,
-    ) -> tuple[Evidence, list[dict[str, Any]]]:
-        """What became of each faulted crossing, told by the true joints."""
-        operator = self.operator
-        stamps, rows = operator.truth.table(12)
+    ) -> tuple[Evidence, list[CrossingRecord]]:
+        """Judge what became of each faulted crossing, by the true joints."""
+        monitor = self.monitor
+        stamps, rows = monitor.truth.table(12)
         rows, stamps = rows[stamps <= until], stamps[stamps <= until]
-        command_stamps, command_rows = operator.at_rig.table(2)
+        command_stamps, command_rows = monitor.at_rig.table(2)
         evidence = Evidence(
             stamps,
             rows[:, :4],
@@ -360,8 +359,8 @@ class Session(Stack):
         )
         trouble = self._first_trouble(trouble)
         sides = judgement.true_side(evidence.joints)
-        records: list[dict[str, Any]] = []
-        sent = (operator.truth.sent[1:], operator.commands.sent[300:])
+        records: list[CrossingRecord] = []
+        sent = (monitor.truth.sent[1:], monitor.commands.sent[300:])
         disturbed = not self.lockstep and any(
             judgement.paused(np.array(times), self.gap_limit) for times in sent
         )
@@ -402,6 +401,7 @@ class Session(Stack):
             )
             records.append(
                 {
+                    "event": "record",
                     "case": name,
                     "outcome": outcome.value,
                     "expected": (
@@ -413,13 +413,16 @@ class Session(Stack):
                         else where
                     ),
                     "offset": (at - crossing) / NANOSECONDS,
-                    "reason": operator.get("controller", "reason") if stopped else "",
+                    "reason": monitor.get("controller", "reason") if stopped else "",
                     "true_error": (
                         self._true_error(plan, evidence, start, shift, crossing)
                         if not stopped
                         else None
                     ),
                     "torque": judgement.largest_torque(evidence),
+                    "reported": [],
+                    "answers": [],
+                    "recovered": False,
                 }
             )
             if stopped:
@@ -427,8 +430,8 @@ class Session(Stack):
         return evidence, records
 
     def _first_trouble(self, trouble: Trouble | None) -> Trouble | None:
-        """The first answered state without control, where there is one."""
-        stamps, rows = self.operator.criterion.stamps, self.operator.criterion.rows
+        """Return the first answered state without control, where there is one."""
+        stamps, rows = self.monitor.criterion.stamps, self.monitor.criterion.rows
         for stamp, row in zip(stamps[1:], rows[1:], strict=True):
             if int(row[PHASE]) in (Phase.FAULT, Phase.SAFE_STOP):
                 outcome = (
@@ -442,8 +445,8 @@ class Session(Stack):
     def _true_error(
         self, plan: Plan, evidence: Evidence, start: int, shift: float, crossing: int
     ) -> float:
-        """Largest distance (m) of the true end effector from the reference, around one
-        crossing.
+        """Return the largest distance of the true end effector from the reference
+        around one crossing, m.
         """
         half = round(SPREAD * NANOSECONDS)
         near = (evidence.stamps >= crossing - half) & (
@@ -459,21 +462,21 @@ class Session(Stack):
         return float(np.hypot(*(actual - wanted).T).max())
 
     def _check(self, evidence: Evidence, tally: Tally, action: Action) -> None:
-        operator, limit = self.operator, self.robot.max_torque
+        monitor, limit = self.monitor, self.robot.max_torque
         tally.count(Check.TORQUE_AFTER_DEATH, *judgement.torque_after_death(evidence))
         tally.count(Check.TORQUE_LIMIT, *judgement.torque_beyond(evidence, limit))
-        stamps, rows = operator.commands.table(2)
-        bad = operator.injector.bad_stamps if operator.injector is not None else []
+        stamps, rows = monitor.commands.table(2)
+        bad = monitor.injector.bad_stamps if monitor.injector is not None else []
         tally.count(Check.NOT_FINITE, *judgement.not_finite(stamps, rows, bad, limit))
         for path in action.bags():
             tally.count(Check.BAG, 1, bag_check.unreadable(path))
         tally.count(Check.BAG, 0, action.broken_bags())
 
     def close(self) -> Tally:
-        """End the nodes; the check of what was recorded meanwhile."""
+        """End the nodes, and check what was recorded meanwhile."""
         tally = Tally()
         self.processes.stop_all()
-        self.operator.close()
+        self.monitor.close()
         if self.request.record and self.bags:
             path = self._bag_path()
             if path.exists():
@@ -481,16 +484,16 @@ class Session(Stack):
         return tally
 
 
-def say(**event: Any) -> None:
-    """One event on the standard output."""
+def say(event: Event) -> None:
+    """Tell one event on the standard output."""
     print(json.dumps(event), flush=True)
 
 
 def main() -> int:
-    """The exit code: 0 when every case was tried to its end, 128 + a signal's number
-    when one ended them.
+    """Run the session; return 0 when every case was tried to its end, 128 + a signal's
+    number when one ended them.
     """
-    request = Request(**json.loads(sys.stdin.readline()))
+    request = SessionRequest(**json.loads(sys.stdin.readline()))
     code = 0
     session: Session | None = None
     with signals.interruptible():
@@ -498,16 +501,16 @@ def main() -> int:
             session = Session(request)
             session.begin()
             for name, count in request.cases.items():
-                say(event="start", case=name)
+                say({"event": "start", "case": name})
                 try:
                     for event in session.run_case(name, count):
-                        say(**event)
+                        say(event)
                 except NodesError as error:
                     code = 1
-                    say(event="failed", case=name, text=str(error))
+                    say({"event": "failed", "case": name, "text": str(error)})
                     return code
         except DextarError as error:
-            say(event="failed", case="", text=str(error))
+            say({"event": "failed", "case": "", "text": str(error)})
             return 1
         except KeyboardInterrupt as interrupt:
             return signals.exit_code(interrupt)
@@ -518,10 +521,12 @@ def main() -> int:
             if session is not None:
                 tally = session.close()
                 say(
-                    event="checks",
-                    case="",
-                    looked=tally.looked,
-                    violations=tally.violations,
+                    {
+                        "event": "checks",
+                        "case": "",
+                        "looked": tally.looked,
+                        "violations": tally.violations,
+                    }
                 )
     return code
 

@@ -1,28 +1,25 @@
 """The nodes that faults are done to, the recorder among them, and what an operator does
-to have the robot back.
+to recover the robot.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-import rclpy
-from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
 
-from dextar_control.contract.resources import NODES_FILE, ROBOT_FILE, config_file
 from dextar_control.contract.validation import validate
 from dextar_control.contract.yaml_text import assignment
 from dextar_control.control.phases import Phase
 from dextar_control.experiments.faults.cases import FaultConfig
 from dextar_control.experiments.faults.injector import REMAPPINGS
 from dextar_control.experiments.faults.link import Transport
-from dextar_control.experiments.faults.operator import Operator
-from dextar_control.experiments.processes import NodesError, Processes
+from dextar_control.experiments.faults.monitor import StackMonitor
+from dextar_control.experiments.monitor import start_ros
+from dextar_control.experiments.processes import NodesError, Processes, node_arguments
 from dextar_control.nodekit.cdr import NANOSECONDS
 
 START_TIMEOUT = 120.0  # s, on a busy machine
@@ -33,7 +30,7 @@ HOLD_WAIT = 0.1  # s
 
 
 @dataclass(frozen=True)
-class Request:
+class SessionRequest:
     """What a session is asked for.
 
     Attributes:
@@ -53,7 +50,7 @@ class Request:
     folder: str
     clock: str
     cases: dict[str, int]
-    config: dict[str, Any]
+    config: dict[str, object]
     seed: int
     injector: bool
     record: bool
@@ -63,37 +60,32 @@ class Request:
 
 
 class Stack:
-    """The nodes of one request, and an operator beside them.
+    """Runs the nodes of one request, with a monitor beside them.
 
     Attributes:
         folder: of logs and bags.
         config: of the cases.
         lockstep: the rig waits for the answer to each state.
         processes: the nodes.
-        operator: who hears and asks them.
+        monitor: hears and asks them.
         answers: what they said to what was asked of them in this trip.
     """
 
-    def __init__(self, request: Request) -> None:
+    def __init__(self, request: SessionRequest) -> None:
         self.request = request
         self.folder = Path(request.folder)
         self.config = validate(FaultConfig, request.config, "cases")
         self.lockstep = request.clock == "lockstep"
         self.bags = 0
+        self._arguments = self._node_arguments()
         self.processes = Processes(
-            self.folder, self._arguments(), request.prefix, request.modules
+            self.folder, prefix=request.prefix, modules=request.modules
         )
         self.answers: list[str] = []
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self.operator = Operator(injector=request.injector, lockstep=self.lockstep)
+        start_ros()
+        self.monitor = StackMonitor(injector=request.injector, lockstep=self.lockstep)
 
-    def _arguments(self) -> dict[str, list[str]]:
-        common = [
-            "--params-file",
-            str(config_file(ROBOT_FILE)),
-            "--params-file",
-            str(config_file(NODES_FILE)),
-        ]
+    def _node_arguments(self) -> dict[str, list[str]]:
         trip = self.config.trip
         values = {
             "plant": [
@@ -109,23 +101,15 @@ class Stack:
             ],
             "recorder": [assignment("topics.reliable", self.lockstep)],
         }
-        remap = (
-            [part for rule in REMAPPINGS for part in ("-r", rule)]
-            if self.request.injector
-            else []
-        )
+        remapped = {"plant": REMAPPINGS} if self.request.injector else {}
         return {
-            name: [
-                *common,
-                *(part for value in own for part in ("-p", f"{name}:{value}")),
-                *(remap if name == "plant" else []),
-            ]
+            name: node_arguments(name, own, remappings=remapped.get(name, ()))
             for name, own in values.items()
         }
 
     def bag(self) -> Path:
-        """Path of the next recording, in a folder of its own: a bag's metadata belong
-        to it alone.
+        """Return the path of the next recording, in a folder of its own: a bag's
+        metadata belong to it alone.
         """
         self.bags += 1
         path = self._bag_path()
@@ -136,7 +120,7 @@ class Stack:
         return self.folder / f"bag-{self.bags}" / "run.mcap"
 
     def current_bag(self) -> Path | None:
-        """Path of the recording under way."""
+        """Return the path of the recording under way."""
         return self._bag_path() if self.bags else None
 
     def start_recorder(
@@ -144,17 +128,18 @@ class Stack:
         *,
         wrap: Sequence[str] = (),
         path: Path | None = None,
-        limit: Any = None,
-        **more: str,
+        limit: Callable[[], None] | None = None,
+        parameters: Mapping[str, str] | None = None,
     ) -> Path:
-        """Start the recorder; its bag."""
+        """Start the recorder; return the path of its bag."""
         path = path or self.bag()
         extra = [
             part
-            for item in {"output": path, **more}.items()
+            for item in {"output": path, **(parameters or {})}.items()
             for part in ("-p", f"recorder:{assignment(*item)}")
         ]
-        self.processes.start("recorder", extra, wrap, limit)
+        arguments = [*self._arguments["recorder"], *extra]
+        self.processes.start("recorder", arguments, wrap=wrap, limit=limit)
         return path
 
     def begin(self) -> None:
@@ -165,36 +150,36 @@ class Stack:
             names.append("recorder")
         for name in names:
             if name != "recorder":
-                self.processes.start(name)
+                self.processes.start(name, self._arguments[name])
 
         def ready() -> bool:
             self.processes.check()
-            planned = self.operator.get("trajectory_server", "crossings")
-            return bool(planned) and all(name in self.operator.status for name in names)
+            planned = self.monitor.get("trajectory_server", "crossings")
+            return bool(planned) and all(name in self.monitor.status for name in names)
 
-        if not self.operator.until(ready, START_TIMEOUT):
-            heard = ", ".join(sorted(self.operator.status)) or "none"
+        if not self.monitor.until(ready, START_TIMEOUT):
+            heard = ", ".join(sorted(self.monitor.status)) or "none"
             raise NodesError(
                 f"the nodes were not ready within {START_TIMEOUT:.0f} s; heard of:"
                 f" {heard}"
             )
-        self.operator.call(SetBool, "plant/pause", data=False)
+        self.monitor.call(SetBool, "plant/pause", data=False)
         if not self.recover():
             raise NodesError(
                 "the controller does not hold:"
-                f" {self.operator.get('controller', 'reason')}"
+                f" {self.monitor.get('controller', 'reason')}"
             )
 
     def holding(self) -> bool:
-        """Whether the controller says, and its answers show, that it holds."""
+        """Tell whether the controller says, and its answers show, that it holds."""
         return (
-            self.operator.get("controller", "phase") == Phase.HOLD.name
-            and self.operator.phase == Phase.HOLD
+            self.monitor.get("controller", "phase") == Phase.HOLD.name
+            and self.monitor.phase == Phase.HOLD
         )
 
     def recover(self, *, disable: bool = False) -> bool:
-        """What an operator does: side told, reset, the robot back to its start, enable;
-        whether it then holds.
+        """Recover the robot as an operator does: tell the side, reset, put the robot at
+        its start, enable; tell whether it then holds.
 
         The drives take commands again once one commander alone has spoken for a while,
         whoever the middleware still counts as publisher: that is waited for.
@@ -203,62 +188,65 @@ class Stack:
             disable: also a robot that holds, because its controller does not know the
                 side.
         """
-        operator = self.operator
-        if operator.injector is not None:
-            operator.injector.clear()
-            for link in (operator.injector.states, operator.injector.commands):
+        monitor = self.monitor
+        if monitor.injector is not None:
+            monitor.injector.clear()
+            for link in (monitor.injector.states, monitor.injector.commands):
                 link.configure(Transport(), 0)
-        operator.until(
-            lambda: operator.get("plant", "commands_taken") != "False", LEASE_PATIENCE
+        monitor.until(
+            lambda: monitor.get("plant", "commands_taken") != "False", LEASE_PATIENCE
         )
         if disable:
-            operator.call(SetBool, "controller/enable", data=False)
-            operator.until(lambda: not self.holding(), 1.0)
+            monitor.call(SetBool, "controller/enable", data=False)
+            monitor.until(lambda: not self.holding(), 1.0)
         deadline = time.monotonic() + RECOVERY_PATIENCE
         while (
-            not operator.until(self.holding, HOLD_WAIT) and time.monotonic() < deadline
+            not monitor.until(self.holding, HOLD_WAIT) and time.monotonic() < deadline
         ):
-            operator.change_parameters("controller", assembly_mode=1)
-            operator.call(
+            monitor.change_parameters("controller", assembly_mode=1)
+            monitor.call(
                 Trigger, "controller/reset"
             )  # first: a safe stop that brakes would push the robot from its start
-            operator.call(Trigger, "plant/reset")
+            monitor.call(Trigger, "plant/reset")
             self.linger(HOLD_WAIT)
-            operator.change_parameters("controller", assembly_mode=1)
-            operator.call(SetBool, "controller/enable", data=True)
+            monitor.change_parameters("controller", assembly_mode=1)
+            monitor.call(SetBool, "controller/enable", data=True)
         return self.holding()
 
     def restart(self, name: str) -> None:
-        """Start a node that ended; a controller without torque until it is enabled."""
-        operator = self.operator
-        operator.until(lambda: False, LAST_WORDS)  # of the one that ended
-        operator.status.pop(name, None)
+        """Start a node that ended; a controller is without torque until it is
+        enabled.
+        """
+        monitor = self.monitor
+        monitor.wait(LAST_WORDS)  # of the one that ended
+        monitor.status.pop(name, None)
         bag: Path | None = None
         if name == "recorder":
             bag = self.start_recorder()
         else:
-            self.processes.start(
-                name,
-                ["-p", "controller:enabled:=false"] if name == "controller" else [],
-            )
-        if name == "plant" and operator.injector is not None:
-            operator.injector.forget_rig()
+            without_torque = ["-p", "controller:enabled:=false"]
+            extra = without_torque if name == "controller" else []
+            self.processes.start(name, [*self._arguments[name], *extra])
+        if name == "plant" and monitor.injector is not None:
+            monitor.injector.forget_rig()
 
         def ready() -> bool:
             self.processes.check()
             if bag is not None and not bag.exists():
                 return False
-            return name in operator.status and (
-                name != "trajectory_server" or bool(operator.get(name, "crossings"))
+            return name in monitor.status and (
+                name != "trajectory_server" or bool(monitor.get(name, "crossings"))
             )
 
-        if not operator.until(ready, START_TIMEOUT):
+        if not monitor.until(ready, START_TIMEOUT):
             raise NodesError(f"{name} did not come back within {START_TIMEOUT:.0f} s")
         if name == "plant":
-            operator.call(SetBool, "plant/pause", data=False)
+            monitor.call(SetBool, "plant/pause", data=False)
 
     def linger(self, seconds: float) -> None:
-        """Let the rig's clock go on, or the steady one where it does not."""
-        until = self.operator.now + round(seconds * NANOSECONDS)
+        """Let the rig's clock go on for some time, s, or the steady one where it does
+        not.
+        """
+        until = self.monitor.now + round(seconds * NANOSECONDS)
         patience = 10.0 * seconds + 1.0 if self.lockstep else max(1.5 * seconds, 0.5)
-        self.operator.until(lambda: self.operator.now >= until, patience)
+        self.monitor.until(lambda: self.monitor.now >= until, patience)

@@ -1,18 +1,18 @@
-"""The faulted crossings counted: by case, outcome, place and who reported; as a table
-to read and as numbers.
+"""Count the faulted crossings by case, outcome, place and who reported, as a table to
+read and as numbers.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from rich.table import Table
 
 from dextar_control.experiments.faults.cases import FaultConfig
+from dextar_control.experiments.faults.events import CrossingRecord, Event
 from dextar_control.experiments.faults.judgement import Check, Outcome
 
 HEAD = (
@@ -28,7 +28,7 @@ HEAD = (
 
 @dataclass
 class CaseCount:
-    """One case's faulted crossings.
+    """Counts one case's faulted crossings.
 
     Attributes:
         name, title: of the case.
@@ -54,7 +54,7 @@ class CaseCount:
 
     @property
     def count(self) -> int:
-        """Faulted crossings that count: not those that the machine disturbed."""
+        """The faulted crossings that count: not those that the machine disturbed."""
         return sum(
             count
             for outcome, count in self.outcomes.items()
@@ -62,7 +62,7 @@ class CaseCount:
         )
 
     def cells(self) -> list[str]:
-        """The row of the table, in the order of ``HEAD``."""
+        """List the row of the table, in the order of ``HEAD``."""
         error = "" if math.isnan(self.worst_error) else f"{1e3 * self.worst_error:.3g}"
         return [
             self.title,
@@ -77,7 +77,7 @@ class CaseCount:
 
 @dataclass
 class Summary:
-    """A whole run.
+    """Counts a whole run.
 
     Attributes:
         cases: in the order in which they are listed.
@@ -97,7 +97,7 @@ class Summary:
 
     @classmethod
     def of(cls, config: FaultConfig, names: Sequence[str]) -> Summary:
-        """An empty one for these cases."""
+        """Return an empty summary of these cases."""
         return cls(
             {
                 name: CaseCount(
@@ -114,37 +114,37 @@ class Summary:
 
     @property
     def good(self) -> bool:
-        """Nothing happened that never must, and nothing that was not expected."""
+        """Whether nothing happened that never must, and nothing that was not
+        expected.
+        """
         return not (
             self.violations
             or self.failures
             or any(case.unexpected for case in self.cases.values())
         )
 
-    def take(self, event: Mapping[str, Any]) -> None:
+    def take(self, event: Event) -> None:
         """Count one event of a session."""
-        kind, name = event["event"], event.get("case", "")
-        if kind == "record":
-            self._take_record(self.cases[name], event)
-        elif kind == "checks":
+        if event["event"] == "record":
+            self._take_record(self.cases[event["case"]], event)
+        elif event["event"] == "checks":
             self.looked.update(event["looked"])
             self.violations += [(check, text) for check, text in event["violations"]]
-        elif kind == "failed":
+        elif event["event"] == "failed":
+            case = self.cases.get(event["case"])
             self.failures.append(
-                f"{self.cases[name].title}: {event['text']}"
-                if name in self.cases
-                else event["text"]
+                f"{case.title}: {event['text']}" if case else event["text"]
             )
-        elif kind == "note":
-            self.notes.append(f"{self.cases[name].title}: {event['text']}")
+        elif event["event"] == "note":
+            self.notes.append(f"{self.cases[event['case']].title}: {event['text']}")
 
     @staticmethod
-    def _take_record(case: CaseCount, record: Mapping[str, Any]) -> None:
+    def _take_record(case: CaseCount, record: CrossingRecord) -> None:
         outcome = record["outcome"]
         case.outcomes[outcome] += 1
         case.places[record["where"]] += 1
         case.reported.update(record["reported"])
-        error = record.get("true_error")
+        error = record["true_error"]
         if (
             error is not None
             and not math.isnan(error)
@@ -153,8 +153,8 @@ class Summary:
             case.worst_error = (
                 error if math.isnan(case.worst_error) else max(case.worst_error, error)
             )
-        if record.get("curve"):
-            case.curves.append(record["curve"])
+        if curve := record.get("curve"):
+            case.curves.append(curve)
         where = f"{1e3 * record['offset']:+.0f} ms from the crossing"
         if not record["expected"]:
             case.unexpected.append(
@@ -163,8 +163,8 @@ class Summary:
         if not record["recovered"]:
             case.unexpected.append(f"not brought back to HOLD after {outcome}, {where}")
 
-    def to_dict(self) -> dict[str, Any]:
-        """Everything as plain data."""
+    def to_dict(self) -> dict[str, object]:
+        """Return everything as plain data."""
         return {
             "crossings": self.count,
             "good": self.good,
@@ -198,11 +198,11 @@ class Summary:
         }
 
     def rows(self) -> list[list[str]]:
-        """Of the cases that were tried."""
+        """List the rows of the cases that were tried."""
         return [case.cells() for case in self.cases.values() if case.outcomes]
 
     def never_rows(self) -> list[list[str]]:
-        """Of the checks: name, looked at, happened."""
+        """List the checks: name, how often looked at, how often violated."""
         happened = Counter(check for check, _ in self.violations)
         return [
             [check.value, str(self.looked[check.value]), str(happened[check.value])]
@@ -210,7 +210,7 @@ class Summary:
         ]
 
     def tables(self) -> list[Table]:
-        """For the terminal."""
+        """Make the tables for the terminal."""
         shown = (0, 3, 5, 6)  # the others stand in the file
         cases = Table(
             *(HEAD[column] for column in shown), title=f"{self.count} faulted crossings"
@@ -230,7 +230,7 @@ class Summary:
         return [cases, never]
 
     def troubles(self) -> list[str]:
-        """Lines about what should not have been."""
+        """Write lines about what should not have been."""
         lines = [f"{check}: {text}" for check, text in self.violations]
         lines += [
             f"{case.title}: {text}"
@@ -240,7 +240,7 @@ class Summary:
         return [*lines, *self.failures]
 
     def markdown(self) -> str:
-        """For a file or a README."""
+        """Write the tables for a file or a document."""
         lines = [
             f"{self.count} faulted crossings in {self.seconds:.0f} s.",
             "",

@@ -367,7 +367,11 @@
     }
     for (const name of ["law", "estimator"]) {
       const select = $(`law-${name}`), now = status.controller[name];
-      if (now && select.dataset.now !== now) { select.dataset.now = now; select.value = now; }
+      if (now && select.dataset.now !== now) {
+        if (![...select.options].some((one) => one.value === now)) select.add(new Option(now, now));
+        select.dataset.now = now;
+        select.value = now;
+      }
     }
   }
   async function set(node, spec, input) {

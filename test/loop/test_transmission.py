@@ -102,7 +102,7 @@ def test_the_observer_predicts_the_twist_of_the_plant(
         plant.step(tau)
         for _ in range(steps):
             observer.predict(observer.main, observer.noise, tau, PERIOD / steps)
-        twist = np.array(plant.encoded()) - plant.state().q_a
+        twist = np.array(plant.encoder_angles()) - plant.state().q_a
         largest = max(largest, *abs(twist))
         off = max(off, *abs(observer.main.twist - twist))
     assert largest > 5e-4

@@ -1,15 +1,11 @@
 """Two motions uncontrollable at once: two five-bars that carry one body.
 
-The body is pinned to the first end effector and slides, in a slot, over the second: no further closure, so that A_r has two
-blocks, one a five-bar. Each has a Type 2 locus of its own; where the robot is on both, the kernel of A_r has two dimensions. Only
-the Lagrangian couples the blocks: the body's inertia takes part in both criteria. No machine is meant: the five-bars are those of
-``config/dextar.yaml``, every other number is ours, declared as such.
-
-In a plain loop, as ``main`` does, through a place that is on both loci, where both criteria hold:
-
-    plan = plan_return_trip_through(ROBOT, place_of_both(near_first, near_second), +1, duration, dwell)
-
-Run it with ``.venv/bin/python examples/carried_body.py``.
+The body is pinned to the first end effector and slides, in a slot, over the second: no
+further closure, so that A_r has two blocks, one a five-bar. Each has a Type 2 locus of
+its own; where the robot is on both, the kernel of A_r has two dimensions. Only the
+Lagrangian couples the blocks: the body's inertia takes part in both criteria. No machine
+is meant: the five-bars are those of ``config/dextar.yaml``, every other number is ours,
+declared as such.
 """
 
 from __future__ import annotations
@@ -21,16 +17,12 @@ import numpy as np
 
 from dextar_control.contract.resources import ROBOT_FILE, config_file
 from dextar_control.contract.robot import flatten, load_robot
-from dextar_control.contract.settings import default_settings
-from dextar_control.control.loop import ControlLoop
 from dextar_control.mechanisms.five_bar import FiveBar
 from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter
 from dextar_control.mechanisms.planar import direction
-from dextar_control.model.model import Model
 from dextar_control.model.robot import Robot
 from dextar_control.planning.locus import LocusPoint, nearest_point
 from dextar_control.planning.model import planning_model
-from dextar_control.planning.planner import plan_return_trip_through
 from dextar_control.symbols.types import Symbol
 
 ARMS = ("first", "second")
@@ -38,7 +30,9 @@ FIVE_BAR = FiveBar()
 
 
 class CarriedBody(Mechanism):
-    """q_a of both five-bars' motors, x = (X1, Y1, X2, Y2) of their end effectors, each in its own five-bar's frame."""
+    """q_a of both five-bars' motors, x = (X1, Y1, X2, Y2) of their end effectors, each
+    in its own five-bar's frame.
+    """
 
     name = "carried_body"
     joints = tuple(
@@ -96,7 +90,9 @@ class CarriedBody(Mechanism):
     def lagrangian(
         self, q_a: Symbol, x: Symbol, q_a_dot: Symbol, x_dot: Symbol, p: Any
     ) -> Symbol:
-        """Of both five-bars and of the body, whose direction is that from the first end effector to the second."""
+        """Of both five-bars and of the body, whose direction is that from the first end
+        effector to the second.
+        """
         turn = ca.horzcat(
             direction(p.second_angle), direction(p.second_angle + 0.5 * ca.pi)
         )
@@ -201,42 +197,3 @@ def place_of_both(near_first: list[float], near_second: list[float]) -> LocusPoi
         1,
         0.0,
     )
-
-
-def main() -> None:
-    """There and back through both loci at once, the robot integrated in small steps by its forward dynamics."""
-    model, steps, period = Model.of(ROBOT), 20, 1e-3
-    plan = plan_return_trip_through(
-        ROBOT, place_of_both([0.02, 0.083], [-0.03, 0.08]), 1, None, 0.1
-    )
-    print("\n".join(plan.certificate.lines()))
-    x, x_dot = plan.trajectory.at(0.0).x, np.zeros(4)
-    loop = ControlLoop(ROBOT, default_settings(), int(np.sign(model.place(x).s[0])))
-    loop.accept(plan.trajectory)
-    worst = 0.0
-    for k in range(round((plan.trajectory.duration + 0.1) / period)):
-        q_a = np.round(model.inverse_geometric_model(x) / RESOLUTION) * RESOLUTION
-        tau = loop.step(k * period, q_a)
-        worst = max(
-            worst, float(np.linalg.norm(loop.tick.x_ref - x)) if loop.tick else 0.0
-        )
-        for _ in range(
-            steps
-        ):  # half a step of the place, one of the velocity, the other half
-            middle = x + 0.5 * period / steps * x_dot
-            x_dot = (
-                x_dot
-                + period
-                / steps
-                * model.platform_dynamics(
-                    model.place(middle).q_a, middle, x_dot, tau
-                ).x_ddot
-            )
-            x = middle + 0.5 * period / steps * x_dot
-    print(
-        f"{loop.phase.name}, largest true error {1e3 * worst:.3f} mm, {[passed.verdict.name for passed in loop.passed]}"
-    )
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""One publisher that speaks on a topic, told from others that are silent, by the
+"""Decide whose commands are taken where several publishers offer some, by the
 middleware's message numbers. No ROS here.
 """
 
@@ -17,8 +17,8 @@ UNNUMBERED = (0, 2**64 - 1)
 """What a middleware gives that does not count messages."""
 
 
-class Speakers:
-    """Whether the commands that come are those of one publisher.
+class CommanderArbiter:
+    """Decides whether the commands that come are those of one publisher.
 
     The middleware's graph keeps a publisher that was killed for its lease (Fast DDS: up
     to 20 s), and messages carry no name of their publisher, but each publisher numbers
@@ -61,8 +61,8 @@ class Speakers:
         self._heard = 0
         self._since = 0
 
-    def look(self, now: int) -> None:
-        """Count the publishers, at a steady time (ns); one more than before has to stay
+    def count_publishers(self, now: int) -> None:
+        """Count the publishers at a steady time, ns; one more than before has to stay
         silent for ``SPEAKING`` first.
         """
         before, self.count = self.count, self._publishers()
@@ -71,9 +71,9 @@ class Speakers:
         elif self.count > before:
             self._since = now
 
-    def clear(self, now: int) -> bool:
-        """Whether commands are taken: there is one publisher, or the others are
-        silent.
+    def accepts(self, now: int) -> bool:
+        """Tell whether commands are taken at a steady time, ns: there is one publisher,
+        or the others are silent.
         """
         if self.count <= 1:
             return True
@@ -84,8 +84,8 @@ class Speakers:
         )
         return alone and (self._lossless or now - self._heard <= SPEAKING)
 
-    def hear(self, number: int | None, states: int, now: int) -> bool:
-        """Whether a message may be taken.
+    def take(self, number: int | None, states: int, now: int) -> bool:
+        """Tell whether a message may be taken, and count it.
 
         Args:
             number: that its publisher gave it; None or one of ``UNNUMBERED`` where
@@ -100,15 +100,15 @@ class Speakers:
         self._number, self._states, self._heard = number, states, now
         if last is None:
             self._since = now
-            self.look(now)
+            self.count_publishers(now)
             return self.count <= 1
         rise = number - last
         if rise == 1 or (not self._lossless and 0 < rise <= most):
             if silent and not self._lossless:
                 self._since = now
-            return self.clear(now)
+            return self.accepts(now)
         self._since = now
-        self.look(now)
+        self.count_publishers(now)
         if self.count <= 1:
             return rise > 0 or silent
         self.several |= rise <= 0 and not silent

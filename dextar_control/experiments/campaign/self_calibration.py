@@ -1,5 +1,5 @@
-"""A robot's description once its recordings were learnt from: a tour that calibrates
-it, a motion that identifies it.
+"""Calibrate and identify a simulated robot by its own recordings: a tour that
+calibrates it, a motion that identifies it.
 """
 
 from __future__ import annotations
@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.settings import default_settings
 from dextar_control.control.loop import ControlLoop
+from dextar_control.experiments.campaign.rig import RigInterface
 from dextar_control.identification.calibration import calibrate_recorded
 from dextar_control.identification.identification import identify_recorded
 from dextar_control.identification.recorded import Recorded
@@ -27,8 +27,8 @@ START = np.array([-0.025, 0.115])  # m, of the exciting motion: the A of every t
 EXCITE, DWELL = 20.0, 0.2  # s
 
 
-def record(robot: RobotParameters, plan: Plan, rig: Any) -> Recorded:
-    """A plan run in a plain loop, as its bag would tell it.
+def record_motion(robot: RobotParameters, plan: Plan, rig: RigInterface) -> Recorded:
+    """Run a plan in a plain loop, and return what its bag would tell.
 
     Args:
         robot: as the controller knows it.
@@ -74,15 +74,15 @@ def record(robot: RobotParameters, plan: Plan, rig: Any) -> Recorded:
     )
 
 
-def learnt(
+def calibrated_description(
     robot: RobotParameters,
-    rig: Callable[[], Any],
+    rig: Callable[[], RigInterface],
     *,
     calibrated: bool,
     identified: bool,
 ) -> tuple[RobotParameters, dict[str, bool]]:
-    """The description after a recorded tour and an exciting motion, and whether each
-    fit was told enough.
+    """Return the description after a recorded tour and an exciting motion, and whether
+    each fit was told enough.
 
     Args:
         robot: as it is drawn, in the working mode of the recordings.
@@ -94,21 +94,19 @@ def learnt(
         found, told["calibrated"] = _calibrated(robot, rig)
     if identified:
         try:
-            found, told["identified"] = (
-                identify_recorded(
-                    found, [record(robot, _exciting(robot), rig())]
-                ).after,
-                True,
-            )
+            found = identify_recorded(
+                found, [record_motion(robot, _exciting(robot), rig())]
+            ).after
+            told["identified"] = True
         except CalibrationError:
             told["identified"] = False
     return found, told
 
 
 def _calibrated(
-    robot: RobotParameters, rig: Callable[[], Any]
+    robot: RobotParameters, rig: Callable[[], RigInterface]
 ) -> tuple[RobotParameters, bool]:
-    """The calibrated description, and whether there is one.
+    """Return the calibrated description, and whether there is one.
 
     Where a tour ended too early to tell anything another one goes the other way round,
     and both are taken together; where it told all but the difference of the distal
@@ -117,7 +115,7 @@ def _calibrated(
     told, motions = False, list[Recorded]()
     for _ in range(TOURS):
         motions.append(
-            record(robot, _tour(robot, CROSSINGS * (-1) ** len(motions)), rig())
+            record_motion(robot, _tour(robot, CROSSINGS * (-1) ** len(motions)), rig())
         )
         try:
             calibration = calibrate_recorded(robot, motions)

@@ -1,20 +1,7 @@
-"""A mechanism of one's own: a biglide (PRRRP), two sliders on rails whose bars meet in one point.
+"""A biglide (PRRRP) with all that a mechanism may state: rails at any angle, friction,
+gravity, a direct geometric model and bodies. ``examples/own_mechanism.py`` is a plain one.
 
-A mechanism is a class: names of its joints and coordinates, parameters with units and bounds, loop closures h(q_a, x) = 0, a
-Lagrangian and geometric models, on CasADi's symbols. The paper's equations, filters, laws and planner follow from these.
-``nearest_joints`` is what the planner asks: the joints with finite numbers also where a leg does not reach.
-
-The rails run up beside each other, one slider ahead of the point and one behind it, so that the bars stand in one line in the
-middle of the workspace: there is the Type 2 locus. No machine is meant: every number is ours, declared as such.
-
-In a plain loop, as ``main`` does:
-
-    plan = plan_return_trip_through(ROBOT, nearest_point(ROBOT, x), +1, duration, dwell)    # there and back, certified
-    loop = ControlLoop(ROBOT, default_settings(**SETTINGS), assembly_mode=-1)               # law, observer, limits
-    loop.accept(plan.trajectory)
-    force = loop.step(time, q_a)                                                            # at each sample of the joints
-
-Run it with ``.venv/bin/python examples/biglide.py``.
+No machine is meant: every number is ours, declared as such.
 """
 
 from __future__ import annotations
@@ -24,15 +11,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dextar_control.contract.settings import default_settings
-from dextar_control.control.loop import ControlLoop
 from dextar_control.mechanisms.bodies import GROUND, Bodies, Link, Pin
 from dextar_control.mechanisms.mechanism import Coordinate, Mechanism, Parameter
 from dextar_control.mechanisms.planar import circles, direction, loaded_rod, rod
-from dextar_control.model.model import Model
 from dextar_control.model.robot import Robot
-from dextar_control.planning.locus import nearest_point
-from dextar_control.planning.planner import plan_return_trip_through
 from dextar_control.symbols.types import Symbol
 
 LEGS = ("left", "right")
@@ -40,7 +22,9 @@ LEAST = 1e-12  # of a length's square: a root above it has a derivative
 
 
 class Biglide(Mechanism):
-    """Slider i at S_i = o_i + q_i d_i on its rail, its bar from there to the platform point x; q_a = (q1, q2), x = (x, y)."""
+    """Slider i at S_i = o_i + q_i d_i on its rail, its bar from there to the platform
+    point x; q_a = (q1, q2), x = (x, y).
+    """
 
     name = "biglide"
     joints = (Coordinate("q1", "m"), Coordinate("q2", "m"))
@@ -137,7 +121,9 @@ class Biglide(Mechanism):
         return ca.vertcat(*found)
 
     def nearest_joints(self, x: Symbol, p: Any) -> tuple[Symbol, Symbol]:
-        """The same with its root kept above zero; a leg misses by its offset over the bar."""
+        """The same with its root kept above zero; a leg misses by its offset over the
+        bar.
+        """
         joints, extensions = [], []
         for leg, name in enumerate(LEGS):
             (along, off), length = (
@@ -161,7 +147,9 @@ class Biglide(Mechanism):
         )
 
     def bodies(self, p: Any) -> Bodies:
-        """For a simulator: sliders on their rails, bars on them, half of the point's mass on each bar's end."""
+        """For a simulator: sliders on their rails, bars on them, half of the point's
+        mass on each bar's end.
+        """
         links, ends = [], []
         for leg, name in enumerate(LEGS):
             link, zero = getattr(p, name), ca.SX.zeros(2)
@@ -217,7 +205,9 @@ class Biglide(Mechanism):
         return (p.left.bar_length * p.right.bar_length) ** 0.5
 
     def type1_sines(self, q_a: Symbol, x: Symbol, p: Any) -> Symbol:
-        """Cosines of the angles between bar and rail: zero where the bar stands across its rail."""
+        """Cosines of the angles between bar and rail: zero where the bar stands across
+        its rail.
+        """
         return ca.vertcat(
             *(
                 ca.dot(
@@ -259,9 +249,8 @@ NUMBERS = {
 }
 ROBOT = Robot.of(Biglide(), NUMBERS)
 RESOLUTION = 1e-6  # m, of the sliders' encoders
-SETTINGS: dict[
-    str, Any
-] = {  # where a slider's metres and newtons are other numbers than a motor's radians and newton metres
+# A slider's metres and newtons are other numbers than a motor's radians and newton metres.
+SETTINGS: dict[str, Any] = {
     "observer.encoder_deviation": 2e-6,
     "observer.bias_deviation": 1e-4,
     "observer.bias_walk": 1e-4,
@@ -275,44 +264,3 @@ SETTINGS: dict[
     "watch.max_joint_misfit": 2e-3,
     "watch.joint_margin": 5e-3,
 }
-
-
-def main() -> None:
-    """There and back through the locus, the robot integrated in small steps by its forward dynamics."""
-    model, steps, period = Model.of(ROBOT), 20, 1e-3
-    plan = plan_return_trip_through(
-        ROBOT, nearest_point(ROBOT, np.array([0.0, 0.0])), 1, 0.3, 0.1
-    )
-    print("\n".join(plan.certificate.lines()))
-    x, x_dot = plan.trajectory.at(0.0).x, np.zeros(2)
-    loop = ControlLoop(
-        ROBOT, default_settings(**SETTINGS), int(np.sign(model.place(x).s[0]))
-    )
-    loop.accept(plan.trajectory)
-    worst = 0.0
-    for k in range(round((plan.trajectory.duration + 0.1) / period)):
-        q_a = np.round(model.inverse_geometric_model(x) / RESOLUTION) * RESOLUTION
-        force = loop.step(k * period, q_a)
-        worst = max(
-            worst, float(np.linalg.norm(loop.tick.x_ref - x)) if loop.tick else 0.0
-        )
-        for _ in range(
-            steps
-        ):  # half a step of the place, one of the velocity, the other half
-            middle = x + 0.5 * period / steps * x_dot
-            x_dot = (
-                x_dot
-                + period
-                / steps
-                * model.platform_dynamics(
-                    model.place(middle).q_a, middle, x_dot, force
-                ).x_ddot
-            )
-            x = middle + 0.5 * period / steps * x_dot
-    print(
-        f"{loop.phase.name}, largest true error {1e3 * worst:.3f} mm, {[passed.verdict.name for passed in loop.passed]}"
-    )
-
-
-if __name__ == "__main__":
-    main()

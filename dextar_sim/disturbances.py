@@ -1,4 +1,6 @@
-"""What happens to a robot on its way: a load that it takes up, and a push."""
+"""Disturbances of a simulated robot on its way: a payload that it takes up, and a
+push.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +8,13 @@ import math
 from collections.abc import Sequence
 
 from dextar_control.contract.errors import ParameterError
+from dextar_sim.sensors import check_nonnegative
 from dextar_sim.state import AnyPlant
 
 
-class Happenings:
-    """Of one run; a reset begins it anew, without the load.
+class Disturbances:
+    """Applies the disturbances of one run; a reset begins them anew, without the
+    payload.
 
     Args:
         payload: mass at the end effector, kg.
@@ -32,32 +36,28 @@ class Happenings:
         push_time: float = 0.0,
         push_duration: float = 0.0,
     ) -> None:
-        for name, value in (
-            ("payload", payload),
-            ("payload_time", payload_time),
-            ("push_time", push_time),
-            ("push_duration", push_duration),
-        ):
-            if not (value >= 0.0 and math.isfinite(value)):
-                raise ParameterError(f"{name} = {value}; it must be >= 0")
+        check_nonnegative(
+            payload=payload,
+            payload_time=payload_time,
+            push_time=push_time,
+            push_duration=push_duration,
+        )
         if not all(map(math.isfinite, push)):
             raise ParameterError(f"push = {list(push)} N; it must be finite")
         self._payload, self._from = payload, payload_time
-        self._push, self._begin, self._end = (
-            push,
-            push_time,
-            push_time + (push_duration if any(push) else 0.0),
-        )
+        self._push = push
+        self._begin = push_time
+        self._end = push_time + (push_duration if any(push) else 0.0)
         self._carried = 0.0
 
     def reset(self, plant: AnyPlant) -> None:
-        """Take the load off again."""
+        """Take the payload off again."""
         if self._carried:
             plant.take_up(-self._carried)
         self._carried = 0.0
 
     def before(self, time: float, plant: AnyPlant) -> None:
-        """What begins or goes on in the period after ``time``, s."""
+        """Apply what begins or goes on in the period after ``time``, s."""
         if self._payload > self._carried and time >= self._from - 0.5 * plant.period:
             plant.take_up(self._payload)
             self._carried = self._payload
