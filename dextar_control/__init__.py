@@ -13,11 +13,11 @@ the locus, ``default_settings`` and ``ControlLoop`` to drive it, ``load_run`` an
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from dextar_control.analysis.compute import compute_metrics as compute_metrics
     from dextar_control.analysis.load import load_run as load_run
-    from dextar_control.analysis.metrics import compute_metrics as compute_metrics
     from dextar_control.contract.robot import load_robot as load_robot
     from dextar_control.contract.settings import default_settings as default_settings
     from dextar_control.control.loop import ControlLoop as ControlLoop
@@ -33,7 +33,7 @@ _MODULES = {
     "default_settings": "contract.settings",
     "ControlLoop": "control.loop",
     "load_run": "analysis.load",
-    "compute_metrics": "analysis.metrics",
+    "compute_metrics": "analysis.compute",
 }
 __all__ = [
     "ControlLoop",
@@ -47,8 +47,8 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    """One of ``__all__``, loaded now."""
+def __getattr__(name: str) -> object:
+    """Load one of ``__all__``."""
     if name not in _MODULES:
         raise AttributeError(
             f"module {__name__!r} has no attribute {name!r}; it offers"

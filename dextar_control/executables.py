@@ -1,5 +1,5 @@
-"""The package's executables, as ``ros2 run dextar NAME`` and ``dextar NAME`` start
-them; each loads its module when it is called.
+"""``ros2 run dextar NAME`` and ``dextar NAME`` start the package's executables; each
+loads its module when it is called.
 
 Loading takes seconds, and a Ctrl-C in them ends the process without a traceback; what
 is loaded then takes the signals itself. Once it has ended, further signals change
@@ -31,32 +31,32 @@ def _node(module: str) -> int:
 
 
 def plant() -> int:
-    """The simulated rig."""
+    """Run the simulated rig."""
     return _node("dextar_sim.node")
 
 
 def controller() -> int:
-    """The controller."""
+    """Run the controller."""
     return _node("dextar_control.nodes.controller")
 
 
 def trajectory_server() -> int:
-    """The trajectory server."""
+    """Run the trajectory server."""
     return _node("dextar_control.nodes.trajectory_server")
 
 
 def recorder() -> int:
-    """The recorder."""
+    """Run the recorder."""
     return _node("dextar_control.nodes.recorder")
 
 
 def markers() -> int:
-    """The markers."""
+    """Run the markers."""
     return _node("dextar_control.nodes.markers")
 
 
 def go_server() -> int:
-    """The action ``go``, of those who have its interface package."""
+    """Run the action ``go``, which needs its interface package."""
     if importlib.util.find_spec(INTERFACES) is None:
         signals.tell(f"error: {WITHOUT_INTERFACES}", sys.stderr)
         return signals.EXIT_USAGE
@@ -64,12 +64,12 @@ def go_server() -> int:
 
 
 def panel() -> int:
-    """The panel in the browser."""
+    """Run the panel in the browser."""
     return _node("dextar_control.nodes.panel")
 
 
 def warmup() -> int:
-    """The equations' compilation."""
+    """Compile the equations."""
     return _run("dextar_control.control.prepare", signals.killed)
 
 
@@ -89,7 +89,7 @@ EXECUTABLES = {
 
 
 def dextar() -> int:
-    """The command ``dextar``; ``dextar plant ...`` is what ``ros2 run dextar plant
+    """Run the command ``dextar``; ``dextar plant ...`` is what ``ros2 run dextar plant
     ...`` is.
     """
     run = EXECUTABLES.get(sys.argv[1]) if len(sys.argv) > 1 else None

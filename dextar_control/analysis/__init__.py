@@ -8,8 +8,9 @@
 Figures, report, comparison, animation and tables are functions of the two.
 """
 
+from dextar_control.analysis.compute import compute_metrics
 from dextar_control.analysis.load import load_run
-from dextar_control.analysis.metrics import Metrics, compute_metrics
+from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.run import Run
 
 __all__ = ["Metrics", "Run", "compute_metrics", "load_run"]

@@ -5,18 +5,20 @@ MP4.
 from __future__ import annotations
 
 import contextlib
+import io
 import math
 import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.animation import FFMpegWriter, PillowWriter
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL.Image import Dither, Image
 
 from dextar_control.analysis.curves import Curve, Panel
 from dextar_control.analysis.drawing import (
@@ -27,18 +29,16 @@ from dextar_control.analysis.drawing import (
     draw_panel,
     finish_plane,
 )
-from dextar_control.analysis.motion import Motion
+from dextar_control.analysis.motion import RunFrames
 from dextar_control.analysis.plane import corners, locus_of
+from dextar_control.analysis.run import Floats
 from dextar_control.contract import style
 from dextar_control.contract.errors import BagError, ParameterError
 from dextar_control.contract.signals import caused_by_interrupt
 from dextar_control.contract.style import LINES, Line
 
-MOST_FRAMES = {
-    ".gif": 1500,
-    ".webp": 1500,
-    ".mp4": 20_000,
-}  # frames of the first two are held in memory until they are written
+# the frames of the first two are held in memory until they are written
+MOST_FRAMES = {".gif": 1500, ".webp": 1500, ".mp4": 20_000}
 SIZE = (10.0, 5.0)  # inches
 COLOURS = 64  # of a GIF: lines and letters with their smoothed edges
 RESOLUTION = 96  # dots per inch: 960 x 480 pixels
@@ -59,14 +59,14 @@ PHASES = {
 
 
 def animate(
-    motion: Motion,
+    motion: RunFrames,
     file: Path,
     speed: float,
     frames_per_second: int,
     progress: Callable[[int, int], None],
     look: Look = SCREEN,
 ) -> None:
-    """Write the animation.
+    """Write a run as an animation.
 
     Args:
         motion: its frames lie speed / frames_per_second s apart.
@@ -84,13 +84,13 @@ def animate(
     check_output(file, len(motion.time))
     if file.suffix.lower() != ".mp4":
         kind = OnePaletteWriter if file.suffix.lower() == ".gif" else PillowWriter
-        writer: Any = kind(fps=frames_per_second)
+        writer: AbstractMovieWriter = kind(fps=frames_per_second)
     else:
         matplotlib.rcParams["animation.ffmpeg_path"] = find_ffmpeg()
         writer = FFMpegWriter(
             fps=frames_per_second, codec="libx264", extra_args=["-pix_fmt", "yuv420p"]
         )
-    with matplotlib.rc_context(style.matplotlib_settings(look.palette)):
+    with look.settings():
         scene = _Scene(motion, speed, look)
     partial = file.with_name(f".{file.stem}.partial{file.suffix}")
     try:
@@ -118,11 +118,15 @@ def animate(
 class OnePaletteWriter(PillowWriter):
     """Writes a GIF whose frames share one palette, which makes it a fifth as large."""
 
+    _frames: list[Image]
+
     def finish(self) -> None:
         """Write the frames with the palette of the one in the middle."""
-        frames = self._frames  # type: ignore[has-type]  # its stub leaves the type open
-        palette = frames[len(frames) // 2].quantize(COLOURS, dither=0)
-        self._frames = [frame.quantize(palette=palette, dither=0) for frame in frames]
+        frames = self._frames
+        palette = frames[len(frames) // 2].quantize(COLOURS, dither=Dither.NONE)
+        self._frames = [
+            frame.quantize(palette=palette, dither=Dither.NONE) for frame in frames
+        ]
         super().finish()
 
 
@@ -148,7 +152,7 @@ def check_output(file: Path, frames: int = 0) -> None:
 
 
 def find_ffmpeg() -> str:
-    """The machine's ffmpeg, or the one of the package imageio-ffmpeg.
+    """Find the machine's ffmpeg, or that of the package imageio-ffmpeg.
 
     Raises:
         ParameterError: there is neither.
@@ -171,13 +175,12 @@ class _Scene:
     """The figure; ``show`` moves what moves.
 
     What stands still is drawn once and lies under the rest as an image: a frame then
-        takes a tenth of the time.
+    takes a tenth of the time.
     """
 
-    def __init__(self, motion: Motion, speed: float, look: Look = SCREEN) -> None:
+    def __init__(self, motion: RunFrames, speed: float, look: Look = SCREEN) -> None:
         self._motion, self._look = motion, look
         still = Figure(figsize=SIZE, dpi=RESOLUTION, layout="constrained")
-        canvas = FigureCanvasAgg(still)
         grid = still.add_gridspec(2, 2, width_ratios=(1.0, 1.1))
         plane = still.add_subplot(grid[:, 0])
         torque = still.add_subplot(grid[0, 1])
@@ -187,10 +190,8 @@ class _Scene:
         self._draw_plane(plane)
         self._draw_time(torque, measure)
         still.suptitle(" ", fontsize=11.0)
-        canvas.draw()
         self.figure = Figure(figsize=SIZE, dpi=RESOLUTION)
-        FigureCanvasAgg(self.figure)
-        self.figure.figimage(np.array(canvas.buffer_rgba()), origin="upper", zorder=-1)
+        self.figure.figimage(_pixels(still), origin="upper", zorder=-1)
         moving = [self._over(axes) for axes in (plane, torque, measure)]
         (self._trace,) = moving[0].plot([], [], **look.line(TRACE))
         (self._linkage,) = moving[0].plot(
@@ -215,9 +216,9 @@ class _Scene:
             " time"
         )
 
-    def _over(self, axes: Any) -> Any:
+    def _over(self, axes: Axes) -> Axes:
         """Empty axes in the place of others."""
-        over = self.figure.add_axes(axes.get_position())
+        over = self.figure.add_axes(axes.get_position().bounds)
         over.set_axis_off()
         over.set_xlim(axes.get_xlim())
         over.set_ylim(axes.get_ylim())
@@ -250,7 +251,7 @@ class _Scene:
         )
         self._title.set_text(title.replace("-", "−"))
 
-    def _draw_plane(self, axes: Any) -> None:
+    def _draw_plane(self, axes: Axes) -> None:
         motion, look, locus = self._motion, self._look, locus_of(self._motion.robot)
         draw_locus(axes, locus, look)
         draw_line(axes, motion.planned, LINES["planned", 0], "planned path", look)
@@ -285,7 +286,7 @@ class _Scene:
         axes.set_ylim(low[1], high[1])
         finish_plane(axes)
 
-    def _draw_time(self, torque: Any, measure: Any) -> None:
+    def _draw_time(self, torque: Axes, measure: Axes) -> None:
         motion = self._motion
         curves = [
             Curve(f"τ{part + 1}", motion.course_time, values, "commanded", part)
@@ -310,12 +311,21 @@ class _Scene:
         measure.set_xlabel(style.label("time"))
 
 
-def _arc(base: Any, share: float) -> Any:
+def _arc(base: Floats, share: float) -> Floats:
     """(40, 2) around a motor, m, by a share of what a whole ring stands for, from the
     top.
     """
     angles = 0.5 * math.pi + np.linspace(0.0, ARC_TURN * share, 40)
-    return base + ARC_RADIUS * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return np.asarray(base + ARC_RADIUS * around)
+
+
+def _pixels(figure: Figure) -> NDArray[np.uint8]:
+    """(height, width, 4) of a figure as it is drawn."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="raw")
+    size = [round(side * RESOLUTION) for side in SIZE]
+    return np.frombuffer(stream.getvalue(), np.uint8).reshape(size[1], size[0], 4)
 
 
 def _some(count: int) -> range:

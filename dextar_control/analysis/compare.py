@@ -6,22 +6,25 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from rich.measure import Measurement
 from rich.table import Table
 
 from dextar_control.analysis.clock import clock_in_words
-from dextar_control.analysis.crossings import CrossingMetrics
+from dextar_control.analysis.compute import compute_metrics
+from dextar_control.analysis.crossings import CROSSING_METRICS, CrossingMetrics
 from dextar_control.analysis.curves import Curve, Panel, beyond, error_height, panels
 from dextar_control.analysis.differences import Difference, differing, shown_name
 from dextar_control.analysis.load import load_run
-from dextar_control.analysis.metrics import Metrics, compute_metrics, saturated
-from dextar_control.analysis.page import NO_TRUTH, Cell, Column, number, render, signed
+from dextar_control.analysis.metrics import METRICS, Metrics, saturated
+from dextar_control.analysis.page import NO_TRUTH, Cell, Column, render
 from dextar_control.analysis.plane import plane_of
+from dextar_control.analysis.registry import Metric, number, signed
 from dextar_control.analysis.run import Run
 from dextar_control.analysis.web_figures import WebFigure, in_plane, over_time, run_tag
 from dextar_control.bags.damage import damage_lines
@@ -32,171 +35,103 @@ from dextar_control.contract.style import RUNS
 from dextar_control.contract.terminal import Terminal, title
 from dextar_control.contract.words import counted
 
+Measured = TypeVar("Measured", Metrics, CrossingMetrics)
 Value = float | int | str | None
 DECIDED = ("crossed", "bounced")  # verdicts
 
 
-class Quantity(NamedTuple):
-    """One line of a comparison.
+@dataclass(frozen=True)
+class Compared(Generic[Measured]):
+    """A number that runs, or their crossings, are compared by.
 
     Attributes:
-        name, unit, form: of the number.
-        of: its value from a run's metrics.
-        truth: whether it needs the true motion.
-        machine: whether it is of the machine that ran it, not of the robot.
+        metric: its name, unit and format.
+        of: its value, in the shown unit, from a run's metrics or from a crossing's.
     """
 
-    name: str
-    unit: str
-    form: str
-    of: Callable[[Metrics], Value]
-    truth: bool = False
-    machine: bool = False
+    metric: Metric
+    of: Callable[[Measured], Value]
 
 
-class CrossingQuantity(NamedTuple):
-    """The same of one crossing."""
+def _field(
+    metrics: Mapping[str, Metric], place: str, statistic: str = "", name: str = ""
+) -> Compared[Measured]:
+    """A number that is a field, or a statistic of one, under a name of its own."""
+    metric = metrics[place]
+    get = attrgetter(f"{place}.{statistic}" if statistic else place)
 
-    name: str
-    unit: str
-    form: str
-    of: Callable[[CrossingMetrics], Value]
-    truth: bool = False
+    def shown(results: object) -> Value:
+        value: Value = get(results)
+        return metric.scaled(value) if isinstance(value, float) else value
+
+    return Compared(metric._replace(name=name or metric.name), shown)
 
 
-QUANTITIES = (
-    Quantity(
-        "verdict",
-        "",
-        "",
+COMPARED: tuple[Compared[Metrics], ...] = (
+    Compared(
+        METRICS["success"],
         lambda m: {True: "success", False: "failed", None: "not decidable"}[m.success],
     ),
-    Quantity("law", "", "", lambda m: m.law or "unknown"),
-    Quantity("estimator", "", "", lambda m: m.estimator or "unknown"),
-    Quantity("planned crossings", "", "d", lambda m: _planned(m, len(m.crossings))),
-    Quantity(
-        "crossed",
-        "",
-        "d",
-        lambda m: _planned(m, _count([c.crossed for c in m.crossings])),
-        truth=True,
+    Compared(METRICS["law"], lambda m: m.law or "unknown"),
+    Compared(METRICS["estimator"], lambda m: m.estimator or "unknown"),
+    Compared(
+        Metric("planned crossings", "", "Crossings of the plan.", "d"),
+        lambda m: _planned(m, len(m.crossings)),
     ),
-    Quantity(
-        "estimator's verdicts",
-        "",
-        "d",
+    Compared(
+        Metric("crossed", "", "Those that were crossed.", "d", truth=True),
+        lambda m: _planned(m, _count([c.crossed for c in m.crossings])),
+    ),
+    Compared(
+        Metric("estimator's verdicts", "", "Crossings that the estimator judged.", "d"),
         lambda m: _planned(m, sum(c.verdict in DECIDED for c in m.crossings)),
     ),
-    Quantity(
-        "of these right",
-        "",
-        "d",
+    Compared(
+        Metric("of these right", "", "Those judged rightly.", "d", truth=True),
         lambda m: _planned(m, _count(_checked(m))),
-        truth=True,
     ),
-    Quantity(
-        "true error, largest", "mm", ".3f", lambda m: 1e3 * m.max_true_error, truth=True
-    ),
-    Quantity(
-        "true error, RMS", "mm", ".4f", lambda m: 1e3 * m.rms_true_error, truth=True
-    ),
-    Quantity(
-        "true error at the end",
-        "mm",
-        ".3f",
-        lambda m: 1e3 * m.final_true_error,
-        truth=True,
-    ),
-    Quantity(
-        "estimated error, largest", "mm", ".3f", lambda m: 1e3 * m.max_estimated_error
-    ),
-    Quantity(
-        "estimated error, RMS", "mm", ".4f", lambda m: 1e3 * m.rms_estimated_error
-    ),
-    Quantity("peak torque", "N m", ".4f", lambda m: m.peak_torque),
-    Quantity("peak torque over the plan's", "1", ".3f", lambda m: m.torque_ratio),
-    Quantity(
-        "peak torque within |s| < 0.1", "N m", ".4f", lambda m: m.peak_torque_near
-    ),
-    Quantity(
-        "the same over the plan's peak", "1", ".3f", lambda m: m.torque_ratio_near
-    ),
-    Quantity(
-        "saturated commands",
-        "",
-        "d",
+    _field(METRICS, "max_true_error"),
+    _field(METRICS, "rms_true_error"),
+    _field(METRICS, "final_true_error"),
+    _field(METRICS, "max_estimated_error"),
+    _field(METRICS, "rms_estimated_error"),
+    _field(METRICS, "peak_torque"),
+    _field(METRICS, "torque_ratio"),
+    _field(METRICS, "peak_torque_near"),
+    _field(METRICS, "torque_ratio_near"),
+    Compared(
+        METRICS["saturated"],
         lambda m: m.saturated if saturated(m).isdigit() else None,
     ),
-    Quantity("duration of the trajectory", "s", ".3f", lambda m: m.duration),
-    Quantity("states without a command", "", "d", lambda m: m.missed, machine=True),
-    Quantity(
-        "longest run of such states",
-        "",
-        "d",
-        lambda m: m.timing.longest_miss,
-        machine=True,
-    ),
-    Quantity(
-        "rate of the states, median", "Hz", ".0f", lambda m: m.loop_rate, machine=True
-    ),
-    Quantity(
-        "period of the states, 99 %",
-        "µs",
-        ".0f",
-        lambda m: 1e6 * m.timing.state_period.p99,
-        machine=True,
-    ),
-    Quantity(
-        "round trip, median",
-        "µs",
-        ".0f",
-        lambda m: 1e6 * m.timing.round_trip.median,
-        machine=True,
-    ),
-    Quantity(
-        "round trip, 99 %",
-        "µs",
-        ".0f",
-        lambda m: 1e6 * m.timing.round_trip.p99,
-        machine=True,
-    ),
-    Quantity(
-        "samples lost in recording",
-        "",
-        "d",
+    _field(METRICS, "duration"),
+)
+OF_THE_MACHINE: tuple[Compared[Metrics], ...] = (
+    _field(METRICS, "missed"),
+    _field(METRICS, "timing.longest_miss"),
+    _field(METRICS, "loop_rate"),
+    _field(METRICS, "timing.state_period", "p99", "period of the states, 99 %"),
+    _field(METRICS, "timing.round_trip", "median", "round trip, median"),
+    _field(METRICS, "timing.round_trip", "p99", "round trip, 99 %"),
+    Compared(
+        METRICS["lost"],
         lambda m: sum(n or 0 for n in m.lost.values()) if m.lost else None,
-        machine=True,
     ),
 )
-CROSSING_QUANTITIES = (
-    CrossingQuantity("outcome", "", "", lambda c: c.outcome, truth=True),
-    CrossingQuantity("estimator says", "", "", lambda c: c.verdict or "not recorded"),
-    CrossingQuantity("planned instant", "s", ".4f", lambda c: c.planned_time),
-    CrossingQuantity("true instant", "s", ".4f", lambda c: c.true_time, truth=True),
-    CrossingQuantity(
-        "true speed",
-        "m/s",
-        ".3f",
-        lambda c: None if c.outcome is None else c.speed,
-        truth=True,
-    ),
-    CrossingQuantity("estimated speed", "m/s", ".3f", lambda c: c.estimated_speed),
-    CrossingQuantity("|t_s·w_d| seen", "N", ".4f", lambda c: c.residual),
-    CrossingQuantity("smallest σ", "1", ".4f", lambda c: c.sigma_min),
-    CrossingQuantity("peak torque", "N m", ".4f", lambda c: c.peak_torque),
-    CrossingQuantity("torque step", "N m", ".4f", lambda c: c.torque_step),
-    CrossingQuantity(
-        "true error before", "mm", ".3f", lambda c: 1e3 * c.error_before, truth=True
-    ),
-    CrossingQuantity(
-        "true error after", "mm", ".3f", lambda c: 1e3 * c.error_after, truth=True
-    ),
-    CrossingQuantity(
-        "estimated error before", "mm", ".3f", lambda c: 1e3 * c.estimated_error_before
-    ),
-    CrossingQuantity(
-        "estimated error after", "mm", ".3f", lambda c: 1e3 * c.estimated_error_after
-    ),
+OF_CROSSINGS: tuple[Compared[CrossingMetrics], ...] = (
+    _field(CROSSING_METRICS, "outcome"),
+    Compared(CROSSING_METRICS["verdict"], lambda c: c.verdict or "not recorded"),
+    _field(CROSSING_METRICS, "planned_time"),
+    _field(CROSSING_METRICS, "true_time"),
+    _field(CROSSING_METRICS, "speed"),
+    _field(CROSSING_METRICS, "estimated_speed"),
+    _field(CROSSING_METRICS, "residual"),
+    _field(CROSSING_METRICS, "sigma_min"),
+    _field(CROSSING_METRICS, "peak_torque"),
+    _field(CROSSING_METRICS, "torque_step"),
+    _field(CROSSING_METRICS, "error_before"),
+    _field(CROSSING_METRICS, "error_after"),
+    _field(CROSSING_METRICS, "estimated_error_before"),
+    _field(CROSSING_METRICS, "estimated_error_after"),
 )
 TRUE_OR_ESTIMATED = {
     "error": "{} error (mm)",
@@ -205,38 +140,31 @@ TRUE_OR_ESTIMATED = {
 MOST_HEADING = 80  # characters
 MOST_CROSSINGS = 24  # written out one by one; the JSON has them all
 MOST_DIFFERENCES = 40  # that the page and the text list; the JSON has them all
-MATTERS = (
-    1.02  # ratio of two runs' numbers from which on the page counts them as different
-)
+# ratio of two runs' numbers from which on the page counts them as different
+MATTERS = 1.02
 WAYS_TO_NAME = 3  # differences that may be part of a run's name
 
 
-class Line(NamedTuple):
-    """One quantity of every run.
+class ComparisonRow(NamedTuple):
+    """A number of every run, side by side.
 
     Attributes:
-        name, unit, form: of the numbers.
-        values: per run; None where the bag does not tell.
+        metric: its name, unit and format.
+        values: per run, in the shown unit; None where the bag does not tell.
         differences: of each further run to the first; None where one of the two is not
             a number.
-        truth: whether it needs the true motion.
         missing: per run, what stands for a value that is not there.
-        machine: whether it is of the machine that ran it, not of the robot.
     """
 
-    name: str
-    unit: str
-    form: str
+    metric: Metric
     values: list[Value]
     differences: list[float | None]
-    truth: bool
     missing: list[str]
-    machine: bool = False
 
     @property
     def matter(self) -> float:
-        """How much the runs differ in it: by a word (infinity), or the largest ratio of
-        two numbers; 1 is not at all.
+        """How much the runs differ in it: infinity where words differ, else the largest
+        ratio of two numbers, which is 1 where all are equal.
         """
         known = [value for value in self.values if isinstance(value, (int, float))]
         if len(known) < len(self.values):
@@ -249,12 +177,13 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Runs side by side; the first is what the others are compared with.
+    """Runs side by side; the others are compared with the first.
 
     Attributes:
         names: of the runs, all different.
         runs, metrics: of each.
         lines: of the whole runs.
+        machine: of the machine that ran them, not of the robot.
         crossings: lines per crossing number, of those that every run has planned.
         remarks: what makes the runs less comparable.
         differences: of bags, laws, estimators, robots and parameters; those in which
@@ -264,13 +193,14 @@ class Comparison:
     names: list[str]
     runs: list[Run]
     metrics: list[Metrics]
-    lines: list[Line]
-    crossings: list[list[Line]]
+    lines: list[ComparisonRow]
+    machine: list[ComparisonRow]
+    crossings: list[list[ComparisonRow]]
     remarks: list[str]
     differences: list[Difference]
 
     def to_json(self) -> str:
-        """Strict JSON: what is not known is null."""
+        """Return strict JSON, null where something is not known."""
         return json.dumps(
             {
                 "runs": [
@@ -279,7 +209,7 @@ class Comparison:
                 ],
                 "differences": [one._asdict() for one in self.differences],
                 "remarks": self.remarks,
-                "quantities": [_entry(line) for line in self.lines],
+                "quantities": [_entry(line) for line in (*self.lines, *self.machine)],
                 "crossings": [
                     [_entry(line) for line in lines] for lines in self.crossings
                 ],
@@ -290,7 +220,7 @@ class Comparison:
         )
 
     def to_markdown(self) -> str:
-        """The tables as Markdown."""
+        """Return the tables as Markdown."""
         text = ["# Comparison", ""]
         text += [
             f"- **{name}**: `{run.path}`"
@@ -307,7 +237,7 @@ class Comparison:
         ]
         text += ["", "## Side by side", "", "Differences (Δ) are to the first run."]
         text += [*[f"\n{remark}" for remark in self.remarks], ""]
-        text += _markdown(self, self.lines)
+        text += _markdown(self, [*self.lines, *self.machine])
         for index, lines in enumerate(self.crossings[:MOST_CROSSINGS], start=1):
             text += ["", f"## Crossing {index}", "", *_markdown(self, lines)]
         if len(self.crossings) > MOST_CROSSINGS:
@@ -322,7 +252,7 @@ class Comparison:
 
     @property
     def shown_differences(self) -> list[Difference]:
-        """Those that the page and the text have room for."""
+        """The differences that the page and the text have room for."""
         return self.differences[:MOST_DIFFERENCES]
 
 
@@ -337,12 +267,15 @@ def compare_runs(
     if len(runs) < 2:
         raise BagError(f"{counted(len(runs), 'run')}; a comparison needs at least two")
     truths = [run.truth is not None for run in runs]
-    lines = [_line(quantity, list(metrics), truths) for quantity in QUANTITIES]
+    lines, of_the_machine = (
+        [_line(one, metrics, truths) for one in compared]
+        for compared in (COMPARED, OF_THE_MACHINE)
+    )
     common = min(len(one.crossings) for one in metrics)
     crossings = [
         [
-            _line(quantity, [one.crossings[index] for one in metrics], truths)
-            for quantity in CROSSING_QUANTITIES
+            _line(compared, [one.crossings[index] for one in metrics], truths)
+            for compared in OF_CROSSINGS
         ]
         for index in range(common)
     ]
@@ -353,6 +286,7 @@ def compare_runs(
         list(runs),
         list(metrics),
         lines,
+        of_the_machine,
         crossings,
         _remarks(names, runs, metrics),
         differences,
@@ -405,17 +339,12 @@ def write_comparison(comparison: Comparison, folder: Path) -> None:
 
 
 def render_comparison(comparison: Comparison) -> str:
-    """The comparison as one self-contained page."""
+    """Render the comparison as one self-contained page."""
     figures: dict[str, WebFigure] = {}
     over = overlaid(comparison)
     if over:
-        durations = [
-            one.duration if math.isfinite(one.duration) else one.tracked_until
-            for one in comparison.metrics
-        ]
-        duration = max(
-            (value for value in durations if math.isfinite(value)), default=1.0
-        )
+        lengths = (one.length for one in comparison.metrics)
+        duration = max(filter(math.isfinite, lengths), default=1.0)
         instants = [
             crossing.planned_time for crossing in comparison.metrics[0].crossings
         ]
@@ -440,8 +369,8 @@ def render_comparison(comparison: Comparison) -> str:
     if len(heading) > MOST_HEADING:
         heading = f"{first} against {counted(len(others), 'other run')}"
     told = {"verdict", *(one.name for one in comparison.differences)}
-    matter, alike, machine = by_matter(
-        [line for line in comparison.lines if line.name not in told]
+    matter, alike = by_matter(
+        [line for line in comparison.lines if line.metric.name not in told]
     )
     return render(
         "comparison.html",
@@ -488,7 +417,7 @@ def render_comparison(comparison: Comparison) -> str:
             for name, lines in (
                 ("matter", matter),
                 ("alike", alike),
-                ("machine", machine),
+                ("machine", comparison.machine),
             )
         },
         crossings=[[_cells(line, joined=True) for line in lines] for lines in shown],
@@ -500,24 +429,20 @@ def render_comparison(comparison: Comparison) -> str:
     )
 
 
-def by_matter(lines: Sequence[Line]) -> tuple[list[Line], list[Line], list[Line]]:
-    """What the runs differ in, the most first; what they agree in; what is of the
-    machine.
-    """
-    own = [line for line in lines if not line.machine]
+def by_matter(
+    lines: Sequence[ComparisonRow],
+) -> tuple[list[ComparisonRow], list[ComparisonRow]]:
+    """Part what the runs differ in, the most first, from what they agree in."""
     differ = sorted(
-        (line for line in own if line.matter >= MATTERS), key=lambda line: -line.matter
+        (line for line in lines if line.matter >= MATTERS),
+        key=lambda line: -line.matter,
     )
-    return (
-        differ,
-        [line for line in own if line.matter < MATTERS],
-        [line for line in lines if line.machine],
-    )
+    return differ, [line for line in lines if line.matter < MATTERS]
 
 
 def overlaid(comparison: Comparison) -> list[Panel]:
-    """The runs' measured curves over each other: each motor's torque, error, residual
-    and s; a curve's kind is its run.
+    """Lay the runs' measured curves over each other: each motor's torque, error,
+    residual and s. The kind of a curve is its run's number.
 
     Error and s are the true ones where every run holds them, else the estimated ones of
     all; the label says which.
@@ -563,8 +488,8 @@ def overlaid(comparison: Comparison) -> list[Panel]:
 
 
 def summary_table(comparison: Comparison, width: int = 80) -> Table:
-    """The comparison for a terminal of so many columns: with the differences where
-    there is room for them.
+    """Make the comparison a table for a terminal of ``width`` columns, with the
+    differences where there is room for them.
     """
     table = _table(comparison, differences=True)
     console = Terminal(width=10 * width)
@@ -589,7 +514,7 @@ def _table(comparison: Comparison, differences: bool) -> Table:
         if index and differences:
             table.add_column("Δ", justify="right", no_wrap=True)
     step = 1 if differences else 2
-    for line in comparison.lines:
+    for line in (*comparison.lines, *comparison.machine):
         name, first, *others = (cell.text for cell in _cells(line, joined=True))
         table.add_row(name, first, *others[::step])
     return table
@@ -598,8 +523,8 @@ def _table(comparison: Comparison, differences: bool) -> Table:
 def name_runs(
     runs: Sequence[Run], metrics: Sequence[Metrics], differences: Sequence[Difference]
 ) -> list[str]:
-    """Short names that differ: by law and estimator, whether the truth is known, what
-    else differs, the folder, the number.
+    """Give the runs short names that differ: by law and estimator, by whether the truth
+    is known, by what else differs, by folder, or by number.
     """
     ways: list[list[str]] = [
         [
@@ -715,9 +640,16 @@ def _count(values: Sequence[bool | None]) -> int | None:
 
 
 def _line(
-    quantity: Quantity | CrossingQuantity, of: Sequence[Any], truths: Sequence[bool]
-) -> Line:
-    values = [_known(quantity.of(one)) for one in of]
+    compared: Compared[Measured], of: Sequence[Measured], truths: Sequence[bool]
+) -> ComparisonRow:
+    metric, marks = (
+        compared.metric,
+        [NO_TRUTH if compared.metric.truth and not known else "" for known in truths],
+    )
+    values = [
+        None if mark else _known(compared.of(one))
+        for one, mark in zip(of, marks, strict=True)
+    ]
     first = values[0]
     differences = [
         (
@@ -727,54 +659,41 @@ def _line(
         )
         for value in values[1:]
     ]
-    missing = [NO_TRUTH if quantity.truth and not known else "-" for known in truths]
-    machine = isinstance(quantity, Quantity) and quantity.machine
-    return Line(
-        quantity.name,
-        quantity.unit,
-        quantity.form,
-        values,
-        differences,
-        quantity.truth,
-        missing,
-        machine,
-    )
+    return ComparisonRow(metric, values, differences, [mark or "-" for mark in marks])
 
 
 def _known(value: Value) -> Value:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _entry(line: Line) -> dict[str, Any]:
-    entry = line._asdict()
-    del entry["form"], entry["missing"], entry["machine"]
-    return entry
+def _entry(line: ComparisonRow) -> dict[str, object]:
+    return {
+        "name": line.metric.name,
+        "unit": line.metric.shown_unit,
+        "values": line.values,
+        "differences": line.differences,
+        "truth": line.metric.truth,
+    }
 
 
-def _cells(line: Line, joined: bool = False) -> list[Cell]:
+def _cells(line: ComparisonRow, joined: bool = False) -> list[Cell]:
     """Name, unit, and each run's value with its difference; name and unit in one cell
     where they are joined.
     """
-    unit = f" ({line.unit})" if line.unit not in ("", "1") else ""
-    cells = (
-        [Cell(f"{line.name}{unit}")] if joined else [Cell(line.name), Cell(line.unit)]
-    )
+    name, unit, form = line.metric.name, line.metric.shown_unit, line.metric.form
+    shown = f"{name} ({unit})" if unit not in ("", "1") else name
+    cells = [Cell(shown)] if joined else [Cell(name), Cell(unit)]
     for index, value in enumerate(line.values):
-        known = (
-            value
-            if isinstance(value, str)
-            else number(value, line.form, line.missing[index])
-        )
+        missing = line.missing[index]
+        known = value if isinstance(value, str) else number(value, form, missing)
         cells.append(Cell(known))
         if index:
             difference = line.differences[index - 1]
-            cells.append(
-                Cell("" if difference is None else signed(difference, line.form))
-            )
+            cells.append(Cell("" if difference is None else signed(difference, form)))
     return cells
 
 
-def _markdown(comparison: Comparison, lines: Sequence[Line]) -> list[str]:
+def _markdown(comparison: Comparison, lines: Sequence[ComparisonRow]) -> list[str]:
     head = ["", "unit"]
     for index, name in enumerate(comparison.names):
         head += [name, "Δ"] if index else [name]

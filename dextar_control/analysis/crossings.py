@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from dextar_control.analysis.run import Floats, Run, Stamps
+from dextar_control.analysis.registry import Metric, metrics_of
+from dextar_control.analysis.run import Floats, Run, Stamps, rows_between
 from dextar_control.analysis.timing import recorded
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.control.verdicts import OPEN_BEFORE, Verdict
@@ -19,94 +20,254 @@ from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 from dextar_control.planning.checks import clear_times
 
 STEP_ZONE = 0.15  # |s| within which torque steps are looked for
-_MEASURED = (
-    "speed",
-    "estimated_speed",
-    "residual",
-    "sigma_min",
-    "peak_torque",
-    "torque_step",
-    "error_before",
-    "error_after",
-    "estimated_error_before",
-    "estimated_error_after",
-)  # about the crossing, and thus not where the bag has a hole
 FRESH = 2e-3  # s after a crossing has begun from which on a verdict is its own
 
 
 @dataclass(frozen=True)
 class CrossingMetrics:
-    """One planned crossing; times in s since the trajectory's start.
+    """What is known of one planned crossing.
 
-    Attributes:
-        planned_time: of the plan: where s of the served trajectory (a quintic between
-            its points that meets their positions, velocities and accelerations) changes
-            sign; ``planned_stamp`` is the same instant in ns.
-        point: planned, m.
-        sign: planned sign of s afterwards.
-        true_time: where the true s, a straight line between its stamps, is zero,
-            nearest to the plan; None when it is nowhere zero between the sides. s = r_1
-            x r_2 / (l_1 l_2) with r_i from elbow i, by the true active joints, to the
-            true end effector and l_i the distal lengths.
-        outcome: crossed, bounced (it has not crossed by the time the plan is clear of
-            the locus), not reached (tracking ended before) or not recorded (the bag
-            breaks off before, or has a hole there); None without truth.
-        crossed: the true s has the other sign before and the planned sign after, where
-            the plan is clear of the locus; None without truth, or where it is not
-            recorded.
-        estimated_mode: assembly mode that the controller took there afterwards; None
-            when not recorded.
-        verdict: the estimator's last one: crossed, bounced or undecided; None when not
-            recorded.
-        verdict_time, verdict_confidence: when it fell, and in the assembly mode that it
-            rests on; nan while undecided, the time also where the bag has a hole before
-            the verdict.
-        verdict_correct: against the true side at that time; None without truth or
-            verdict.
-        speed: true speed at the crossing (estimated without truth), m/s.
-        estimated_speed: at the planned instant, m/s.
-        residual: |t_s.w_d| that the controller saw at the planned instant, N.
-        planned_residual: |t_s.w_d| of the plan there, N.
-        sigma_min: smallest singular value of A_r over the distal length that the
-            controller saw while the plan was not clear of the locus, 1.
-        peak_torque: within |s| < 0.1 of this crossing, N m.
-        torque_step: largest change in one tick within |s| < 0.15 of this crossing, N m.
-        error_before, error_after: largest true tracking error from where the plan
-            leaves |s| >= 0.3 to the planned instant, and from there to where it is at
-            |s| >= 0.3 again, m; nan without truth.
-        estimated_error_before, estimated_error_after: the same of the estimated error,
-            m.
+    A number that is not known is nan, or None where that is said.
     """
 
-    planned_time: float
-    planned_stamp: int
-    point: tuple[float, float]
-    sign: int
-    true_time: float | None
-    crossed: bool | None
-    outcome: str | None
-    estimated_mode: int | None
-    verdict: str | None
-    verdict_time: float
-    verdict_confidence: float
-    verdict_correct: bool | None
-    speed: float
-    estimated_speed: float
-    residual: float
-    planned_residual: float
-    sigma_min: float
-    peak_torque: float
-    torque_step: float
-    error_before: float
-    error_after: float
-    estimated_error_before: float
-    estimated_error_after: float
+    planned_time: Annotated[
+        float,
+        Metric(
+            "planned instant",
+            "s",
+            "Where s of the served trajectory (a quintic between its points that "
+            "meets their positions, velocities and accelerations) changes sign; "
+            "since the trajectory's start.",
+            ".4f",
+        ),
+    ]
+    planned_stamp: Annotated[
+        int,
+        Metric(
+            "planned stamp",
+            "ns",
+            "The planned instant on the clock of the states' stamps.",
+        ),
+    ]
+    point: Annotated[
+        tuple[float, float],
+        Metric(
+            "place",
+            "m",
+            "Where the end effector is at the planned instant, by the plan.",
+            ".1f",
+            "mm",
+        ),
+    ]
+    sign: Annotated[
+        int,
+        Metric("planned sign", "1", "The planned sign of s after the crossing.", "+d"),
+    ]
+    true_time: Annotated[
+        float | None,
+        Metric(
+            "true instant",
+            "s",
+            "Where the true s, a straight line between its stamps, is zero, "
+            "nearest to the planned instant; null where it is zero nowhere "
+            "between the sides. s = r_1 x r_2 / (l_1 l_2), with r_i from elbow i, "
+            "by the true active joints, to the true end effector and l_i the "
+            "distal lengths.",
+            ".4f",
+            truth=True,
+        ),
+    ]
+    crossed: Annotated[
+        bool | None,
+        Metric(
+            "crossed",
+            "",
+            "Whether the true s has the other sign before and the planned sign "
+            "after the crossing, each where the plan is clear of the locus; null "
+            "without truth, or where it is not recorded.",
+            truth=True,
+        ),
+    ]
+    outcome: Annotated[
+        str | None,
+        Metric(
+            "outcome",
+            "",
+            "What became of it: crossed; bounced (it has not crossed by the time "
+            "the plan is clear of the locus); not reached (tracking ended "
+            "before); not recorded (the bag breaks off before, or has a hole "
+            "there); null without truth.",
+            truth=True,
+        ),
+    ]
+    estimated_mode: Annotated[
+        int | None,
+        Metric(
+            "estimated assembly mode",
+            "1",
+            "The assembly mode, +1 or -1, that the controller took afterwards; "
+            "null where it is not recorded.",
+            "+d",
+        ),
+    ]
+    verdict: Annotated[
+        str | None,
+        Metric(
+            "estimator says",
+            "",
+            "The estimator's last verdict: crossed, bounced or undecided; null "
+            "where it is not recorded.",
+        ),
+    ]
+    verdict_time: Annotated[
+        float,
+        Metric(
+            "verdict at",
+            "s",
+            "When that verdict fell, since the trajectory's start; null while it "
+            "is undecided, and where the bag has a hole before it.",
+            ".4f",
+        ),
+    ]
+    verdict_confidence: Annotated[
+        float,
+        Metric(
+            "confidence",
+            "1",
+            "The confidence in the assembly mode that the verdict rests on; null "
+            "while it is undecided.",
+            ".4f",
+        ),
+    ]
+    verdict_correct: Annotated[
+        bool | None,
+        Metric(
+            "verdict is right",
+            "",
+            "Whether the verdict agrees with the true side at its instant; null "
+            "without truth or verdict.",
+            truth=True,
+        ),
+    ]
+    speed: Annotated[
+        float,
+        Metric(
+            "true speed",
+            "m/s",
+            "Speed of the end effector at the true instant; the estimated one "
+            "without truth.",
+            ".3f",
+            truth=True,
+        ),
+    ]
+    estimated_speed: Annotated[
+        float,
+        Metric(
+            "estimated speed",
+            "m/s",
+            "Estimated speed of the end effector at the planned instant.",
+            ".3f",
+        ),
+    ]
+    residual: Annotated[
+        float,
+        Metric(
+            "|t_s·w_d| seen",
+            "N",
+            "Magnitude of the criterion's residual t_s.w_d that the controller "
+            "saw at the planned instant.",
+            ".4f",
+        ),
+    ]
+    planned_residual: Annotated[
+        float, Metric("|t_s·w_d| planned", "N", "The same of the plan.", ".1e")
+    ]
+    sigma_min: Annotated[
+        float,
+        Metric(
+            "smallest σ",
+            "1",
+            "Smallest singular value of A_r over the distal length that the "
+            "controller saw while the plan was not clear of the locus.",
+            ".4f",
+        ),
+    ]
+    peak_torque: Annotated[
+        float,
+        Metric(
+            "peak torque",
+            "N m",
+            "Largest magnitude of a commanded torque within |s| < 0.1 of this "
+            "crossing.",
+            ".4f",
+        ),
+    ]
+    torque_step: Annotated[
+        float,
+        Metric(
+            "torque step",
+            "N m",
+            "Largest change of a commanded torque from one tick to the next "
+            "within |s| < 0.15 of this crossing.",
+            ".4f",
+        ),
+    ]
+    error_before: Annotated[
+        float,
+        Metric(
+            "true error before",
+            "m",
+            "Largest true tracking error from where the plan leaves |s| >= 0.3 to "
+            "the planned instant; null without truth.",
+            ".3f",
+            "mm",
+            truth=True,
+        ),
+    ]
+    error_after: Annotated[
+        float,
+        Metric(
+            "true error after",
+            "m",
+            "Largest true tracking error from the planned instant to where the "
+            "plan is at |s| >= 0.3 again; null without truth.",
+            ".3f",
+            "mm",
+            truth=True,
+        ),
+    ]
+    estimated_error_before: Annotated[
+        float,
+        Metric(
+            "estimated error before",
+            "m",
+            "Largest estimated tracking error before the planned instant, from "
+            "where the true one is taken.",
+            ".3f",
+            "mm",
+        ),
+    ]
+    estimated_error_after: Annotated[
+        float,
+        Metric(
+            "estimated error after",
+            "m",
+            "Largest estimated tracking error after the planned instant, as far "
+            "as the true one is taken.",
+            ".3f",
+            "mm",
+        ),
+    ]
+
+
+CROSSING_METRICS = metrics_of(CrossingMetrics)
+"""Each number of a crossing by its place in ``metrics.json``."""
 
 
 def judge_crossings(
     run: Run, plan: Certificate, track: Tracked
 ) -> list[CrossingMetrics]:
-    """Every planned crossing in order."""
+    """Judge every planned crossing, in order."""
     criterion_time = _since(track, run.criterion.stamps)
     control_time = _since(track, run.control.stamps)
     motion_time = control_time if run.truth is None else _since(track, run.truth.stamps)
@@ -118,8 +279,8 @@ def judge_crossings(
 
 
 def crossed_in_words(crossings: Sequence[CrossingMetrics], planned: str = "") -> str:
-    """How many of the planned ones were crossed, with a noun for these; "" without
-    truth.
+    """Say how many of the planned crossings were crossed, with a noun for these; return
+    "" without truth.
     """
     if any(crossing.outcome is None for crossing in crossings):
         return ""
@@ -151,8 +312,8 @@ def _crossing(
     lost = any(hole.meets(*_stamps(track, before, after)) for hole in run.holes)
     if len(track.true_s):
         sides = (
-            at(track.true_time, track.true_s, before) * sign,
-            at(track.true_time, track.true_s, after) * sign,
+            value_at(track.true_time, track.true_s, before) * sign,
+            value_at(track.true_time, track.true_s, after) * sign,
         )
         crossed = bool(sides[0] < 0.0 < sides[1] and planned <= track.time[-1])
         outcome = (
@@ -165,7 +326,7 @@ def _crossing(
         if lost or (run.truncated and after > track.time[-1]):
             crossed, outcome = None, "not recorded"
     moment = None if lost else _true_instant(track, planned, before, after)
-    mode = at(criterion_time, run.criterion.assembly_mode, after)
+    mode = value_at(criterion_time, run.criterion.assembly_mode, after)
     velocity = run.control.estimate_dot if run.truth is None else run.truth.x_dot
     instant = planned if moment is None else moment
     mine = _own_part(plan, track.torque_time, index)
@@ -174,7 +335,37 @@ def _crossing(
     verdict, verdict_time, confidence = _verdict(
         run, plan, track, criterion_time, index
     )
-    found = CrossingMetrics(
+    # about the crossing, and thus not where the bag has a hole
+    measured = {
+        "speed": math.hypot(
+            *(value_at(motion_time, axis, instant) for axis in velocity.T)
+        ),
+        "estimated_speed": math.hypot(
+            *(
+                value_at(control_time, axis, planned)
+                for axis in run.control.estimate_dot.T
+            )
+        ),
+        "residual": abs(value_at(criterion_time, run.criterion.residual, planned)),
+        "sigma_min": _least_between(
+            criterion_time, run.criterion.sigma_min, before, after
+        ),
+        "peak_torque": largest(torque[distance < NEAR_LOCUS]),
+        "torque_step": largest(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
+        "error_before": largest_between(
+            track.true_time, track.true_error, before, planned
+        ),
+        "error_after": largest_between(
+            track.true_time, track.true_error, planned, after
+        ),
+        "estimated_error_before": largest_between(
+            track.time, track.estimated_error, before, planned
+        ),
+        "estimated_error_after": largest_between(
+            track.time, track.estimated_error, planned, after
+        ),
+    }
+    return CrossingMetrics(
         planned_time=planned,
         planned_stamp=track.start + round(planned * 1e9),
         point=(
@@ -190,28 +381,9 @@ def _crossing(
         verdict_time=verdict_time,
         verdict_confidence=confidence,
         verdict_correct=_correct(track, verdict, verdict_time, sign),
-        speed=math.hypot(*(at(motion_time, axis, instant) for axis in velocity.T)),
-        estimated_speed=math.hypot(
-            *(at(control_time, axis, planned) for axis in run.control.estimate_dot.T)
-        ),
-        residual=abs(at(criterion_time, run.criterion.residual, planned)),
         planned_residual=float(abs(plan.residuals[index])),
-        sigma_min=_least_between(
-            criterion_time, run.criterion.sigma_min, before, after
-        ),
-        peak_torque=peak(torque[distance < NEAR_LOCUS]),
-        torque_step=peak(np.abs(np.diff(torque, axis=0))[zone[1:] & zone[:-1]]),
-        error_before=peak_between(track.true_time, track.true_error, before, planned),
-        error_after=peak_between(track.true_time, track.true_error, planned, after),
-        estimated_error_before=peak_between(
-            track.time, track.estimated_error, before, planned
-        ),
-        estimated_error_after=peak_between(
-            track.time, track.estimated_error, planned, after
-        ),
+        **(dict.fromkeys(measured, math.nan) if lost else measured),
     )
-    unknown: dict[str, Any] = dict.fromkeys(_MEASURED, math.nan)
-    return replace(found, **unknown) if lost else found
 
 
 def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:
@@ -220,7 +392,7 @@ def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:
 
 
 def _verdict(
-    run: Run, plan: Certificate, track: Tracked, time: np.ndarray, index: int
+    run: Run, plan: Certificate, track: Tracked, time: Floats, index: int
 ) -> tuple[Verdict | None, float, float]:
     """(last verdict, when it fell, confidence) on one crossing; where the controller
     let go, until the run ends.
@@ -266,7 +438,7 @@ def _verdict(
 def _correct(
     track: Tracked, verdict: Verdict | None, moment: float, sign: int
 ) -> bool | None:
-    side = at(track.true_time, track.true_s, moment) if verdict else math.nan
+    side = value_at(track.true_time, track.true_s, moment) if verdict else math.nan
     return (
         None
         if math.isnan(side)
@@ -274,17 +446,17 @@ def _correct(
     )
 
 
-def _own_part(plan: Certificate, time: Floats, index: int) -> slice:
+def _own_part(plan: Certificate, time: Floats, index: int) -> slice[int, int, None]:
     """The times that are nearer to this crossing than to any other."""
     times = plan.crossing_times
     edges = np.concatenate([[-np.inf], 0.5 * (times[1:] + times[:-1]), [np.inf]])
-    return slice(*np.searchsorted(time, edges[index : index + 2]).tolist())
+    return rows_between(time, *edges[index : index + 2])
 
 
 def _true_instant(
     track: Tracked, planned: float, before: float, after: float
 ) -> float | None:
-    inside = slice(*np.searchsorted(track.true_time, (before, after)).tolist())
+    inside = rows_between(track.true_time, before, after)
     time, s = track.true_time[inside], track.true_s[inside]
     rows = np.flatnonzero((s[:-1] * s[1:] <= 0.0) & (s[:-1] != s[1:]))
     if len(rows) == 0:
@@ -295,9 +467,13 @@ def _true_instant(
     return float(zeros[np.abs(zeros - planned).argmin()])
 
 
-def at(time: np.ndarray, values: np.ndarray, moment: float) -> float:
-    """The value recorded nearest to a moment, times rising; nan outside the
-    recording.
+def value_at(time: Floats, values: Floats, moment: float) -> float:
+    """Find the value recorded nearest to a moment; nan outside the recording.
+
+    Args:
+        time: (n,) rising, s.
+        values: (n,) in a unit of their own.
+        moment: s.
     """
     if len(values) == 0 or not time[0] <= moment <= time[-1]:
         return math.nan
@@ -307,11 +483,13 @@ def at(time: np.ndarray, values: np.ndarray, moment: float) -> float:
     )
 
 
-def peak_between(
-    time: np.ndarray, values: np.ndarray, first: float, last: float
-) -> float:
-    """The largest finite value within [first, last], times rising; nan where there is
-    none.
+def largest_between(time: Floats, values: Floats, first: float, last: float) -> float:
+    """Find the largest finite value between two moments; nan where there is none.
+
+    Args:
+        time: (n,) rising, s.
+        values: (n,) in a unit of their own.
+        first, last: s, both inside.
     """
     inside = values[
         np.searchsorted(time, first, side="left") : np.searchsorted(
@@ -322,9 +500,7 @@ def peak_between(
     return float(finite.max()) if finite.size else math.nan
 
 
-def _least_between(
-    time: np.ndarray, values: np.ndarray, first: float, last: float
-) -> float:
+def _least_between(time: Floats, values: Floats, first: float, last: float) -> float:
     """The least finite magnitude within [first, last], times rising; nan where there is
     none.
     """
@@ -339,7 +515,9 @@ def _least_between(
     return float(finite.min()) if finite.size else math.nan
 
 
-def peak(values: Floats) -> float:
-    """The largest finite magnitude; nan where there is none."""
+def largest(values: Floats) -> float:
+    """Find the largest finite magnitude of values (n, ...), units alike; nan where
+    there is none.
+    """
     finite = np.abs(values[np.isfinite(values)])
     return float(finite.max()) if finite.size else math.nan

@@ -6,11 +6,14 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, NamedTuple, TypedDict, cast
 
+import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import offset_copy
 
@@ -21,6 +24,9 @@ from dextar_control.analysis.thin import thin, thin_path
 from dextar_control.contract import style
 from dextar_control.contract.style import LIGHT, LINES, MARKS, Line
 
+if TYPE_CHECKING:
+    from matplotlib.typing import RcKeyType
+
 # of the axis label's size, from the frame to the legend: numbers and label lie between
 LEGEND_DROP = 4.0
 FEW, SEVERAL = 3, 6  # numbers on a small and on a large axis
@@ -30,8 +36,20 @@ PLACES = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # beside a mark, where a word may
 INSTANT = Line("mid", style.DOTTED, 0.9)
 
 
+class LineProperties(TypedDict, total=False):
+    """The arguments of Matplotlib's ``plot`` that say how a line looks."""
+
+    color: str
+    linestyle: str | tuple[float, Sequence[float]]
+    linewidth: float
+    zorder: float
+    alpha: float
+    marker: str
+    markersize: float
+
+
 class Look(NamedTuple):
-    """Of a figure.
+    """How large and in which colours a figure is drawn.
 
     Attributes:
         scale: points for a pixel of the style's widths.
@@ -41,16 +59,37 @@ class Look(NamedTuple):
     scale: float = 0.75
     palette: dict[str, str] = LIGHT
 
-    def line(self, line: Line, **more: Any) -> dict[str, Any]:
-        """The arguments of Matplotlib's ``plot`` for a line."""
-        return style.matplotlib_line(line, self.palette, self.scale) | more
+    def line(self, line: Line, **more: float | str) -> LineProperties:
+        """Return how Matplotlib's ``plot`` draws a line, with some more of its
+        arguments.
+        """
+        properties = style.matplotlib_line(line, self.palette, self.scale) | more
+        return cast(LineProperties, properties)
+
+    @contextmanager
+    def settings(self, size: float = 9.0, **more: float | str) -> Iterator[None]:
+        """Draw with Matplotlib's settings for such a figure.
+
+        Args:
+            size: of the font, points.
+            more: of the settings.
+        """
+        settings = style.matplotlib_settings(self.palette, size) | more
+        with matplotlib.rc_context(cast("dict[RcKeyType, object]", settings)):
+            yield
 
 
 SCREEN, PAPER = Look(), Look(0.42)  # of a page's width, of a column of a paper
 
 
-def draw_plane(axes: Any, plane: Plane, look: Look = SCREEN) -> None:
-    """Path to scale with locus, linkage, crossings and t_s; its legend lies under it.
+def _points(axes: Axes) -> float:
+    """Size of the axes' labels."""
+    return axes.xaxis.label.get_fontproperties().get_size_in_points()
+
+
+def draw_plane(axes: Axes, plane: Plane, look: Look = SCREEN) -> None:
+    """Draw a path to scale with locus, linkage, crossings and t_s, and a legend under
+    it.
 
     Args:
         axes: matplotlib's.
@@ -95,16 +134,16 @@ def draw_plane(axes: Any, plane: Plane, look: Look = SCREEN) -> None:
     finish_plane(axes)
 
 
-def draw_locus(axes: Any, locus: Sequence[tuple[str, Floats]], look: Look) -> None:
-    """The arcs of the Type 2 locus."""
+def draw_locus(axes: Axes, locus: Sequence[tuple[str, Floats]], look: Look) -> None:
+    """Draw the arcs of the Type 2 locus: (family, points (n, 2), m) each."""
     for family, arc in locus:
         draw_line(axes, arc, LINES[family, 0], f"Type 2 locus, {family}", look)
 
 
 def draw_line(
-    axes: Any, x: Floats, line: Line, name: str, look: Look, **more: Any
+    axes: Axes, x: Floats, line: Line, name: str, look: Look, **more: float
 ) -> None:
-    """A path (n, 2), named once in the legend."""
+    """Draw a path x (n, 2), m, and name it once in the legend."""
     if len(x):
         label = style.mathtext(name)
         named = label in axes.get_legend_handles_labels()[1]
@@ -116,10 +155,16 @@ def draw_line(
 
 
 def draw_places(
-    axes: Any, places: Sequence[Place], ends: Sequence[tuple[str, Floats]], look: Look
+    axes: Axes, places: Sequence[Place], ends: Sequence[tuple[str, Floats]], look: Look
 ) -> None:
-    """Crossings with their numbers and t_s, and the path's ends, each word where no
-    other is.
+    """Draw crossings with their numbers and t_s, and the path's ends; each word stands
+    where no other does.
+
+    Args:
+        axes: matplotlib's.
+        places: of the crossings.
+        ends: (name, point (2,), m) each.
+        look: of the figure.
     """
     taken = [place.x for place in places] + [point for _, point in ends]
     for place in places:
@@ -141,7 +186,7 @@ def draw_places(
 
 
 def mark(
-    axes: Any,
+    axes: Axes,
     x: Floats,
     shape: str,
     size: float,
@@ -150,7 +195,7 @@ def mark(
     fill: str = "paper",
     zorder: float = 5,
 ) -> None:
-    """Marks at places (n, 2), of a half width in pixels."""
+    """Draw marks at places x (n, 2), m, whose half width is ``size`` pixels."""
     named = not name or name in axes.get_legend_handles_labels()[1]
     axes.plot(
         *x.T,
@@ -166,10 +211,10 @@ def mark(
 
 
 def _write(
-    axes: Any, words: str, point: Floats, taken: list[Floats], look: Look
+    axes: Axes, words: str, point: Floats, taken: list[Floats], look: Look
 ) -> None:
     """Beside a point, on the side where the nearest of what is taken is farthest."""
-    size = 0.8 * axes.xaxis.label.get_size()
+    size = 0.8 * _points(axes)
     span = float(np.ptp(axes.dataLim.get_points(), axis=0).max()) or 1.0
     aside = 0.03 * span * np.array([1.0 + 0.35 * len(words), 1.0])
     gaps = [
@@ -188,7 +233,7 @@ def _write(
     taken.append(point + aside * PLACES[best])
     axes.annotate(
         words,
-        point,
+        (point[0], point[1]),
         xytext=(BESIDE * right * look.scale, BESIDE * up * look.scale),
         textcoords="offset points",
         ha="left" if right > 0 else "right",
@@ -206,8 +251,8 @@ def _write(
     )
 
 
-def finish_plane(axes: Any) -> None:
-    """To scale, with its axes named and its legend under it."""
+def finish_plane(axes: Axes) -> None:
+    """Set the axes to scale, name them and put the legend under them."""
     axes.set_aspect("equal", anchor="N")
     axes.grid(linewidth=0.4)
     axes.set_axisbelow(True)
@@ -216,8 +261,8 @@ def finish_plane(axes: Any) -> None:
     axes.set_ylabel(style.label("y"))
     under = offset_copy(
         axes.transAxes,
-        axes.figure,
-        y=-LEGEND_DROP * axes.xaxis.label.get_size(),
+        cast(Figure, axes.figure),
+        y=-LEGEND_DROP * _points(axes),
         units="points",
     )
     axes.legend(
@@ -233,10 +278,10 @@ def finish_plane(axes: Any) -> None:
 
 
 def draw_panel(
-    axes: Any, panel: Panel, instants: Sequence[float], last: bool, look: Look = SCREEN
+    axes: Axes, panel: Panel, instants: Sequence[float], last: bool, look: Look = SCREEN
 ) -> None:
-    """Curves over time with their legend above, where it hides none; dotted lines at
-    some instants, s.
+    """Draw curves over time with a legend above them, where it hides none, and dotted
+    lines at some instants.
 
     Args:
         axes: matplotlib's.
@@ -275,10 +320,13 @@ def draw_panel(
 
 
 def draw_around(
-    figure: Any, found: Around, outcomes: Sequence[str], look: Look = SCREEN
+    figure: Figure | SubFigure,
+    found: Around,
+    outcomes: Sequence[str],
+    look: Look = SCREEN,
 ) -> None:
-    """Each crossing by itself over the mean of all, in a figure of small ones, whose
-    places are given: a layout takes seconds.
+    """Draw each crossing by itself over the mean of all, in a figure of small ones.
+    Their places are given, for a layout would take seconds.
     """
     rows = -(-len(found.each) // ACROSS)
     for number, (own, outcome) in enumerate(
@@ -309,8 +357,8 @@ def draw_around(
 
 
 def svg(figure: Figure) -> str:
-    """A figure that was drawn in the light palette, as part of a page, in whose colours
-    it then is.
+    """Return a figure that was drawn in the light palette as part of a page, whose
+    colours it takes.
     """
     stream = io.StringIO()
     figure.savefig(stream, format="svg")

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Sequence
-from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
 
 from dextar_control.analysis.curves import Panel, around, panels
 from dextar_control.analysis.drawing import (
@@ -32,10 +29,10 @@ LINE = 0.2  # inches, of words
 MOST_REASONS, MOST_PLACES = 3, 6
 
 
-@matplotlib.rc_context(style.matplotlib_settings(LIGHT))
+@SCREEN.settings()
 def draw_run(run: Run, metrics: Metrics) -> Figure:
-    """The figure of one run: path to scale, torques, errors, criterion and s over time;
-    of many crossings each by itself.
+    """Draw one run: path to scale, torques, errors, criterion and s over time; where it
+    has many crossings, each of them by itself too.
     """
     shown, many, plane = (
         panels(run, metrics),
@@ -55,7 +52,6 @@ def draw_run(run: Run, metrics: Metrics) -> Figure:
         else [LINE * lines, max(left, over_time)]
     )
     figure = Figure(figsize=(WIDTH, sum(heights)), layout="constrained")
-    FigureCanvasAgg(figure)
     head, *parts = figure.subfigures(
         len(heights), 1, height_ratios=heights, squeeze=False
     )[:, 0]
@@ -87,7 +83,9 @@ def draw_run(run: Run, metrics: Metrics) -> Figure:
     return figure
 
 
-def _over_time(figure: Any, shown: Sequence[Panel], metrics: Metrics) -> None:
+def _over_time(
+    figure: Figure | SubFigure, shown: Sequence[Panel], metrics: Metrics
+) -> None:
     if not shown:
         figure.text(
             0.5,
@@ -103,15 +101,12 @@ def _over_time(figure: Any, shown: Sequence[Panel], metrics: Metrics) -> None:
             axes.axhline(0.0, **SCREEN.line(style.Line("mid", (), 0.9)))
             _verdicts(axes, metrics)
         draw_panel(axes, panel, instants, panel is shown[-1])
-    every[0].set_xlim(
-        0.0,
-        metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until,
-    )
+    every[0].set_xlim(0.0, metrics.length)
     every[-1].set_xlabel(f"{style.label('time')}; dotted: planned crossings")
     figure.align_ylabels()
 
 
-def _verdicts(axes: Any, metrics: Metrics) -> None:
+def _verdicts(axes: Axes, metrics: Metrics) -> None:
     """When the estimator said what of the crossings."""
     for verdict in ("crossed", "bounced"):
         times = [

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
 import yaml
@@ -17,14 +17,14 @@ from dextar_control.analysis.clock import clock_in_words, clock_of
 from dextar_control.analysis.coherence import check_run
 from dextar_control.analysis.run import (
     Control,
-    Criterion,
+    CriterionRecord,
     Floats,
     Joints,
     Poses,
-    RecordedTopic,
     Run,
-    Served,
+    ServedTrajectory,
     Stamps,
+    TopicCounts,
     Truth,
 )
 from dextar_control.bags.damage import Hole, Unreadable, unreadable_lines
@@ -44,6 +44,20 @@ from dextar_control.contract.robot import (
 from dextar_control.contract.words import counted
 from dextar_control.control.verdicts import Verdict
 
+if TYPE_CHECKING:
+    from rosbags.typesys.stores import ros2_jazzy as ros
+
+    DiagnosticArray = ros.diagnostic_msgs__msg__DiagnosticArray
+    Duration = ros.builtin_interfaces__msg__Duration
+    JointState = ros.sensor_msgs__msg__JointState
+    JointTrajectory = ros.trajectory_msgs__msg__JointTrajectory
+    PoseStamped = ros.geometry_msgs__msg__PoseStamped
+    Trajectory = ros.trajectory_msgs__msg__MultiDOFJointTrajectory
+    TrajectoryPoint = ros.trajectory_msgs__msg__MultiDOFJointTrajectoryPoint
+    Vector3 = ros.geometry_msgs__msg__Vector3
+
+Parameters = dict[str, dict[str, object]]
+T = TypeVar("T")
 NANOSECONDS = 1_000_000_000
 PARAMETER_PREFIX = "parameters."
 # bytes of memory of its own for each recorded second at 1 kHz, at most: loaded and
@@ -84,8 +98,8 @@ def load_run(
     progress: Progress | None = None,
     robot: RobotParameters | None = None,
 ) -> Run:
-    """A recorded run; also one that ``ros2 bag record`` made, whose parameters are then
-    unknown.
+    """Load a recorded run; also one that ``ros2 bag record`` made, whose parameters are
+    then unknown.
 
     The columns lie in temporary files without names (in TMPDIR, about 1 MB for each
     recorded second at 1 kHz) that are mapped into memory, so that of memory of its own
@@ -148,7 +162,7 @@ def load_run(
     return run
 
 
-def _table_of(record: dict[str, str], key: str, kind: type) -> dict[str, Any]:
+def _table_of(record: dict[str, str], key: str, kind: type[T]) -> dict[str, T]:
     table = json.loads(record.get(key, "{}"))
     if not isinstance(table, dict) or not all(
         isinstance(value, kind) for value in table.values()
@@ -157,7 +171,9 @@ def _table_of(record: dict[str, str], key: str, kind: type) -> dict[str, Any]:
     return table
 
 
-def _losses(table: dict[str, dict[str, Any]]) -> dict[str, dict[str, int | None]]:
+def _losses(
+    table: Mapping[str, dict[str, object]],
+) -> dict[str, dict[str, int | None]]:
     """Counts per topic; what is no number is not known."""
     return {
         topic: {
@@ -168,7 +184,7 @@ def _losses(table: dict[str, dict[str, Any]]) -> dict[str, dict[str, int | None]
     }
 
 
-def _parameters(record: dict[str, str]) -> dict[str, dict[str, Any]]:
+def _parameters(record: dict[str, str]) -> Parameters:
     found = {
         key.removeprefix(PARAMETER_PREFIX): yaml.safe_load(text) or {}
         for key, text in record.items()
@@ -195,14 +211,19 @@ class _Topics:
         self.used: list[Series] = []
 
     def of(self, topic: topics.Topic) -> Series:
-        found = self.bag.of(topic.name, self.resolved, self._namespace, self._near)
+        """Find the messages of a topic."""
+        found = self.bag.series_of(
+            topic.name, self.resolved, self._namespace, self._near
+        )
         if topic is topics.JOINT_STATES:
             self._near = found.topic.removesuffix(f"/{topic.name}")
         self.used.append(found)
         return found
 
     def unreadable(self) -> dict[str, Unreadable]:
-        """What could not be decoded of those that were taken, per topic; warned of."""
+        """Warn of what could not be decoded of the topics in use, and return it per
+        topic.
+        """
         found = {
             one.topic: Unreadable(one.unreadable, len(one), one.why)
             for one in self.used
@@ -224,7 +245,7 @@ class _Topics:
 def _run(
     bag_topics: _Topics,
     record: dict[str, str],
-    parameters: dict[str, dict[str, Any]],
+    parameters: Parameters,
     losses: dict[str, dict[str, int | None]],
 ) -> Run:
     bag, of = bag_topics.bag, bag_topics.of
@@ -298,20 +319,20 @@ def _run(
     return run
 
 
-def _nanoseconds(time: Any) -> int:
+def _nanoseconds(time: Duration) -> int:
     return int(time.sec) * NANOSECONDS + int(time.nanosec)
 
 
-def _recorded_topics(bag: Bag) -> dict[str, RecordedTopic]:
+def _recorded_topics(bag: Bag) -> dict[str, TopicCounts]:
     return {
-        name: RecordedTopic(
+        name: TopicCounts(
             series.type, len(series), series.first, series.last, series.fallen
         )
         for name, series in bag.messages.items()
     }
 
 
-def _joint_paths(message: Any) -> dict[str, str]:
+def _joint_paths(message: JointState) -> dict[str, str]:
     """Of a JointState: what joints and criterion have, by name."""
     wanted = [(kind, name) for kind in _KINDS for name in JOINT_NAMES]
     wanted += [("position", name) for name in topics.CRITERION_NAMES]
@@ -322,7 +343,7 @@ def _joint_paths(message: Any) -> dict[str, str]:
     }
 
 
-def _control_paths(message: Any) -> dict[str, str]:
+def _control_paths(message: JointTrajectory) -> dict[str, str]:
     """Of a JointTrajectory: what the controller's state has."""
     found = {name: name for name in _CONTROL_NAMES[:2]}
     for name in _CONTROL_NAMES[2:]:
@@ -334,12 +355,14 @@ def _control_paths(message: Any) -> dict[str, str]:
     return found
 
 
-def _served(newest: Iterable[Any]) -> list[Any]:
+def _served(
+    newest: Iterable[Trajectory],
+) -> list[Trajectory]:
     """Of trajectories the last with points."""
     return list(islice((message for message in newest if len(message.points) > 1), 1))
 
 
-def _last_statuses(newest: Iterable[Any]) -> list[Any]:
+def _last_statuses(newest: Iterable[DiagnosticArray]) -> list[DiagnosticArray]:
     """Of diagnostics those that hold the last status of some node."""
     kept, seen = [], set[str]()
     for message in newest:
@@ -350,20 +373,30 @@ def _last_statuses(newest: Iterable[Any]) -> list[Any]:
     return kept
 
 
-COLUMNS: dict[str, Columns] = {
-    topics.JOINT_STATES.type: _joint_paths,
-    topics.CONTROLLER_STATE.type: _control_paths,
-    topics.EXTERNAL_POSE.type: lambda message: (
-        dict(zip(_POSE_NAMES, _POSE_NAMES, strict=True)) if _in_base(message) else {}
-    ),
-    topics.SIM_END_EFFECTOR.type: lambda _: dict(
-        zip(_MOTION_NAMES, _MOTION_NAMES, strict=True)
-    ),
-}
-SELECT: dict[str, Select] = {
-    topics.TRAJECTORY.type: _served,
-    topics.DIAGNOSTICS.type: _last_statuses,
-}
+def _pose_paths(message: PoseStamped) -> dict[str, str]:
+    """Of a pose in the base frame its position; nothing of another."""
+    in_base = message.header.frame_id == topics.BASE_FRAME
+    return {name: name for name in _POSE_NAMES} if in_base else {}
+
+
+def _motion_paths(_: object) -> dict[str, str]:
+    return {name: name for name in _MOTION_NAMES}
+
+
+# a series hands each function the messages of the type that it stands under
+COLUMNS = cast(
+    "dict[str, Columns]",
+    {
+        topics.JOINT_STATES.type: _joint_paths,
+        topics.CONTROLLER_STATE.type: _control_paths,
+        topics.EXTERNAL_POSE.type: _pose_paths,
+        topics.SIM_END_EFFECTOR.type: _motion_paths,
+    },
+)
+SELECT = cast(
+    "dict[str, Select]",
+    {topics.TRAJECTORY.type: _served, topics.DIAGNOSTICS.type: _last_statuses},
+)
 
 
 def _holes(bag: Bag, states: Joints, answers: Sequence[Stamps]) -> list[Hole]:
@@ -430,7 +463,7 @@ def _control(series: Series, steady: Steady | None) -> Control:
     )
 
 
-def _criterion(series: Series, steady: Steady | None) -> Criterion:
+def _criterion(series: Series, steady: Steady | None) -> CriterionRecord:
     table = series.table(
         [f"position.{name}" for name in topics.CRITERION_NAMES], steady
     )
@@ -443,7 +476,7 @@ def _criterion(series: Series, steady: Steady | None) -> Criterion:
     innovation, bias, disturbance = (
         table.values[:, first + 2 * k : first + 2 * k + 2] for k in range(3)
     )
-    return Criterion(
+    return CriterionRecord(
         stamps=table.stamps,
         phase=phase,
         innovation=innovation,
@@ -498,10 +531,6 @@ def _truth(platform: Series, joints: Series, steady: Steady | None) -> Truth | N
     return Truth(common, x, x_dot, active.position[joint_rows])
 
 
-def _in_base(message: Any) -> bool:
-    return bool(message.header.frame_id == topics.BASE_FRAME)
-
-
 def _poses(series: Series, steady: Steady | None) -> Poses | None:
     table = series.table(_POSE_NAMES, steady)
     seen = np.isfinite(table.values).all(axis=1)
@@ -514,8 +543,9 @@ def _poses(series: Series, steady: Steady | None) -> Poses | None:
     return Poses(table.stamps[seen], table.values[seen]) if seen.any() else None
 
 
-def _trajectory(series: Series) -> Served | None:
-    for message in _served(reversed(series.messages())):
+def _trajectory(series: Series) -> ServedTrajectory | None:
+    recorded = cast("list[Trajectory]", series.messages())
+    for message in _served(reversed(recorded)):
         if problem := _incomplete(message.points):
             warnings.warn(
                 f"{series.topic}: the trajectory cannot be used: {problem}",
@@ -529,10 +559,13 @@ def _trajectory(series: Series) -> Served | None:
             ]
         )
 
-        def vectors(pick: Callable[[Any], Any], points: Any = message.points) -> Floats:
+        def vectors(
+            pick: Callable[[TrajectoryPoint], Vector3],
+            points: Sequence[TrajectoryPoint] = message.points,
+        ) -> Floats:
             return np.array([(pick(point).x, pick(point).y) for point in points])
 
-        return Served(
+        return ServedTrajectory(
             time,
             vectors(lambda p: p.transforms[0].translation),
             vectors(lambda p: p.velocities[0].linear),
@@ -541,7 +574,7 @@ def _trajectory(series: Series) -> Served | None:
     return None
 
 
-def _incomplete(points: Sequence[Any]) -> str:
+def _incomplete(points: Sequence[TrajectoryPoint]) -> str:
     """What a trajectory's points lack; "" nothing."""
     for number, point in enumerate(points, start=1):
         for field in ("transforms", "velocities", "accelerations"):
@@ -566,15 +599,15 @@ def _namespace(resolved: dict[str, str]) -> str | None:
     return None
 
 
-def _diagnostics(series: Series, namespace: str | None) -> dict[str, dict[str, Any]]:
+def _diagnostics(series: Series, namespace: str | None) -> Parameters:
     """Last status per node name, of that namespace's nodes alone when it is known."""
-    last: dict[str, dict[str, Any]] = {}
-    for message in series.messages():
+    last: Parameters = {}
+    for message in cast("list[DiagnosticArray]", series.messages()):
         for status in message.status:
             where, _, node = status.name.rpartition("/")
             if namespace is not None and where != namespace:
                 continue
-            values: dict[str, Any] = {entry.key: entry.value for entry in status.values}
+            values: dict[str, object] = {one.key: one.value for one in status.values}
             level = status.level
             values["level"] = (
                 level[0] if isinstance(level, (bytes, bytearray)) else int(level)
@@ -584,7 +617,7 @@ def _diagnostics(series: Series, namespace: str | None) -> dict[str, dict[str, A
     return last
 
 
-def _robot(parameters: dict[str, dict[str, Any]]) -> RobotParameters | None:
+def _robot(parameters: Parameters) -> RobotParameters | None:
     """The controller's robot, else any node's that has one."""
     for node in ("controller", *parameters):
         flat = {

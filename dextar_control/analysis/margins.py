@@ -5,17 +5,16 @@ and what the observer says of itself.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dextar_control.analysis.run import Floats, Phase, Run, Stamps
-from dextar_control.analysis.timing import Timing
+from dextar_control.analysis.run import Floats, Phase, Run, Stamps, number_of
+from dextar_control.analysis.timing import MOST_LATE, Timing
 from dextar_control.analysis.tracking import Tracked
-from dextar_control.analysis.verdict import MOST_LATE
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
@@ -34,7 +33,7 @@ from dextar_control.estimation.records import ESTIMATE
 from dextar_control.model.model import Model
 from dextar_control.planning.certificate import Certificate
 from dextar_control.symbols.functions import Batch
-from dextar_control.symbols.record import Layout
+from dextar_control.symbols.record import Field, Layout
 
 ROWS = 1024  # ticks that are looked at together
 LAGS = 50  # samples over which the innovation is compared with itself
@@ -110,7 +109,7 @@ class Innovation:
 
 @dataclass(frozen=True)
 class Margins:
-    """How near a run came to its limits.
+    """How near a run came to its limits, and what its observer says of itself.
 
     Attributes:
         limits: those that the bag tells of, the nearest first.
@@ -142,12 +141,12 @@ class _Ticks(NamedTuple):
     control: NDArray[np.intp]
     criterion: NDArray[np.intp]
     tau: Floats  # (m, 2) N m, nan where none was recorded
-    fresh: slice  # those that were not in the stretch before
+    fresh: slice[int, None, None]  # those that were not in the stretch before
 
 
-def told(values: Floats) -> bool:
-    """Whether the bag tells a quantity of the observer: older bags lack it, other
-    estimators say 0.
+def has_values(values: Floats) -> bool:
+    """Tell whether a bag has a quantity of the observer, (n, ...), units alike: older
+    bags lack it, and other estimators write 0.
     """
     return bool(np.isfinite(values).all() and values.any())
 
@@ -160,7 +159,7 @@ def measure_margins(
     torque_limit: float,
     late_share: float,
 ) -> Margins:
-    """How near the run came to its limits.
+    """Measure how near a run came to its limits.
 
     Args:
         torque_limit: of a crossing trajectory, N m, where the bag does not say it at
@@ -193,7 +192,7 @@ def measure_margins(
         found += _watches(
             run, run.robot, settings, track, criterion.stamps[law], torque_limit
         )
-        if not told(criterion.bias):
+        if not has_values(criterion.bias):
             unknown.append(
                 "joint_jump needs the observer's bias, which this bag does not hold"
             )
@@ -231,7 +230,7 @@ def measure_margins(
 def _largest(values: Floats) -> list[float]:
     return (
         [float(value) for value in np.abs(values).max(axis=0)]
-        if len(values) and told(values)
+        if len(values) and has_values(values)
         else []
     )
 
@@ -248,10 +247,8 @@ def _settings(run: Run) -> Settings:
 
 
 def _parameter(run: Run, node: str, name: str) -> float:
-    try:
-        return float(run.parameters.get(node, {})[name])
-    except (KeyError, TypeError, ValueError):
-        return float(node_defaults(node)[name])
+    recorded = number_of(run.parameter(node, name))
+    return float(node_defaults(node)[name]) if math.isnan(recorded) else recorded
 
 
 def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
@@ -445,7 +442,7 @@ def _watches(
                 ):
                     timers[one.name] = timer_after(timers[one.name], step, trips)
                     lasted[one.name] = max(lasted[one.name], timers[one.name])
-    if not told(run.criterion.bias):
+    if not has_values(run.criterion.bias):
         best.pop("joint_jump", None)
     return [
         replace(margin, share=max(margin.share, 0.0), lasted=lasted[name])
@@ -453,7 +450,7 @@ def _watches(
     ]
 
 
-def _zeros(fields: Any) -> dict[str, float]:
+def _zeros(fields: Iterable[Field]) -> dict[str, float]:
     return dict.fromkeys((one.name for one in fields), 0.0)
 
 
@@ -495,7 +492,7 @@ def _stretches(run: Run, stamps: Stamps) -> Iterator[_Ticks]:
 def _innovation(innovation: Floats, squares: Floats) -> Innovation | None:
     """Of innovations (n, k), rad, and their normalised squares (n,)."""
     count, size = innovation.shape
-    if count <= 2 * LAGS or not told(innovation):
+    if count <= 2 * LAGS or not has_values(innovation):
         return None
     centred = innovation - innovation.mean(axis=0)
     power = np.maximum((centred**2).mean(axis=0), 1e-300)

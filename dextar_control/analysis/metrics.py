@@ -5,38 +5,20 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated
 
-import numpy as np
-
-from dextar_control.analysis.crossings import CrossingMetrics, judge_crossings, peak
-from dextar_control.analysis.margins import Margins, measure_margins
-from dextar_control.analysis.run import Floats, Phase, Run
-from dextar_control.analysis.timing import (
-    PhaseSpan,
-    Timing,
-    measure_timing,
-    periods,
-    phase_name,
-    phase_spans,
-    recorded,
-    within,
-)
-from dextar_control.analysis.tracking import Tracked, plan_of, tracked
-from dextar_control.analysis.verdict import Verdict, judge, late_share
+from dextar_control.analysis.crossings import CrossingMetrics
+from dextar_control.analysis.margins import Margins
+from dextar_control.analysis.registry import Metric, metrics_of
+from dextar_control.analysis.timing import PhaseSpan, Timing
 from dextar_control.bags.damage import Hole, Unreadable
-from dextar_control.contract.errors import DextarError
-from dextar_control.contract.plain_data import as_plain
-from dextar_control.contract.robot import JOINT_NAMES
-from dextar_control.planning.certificate import NEAR_LOCUS
-
-SATURATED = 1.0 - 1e-9  # of the torque limit
+from dextar_control.contract.plain_data import Plain, as_plain
 
 
 @dataclass(frozen=True)
 class Metrics:
-    """A run's numbers: m, N m, s, Hz; nan where the bag does not tell.
+    """A run's numbers, in SI units; nan where the bag does not tell.
 
     Each can be computed again from the bag alone. The *tracked ticks* are the stamps
     that both ``criterion`` (in phase TRACK or CROSSING, or APPROACH where there is none
@@ -45,220 +27,338 @@ class Metrics:
     median of their starts.
 
     Attributes:
-        law, estimator, phase, reason: of the controller; its last phase and why it is
-            there.
-        success: None without truth. ``reasons`` says why not, or why nobody can know.
-        crossings: each planned one.
-        start_stamp: time zero of the trajectory, ns.
-        max_true_error, rms_true_error, final_true_error: distance between the reference
-            and the true end effector of the same stamp over the tracked ticks that have
-            a truth; rms is the root of the mean square.
-        max_estimated_error, rms_estimated_error: the same between reference and
-            estimate, over all tracked ticks.
-        peak_torque: largest magnitude of either motor's command from the first tracked
-            tick to the last; ``planned_peak_torque`` that of the plan, ``torque_ratio``
-            the one over the other.
-        peak_torque_near, planned_peak_torque_near, torque_ratio_near: the same within
-            |s| < 0.1; the ratio is to the planned peak of the whole trajectory.
-        saturated: commands at the controller's torque limit while tracking (as
-            recorded; else ``torque_limit.peak_ratio`` x planned, or the motors');
-            ``drive_saturated``: steps that the plant's drives clipped, over its whole
-            run.
-        truth_share: of the tracked ticks, those with a recorded truth.
-        loop_rate: of the states while tracking on the system clock (not by their
-            stamps), from their median period; ``mean_rate`` from the mean.
-        states, answered, missed: recorded states while tracking, those with a command
-            of their stamp, the others; not those beside a hole of the bag.
-        late_commands, late_ticks, plant_steps: as the plant counted over its whole run
-            (commands that came too late for their step, steps taken without their
-            command); None when it did not.
-        late_share: of the steps, those without a command in time: late_ticks of
-            plant_steps, or timing.late_share where that is greater.
-        lost: samples lost per topic, as the recorder counted last; None where not
-            known. What a damaged or cut-off file no longer holds is not in it.
-        truncated: the end of the bag is missing.
-        holes: what is missing before.
-        unreadable: per topic name, what could not be decoded of what is needed; it
-            counts as not recorded.
-        stamp_steps, clock_steps: by how much the clock of the stamps, and the
-            recorder's system clock, stepped back each time, s.
+        crossings: each planned one, in order.
         timing: rates, jitter and round trips.
         margins: how near the run came to what is watched.
         phases: the controller's, one after the other.
+        holes: what is missing in the middle of the bag.
+        unreadable: per topic name, what could not be decoded of what is needed; it
+            counts as not recorded.
     """
 
-    bag: str
-    version: str
-    robot: str
-    law: str
-    estimator: str
-    truncated: bool
-    phase: str
-    reason: str
-    success: bool | None
-    reasons: list[str]
+    bag: Annotated[str, Metric("bag", "", "Path of the bag.")]
+    version: Annotated[
+        str, Metric("version", "", "Version of dextar that recorded it.")
+    ]
+    robot: Annotated[str, Metric("robot", "", "Name of the robot's description.")]
+    law: Annotated[str, Metric("law", "", "Name of the control law.")]
+    estimator: Annotated[str, Metric("estimator", "", "Name of the estimator.")]
+    truncated: Annotated[
+        bool, Metric("truncated", "", "Whether the end of the bag is missing.")
+    ]
+    phase: Annotated[str, Metric("phase", "", "The controller's last phase.")]
+    reason: Annotated[
+        str, Metric("reason", "", "Why a safe stop or a fault was its last phase.")
+    ]
+    success: Annotated[
+        bool | None,
+        Metric(
+            "verdict",
+            "",
+            "Whether the run is a success; null where the bag cannot tell.",
+        ),
+    ]
+    reasons: Annotated[
+        list[str], Metric("reasons", "", "Why the run is none, or why nobody can know.")
+    ]
     crossings: list[CrossingMetrics]
-    start_stamp: int | None
-    duration: float
-    tracked_until: float
-    max_true_error: float
-    rms_true_error: float
-    final_true_error: float
-    max_estimated_error: float
-    rms_estimated_error: float
-    peak_torque: float
-    planned_peak_torque: float
-    torque_ratio: float
-    peak_torque_near: float
-    planned_peak_torque_near: float
-    torque_ratio_near: float
-    saturated: int
-    drive_saturated: int | None
-    truth_share: float
-    loop_rate: float
-    mean_rate: float
-    states: int
-    answered: int
-    missed: int
-    late_commands: int | None
-    late_ticks: int | None
-    plant_steps: int | None
-    late_share: float
+    start_stamp: Annotated[
+        int | None,
+        Metric(
+            "start",
+            "ns",
+            "Time zero of the trajectory: the median of the tracked ticks' starts.",
+        ),
+    ]
+    duration: Annotated[
+        float,
+        Metric(
+            "duration of the trajectory",
+            "s",
+            "From the first to the last point of the served trajectory.",
+            ".3f",
+        ),
+    ]
+    tracked_until: Annotated[
+        float,
+        Metric(
+            "tracked until",
+            "s",
+            "Time of the last tracked tick since the trajectory's start.",
+            ".3f",
+        ),
+    ]
+    max_true_error: Annotated[
+        float,
+        Metric(
+            "true error, largest",
+            "m",
+            "Largest distance between the reference and the true end effector of "
+            "the same stamp over the tracked ticks that have a truth.",
+            ".3f",
+            "mm",
+            truth=True,
+        ),
+    ]
+    rms_true_error: Annotated[
+        float,
+        Metric(
+            "true error, RMS",
+            "m",
+            "Root of the mean square of that distance over these ticks.",
+            ".4f",
+            "mm",
+            truth=True,
+        ),
+    ]
+    final_true_error: Annotated[
+        float,
+        Metric(
+            "true error at the end",
+            "m",
+            "That distance at the last of these ticks.",
+            ".3f",
+            "mm",
+            truth=True,
+        ),
+    ]
+    max_estimated_error: Annotated[
+        float,
+        Metric(
+            "estimated error, largest",
+            "m",
+            "Largest distance between reference and estimate over all tracked ticks.",
+            ".3f",
+            "mm",
+        ),
+    ]
+    rms_estimated_error: Annotated[
+        float,
+        Metric(
+            "estimated error, RMS",
+            "m",
+            "Root of the mean square of that distance.",
+            ".4f",
+            "mm",
+        ),
+    ]
+    peak_torque: Annotated[
+        float,
+        Metric(
+            "peak torque",
+            "N m",
+            "Largest magnitude of either motor's command from the first tracked "
+            "tick to the last.",
+            ".4f",
+        ),
+    ]
+    planned_peak_torque: Annotated[
+        float, Metric("planned peak torque", "N m", "The same of the plan.", ".4f")
+    ]
+    torque_ratio: Annotated[
+        float,
+        Metric(
+            "peak torque over the plan's",
+            "1",
+            "peak_torque over planned_peak_torque.",
+            ".3f",
+        ),
+    ]
+    peak_torque_near: Annotated[
+        float,
+        Metric(
+            "peak torque within |s| < 0.1",
+            "N m",
+            "Largest magnitude of a command within |s| < 0.1.",
+            ".4f",
+        ),
+    ]
+    planned_peak_torque_near: Annotated[
+        float,
+        Metric(
+            "planned peak torque within |s| < 0.1",
+            "N m",
+            "The same of the plan.",
+            ".4f",
+        ),
+    ]
+    torque_ratio_near: Annotated[
+        float,
+        Metric(
+            "peak within |s| < 0.1 over the plan's",
+            "1",
+            "peak_torque_near over the planned peak of the whole trajectory.",
+            ".3f",
+        ),
+    ]
+    saturated: Annotated[
+        int,
+        Metric(
+            "saturated commands",
+            "",
+            "Commands at the controller's torque limit while tracking: the "
+            "recorded limit, else torque_limit.peak_ratio times the planned peak, or "
+            "the motors' own limit.",
+            "d",
+        ),
+    ]
+    drive_saturated: Annotated[
+        int | None,
+        Metric(
+            "steps with saturated drives",
+            "",
+            "Steps whose torque the plant's drives clipped, over its whole run; "
+            "null where it did not count them.",
+            "d",
+        ),
+    ]
+    truth_share: Annotated[
+        float,
+        Metric(
+            "share of the ticks with a truth",
+            "1",
+            "Share of the tracked ticks that have a recorded truth.",
+            ".3f",
+        ),
+    ]
+    loop_rate: Annotated[
+        float,
+        Metric(
+            "rate of the states, median",
+            "Hz",
+            "One over the median period of the states while tracking, by the "
+            "system clock and not by their stamps.",
+            ".0f",
+        ),
+    ]
+    mean_rate: Annotated[
+        float,
+        Metric(
+            "rate of the states, mean",
+            "Hz",
+            "One over the mean of these periods.",
+            ".0f",
+        ),
+    ]
+    states: Annotated[
+        int,
+        Metric(
+            "states",
+            "",
+            "Recorded states while tracking, but not those beside a hole of the bag.",
+            "d",
+        ),
+    ]
+    answered: Annotated[
+        int,
+        Metric(
+            "states with a command",
+            "",
+            "Those of them with a command of their stamp.",
+            "d",
+        ),
+    ]
+    missed: Annotated[int, Metric("states without a command", "", "The others.", "d")]
+    late_commands: Annotated[
+        int | None,
+        Metric(
+            "late commands",
+            "",
+            "Commands that came too late for their step, as the plant counted "
+            "over its whole run; null where it did not.",
+            "d",
+        ),
+    ]
+    late_ticks: Annotated[
+        int | None,
+        Metric(
+            "steps without a command in time",
+            "",
+            "Steps that the plant took without their command, by the same count.",
+            "d",
+        ),
+    ]
+    plant_steps: Annotated[
+        int | None,
+        Metric(
+            "steps of the plant",
+            "",
+            "All steps that the plant took, by the same count.",
+            "d",
+        ),
+    ]
+    late_share: Annotated[
+        float,
+        Metric(
+            "share of the steps without a command in time",
+            "1",
+            "late_ticks of plant_steps, or timing.late_share where that is greater.",
+            ".3f",
+        ),
+    ]
     timing: Timing
     margins: Margins
     phases: list[PhaseSpan]
-    lost: dict[str, int | None] = field(default_factory=dict)
-    holes: list[Hole] = field(default_factory=list)
-    unreadable: dict[str, Unreadable] = field(default_factory=dict)
-    stamp_steps: list[float] = field(default_factory=list)
-    clock_steps: list[float] = field(default_factory=list)
+    lost: Annotated[
+        dict[str, int | None],
+        Metric(
+            "samples lost in recording",
+            "",
+            "Samples lost per topic, as the recorder counted last; null where it "
+            "is not known. What a damaged or cut-off file no longer holds is not "
+            "counted.",
+            "d",
+        ),
+    ]
+    holes: list[Hole]
+    unreadable: dict[str, Unreadable]
+    stamp_steps: Annotated[
+        list[float],
+        Metric(
+            "steps of the stamps' clock",
+            "s",
+            "By how much the clock of the stamps stepped back, each time.",
+        ),
+    ]
+    clock_steps: Annotated[
+        list[float],
+        Metric(
+            "steps of the system clock",
+            "s",
+            "By how much the recorder's system clock stepped back, each time.",
+        ),
+    ]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON: what is not a number is None."""
-        plain: dict[str, Any] = as_plain(dataclasses.asdict(self))
-        return plain
+    @property
+    def length(self) -> float:
+        """The plan's duration, s; without a plan, that of what was tracked."""
+        known = math.isfinite(self.duration)
+        return self.duration if known else self.tracked_until
+
+    def shown(self, name: str, missing: str = "-") -> str:
+        """Format one of the numbers with its unit, as people read it; ``missing``
+        stands for one that is not known.
+        """
+        return METRICS[name].text(getattr(self, name), missing)
+
+    def to_dict(self) -> dict[str, Plain]:
+        """Return plain data for JSON, None where a number is not finite."""
+        values: dict[str, object] = dataclasses.asdict(self)
+        return as_plain(values)
 
     def to_json(self) -> str:
-        """Strict JSON: what is not a number is null."""
+        """Return strict JSON, null where a number is not finite."""
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
 
 
-def compute_metrics(run: Run) -> Metrics:
-    """Every number of a run, and the verdict."""
-    problem = ""
-    try:
-        plan = plan_of(run)
-    except DextarError as refusal:
-        plan, problem = None, str(refusal)
-    track = tracked(run)
-    crossings = judge_crossings(run, plan, track) if plan and track else []
-    near = np.abs(track.torque_s) < NEAR_LOCUS if track else np.zeros(0, dtype=bool)
-    torque = track.torque if track else np.zeros((0, len(JOINT_NAMES)))
-    error = track.true_error[np.isfinite(track.true_error)] if track else np.zeros(0)
-    planned_peak = plan.peak_torque if plan else math.nan
-    planned_near = plan.peak_torque_near if plan else math.nan
-    limit = _torque_limit(run, planned_peak)
-    asked = run.states.stamps if track is None else within(run.states.stamps, track)
-    spans = periods(run.states, asked, run.holes)
-    asked = asked[recorded(asked, run.holes)]
-    answered = int(np.isin(asked, run.commands.stamps).sum())
-    estimated = track.estimated_error if track else np.zeros(0)
-    phase = phase_name(int(run.criterion.phase[-1])) if len(run.criterion.phase) else ""
-    controller = run.diagnostics.get("controller", {})
-    stopped = phase in (Phase.SAFE_STOP.name, Phase.FAULT.name)
-    reason = (
-        str(controller.get("reason") or controller.get("message") or "")
-        if stopped
-        else ""
-    )
-    plant = run.diagnostics.get("plant", {})
-    late_ticks, steps = _whole(plant.get("late_ticks")), _whole(plant.get("steps"))
-    timing = measure_timing(run, track)
-    late = late_share(late_ticks, steps, timing.late_share)
-    values: dict[str, Any] = {
-        "bag": str(run.path),
-        "version": run.version,
-        "robot": run.robot.name if run.robot else "",
-        "law": str(run.parameters.get("controller", {}).get("law", "")),
-        "estimator": str(run.parameters.get("controller", {}).get("estimator", "")),
-        "truncated": run.truncated,
-        "holes": run.holes,
-        "phase": phase,
-        "reason": reason,
-        "crossings": crossings,
-        "start_stamp": track.start if track else None,
-        "duration": plan.duration if plan else math.nan,
-        "tracked_until": float(track.time[-1]) if track else math.nan,
-        "max_true_error": peak(error),
-        "rms_true_error": _rms(error),
-        "final_true_error": float(error[-1]) if len(error) else math.nan,
-        "max_estimated_error": peak(estimated),
-        "rms_estimated_error": _rms(estimated[np.isfinite(estimated)]),
-        "peak_torque": peak(torque),
-        "planned_peak_torque": planned_peak,
-        "torque_ratio": _ratio(peak(torque), planned_peak),
-        "peak_torque_near": peak(torque[near]),
-        "planned_peak_torque_near": planned_near,
-        "torque_ratio_near": _ratio(peak(torque[near]), planned_peak),
-        "truth_share": (
-            float(np.isfinite(track.true_error).sum() / len(track.stamps))
-            if track
-            else 0.0
-        ),
-        "drive_saturated": _whole(plant.get("saturated_ticks")),
-        "saturated": _saturated(run, track, limit) if track else 0,
-        "loop_rate": _ratio(1.0, float(np.median(spans))) if len(spans) else math.nan,
-        "mean_rate": _ratio(1.0, float(np.mean(spans))) if len(spans) else math.nan,
-        "states": len(asked),
-        "answered": answered,
-        "missed": len(asked) - answered,
-        "late_commands": _whole(plant.get("late_commands")),
-        "late_ticks": late_ticks,
-        "plant_steps": steps,
-        "timing": timing,
-        "margins": measure_margins(run, track, plan, timing, limit, late),
-        "late_share": late,
-        "phases": phase_spans(run, track),
-        "unreadable": run.unreadable,
-        "stamp_steps": run.stamp_steps,
-        "clock_steps": run.clock_steps,
-        "lost": {
-            topic: _add(count.get("lost"), count.get("dropped"))
-            for topic, count in run.losses.items()
-        },
-    }
-    exciting = bool(run.parameters.get("trajectory_server", {}).get("task.excite"))
-    verdict: Verdict = judge(
-        values,
-        has_truth=run.truth is not None,
-        tracked=track is not None,
-        problem=problem,
-        exciting=exciting,
-    )
-    return Metrics(**values, success=verdict.success, reasons=verdict.reasons)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
-
-
-def _ratio(value: float, plan: float) -> float:
-    return value / plan if plan > 0.0 else math.nan
-
-
-def _whole(text: Any) -> int | None:
-    try:
-        return int(float(text))
-    except (TypeError, ValueError, OverflowError):
-        return None
-
-
-def _add(lost: int | None, dropped: int | None) -> int | None:
-    return None if lost is None else lost + (dropped or 0)
+METRICS = metrics_of(Metrics) | {
+    f"timing.{name}": metric for name, metric in metrics_of(Timing).items()
+}
+"""Each number of a run by its place in ``metrics.json``."""
 
 
 def saturated(metrics: Metrics) -> str:
-    """How many commands were, or why that is not known."""
+    """Say how many commands were saturated, or why that is not known."""
     if math.isnan(metrics.peak_torque):
         return "no command while tracking"
     return (
@@ -266,36 +366,3 @@ def saturated(metrics: Metrics) -> str:
         if metrics.robot or metrics.saturated
         else "unknown without a limit"
     )
-
-
-def _saturated(run: Run, track: Tracked, otherwise: float) -> int:
-    """How many commands were at their limit: the one that the controller had, where the
-    bag tells, N m.
-    """
-    stamps = track.start + np.round(1e9 * track.torque_time).astype(np.int64)
-    rows = np.minimum(
-        np.searchsorted(run.criterion.stamps, stamps), len(run.criterion.stamps) - 1
-    )
-    recorded = run.criterion.torque_limit[rows]
-    limits = np.where(
-        (run.criterion.stamps[rows] == stamps) & (recorded > 0.0), recorded, otherwise
-    )
-    return int(
-        (np.abs(track.torque).max(axis=1, initial=0.0) >= limits * SATURATED).sum()
-    )
-
-
-def _torque_limit(run: Run, planned_peak: float) -> float:
-    """At which the controller held its commands while tracking, N m: the motors' limit,
-    or nearer what was planned.
-    """
-    limit = run.robot.max_torque if run.robot else math.inf
-    controller = run.parameters.get("controller", {})
-    try:
-        watched = max(
-            float(controller["torque_limit.peak_ratio"]) * planned_peak,
-            float(controller["torque_limit.min_torque"]),
-        )
-    except (KeyError, TypeError, ValueError):
-        return limit
-    return min(limit, watched) if math.isfinite(watched) else limit

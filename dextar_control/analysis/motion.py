@@ -12,7 +12,7 @@ import numpy as np
 
 from dextar_control.analysis.geometry import singularity_measure
 from dextar_control.analysis.plane import chain, locus_of, t_s_at
-from dextar_control.analysis.run import Floats, Run, Stamps
+from dextar_control.analysis.run import Floats, Run, Stamps, rows_between
 from dextar_control.analysis.timing import phase_name
 from dextar_control.analysis.tracking import tracked
 from dextar_control.contract.errors import BagError, ParameterError
@@ -21,8 +21,8 @@ from dextar_control.contract.robot import JOINT_NAMES, RobotParameters, flatten
 MARGIN = 0.1  # s shown before and after the trajectory
 
 
-class Motion(NamedTuple):
-    """Frames of a run.
+class RunFrames(NamedTuple):
+    """A run at evenly spaced times, to be shown as a motion.
 
     Attributes:
         robot: as the controller had it.
@@ -54,11 +54,11 @@ class Motion(NamedTuple):
     course: Floats
 
     def chain(self, frame: int) -> Floats:
-        """(5, 2) motor, elbow, end effector, elbow, motor of a frame, m."""
+        """Return motor, elbow, end effector, elbow and motor of a frame, (5, 2), m."""
         return chain(self.robot, self.x[frame], self.q_a[frame])
 
     def write(self, file: Path, speed: float) -> None:
-        """What PyBullet's window needs, as one .npz file."""
+        """Write what PyBullet's window needs into one .npz file."""
         links = np.array([self.chain(frame) for frame in range(len(self.time))])
         distal = np.stack(
             [np.arctan2(*(self.x - links[:, row]).T[::-1]) for row in (1, 3)], axis=1
@@ -93,10 +93,10 @@ class Motion(NamedTuple):
         )
 
 
-def motion_of(
+def frames_of(
     run: Run, period: float, begin: float | None = None, end: float | None = None
-) -> Motion:
-    """Frames every ``period`` s of the run's own time.
+) -> RunFrames:
+    """Sample a run every ``period`` s of its own time.
 
     Args:
         run: with a robot.
@@ -149,11 +149,8 @@ def motion_of(
     names = [
         phase_name(int(run.criterion.phase[row])) if row >= 0 else "" for row in seen
     ]
-    robot, shown = (
-        run.robot,
-        slice(*np.searchsorted(commands, (times[0], times[-1] + 1e-9)).tolist()),
-    )
-    return Motion(
+    robot, shown = run.robot, rows_between(commands, times[0], times[-1] + 1e-9)
+    return RunFrames(
         robot=robot,
         true=run.truth is not None,
         time=times,

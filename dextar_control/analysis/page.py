@@ -11,20 +11,25 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
 from dextar_control.analysis.clock import clock_in_words
-from dextar_control.analysis.crossings import CrossingMetrics, crossed_in_words
+from dextar_control.analysis.crossings import (
+    CROSSING_METRICS,
+    CrossingMetrics,
+    crossed_in_words,
+)
 from dextar_control.analysis.curves import around, checked_plan, observer_panels, panels
 from dextar_control.analysis.differences import nodes_of, shown_name
 from dextar_control.analysis.margins import LAGS, Innovation, Margin, Margins
-from dextar_control.analysis.metrics import Metrics, saturated
+from dextar_control.analysis.metrics import METRICS, Metrics, saturated
 from dextar_control.analysis.plane import plane_of
-from dextar_control.analysis.run import RecordedTopic, Run
+from dextar_control.analysis.registry import number, signed
+from dextar_control.analysis.run import Run, TopicCounts
 from dextar_control.analysis.thin import POINTS
 from dextar_control.analysis.timing import (
     Spread,
@@ -43,7 +48,11 @@ from dextar_control.analysis.web_figures import (
     residuals,
 )
 from dextar_control.analysis.web_figures import around as around_crossings
-from dextar_control.bags.damage import end_in_words, in_words, unreadable_lines
+from dextar_control.bags.damage import (
+    hole_in_words,
+    missing_end_in_words,
+    unreadable_lines,
+)
 from dextar_control.contract import style
 from dextar_control.contract.former_names import former_names
 from dextar_control.contract.node_parameters import parameters_of_node
@@ -51,6 +60,7 @@ from dextar_control.contract.topics import TOPICS
 from dextar_control.contract.words import counted
 from dextar_control.planning.certificate import NEAR_LOCUS, Certificate
 
+T = TypeVar("T")
 NO_TRUTH = "needs truth"
 MOST_PLAN_LINES = 40  # crossings in the plan's table
 TICK = 1.5e-3  # s
@@ -81,7 +91,7 @@ PRINTED = {
 
 
 class Column(NamedTuple):
-    """Of a table."""
+    """The heading of a column of a table."""
 
     name: str
     unit: str = ""
@@ -89,31 +99,18 @@ class Column(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """Of a table."""
+    """A cell of a table."""
 
     text: str
     bad: bool = False
 
 
-def number(value: float | None, form: str, missing: str = "-") -> str:
-    """A number in a format, or what stands for one that is not known."""
-    return missing if value is None or not math.isfinite(value) else format(value, form)
-
-
-def signed(value: float, form: str) -> str:
-    """A number with its sign, but for what rounds to nothing."""
-    text = format(value, f"+{form}")
-    return text if text.strip("+-0.") else text[1:]
-
-
 def render_report(run: Run, metrics: Metrics) -> str:
-    """The page of one run."""
+    """Render the page of one run."""
     plane = plane_of(run, metrics)
     figures: dict[str, WebFigure] = {} if plane.empty else {"plane": in_plane([plane])}
     shown = panels(run, metrics)
-    duration = (
-        metrics.duration if math.isfinite(metrics.duration) else metrics.tracked_until
-    )
+    duration = metrics.length
     instants = [crossing.planned_time for crossing in metrics.crossings]
     many, outcomes = (
         around(run, metrics),
@@ -198,9 +195,9 @@ def render_report(run: Run, metrics: Metrics) -> str:
     )
 
 
-def render(template: str, figures: Mapping[str, WebFigure], **values: Any) -> str:
-    """A page with its figures, by their names; what is text in it has its symbols
-    typeset by the filter ``symbols``.
+def render(template: str, figures: Mapping[str, WebFigure], **values: object) -> str:
+    """Render a page with its figures, which it refers to by their names. The filter
+    ``symbols`` typesets the symbols in its texts.
     """
     environment = Environment(
         loader=PackageLoader("dextar_control.analysis"),
@@ -221,8 +218,8 @@ def render(template: str, figures: Mapping[str, WebFigure], **values: Any) -> st
     return f"{page}\n"
 
 
-def verdict(metrics: Metrics) -> dict[str, Any]:
-    """The run in a word, a sentence and the reasons."""
+def verdict(metrics: Metrics) -> dict[str, object]:
+    """Tell how a run went: in a word, in a sentence, and with the reasons."""
     kind, word = WORDS[metrics.success]
     planned = len(metrics.crossings)
     parts = []
@@ -259,12 +256,12 @@ def verdict(metrics: Metrics) -> dict[str, Any]:
         )
     reasons = list(metrics.reasons)
     reasons += [
-        in_words(hole)
+        hole_in_words(hole)
         for hole in metrics.holes
-        if not any(in_words(hole) in reason for reason in reasons)
+        if not any(hole_in_words(hole) in reason for reason in reasons)
     ]
     if metrics.truncated:
-        reasons.append(f"{end_in_words()}.".capitalize())
+        reasons.append(f"{missing_end_in_words()}.".capitalize())
     sentence = "; ".join(parts)
     sentence = f"{sentence[:1].upper()}{sentence[1:]}." if parts else ""
     return {"kind": kind, "word": word, "sentence": sentence, "reasons": reasons}
@@ -286,49 +283,27 @@ def _tiles(metrics: Metrics) -> list[dict[str, str]]:
     pairs = [
         ("planned crossings crossed", happened),
         ("estimator's verdicts", right if verdicts else "none"),
-        ("true error, largest", _measured(1e3 * metrics.max_true_error, ".3f", "mm")),
-        ("true error, RMS", _measured(1e3 * metrics.rms_true_error, ".3f", "mm")),
-        (
-            "true error at the end",
-            _measured(1e3 * metrics.final_true_error, ".3f", "mm"),
-        ),
-        (
-            "estimated error, largest",
-            _measured(1e3 * metrics.max_estimated_error, ".3f", "mm"),
-        ),
-        ("peak torque", _measured(metrics.peak_torque, ".4f", "N m")),
-        ("of the plan's peak", _measured(metrics.torque_ratio, ".2f", "×", "no plan")),
-        (
-            "near the locus, of the plan's peak",
-            _measured(metrics.torque_ratio_near, ".2f", "×", "no plan"),
-        ),
-        ("states without a command", f"{metrics.missed} of {metrics.states}"),
-        (
-            "samples lost in recording",
-            (
-                f"{lost}{', end unknown' * metrics.truncated}"
-                if metrics.lost
-                else "not counted"
-            ),
-        ),
-        (
-            "duration of the trajectory",
-            _measured(metrics.duration, ".2f", "s", "no plan"),
-        ),
     ]
-    if math.isnan(metrics.max_true_error):
-        pairs = [
-            (name, NO_TRUTH if name.startswith("true error") else value)
-            for name, value in pairs
-        ]
+    for name, missing in (
+        ("max_true_error", NO_TRUTH),
+        ("rms_true_error", NO_TRUTH),
+        ("final_true_error", NO_TRUTH),
+        ("max_estimated_error", "not recorded"),
+        ("peak_torque", "not recorded"),
+        ("torque_ratio", "no plan"),
+        ("torque_ratio_near", "no plan"),
+        ("duration", "no plan"),
+    ):
+        pairs.append((METRICS[name].name, metrics.shown(name, missing)))
+    counted_lost = f"{lost}{', end unknown' * metrics.truncated}"
+    pairs += [
+        (METRICS["missed"].name, f"{metrics.missed} of {metrics.states}"),
+        (METRICS["lost"].name, counted_lost if metrics.lost else "not counted"),
+    ]
     return [{"name": name, "value": value} for name, value in pairs]
 
 
-def _measured(value: float, form: str, unit: str, missing: str = "not recorded") -> str:
-    return f"{value:{form}} {unit}" if math.isfinite(value) else missing
-
-
-def _margins(margins: Margins) -> dict[str, Any]:
+def _margins(margins: Margins) -> dict[str, object]:
     """Limits as bars, the nearest first, and what the observer says of itself."""
     rows = [
         {
@@ -453,9 +428,21 @@ def _innovation_in_words(found: Innovation) -> str:
     )
 
 
-def _crossing_columns(has_truth: bool) -> tuple[Column, ...]:
-    kind = "true" if has_truth else "estimated"
+def _seen(has_truth: bool) -> tuple[str, ...]:
+    """The numbers of a crossing that a table shows of what was seen there."""
+    kind = "" if has_truth else "estimated_"
+    at_crossing = f"{kind}speed", "residual", "sigma_min"
     return (
+        *at_crossing,
+        "peak_torque",
+        "torque_step",
+        *(f"{kind}error_{when}" for when in ("before", "after")),
+    )
+
+
+def _crossing_columns(has_truth: bool) -> list[Column]:
+    seen = (CROSSING_METRICS[name] for name in _seen(has_truth))
+    return [
         Column("no."),
         Column("planned", "s"),
         Column("true", "s"),
@@ -465,17 +452,11 @@ def _crossing_columns(has_truth: bool) -> tuple[Column, ...]:
         Column("at", "s"),
         Column("confidence", "1"),
         Column("verdict is"),
-        Column(f"{kind} speed", "m/s"),
-        Column("|t_s·w_d| seen", "N"),
-        Column("smallest σ", "1"),
-        Column("peak torque", "N m"),
-        Column("torque step", "N m"),
-        Column(f"{kind} error before", "mm"),
-        Column(f"{kind} error after", "mm"),
-    )
+        *(Column(metric.name, metric.shown_unit) for metric in seen),
+    ]
 
 
-def _crossings(run: Run, metrics: Metrics) -> dict[str, Any]:
+def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
     has_truth = run.truth is not None
     rows = [
         _crossing_row(
@@ -545,9 +526,6 @@ def _no_crossings(metrics: Metrics) -> str:
 def _crossing_row(
     index: int, crossing: CrossingMetrics, has_truth: bool, reached: bool
 ) -> list[Cell]:
-    """What the controller saw and did there is the crossing's only where tracking went
-    on until it was reached.
-    """
     missing = "-" if has_truth else NO_TRUTH
     late = (
         None
@@ -556,11 +534,15 @@ def _crossing_row(
     )
     unknown = "-" if has_truth or not crossing.verdict else NO_TRUTH
     right = {True: "right", False: "WRONG", None: unknown}[crossing.verdict_correct]
-    before, after = (
-        (crossing.error_before, crossing.error_after)
-        if has_truth
-        else (crossing.estimated_error_before, crossing.estimated_error_after)
-    )
+    # what was seen at the crossing is its own only where tracking reached it
+    seen = [
+        Cell(
+            CROSSING_METRICS[name].number(
+                getattr(crossing, name) if reached or column > 2 else None
+            )
+        )
+        for column, name in enumerate(_seen(has_truth))
+    ]
     return [
         Cell(str(index)),
         Cell(f"{crossing.planned_time:.4f}"),
@@ -573,18 +555,7 @@ def _crossing_row(
         Cell(number(crossing.verdict_time, ".4f")),
         Cell(number(crossing.verdict_confidence, ".4f")),
         Cell(right, right == "WRONG"),
-        *(
-            Cell(number(value if reached else None, form))
-            for value, form in (
-                (crossing.speed, ".3f"),
-                (crossing.residual, ".4f"),
-                (crossing.sigma_min, ".4f"),
-            )
-        ),
-        Cell(number(crossing.peak_torque, ".4f")),
-        Cell(number(crossing.torque_step, ".4f")),
-        Cell(number(1e3 * before, ".3f")),
-        Cell(number(1e3 * after, ".3f")),
+        *seen,
     ]
 
 
@@ -600,7 +571,7 @@ TIMING_COLUMNS = (
 )
 
 
-def _timing(metrics: Metrics) -> dict[str, Any]:
+def _timing(metrics: Metrics) -> dict[str, object]:
     timing = metrics.timing
 
     def row(name: str, spread: Spread, rate: bool) -> list[Cell]:
@@ -664,7 +635,7 @@ def _timing(metrics: Metrics) -> dict[str, Any]:
     }
 
 
-def _timing_figures(run: Run) -> list[Any]:
+def _timing_figures(run: Run) -> list[WebFigure]:
     track = tracked(run)
     asked = run.states.stamps if track is None else within(run.states.stamps, track)
     drawn = []
@@ -677,7 +648,7 @@ def _timing_figures(run: Run) -> list[Any]:
     return drawn
 
 
-def _recording(run: Run) -> dict[str, Any]:
+def _recording(run: Run) -> dict[str, object]:
     rows = []
     for name, topic in sorted(run.topics.items()):
         count = run.losses.get(name)
@@ -706,15 +677,14 @@ def _recording(run: Run) -> dict[str, Any]:
         else ""
     )
     told = [
-        *map(in_words, run.holes),
+        *map(hole_in_words, run.holes),
         *unreadable_lines(run.unreadable),
         clock_in_words(run.stamp_steps, run.clock_steps),
     ]
     sentence += "".join(f"{text[:1].upper()}{text[1:]}. " for text in told if text)
     if run.truncated:
-        sentence += (
-            f"{end_in_words()}: what was lost after it is unknown. ".capitalize()
-        )
+        lost = f"{missing_end_in_words()}: what was lost after it is unknown. "
+        sentence += lost.capitalize()
     if not run.losses:
         sentence += (
             "The bag was not written by this package's recorder: nobody counted its"
@@ -738,7 +708,7 @@ def _recording(run: Run) -> dict[str, Any]:
     return {"columns": columns, "rows": rows, "sentence": sentence}
 
 
-def _rates(name: str, topic: RecordedTopic) -> tuple[float | None, float | None]:
+def _rates(name: str, topic: TopicCounts) -> tuple[float | None, float | None]:
     """(nominal, mean by the recorder's clock) of a topic to which the contract gives
     one rate; else None: it comes in bursts.
     """
@@ -798,7 +768,7 @@ def _versions(run: Run) -> list[tuple[str, str]]:
     return [*known, ("analysed with python", platform.python_version())]
 
 
-def _parsed(text: str, kind: type) -> Any:
+def _parsed(text: str, kind: type[T]) -> T:
     """A recorded JSON value of a kind; an empty one where there is none."""
     try:
         value = json.loads(text)
@@ -830,7 +800,7 @@ def _changes(run: Run) -> list[str]:
     return lines
 
 
-def _plan(run: Run, plan: Certificate | None) -> dict[str, Any]:
+def _plan(run: Run, plan: Certificate | None) -> dict[str, object]:
     """Extremes and crossings of the plan as computed anew, beside what was recorded of
     it and the robot's limits.
     """
@@ -898,7 +868,7 @@ def _plan(run: Run, plan: Certificate | None) -> dict[str, Any]:
     }
 
 
-def _listed(value: Any) -> list[Any]:
+def _listed(value: object) -> list[object]:
     return value if isinstance(value, list) else []
 
 

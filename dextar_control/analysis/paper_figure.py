@@ -4,13 +4,10 @@ torques, error, residual over time.
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -19,7 +16,6 @@ from dextar_control.analysis.drawing import PAPER, draw_panel, draw_plane
 from dextar_control.analysis.metrics import Metrics
 from dextar_control.analysis.plane import plane_of
 from dextar_control.analysis.run import Run
-from dextar_control.contract import style
 from dextar_control.contract.errors import BagError
 
 FORMATS = ("png", "svg", "pdf")
@@ -28,8 +24,9 @@ WIDE = 130.0  # mm, from which on (a) and (b) stand side by side
 INCH = 25.4  # mm
 PANEL = 27.0  # mm, height of a panel over time
 LEGEND = 22.0  # mm, under the path
+FONT = 7.0  # points
 RESOLUTION = 600  # dots per inch, of the PNG
-SETTINGS: Any = style.matplotlib_settings(style.LIGHT, 7.0) | {
+SETTINGS: dict[str, float | str] = {
     "legend.fontsize": 6.0,
     "xtick.labelsize": 6.5,
     "ytick.labelsize": 6.5,
@@ -45,8 +42,8 @@ KEYS = {"torque", "error", "residual"}
 
 
 def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
-    """The paper's Figure 4 of a run, ``width`` mm wide; without a tracked trajectory
-    the path alone.
+    """Draw a run as the paper's Figure 4, ``width`` mm wide; without a tracked
+    trajectory the path alone.
     """
     shown = [_shortened(panel) for panel in panels(run, metrics) if panel.key in KEYS]
     plane = plane_of(run, metrics)
@@ -57,10 +54,9 @@ def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
         + LEGEND
     )
     over_time = PANEL * len(shown) + 6.0 * bool(shown)
-    with matplotlib.rc_context(SETTINGS):
+    with PAPER.settings(FONT, **SETTINGS):
         height = max(path, over_time) if beside else path + over_time
         figure = Figure(figsize=(width / INCH, height / INCH), layout="constrained")
-        FigureCanvasAgg(figure)
         if beside:
             grid = figure.add_gridspec(len(shown), 2, width_ratios=(0.75, 1.0))
             places = [grid[:, 0], *(grid[row, 1] for row in range(len(shown)))]
@@ -74,21 +70,14 @@ def draw_paper(run: Run, metrics: Metrics, width: float = COLUMN) -> Figure:
         axes.xaxis.set_major_locator(MaxNLocator(5))
         axes.set_title("(a)", loc="left", fontsize=7.0, pad=2.0)
         instants = [crossing.planned_time for crossing in metrics.crossings]
-        first: Any = None
+        first: Axes | None = None
         for place, panel in zip(places[1:], shown, strict=True):
             axes = figure.add_subplot(place, sharex=first)
             first = first or axes
             draw_panel(axes, panel, instants, panel is shown[-1], PAPER)
         if first is not None:
             axes.set_xlabel("time (s)")
-            first.set_xlim(
-                0.0,
-                (
-                    metrics.duration
-                    if math.isfinite(metrics.duration)
-                    else metrics.tracked_until
-                ),
-            )
+            first.set_xlim(0.0, metrics.length)
             first.set_title("(b)", loc="left", fontsize=7.0, pad=2.0)
             figure.align_ylabels()
     return figure
@@ -108,14 +97,14 @@ def _shortened(panel: Panel) -> Panel:
 def write_paper(
     run: Run, metrics: Metrics, folder: Path, formats: list[str], width: float = COLUMN
 ) -> list[Path]:
-    """Write ``paper.<format>`` for each format; the files.
+    """Write ``paper.<format>`` for each format, and return the files.
 
     Raises:
         BagError: a file cannot be written.
     """
     figure = draw_paper(run, metrics, width)
     files = [folder / f"paper.{name}" for name in formats]
-    with matplotlib.rc_context(SETTINGS):
+    with PAPER.settings(FONT, **SETTINGS):
         for file in files:
             dated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}[
                 file.suffix[1:]

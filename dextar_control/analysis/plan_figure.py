@@ -4,11 +4,8 @@ time; of any mechanism.
 
 from __future__ import annotations
 
-from typing import Any
-
-import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dextar_control.analysis.curves import Curve, Panel
@@ -29,7 +26,7 @@ from dextar_control.contract.style import LIGHT, LINES, Line
 from dextar_control.contract.words import counted
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.certificate import Certificate, Plan
-from dextar_control.planning.model import states_model
+from dextar_control.planning.model import StatesModel, states_model
 
 SIZE = (12.0, 6.4)  # inches
 ARROW = 14e-3  # m, of a crossing's direction
@@ -38,14 +35,13 @@ HEADROOM = 1.15  # of the torque axis over the peak
 GRID = 90  # points along each axis where a locus has no closed form
 
 
-@matplotlib.rc_context(style.matplotlib_settings(LIGHT))
+@SCREEN.settings()
 def draw_plan(robot: AnyRobot, plan: Plan) -> Figure:
-    """The figure of a plan: path to scale on the locus of its working mode, torques and
-    s over time.
+    """Draw a plan: its path to scale on the locus of its working mode, torques and s
+    over time.
     """
     certificate = plan.certificate
     figure = Figure(figsize=SIZE, layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 2, width_ratios=(0.85, 1.0))
     _path(figure.add_subplot(grid[:, 0]), robot, certificate)
     first = figure.add_subplot(grid[0, 1])
@@ -74,7 +70,7 @@ def draw_plan(robot: AnyRobot, plan: Plan) -> Figure:
     return figure
 
 
-def _path(axes: Any, robot: AnyRobot, certificate: Certificate) -> None:
+def _path(axes: Axes, robot: AnyRobot, certificate: Certificate) -> None:
     model, x, crossings = (
         states_model(robot),
         certificate.profile.x,
@@ -103,10 +99,11 @@ def _path(axes: Any, robot: AnyRobot, certificate: Certificate) -> None:
             Place(numbers, point[:2], np.stack([point[:2] - t_s, point[:2] + t_s]), "")
         )
         if speed := float(np.hypot(*velocity)):
+            tip = point[:2] + ARROW * velocity / speed
             axes.annotate(
                 "",
-                point[:2] + ARROW * velocity / speed,
-                point[:2],
+                (tip[0], tip[1]),
+                (point[0], point[1]),
                 zorder=6,
                 arrowprops={
                     "arrowstyle": "-|>",
@@ -128,7 +125,9 @@ def _path(axes: Any, robot: AnyRobot, certificate: Certificate) -> None:
     finish_plane(axes)
 
 
-def _contour(axes: Any, model: Any, at: Floats, low: Floats, high: Floats) -> None:
+def _contour(
+    axes: Axes, model: StatesModel, at: Floats, low: Floats, high: Floats
+) -> None:
     """The locus in the plane through a place (n,), its other coordinates being that
     place's.
     """

@@ -9,9 +9,11 @@ from pathlib import Path
 from rich.table import Table
 
 from dextar_control.analysis.clock import clock_in_words
+from dextar_control.analysis.compute import compute_metrics
 from dextar_control.analysis.crossings import crossed_in_words
 from dextar_control.analysis.load import load_run
-from dextar_control.analysis.metrics import Metrics, compute_metrics, saturated
+from dextar_control.analysis.metrics import Metrics, saturated
+from dextar_control.analysis.registry import number
 from dextar_control.bags.damage import damage_lines
 from dextar_control.bags.scan import Progress
 from dextar_control.contract.errors import BagError
@@ -86,7 +88,7 @@ def analyze(
 
 
 def summary_table(metrics: Metrics) -> Table:
-    """The run in a dozen lines, for a terminal."""
+    """Make the summary of a run a table for a terminal."""
     title = (
         f"{metrics.robot or 'run'}, law {metrics.law or 'unknown'}, estimator"
         f" {metrics.estimator or 'unknown'}"
@@ -98,8 +100,8 @@ def summary_table(metrics: Metrics) -> Table:
 
 
 def brief_table(metrics: Metrics) -> Table:
-    """What a summary says to somebody who wants to know whether it went well, and why
-    not if it did not.
+    """Make a shorter table, for somebody who wants to know whether the run went well
+    and, if it did not, why.
     """
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     usual = {
@@ -115,36 +117,22 @@ def brief_table(metrics: Metrics) -> Table:
 
 
 def summary_lines(metrics: Metrics) -> list[tuple[str, str]]:
-    """(what, value) pairs of the summary."""
+    """List the summary of a run as (what, value) pairs."""
     verdict = {True: "success", False: "FAILED", None: "not decidable"}[metrics.success]
+    estimated = metrics.shown("max_estimated_error", "")
     lines = [
         ("crossed", _crossed(metrics)),
         ("estimator says", _verdicts(metrics)),
         ("true error", _true_error(metrics)),
-        (
-            "estimated error",
-            (
-                f"{_mm(metrics.max_estimated_error)} max"
-                if math.isfinite(metrics.max_estimated_error)
-                else NOTHING
-            ),
-        ),
-        (
-            "peak torque",
-            _torque(metrics.peak_torque, metrics.torque_ratio, "the plan's"),
-        ),
-        (
-            "peak near the locus",
-            _torque(
-                metrics.peak_torque_near, metrics.torque_ratio_near, "the plan's peak"
-            ),
-        ),
+        ("estimated error", f"{estimated} max" if estimated else NOTHING),
+        ("peak torque", _torque(metrics, "", "the plan's")),
+        ("peak near the locus", _torque(metrics, "_near", "the plan's peak")),
         ("saturated commands", saturated(metrics)),
         (
             "loop rate (system clock)",
             (
-                f"{_number(metrics.loop_rate, '.0f')} Hz median,"
-                f" {_number(metrics.mean_rate, '.0f')} Hz mean{_pace(metrics)}"
+                f"{number(metrics.loop_rate, '.0f')} Hz median,"
+                f" {number(metrics.mean_rate, '.0f')} Hz mean{_pace(metrics)}"
             ),
         ),
         ("states without command", f"{metrics.missed} of {metrics.states}"),
@@ -238,22 +226,11 @@ def _true_error(metrics: Metrics) -> str:
         return "no trajectory was tracked"
     if metrics.truth_share == 0.0:
         return "unknown without truth"
-    return (
-        f"{_mm(metrics.max_true_error)} max, {_mm(metrics.final_true_error)} at the end"
-    )
+    last = metrics.shown("final_true_error")
+    return f"{metrics.shown('max_true_error')} max, {last} at the end"
 
 
-def _number(value: float, form: str) -> str:
-    return format(value, form) if math.isfinite(value) else "-"
-
-
-def _mm(value: float) -> str:
-    return f"{_number(1e3 * value, '.3f')} mm"
-
-
-def _torque(value: float, ratio: float, of: str) -> str:
-    if not math.isfinite(value):
-        return NOTHING
-    return f"{value:.4f} N m" + (
-        f", {ratio:.2f} × {of}" if math.isfinite(ratio) else ""
-    )
+def _torque(metrics: Metrics, near: str, of: str) -> str:
+    text = metrics.shown(f"peak_torque{near}", NOTHING)
+    ratio = number(getattr(metrics, f"torque_ratio{near}"), ".2f", "")
+    return f"{text}, {ratio} × {of}" if ratio else text

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,20 @@ from dextar_control.bags.series import Floats as Floats
 from dextar_control.bags.series import Stamps as Stamps
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.control.phases import Phase as Phase
+
+
+def rows_between(time: Floats, first: float, last: float) -> slice[int, int, None]:
+    """Find the rows of rising times (n,), s, that lie in [first, last)."""
+    begin, end = np.searchsorted(time, (first, last)).tolist()
+    return slice(begin, end)
+
+
+def number_of(value: object) -> float:
+    """Read a recorded value as a number; nan where it is none."""
+    try:
+        return float(value) if isinstance(value, (int, float, str)) else math.nan
+    except (ValueError, OverflowError):
+        return math.nan
 
 
 @dataclass(frozen=True)
@@ -65,9 +79,9 @@ class Control:
 
 
 @dataclass(frozen=True)
-class Criterion:
-    """The crossing criterion at each tick, and what else the controller thought; all
-    (n,) but where it is said.
+class CriterionRecord:
+    """The crossing criterion at each tick, and what else the controller knew; all (n,)
+    where no shape is told.
 
     Attributes:
         stamps: ns of the state answered.
@@ -133,7 +147,7 @@ class Poses:
 
 
 @dataclass(frozen=True)
-class Served:
+class ServedTrajectory:
     """The trajectory as it was served.
 
     Attributes:
@@ -148,7 +162,7 @@ class Served:
 
 
 @dataclass(frozen=True)
-class RecordedTopic:
+class TopicCounts:
     """What a bag holds of one topic.
 
     Attributes:
@@ -167,7 +181,7 @@ class RecordedTopic:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Everything the analysis knows, from the bag alone.
+    """Everything that the analysis knows of a run, from its bag alone.
 
     Attributes:
         truth: None in a rig's bag.
@@ -193,19 +207,23 @@ class Run:
     states: Joints
     commands: Joints
     control: Control
-    criterion: Criterion
+    criterion: CriterionRecord
     truth: Truth | None
-    trajectory: Served | None
-    diagnostics: dict[str, dict[str, Any]] = field(default_factory=dict)
-    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    trajectory: ServedTrajectory | None
+    diagnostics: dict[str, dict[str, object]] = field(default_factory=dict)
+    parameters: dict[str, dict[str, object]] = field(default_factory=dict)
     robot: RobotParameters | None = None
     losses: dict[str, dict[str, int | None]] = field(default_factory=dict)
     version: str = ""
     record: dict[str, str] = field(default_factory=dict)
-    topics: dict[str, RecordedTopic] = field(default_factory=dict)
+    topics: dict[str, TopicCounts] = field(default_factory=dict)
     truncated: bool = False
     holes: list[Hole] = field(default_factory=list)
     unreadable: dict[str, Unreadable] = field(default_factory=dict)
     stamp_steps: list[float] = field(default_factory=list)
     clock_steps: list[float] = field(default_factory=list)
     poses: Poses | None = None
+
+    def parameter(self, node: str, name: str) -> object:
+        """Return a node's parameter as it was recorded; None where it was not."""
+        return self.parameters.get(node, {}).get(name)

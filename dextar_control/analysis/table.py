@@ -12,13 +12,14 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.io import savemat
 
 from dextar_control.analysis.geometry import singularity_measure
-from dextar_control.analysis.run import Joints, Run, Stamps
+from dextar_control.analysis.run import Floats, Joints, Run, Stamps
 from dextar_control.analysis.timing import phase_name
 from dextar_control.analysis.tracking import tracked
 from dextar_control.contract.errors import BagError, ParameterError, lacking
@@ -29,6 +30,8 @@ from dextar_control.control.verdicts import Verdict
 if TYPE_CHECKING:
     import pyarrow as pa
 
+Numbers = Floats | Stamps
+Scalar = TypeVar("Scalar", np.float64, np.int64)
 FORMATS = ("parquet", "csv", "mat")
 MAT_LIMIT = 2**31 - 1  # bytes of one variable in MATLAB's format 5
 BLOCK = 4096  # rows written together
@@ -76,22 +79,22 @@ CRITERION_MEANINGS = {
 
 
 class Words(NamedTuple):
-    """Words as codes.
+    """A column of words, stored as codes.
 
     Attributes:
         codes: (n,) rows of ``names``; -1 where there is no word.
         names: all words.
     """
 
-    codes: Any
+    codes: NDArray[np.int8]
     names: list[str]
 
     def __len__(self) -> int:
         return len(self.codes)
 
 
-class Field(NamedTuple):
-    """One column.
+class Variable(NamedTuple):
+    """A column of a table, with its unit and meaning.
 
     Attributes:
         name: of the column.
@@ -104,17 +107,17 @@ class Field(NamedTuple):
     name: str
     unit: str
     meaning: str
-    values: Any
+    values: Numbers | Words
 
     @property
     def title(self) -> str:
-        """Its name with its unit, for files that have no other place for it: ``true_x
-        [m]``.
+        """Name and unit together, for files that have no other place for the unit:
+        ``true_x [m]``.
         """
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     def about(self) -> dict[str, str]:
-        """Unit and meaning, where there is one."""
+        """Return unit and meaning, where there is one."""
         return {
             key: text
             for key, text in (("unit", self.unit), ("meaning", self.meaning))
@@ -123,14 +126,14 @@ class Field(NamedTuple):
 
 
 class Sheet(NamedTuple):
-    """A table.
+    """A table: its columns, and what it is of.
 
     Attributes:
         fields: its columns, all of one length.
         about: what it is of.
     """
 
-    fields: list[Field]
+    fields: list[Variable]
     about: dict[str, str]
 
 
@@ -145,14 +148,14 @@ def _states(run: Run) -> Sheet:
     track = tracked(run)
     zero = track.start if track else int(stamps[0])
     fields = [
-        Field("stamp", NS, STAMP, stamps),
-        Field(
+        Variable("stamp", NS, STAMP, stamps),
+        Variable(
             "time",
             SECOND,
             "since the trajectory's start" if track else "since the first state",
             np.asarray(stamps - zero, dtype=np.float64) * 1e-9,
         ),
-        Field(
+        Variable(
             "published",
             NS,
             "system clock when the state was published",
@@ -160,7 +163,7 @@ def _states(run: Run) -> Sheet:
         ),
         *_measured(run.states, stamps),
         *_commanded(run.commands, stamps),
-        Field(
+        Variable(
             "command_published",
             NS,
             "system clock when the command was published",
@@ -174,34 +177,36 @@ def _states(run: Run) -> Sheet:
 
 
 def _topics(run: Run) -> dict[str, Sheet]:
-    found: dict[str, list[Field]] = {}
+    found: dict[str, list[Variable]] = {}
     for name, joints, fields in (
         ("states", run.states, _measured(run.states, run.states.stamps)),
         ("commands", run.commands, _commanded(run.commands, run.commands.stamps)),
     ):
         found[name] = [
-            Field("stamp", NS, STAMP, joints.stamps),
+            Variable("stamp", NS, STAMP, joints.stamps),
             *fields,
-            Field("published", NS, "system clock of the publisher", joints.published),
-            Field("logged", NS, "system clock of the recorder", joints.logged),
+            Variable(
+                "published", NS, "system clock of the publisher", joints.published
+            ),
+            Variable("logged", NS, "system clock of the recorder", joints.logged),
         ]
     found["controller_state"] = [
-        Field("stamp", NS, STAMP, run.control.stamps),
+        Variable("stamp", NS, STAMP, run.control.stamps),
         *_control(run, run.control.stamps),
     ]
     found["criterion"] = [
-        Field("stamp", NS, STAMP, run.criterion.stamps),
+        Variable("stamp", NS, STAMP, run.criterion.stamps),
         *_criterion(run, run.criterion.stamps),
     ]
     if run.truth is not None:
         found["truth"] = [
-            Field("stamp", NS, STAMP, run.truth.stamps),
+            Variable("stamp", NS, STAMP, run.truth.stamps),
             *_truth(run, run.truth.stamps),
         ]
     if run.trajectory is not None:
         served = run.trajectory
         found["trajectory"] = [
-            Field("time", SECOND, "since the trajectory's start", served.time)
+            Variable("time", SECOND, "since the trajectory's start", served.time)
         ]
         for kind, unit in (("x", METRE), ("x_dot", SPEED), ("x_ddot", ACCELERATION)):
             found["trajectory"] += _pair(
@@ -215,7 +220,7 @@ def _topics(run: Run) -> dict[str, Sheet]:
 
 
 def check_formats(formats: list[str]) -> None:
-    """Whether what the formats need is there.
+    """Check that the packages that the formats need are there.
 
     Raises:
         ParameterError: it is not.
@@ -237,7 +242,7 @@ def export(
     progress: Callable[[str], None] = lambda stage: None,
 ) -> list[Path]:
     """Write ``run.<format>``, and with ``topics`` each topic's ``<topic>.<format>``;
-    the files.
+    return the files.
 
     Raises:
         BagError: a file cannot be written.
@@ -270,38 +275,35 @@ def export(
     return files
 
 
-def _joined(own: Stamps, values: Any, stamps: Stamps) -> Any:
+def _joined(own: Stamps, values: NDArray[Scalar], stamps: Stamps) -> NDArray[Scalar]:
     """Values (n, ...) by their stamps on other stamps; masked where there is none."""
     if len(own) == len(stamps) and (own == stamps).all():
         return values
+    if len(own) == 0:
+        nothing = np.zeros((len(stamps), *values.shape[1:]), dtype=values.dtype)
+        return np.ma.array(nothing, mask=True)
     rows = np.searchsorted(own, stamps)
     rows[rows == len(own)] = 0
-    known = (own[rows] == stamps) if len(own) else np.zeros(len(stamps), dtype=bool)
-    if len(own) == 0:
-        return np.ma.masked_all((len(stamps), *values.shape[1:]), dtype=values.dtype)
-    return np.ma.array(
-        values[rows],
-        mask=np.broadcast_to(
-            ~known.reshape(-1, *[1] * (values.ndim - 1)), values[rows].shape
-        ),
-    )
+    unknown = (own[rows] != stamps).reshape(-1, *[1] * (values.ndim - 1))
+    found = values[rows]
+    return np.ma.array(found, mask=np.broadcast_to(unknown, found.shape))
 
 
-def _pair(name: str, unit: str, meaning: str, values: Any) -> list[Field]:
+def _pair(name: str, unit: str, meaning: str, values: Floats) -> list[Variable]:
     return [
-        Field(f"{name}_{axis}", unit, meaning, values[:, column])
+        Variable(f"{name}_{axis}", unit, meaning, values[:, column])
         for column, axis in enumerate("xy")
     ]
 
 
-def _joints(name: str, unit: str, meaning: str, values: Any) -> list[Field]:
+def _joints(name: str, unit: str, meaning: str, values: Floats) -> list[Variable]:
     return [
-        Field(name.format(joint), unit, meaning, values[:, column])
+        Variable(name.format(joint), unit, meaning, values[:, column])
         for column, joint in enumerate(JOINT_NAMES)
     ]
 
 
-def _measured(joints: Joints, stamps: Stamps) -> list[Field]:
+def _measured(joints: Joints, stamps: Stamps) -> list[Variable]:
     own = joints.stamps
     return [
         *_joints(
@@ -325,7 +327,7 @@ def _measured(joints: Joints, stamps: Stamps) -> list[Field]:
     ]
 
 
-def _commanded(joints: Joints, stamps: Stamps) -> list[Field]:
+def _commanded(joints: Joints, stamps: Stamps) -> list[Variable]:
     return _joints(
         "command_{}_effort",
         TORQUE,
@@ -334,11 +336,11 @@ def _commanded(joints: Joints, stamps: Stamps) -> list[Field]:
     )
 
 
-def _control(run: Run, stamps: Stamps) -> list[Field]:
+def _control(run: Run, stamps: Stamps) -> list[Variable]:
     own = run.control.stamps
     time = _joined(own, run.control.time, stamps)
     fields = [
-        Field(
+        Variable(
             "reference_time", SECOND, "controller's, since the trajectory's start", time
         )
     ]
@@ -367,7 +369,7 @@ def _control_meaning(name: str) -> str:
     return CONTROL_MEANINGS[quantity] + DERIVATIVES.get(derivative, "")
 
 
-def _criterion(run: Run, stamps: Stamps) -> list[Field]:
+def _criterion(run: Run, stamps: Stamps) -> list[Variable]:
     own = run.criterion.stamps
     units = {
         "residual": FORCE,
@@ -384,7 +386,7 @@ def _criterion(run: Run, stamps: Stamps) -> list[Field]:
             fields += (
                 _joints(f"{field.name}_{{}}", *known)
                 if values.ndim == 2
-                else [Field(field.name, *known)]
+                else [Variable(field.name, *known)]
             )
     phases = {
         int(number): phase_name(int(number))
@@ -395,14 +397,14 @@ def _criterion(run: Run, stamps: Stamps) -> list[Field]:
     told = "; ".join(f"{name.upper()}: {meaning}" for name, meaning in PHASES.items())
     return [
         *fields,
-        Field(
+        Variable(
             "verdict",
             "",
             "estimator's, of the planned crossing that began last:"
             f" {', '.join(verdicts.values())}",
             _words(_joined(own, run.criterion.verdict, stamps), verdicts),
         ),
-        Field(
+        Variable(
             "phase",
             "",
             f"controller's. {told}",
@@ -411,7 +413,7 @@ def _criterion(run: Run, stamps: Stamps) -> list[Field]:
     ]
 
 
-def _truth(run: Run, stamps: Stamps) -> list[Field]:
+def _truth(run: Run, stamps: Stamps) -> list[Variable]:
     if run.truth is None:
         return []
     truth = run.truth
@@ -432,7 +434,7 @@ def _truth(run: Run, stamps: Stamps) -> list[Field]:
     if run.robot is not None:
         s = singularity_measure(run.robot, truth.x, truth.q_a)
         fields.append(
-            Field(
+            Variable(
                 "true_s",
                 ONE,
                 "singularity measure of the true state",
@@ -442,7 +444,7 @@ def _truth(run: Run, stamps: Stamps) -> list[Field]:
     return fields
 
 
-def _sheet(fields: list[Field], run: Run, extra: dict[str, str]) -> Sheet:
+def _sheet(fields: list[Variable], run: Run, extra: dict[str, str]) -> Sheet:
     return Sheet(
         fields,
         {
@@ -455,7 +457,7 @@ def _sheet(fields: list[Field], run: Run, extra: dict[str, str]) -> Sheet:
     )
 
 
-def _words(numbers: Any, names: Mapping[int, str]) -> Words:
+def _words(numbers: Numbers, names: Mapping[int, str]) -> Words:
     """The names of numbers (n,); none where one is masked, not a number, or has no
     name.
     """
@@ -471,10 +473,10 @@ def _words(numbers: Any, names: Mapping[int, str]) -> Words:
     return Words(np.array(rows, dtype=np.int8), list(names.values()))
 
 
-def _plain(values: Any) -> tuple[Any, Any]:
+def _plain(values: Numbers) -> tuple[Numbers, NDArray[np.bool_]]:
     """(numbers (n,), (n,) whether there is none)."""
-    mask, data = np.ma.getmaskarray(values), np.ma.getdata(values)
-    return data, mask | np.isnan(data) if data.dtype.kind == "f" else mask
+    data = np.asarray(np.ma.getdata(values))
+    return data, np.ma.getmaskarray(values) | np.isnan(data)
 
 
 def _describe(sheet: Sheet) -> dict[str, dict[str, str]]:
@@ -515,7 +517,7 @@ def _write_csv(sheet: Sheet, file: Path) -> None:
             writer.writerows(zip(*block, strict=True))
 
 
-def _blocks(sheet: Sheet) -> Iterator[list[list[Any]]]:
+def _blocks(sheet: Sheet) -> Iterator[list[list[object]]]:
     """The columns as lists of some rows, None where there is no value."""
     columns = [
         field.values if isinstance(field.values, Words) else _plain(field.values)
@@ -537,7 +539,7 @@ def _blocks(sheet: Sheet) -> Iterator[list[list[Any]]]:
 
 
 def _write_mat(sheet: Sheet, file: Path) -> None:
-    columns: dict[str, Any] = {}
+    columns: dict[str, Numbers | NDArray[np.object_]] = {}
     for field in sheet.fields:
         if isinstance(field.values, Words):
             columns[field.name] = np.array([*field.values.names, ""], dtype=object)[

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dextar_control.analysis.run import Floats
+from dextar_control.analysis.run import Floats, rows_between
 
 POINTS = 4000  # of a curve, outside the windows kept whole
 WHOLE = 8000  # points of a curve that may lie in such windows
@@ -23,8 +23,8 @@ Rows = NDArray[np.int64]
 def thin(
     time: Floats, values: Floats, instants: Sequence[float] = (), points: int = POINTS
 ) -> Rows:
-    """The rows of a curve that show it: per bin its least and its greatest value, and
-    all rows near some instants.
+    """Choose the rows of a curve that show it: the least and the greatest value of each
+    bin, and all rows near some instants.
 
     Args:
         time: (n,) rising, s.
@@ -47,9 +47,8 @@ def thin(
         WINDOW, WHOLE * float(np.median(np.diff(time))) / max(2 * len(instants), 1)
     )
     for instant in instants:
-        rows.append(
-            np.arange(*np.searchsorted(time, (instant - window, instant + window)))
-        )
+        near = rows_between(time, instant - window, instant + window)
+        rows.append(np.arange(near.start, near.stop))
     return np.unique(np.concatenate(rows)).astype(np.int64)
 
 
@@ -70,8 +69,8 @@ def _extremes(values: Floats, edges: Rows) -> list[Rows]:
 
 
 def thin_path(x: Floats, points: int = 2 * POINTS) -> Rows:
-    """The rows of a path (n, 2), m, after each of which it has gone on by a step that
-    suits its length.
+    """Choose the rows of a path x (n, 2), m, after each of which it has gone on by a
+    step that suits its length.
     """
     if len(x) < 3:
         return np.arange(len(x))

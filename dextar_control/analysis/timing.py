@@ -7,20 +7,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dextar_control.analysis.clock import LEAST_SYSTEM_STEP
+from dextar_control.analysis.registry import Metric
 from dextar_control.analysis.run import Floats, Joints, Phase, Run, Stamps
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.bags.damage import Hole
 
+# share of the steps without a command in time; a run with fewer did not fail by that
+MOST_LATE = 0.2
+
 
 @dataclass(frozen=True)
 class Spread:
-    """A measured quantity in one line; all nan when nothing was measured.
+    """The distribution of a measured quantity, in five numbers; nan when nothing was
+    measured.
 
     Attributes:
         count: of the values.
@@ -38,7 +43,9 @@ class Spread:
 
     @staticmethod
     def of(values: Floats) -> Spread:
-        """The spread of the finite values."""
+        """Summarise the finite ones of values (n,) of a quantity; its unit is kept, as
+        s.
+        """
         finite = values[np.isfinite(values)]
         if len(finite) == 0:
             return Spread(0, *(math.nan,) * 5)
@@ -55,42 +62,93 @@ class Spread:
 
 @dataclass(frozen=True)
 class Timing:
-    """The stream of states and its answers while tracking (or over the whole run when
-    nothing was tracked).
+    """The stream of states and its answers while a trajectory was tracked, or over the
+    whole run when none was.
 
     By the system clocks, not by the stamps. Publishers on one machine share a clock; on
     two, the round trip is only as true as their clocks are alike.
-
-    Attributes:
-        lockstep: the plant waited for each command, so that the rates say how fast the
-            simulation ran; None when unknown.
-        state_period, command_period: s between successive messages, by the times at
-            which they were published.
-        round_trip: s from the publishing of a state to the publishing of the command
-            with its stamp.
-        stamp_period: s, median of the states' stamps: the period that the robot was
-            sampled with.
-        missed_runs: lengths of the stretches of successive states without a command, in
-            the order of the run.
-        longest_miss: the longest of them, in states; 0 when every state was answered.
-        late_share: of the states, those whose command was published later than one of
-            the robot's sample periods after them, or never; nan where time is not known
-            to be real, and without commands.
     """
 
-    lockstep: bool | None
-    state_period: Spread
-    command_period: Spread
-    round_trip: Spread
-    stamp_period: float
-    missed_runs: list[int]
-    longest_miss: int
-    late_share: float = math.nan
+    lockstep: Annotated[
+        bool | None,
+        Metric(
+            "lockstep",
+            "",
+            "Whether the plant waited for each command, so that the rates say how "
+            "fast the simulation ran; null where it is not known.",
+        ),
+    ]
+    state_period: Annotated[
+        Spread,
+        Metric(
+            "period of the states",
+            "s",
+            "From one state to the next, by the times at which they were published.",
+            ".0f",
+            "µs",
+        ),
+    ]
+    command_period: Annotated[
+        Spread,
+        Metric("period of the commands", "s", "The same of the commands.", ".0f", "µs"),
+    ]
+    round_trip: Annotated[
+        Spread,
+        Metric(
+            "round trip",
+            "s",
+            "From the publishing of a state to the publishing of the command with "
+            "its stamp.",
+            ".0f",
+            "µs",
+        ),
+    ]
+    stamp_period: Annotated[
+        float,
+        Metric(
+            "period of the stamps",
+            "s",
+            "Median period of the states' stamps: that with which the robot was "
+            "sampled.",
+            ".3f",
+            "ms",
+        ),
+    ]
+    missed_runs: Annotated[
+        list[int],
+        Metric(
+            "runs of states without a command",
+            "",
+            "Lengths of the stretches of successive states without a command, in "
+            "the order of the run.",
+        ),
+    ]
+    longest_miss: Annotated[
+        int,
+        Metric(
+            "longest run of such states",
+            "",
+            "The longest of these stretches, in states; 0 where every state was "
+            "answered.",
+            "d",
+        ),
+    ]
+    late_share: Annotated[
+        float,
+        Metric(
+            "share of the states without a command in time",
+            "1",
+            "Share of the states whose command was published later than one of "
+            "the robot's sample periods after them, or never; null where time is "
+            "not known to be real, and without commands.",
+            ".3f",
+        ),
+    ]
 
 
 @dataclass(frozen=True)
 class PhaseSpan:
-    """A stretch of one phase.
+    """A stretch of time in one phase of the controller.
 
     Attributes:
         phase: of the controller.
@@ -106,8 +164,15 @@ class PhaseSpan:
 
 
 def round_trips(run: Run, stamps: Stamps) -> tuple[Stamps, Floats]:
-    """(stamps of the answered states, s from the publishing of each to that of its
-    command; nan where the clock stepped).
+    """Measure the time from the publishing of each state to that of its command.
+
+    Args:
+        run: that was recorded.
+        stamps: (m,) ns, of the states that count.
+
+    Returns:
+        The stamps (k,), ns, of those that were answered, and the times (k,), s, nan
+        where the clock stepped.
     """
     states, state_rows, command_rows = np.intersect1d(
         run.states.stamps, run.commands.stamps, assume_unique=True, return_indices=True
@@ -122,7 +187,8 @@ def round_trips(run: Run, stamps: Stamps) -> tuple[Stamps, Floats]:
 
 
 def periods(joints: Joints, stamps: Stamps, holes: Sequence[Hole] = ()) -> Floats:
-    """Between the publishing of successive messages that have one of the stamps, s.
+    """Measure the time from the publishing of a message to that of the next, (k,), s,
+    among those that have one of the stamps (m,), ns.
 
     Not across a hole of the bag, nor where the system clock stepped back.
     """
@@ -136,14 +202,22 @@ def periods(joints: Joints, stamps: Stamps, holes: Sequence[Hole] = ()) -> Float
     order = np.lexsort((published, stretch))
     spans = _seconds(np.diff(published[order]))
     known = np.diff(stretch[order]) == 0
-    return spans[known & recorded(own[order][:-1], holes, own[order][1:])]
+    seen: Floats = spans[known & recorded(own[order][:-1], holes, own[order][1:])]
+    return seen
 
 
 def recorded(
     stamps: Stamps, holes: Sequence[Hole], until: Stamps | None = None
 ) -> NDArray[np.bool_]:
-    """(n,) whether no hole of the bag meets a stamp, or what lies from it to
-    another.
+    """Tell which stamps, or stretches, are not touched by a hole of the bag.
+
+    Args:
+        stamps: (n,) ns, where each begins.
+        holes: of the bag.
+        until: (n,) ns, where each ends; at its stamp when None.
+
+    Returns:
+        (n,) whether none meets it.
     """
     known = np.ones(len(stamps), dtype=bool)
     until = stamps if until is None else until
@@ -157,12 +231,12 @@ def recorded(
     return known
 
 
-def _seconds(nanoseconds: Any) -> Floats:
+def _seconds(nanoseconds: Stamps) -> Floats:
     return np.asarray(nanoseconds, dtype=np.float64) * 1e-9
 
 
 def measure_timing(run: Run, track: Tracked | None) -> Timing:
-    """The timing of a run."""
+    """Measure the timing of a run."""
     asked = run.states.stamps if track is None else within(run.states.stamps, track)
     told = run.commands.stamps if track is None else within(run.commands.stamps, track)
     missed = ~np.isin(asked, run.commands.stamps) & recorded(asked, run.holes)
@@ -193,26 +267,41 @@ def measure_timing(run: Run, track: Tracked | None) -> Timing:
     )
 
 
-def lockstep(run: Run) -> bool | None:
-    """Whether the plant waited for its commands; None when neither its diagnostics nor
-    a node's parameters tell.
+def late_share(late_ticks: int | None, steps: int | None, by_stamps: float) -> float:
+    """Compute the share of the steps without a command in time; nan where it is not
+    known.
+
+    Args:
+        late_ticks, steps: as the plant counted; None where it did not.
+        by_stamps: the share by the recorded times, or nan; the greater counts.
     """
-    mode = run.parameters.get("plant", {}).get("mode") or run.diagnostics.get(
-        "plant", {}
-    ).get("mode")
-    waits = run.parameters.get("controller", {}).get("lockstep")
+    counted = late_ticks / steps if late_ticks is not None and steps else math.nan
+    return max(
+        (share for share in (counted, by_stamps) if math.isfinite(share)),
+        default=math.nan,
+    )
+
+
+def lockstep(run: Run) -> bool | None:
+    """Tell whether the plant waited for its commands; None when neither its diagnostics
+    nor a node's parameters say so.
+    """
+    mode = run.parameter("plant", "mode")
+    mode = mode or run.diagnostics.get("plant", {}).get("mode")
+    waits = run.parameter("controller", "lockstep")
     if mode is None and waits is None:
         return None
     return mode == "lockstep" or (mode is None and bool(waits))
 
 
 def within(stamps: Stamps, track: Tracked) -> Stamps:
-    """The stamps from the first to the last tracked tick."""
-    return stamps[(stamps >= track.stamps[0]) & (stamps <= track.stamps[-1])]
+    """Choose the stamps (m,), ns, from the first to the last tracked tick."""
+    inside = (stamps >= track.stamps[0]) & (stamps <= track.stamps[-1])
+    return np.asarray(stamps[inside])
 
 
 def phase_spans(run: Run, track: Tracked | None) -> list[PhaseSpan]:
-    """The controller's phases one after the other."""
+    """List the controller's phases one after the other."""
     phases, stamps = run.criterion.phase, run.criterion.stamps
     if len(phases) == 0:
         return []
@@ -232,7 +321,7 @@ def phase_spans(run: Run, track: Tracked | None) -> list[PhaseSpan]:
 
 
 def phase_name(number: int) -> str:
-    """Its name; its number where this version knows none."""
+    """Return a phase's name, or its number where this version knows none."""
     try:
         return Phase(number).name
     except ValueError:

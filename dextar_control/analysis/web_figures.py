@@ -7,10 +7,9 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dextar_control.analysis.curves import Around, Panel
 from dextar_control.analysis.plane import Plane, crossing_title, numbers_in_words
@@ -20,7 +19,7 @@ from dextar_control.analysis.timing import PhaseSpan
 from dextar_control.contract import style
 from dextar_control.contract.style import LINES, MARKS, RUNS, Line
 
-WebFigure = dict[str, Any]
+WebFigure = dict[str, object]  # what ``templates/figures.js`` reads
 HEIGHT, SMALL = 132, 52  # px, of the frame of a panel over time, and of one of many
 TALLEST_PLANE = 560  # px
 BINS = 80  # of a histogram
@@ -30,8 +29,8 @@ PHASE_LINES = {"TRACK": "mid", "CROSSING": "ink", "SAFE_STOP": "bad", "FAULT": "
 
 
 def run_tag(index: int) -> str:
-    """What all curves of one of several runs carry, so that one key shows and hides
-    them together.
+    """Return what all curves of one of several runs are tagged with, so that one key
+    shows and hides them together.
     """
     return f"run {index}"
 
@@ -42,7 +41,7 @@ def over_time(
     duration: float,
     names: Sequence[str] = (),
 ) -> list[WebFigure]:
-    """One figure for each panel, with a common time axis and cross-hair.
+    """Make one figure of each panel, with a common time axis and cross-hair.
 
     Args:
         panels: of a run; or of several, each curve's ``kind`` then being the number of
@@ -93,8 +92,8 @@ def over_time(
 
 
 def around(found: Around, outcomes: Sequence[str]) -> list[WebFigure]:
-    """One small figure for each crossing: its own curve over the mean of all; what
-    became of one that was not crossed is said.
+    """Make one small figure of each crossing: its own curve over the mean of all, with
+    what became of it where it was not crossed.
     """
     mean = _series(found.time, found.mean, LINES["mean", 0], "mean of all")
     return [
@@ -119,8 +118,8 @@ def around(found: Around, outcomes: Sequence[str]) -> list[WebFigure]:
 
 
 def in_plane(planes: Sequence[Plane], names: Sequence[str] = ()) -> WebFigure:
-    """The path to scale, with locus, linkage, crossings and t_s; the true paths of
-    several runs where they have names.
+    """Make a figure of the path to scale, with locus, linkage, crossings and t_s; of
+    several runs, which have names, it shows the true paths.
     """
     plane, series = planes[0], []
 
@@ -210,7 +209,7 @@ def in_plane(planes: Sequence[Plane], names: Sequence[str] = ()) -> WebFigure:
 
 
 def histogram(values: Floats, label: str, unit: float = 1e6) -> WebFigure:
-    """Counts of durations (n,), s, on a logarithmic axis in microseconds."""
+    """Make a histogram of durations (n,), s, on a logarithmic axis in microseconds."""
     good = values[np.isfinite(values) & (values > 0.0)] * unit
     low, high = (
         math.floor(math.log10(max(good.min(), 1e-3)) * 4) / 4,
@@ -247,8 +246,14 @@ def histogram(values: Floats, label: str, unit: float = 1e6) -> WebFigure:
 def residuals(
     values: Floats, deviations: Floats, used: NDArray[np.bool_], label: str, name: str
 ) -> WebFigure:
-    """What is left of some observations (n,), by number, two standard deviations (n,)
-    either way; those used set the scale.
+    """Make a figure of what is left of some observations; those used set its scale.
+
+    Args:
+        values: (n,) in the unit that the label names.
+        deviations: (n,) in that unit; bars of two of them go either way.
+        used: (n,) whether each counts.
+        label: of the values, with their unit.
+        name: of what is counted along the other axis, units alike.
     """
     numbers = np.arange(1, len(values) + 1)
     low, high = values - 2.0 * deviations, values + 2.0 * deviations
@@ -287,7 +292,7 @@ def residuals(
 
 
 def phase_band(spans: Sequence[PhaseSpan]) -> WebFigure:
-    """The phases one under the other over time."""
+    """Make a figure of the phases, one under the other over time."""
     names = list(dict.fromkeys(span.phase for span in spans))[::-1]
     series = []
     for row, name in enumerate(names):
@@ -330,7 +335,7 @@ def _series(
     name: str = "",
     tag: str = "",
     legend: bool = False,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     return {
         "name": style.html(name),
         "tag": tag,
@@ -350,7 +355,7 @@ def _marks(
     text: Sequence[str] = (),
     legend: bool = False,
     fill: str = "paper",
-) -> dict[str, Any]:
+) -> dict[str, object]:
     return _series(x[:, 0], x[:, 1], line, name, name, legend) | {
         "mark": mark,
         "size": size,
@@ -359,7 +364,7 @@ def _marks(
     }
 
 
-def _rule(axis: str, at: Sequence[float], line: Line) -> dict[str, Any]:
+def _rule(axis: str, at: Sequence[float], line: Line) -> dict[str, object]:
     return {
         "axis": axis,
         "at": [float(place) for place in at if math.isfinite(place)],
@@ -367,7 +372,7 @@ def _rule(axis: str, at: Sequence[float], line: Line) -> dict[str, Any]:
     }
 
 
-def _line(line: Line) -> dict[str, Any]:
+def _line(line: Line) -> dict[str, object]:
     return line._asdict() | {"dash": list(line.dash)}
 
 
@@ -380,5 +385,5 @@ def _range(low: float, high: float) -> list[float | None]:
     )
 
 
-def _packed(values: Any) -> str:
+def _packed(values: ArrayLike) -> str:
     return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")

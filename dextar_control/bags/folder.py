@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import yaml
 
@@ -26,17 +26,15 @@ from dextar_control.contract.errors import BagError
 METADATA_FILE = "metadata.yaml"
 METADATA_ROOT = "rosbag2_bagfile_information"
 OVERLAP = 1_000_000_000  # ns by which the log times of a split bag's files may overlap
-SQLITE, SQLITE_SUFFIX = (
-    b"SQLite format 3\0",
-    ".db3",
-)  # rosbags knows such a file by its suffix
+SQLITE = b"SQLite format 3\0"
+SQLITE_SUFFIX = ".db3"  # by which rosbags knows such a file
 # As recorders put it at the end of a file's name: 2026_01_30-12_00_00,
 # 20260130T120000Z, 2026-01-30T12-00-00.
 _TIME = re.compile(r"_*\d{4}[-_]?\d{2}[-_]?\d{2}[-_T]?\d{2}[-_]?\d{2}[-_]?\d{2}Z?$")
 
 
 class Opened(NamedTuple):
-    """A file of a bag.
+    """A file of a bag that is open to be read.
 
     Attributes:
         file: as it is named.
@@ -51,8 +49,8 @@ class Opened(NamedTuple):
 
 @contextlib.contextmanager
 def opened(files: Sequence[Path]) -> Iterator[list[Opened]]:
-    """The files of a bag, those that are compressed with zstd unpacked into TMPDIR for
-    as long as they are open.
+    """Open the files of a bag; those that are compressed with zstd are unpacked into
+    TMPDIR for as long as they are open.
 
     Raises:
         BagError: one is empty, compressed in another way, or neither MCAP nor sqlite3.
@@ -124,8 +122,8 @@ class BagFiles(NamedTuple):
 
 
 def files_of(folder: Path) -> BagFiles:
-    """Which files of a folder are one bag: those that its ``metadata.yaml`` lists, with
-    others of that bag, or all there are.
+    """Find the files of a folder that are one bag: those that its ``metadata.yaml``
+    lists, with others of that bag, or all there are.
 
     Raises:
         BagError: there is none, or there are several and their names are not those of
@@ -141,9 +139,7 @@ def files_of(folder: Path) -> BagFiles:
     fault, listed = f"there is no {METADATA_FILE}", list[Path]()
     if (folder / METADATA_FILE).is_file():
         try:
-            listed = [
-                folder / name for name in read_listing(folder)["relative_file_paths"]
-            ]
+            listed = [folder / name for name in read_listing(folder).names]
             fault = "" if listed else f"{METADATA_FILE} lists no file"
         except BagError as error:
             fault = str(error)
@@ -177,8 +173,8 @@ def _names(files: Sequence[Path]) -> str:
 
 
 def patterns(file: Path) -> dict[str, int]:
-    """The names that a split bag may have of which this is a file, with ``#`` for the
-    number, and its number.
+    """List the patterns of a split bag's names that a file's name fits, with ``#`` for
+    the number, and its number in each.
 
     ``run_3.mcap`` is of ``run_#``, and rosbag2's later
     ``3_run_2026_01_30-12_00_00.mcap`` (number, name, time) of ``#_run``. A time behind
@@ -198,8 +194,8 @@ def patterns(file: Path) -> dict[str, int]:
 
 
 def in_order(files: Sequence[Path]) -> list[Path] | None:
-    """The files of one bag by their numbers; None where their names are not those of
-    one: a single file, or a split one's.
+    """Put the files of one bag in the order of their numbers; None where their names
+    are neither those of one split bag nor a single file's.
     """
     if len(files) <= 1:
         return list(files)
@@ -217,7 +213,7 @@ def in_order(files: Sequence[Path]) -> list[Path] | None:
 
 
 def of_one_bag(file: Path, others: Sequence[Path]) -> bool:
-    """Whether a file's name is that of some others' bag, in their format."""
+    """Tell whether a file's name is that of some other files' bag, in their format."""
 
     def known_as(file: Path) -> set[tuple[str, str]]:
         name = plain_name(file.name)
@@ -228,9 +224,20 @@ def of_one_bag(file: Path, others: Sequence[Path]) -> bool:
     return any(known_as(file) & known_as(other) for other in others)
 
 
-def read_listing(folder: Path) -> dict[str, Any]:
-    """What ``metadata.yaml`` says of the bag in its folder: at least
-    ``relative_file_paths``, a list of names.
+class Listing(NamedTuple):
+    """What ``metadata.yaml`` says of a bag.
+
+    Attributes:
+        names: of its files, as they are found in the folder.
+        document: everything it says, by rosbag2's keys.
+    """
+
+    names: list[str]
+    document: Mapping[str, object]
+
+
+def read_listing(folder: Path) -> Listing:
+    """Read what ``metadata.yaml`` says of the bag in its folder.
 
     Raises:
         BagError: it is no metadata.yaml of rosbag2.
@@ -251,7 +258,7 @@ def read_listing(folder: Path) -> dict[str, Any]:
         AttributeError,
     ) as error:
         raise BagError(f"{METADATA_FILE} is none of rosbag2") from error
-    return {**document, "relative_file_paths": names}
+    return Listing(names, document)
 
 
 def _there(folder: Path, name: str) -> str:
@@ -266,8 +273,8 @@ def _there(folder: Path, name: str) -> str:
 
 
 def check_one_recording(scans: Sequence[Scan]) -> None:
-    """Files that only their names hold together are of one recording: it began once,
-    and goes on from file to file.
+    """Check that files are of one recording where only their names say so: it began
+    once, and goes on from file to file.
 
     Args:
         scans: of files that were read, in order.
@@ -293,8 +300,14 @@ def check_one_recording(scans: Sequence[Scan]) -> None:
 
 
 def holes_of(scans: Sequence[Scan]) -> tuple[list[Hole], str | None]:
-    """(what is missing between the messages of a bag's files, the file whose end is
-    missing where nothing comes after it).
+    """Find the holes of a bag in its files.
+
+    Args:
+        scans: of files that were read, in order.
+
+    Returns:
+        What is missing between their messages, and the file whose end is missing where
+        nothing comes after it, else None.
     """
     holes: list[Hole] = []
     waiting: list[Hole] = []  # without messages after them

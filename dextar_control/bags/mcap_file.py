@@ -26,8 +26,8 @@ INDEX_SIZE = 512  # bytes, generous, that a write adds to the index at the end
 COMPRESSIONS = {"zstd": CompressionType.ZSTD, "none": CompressionType.NONE}
 
 
-class Sample(NamedTuple):
-    """One message on its way to the bag; times in ns since the epoch."""
+class SerializedMessage(NamedTuple):
+    """A message on its way to the bag; times in ns since the epoch."""
 
     log_time: int
     topic: str
@@ -80,7 +80,7 @@ class McapFile:
             raise
 
     def register(self, topic: TopicDescription) -> None:
-        """Describe a topic, before its first sample; once is enough."""
+        """Describe a topic before its first message; to do it again does nothing."""
         if topic.name in self._topics:
             return
         if topic.type not in self._schemas:
@@ -97,8 +97,8 @@ class McapFile:
         )
         self.counts.setdefault(topic.name, 0)
 
-    def write(self, batch: Sequence[Sample]) -> None:
-        """Write samples in order of log time."""
+    def write(self, batch: Sequence[SerializedMessage]) -> None:
+        """Write messages in the order of their log times."""
         if not batch:
             return
         if batch[-1].log_time <= LATEST:
@@ -114,7 +114,7 @@ class McapFile:
         self._writer.add_metadata(name, dict(data))
 
     def attach(self, attachment: Attachment) -> None:
-        """Copy another file's attachment."""
+        """Copy an attachment of another file."""
         self._writer.add_attachment(
             attachment.create_time,
             attachment.log_time,
@@ -127,19 +127,19 @@ class McapFile:
         """Close the chunk under way and wait until the disk has it; keep room for what
         the end will need.
         """
-        self._writer.flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates it not
         self.stream.reserve(RESERVE // 2 + INDEX_SIZE * self.stream.writes)
         self.stream.sync()
 
     def finish(self, custom: Mapping[str, str]) -> None:
         """Write rosbag2's record, the index and the end; wait for the disk."""
         self._describe_itself(custom)
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates it not
         self.stream.sync()
         self.stream.close()
 
     def summary(self) -> FileSummary:
-        """What ``metadata.yaml`` says of this file."""
+        """Return what ``metadata.yaml`` says of this file."""
         return FileSummary(self.path.name, self.first, self.last, dict(self.counts))
 
     def _describe_itself(self, custom: Mapping[str, str]) -> None:

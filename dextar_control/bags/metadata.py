@@ -4,6 +4,7 @@ record.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -47,12 +48,12 @@ def bag_metadata(
     topics: Iterable[TopicDescription],
     custom: Mapping[str, str] | None = None,
 ) -> str:
-    """BagMetadata as YAML, keys in rosbag2's order."""
+    """Return the BagMetadata as YAML, with its keys in rosbag2's order."""
     return _dump(_document(files, topics, custom or {}))
 
 
 def qos_text(profiles: Sequence[Qos]) -> str:
-    """The list of profiles as a channel's ``offered_qos_profiles``."""
+    """Return a list of profiles as a channel's ``offered_qos_profiles``."""
     return _dump([dict(profile) for profile in profiles]).strip()
 
 
@@ -129,12 +130,7 @@ def _file_span(file: FileSummary) -> dict[str, object]:
     return {key: span[key] for key in ("starting_time", "duration", "message_count")}
 
 
-class _PlainDumper(yaml.SafeDumper):
-    """YAML without anchors, which rosbag2 does not read."""
-
-    def ignore_aliases(self, data: object) -> bool:
-        return True
-
-
 def _dump(document: object) -> str:
-    return yaml.dump(document, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
+    """YAML without anchors, which rosbag2 does not read: no part stands in it twice."""
+    parts = json.loads(json.dumps(document))
+    return str(yaml.safe_dump(parts, sort_keys=False, allow_unicode=True))

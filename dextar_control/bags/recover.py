@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import yaml
 from mcap.records import Attachment, Channel, Metadata, Schema
@@ -24,7 +24,7 @@ from dextar_control.bags.folder import (
     opened,
     read_listing,
 )
-from dextar_control.bags.mcap_file import McapFile, Sample
+from dextar_control.bags.mcap_file import McapFile, SerializedMessage
 from dextar_control.bags.metadata import (
     RECORD_NAME,
     FileSummary,
@@ -79,7 +79,7 @@ QOS_KEYS: dict[str, type | tuple[str, ...]] = {
 
 @dataclass
 class Recovery:
-    """What was saved.
+    """What was saved of a bag.
 
     Attributes:
         folder: the new bag.
@@ -103,7 +103,7 @@ class Recovery:
     unpacked: int = 0
 
     def leave_out(self, channel: str, why: str, count: int = 0) -> None:
-        """Note what is not copied."""
+        """Note messages that are not copied."""
         self.left_out[channel, why] = self.left_out.get((channel, why), 0) + count
 
 
@@ -134,9 +134,8 @@ def recover(path: Path, progress: Callable[[Path], Progress] | None = None) -> R
         BagError: it is whole, was recovered before, holds nothing of ROS 2, or cannot
             be read or written.
     """
-    whole_path = Path(
-        os.path.realpath(path)
-    )  # also of links in a circle, which are told when they are opened
+    # also of links in a circle, which are told when they are opened
+    whole_path = Path(os.path.realpath(path))
     folder = whole_path.with_name(
         plain_name(whole_path.name).removesuffix(".mcap") + SUFFIX
     )
@@ -204,7 +203,7 @@ def _wrong_counts(folder: Path, files: Sequence[Path], counts: Sequence[int]) ->
     """What ``metadata.yaml`` says wrongly of its files; "" where it is right or does
     not say.
     """
-    document = read_listing(folder)
+    document = read_listing(folder).document
     told = {"the bag": (document.get("message_count"), sum(counts))}
     entries = document.get("files")
     for entry in entries if isinstance(entries, list) else []:
@@ -275,7 +274,7 @@ def _rebuild(
                     "read_bytes": str(scan.end),
                     "lost_bytes": str(lost),
                     "damaged_chunks": str(scan.damaged),
-                    **scan.told(),
+                    **scan.recovery_details(),
                 },
             )
             target.finish({"recovered_from": scan.path.name})
@@ -339,7 +338,7 @@ def _copy(
                 else:
                     target.write(
                         [
-                            Sample(
+                            SerializedMessage(
                                 log_time,
                                 channels[channel],
                                 publish_time,
@@ -399,12 +398,8 @@ def _profiles(text: str) -> list[Qos]:
     """
     try:
         listed = yaml.safe_load(text)
-    except (
-        yaml.YAMLError,
-        ValueError,
-        AttributeError,
-        RecursionError,
-    ):  # what PyYAML raises at content that is none
+    # what PyYAML raises at content that is no YAML
+    except (yaml.YAMLError, ValueError, AttributeError, RecursionError):
         return []
     return [
         found
@@ -413,7 +408,7 @@ def _profiles(text: str) -> list[Qos]:
     ]
 
 
-def _profile(profile: Any) -> Qos | None:
+def _profile(profile: object) -> Qos | None:
     if not isinstance(profile, dict):
         return None
     found: dict[str, object] = {}

@@ -8,12 +8,11 @@ import json
 import os
 import platform
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import datetime, timezone
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -26,7 +25,7 @@ _DESCRIBED = ("name", "notes", "tags")
 
 
 class RunRecord:
-    """Gathers what is known of one recording; ``texts`` is its metadata record.
+    """Gathers what is known of a recording; ``texts`` is its metadata record.
 
     Args:
         labels: the run's name, notes and tags.
@@ -38,12 +37,12 @@ class RunRecord:
         self.started = datetime.now(timezone.utc)
         self.labels = dict(labels)
         self.certificate = ""
-        self.changes: list[dict[str, Any]] = []
+        self.changes: list[dict[str, object]] = []
         self.more_changes = 0
 
-    def note_change(self, time: int, node: str, name: str, value: Any) -> None:
-        """A parameter that was changed while the recording ran; time in ns since the
-        epoch.
+    def note_change(self, time: int, node: str, name: str, value: object) -> None:
+        """Note a parameter that was changed while the recording ran; time in ns since
+        the epoch.
         """
         if len(self.changes) >= MAX_CHANGES:
             self.more_changes += 1
@@ -53,7 +52,7 @@ class RunRecord:
         )
 
     def note_certificate(self, text: str) -> None:
-        """A plan's certificate as JSON; one that lists all its crossings is kept
+        """Note a plan's certificate as JSON; one that lists all its crossings is kept
         against a shortened one of the same plan.
         """
         if text == self.certificate:
@@ -67,13 +66,13 @@ class RunRecord:
 
     def texts(
         self,
-        parameters: Mapping[str, Mapping[str, Any]],
+        parameters: Mapping[str, Mapping[str, object]],
         topics: Mapping[str, str],
-        counts: Mapping[str, Any],
+        counts: Mapping[str, object],
         missing: list[str],
         ended: datetime | None = None,
     ) -> dict[str, str]:
-        """The record.
+        """Return the metadata record.
 
         Args:
             parameters: per node, as at the start of the recording.
@@ -103,16 +102,18 @@ class RunRecord:
         }
 
     def custom_data(
-        self, parameters: Mapping[str, Mapping[str, Any]]
+        self, parameters: Mapping[str, Mapping[str, object]]
     ) -> dict[str, str]:
-        """What ``metadata.yaml`` shows of the run in ``custom_data``; nothing empty."""
+        """Return what ``metadata.yaml`` shows of the run as ``custom_data``; nothing
+        empty.
+        """
         data = {**self.labels, **_laws(parameters), "dextar": version()}
         return {key: str(value) for key, value in data.items() if value}
 
 
-def robot_file(parameters: Mapping[str, Mapping[str, Any]]) -> str:
-    """The robot as a ROS 2 parameter file (``--params-file``, ``load_robot``), the
-    controller's before others'; "" if none.
+def robot_file(parameters: Mapping[str, Mapping[str, object]]) -> str:
+    """Return the robot as a ROS 2 parameter file (``--params-file``, ``load_robot``),
+    the controller's before another node's; "" if no node has one.
     """
     for node in ("controller", *parameters):
         flat = {
@@ -125,26 +126,26 @@ def robot_file(parameters: Mapping[str, Mapping[str, Any]]) -> str:
     return ""
 
 
-def parameter_text(values: Mapping[str, Any]) -> str:
-    """Dotted parameters as YAML, arrays as lists."""
-    return yaml.safe_dump(
-        {name: plain(value) for name, value in values.items()},
-        sort_keys=True,
-        default_flow_style=None,
-        width=1000,
+def parameter_text(values: Mapping[str, object]) -> str:
+    """Return dotted parameters as YAML, with arrays as lists."""
+    plain_values = {name: plain(value) for name, value in values.items()}
+    return str(
+        yaml.safe_dump(
+            plain_values, sort_keys=True, default_flow_style=None, width=1000
+        )
     )
 
 
-def plain(value: Any) -> Any:
-    """A parameter's value in Python's own types."""
-    return (
-        value if isinstance(value, (str, bool, int, float, type(None))) else list(value)
-    )
+def plain(value: object) -> object:
+    """Convert a parameter's value to Python's own types, an array to a list."""
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        return list(value)
+    return value
 
 
 @cache
 def version() -> str:
-    """Of this package."""
+    """Return the version of this package."""
     try:
         return metadata.version("dextar")
     except metadata.PackageNotFoundError:
@@ -155,8 +156,8 @@ def version() -> str:
 
 @cache
 def versions() -> dict[str, str]:
-    """Of what the run was made with: this package and its source's revision, ROS,
-    Python, libraries, machine.
+    """Return the versions of what a run is made with: this package and its source's
+    revision, ROS, Python, libraries, machine.
     """
     found = {
         "dextar": version(),
@@ -173,16 +174,18 @@ def versions() -> dict[str, str]:
     return {name: text for name, text in found.items() if text}
 
 
-def _laws(parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+def _laws(parameters: Mapping[str, Mapping[str, object]]) -> dict[str, str]:
     controller = parameters.get("controller", {})
     return {key: str(controller.get(key, "")) for key in ("law", "estimator")}
 
 
-def _shortens(new: dict[str, Any], old: dict[str, Any]) -> bool:
+def _shortens(new: Mapping[str, object], old: Mapping[str, object]) -> bool:
     """Whether it is the same certificate with fewer crossings listed."""
-    if len(new.get("crossings", ())) >= len(old.get("crossings", ())):
-        return False
-    return all(new[key] == old.get(key) for key in new if key != "crossings")
+    listed = [one.get("crossings") for one in (new, old)]
+    fewer, more = (len(own) if isinstance(own, list) else 0 for own in listed)
+    return fewer < more and all(
+        new[key] == old.get(key) for key in new if key != "crossings"
+    )
 
 
 def _source() -> Path:

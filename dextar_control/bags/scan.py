@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
@@ -33,15 +33,16 @@ BUFFER = 1 << 20  # bytes
 TOLD = 1 << 18  # bytes from one word of progress to the next
 _RECORD = struct.Struct("<BQ")  # opcode, length
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_READ: dict[int, Any] = {
-    Opcode.HEADER: Header,
-    Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-    Opcode.METADATA: Metadata,
-    Opcode.ATTACHMENT: Attachment,
-    Opcode.FOOTER: Footer,
+Record = Header | Schema | Channel | Metadata | Attachment | Footer
+_READ: Mapping[int, Callable[[ReadDataStream], Record]] = {
+    Opcode.HEADER: Header.read,
+    Opcode.SCHEMA: Schema.read,
+    Opcode.CHANNEL: Channel.read,
+    Opcode.METADATA: Metadata.read,
+    Opcode.ATTACHMENT: Attachment.read,
+    Opcode.FOOTER: Footer.read,
 }
-# What the libraries raise at content that is none; lz4 raises RuntimeError.
+# What the libraries raise at content that is damaged; lz4 raises RuntimeError.
 _DAMAGED = (
     EndOfFile,
     McapError,
@@ -71,7 +72,7 @@ class Messages(NamedTuple):
 
 @dataclass
 class Scan:
-    """One file as it is read from its beginning.
+    """A file that is read from its beginning, and what that found of it.
 
     Attributes:
         path: of the file.
@@ -104,25 +105,20 @@ class Scan:
 
     @property
     def damaged(self) -> int:
-        """Chunks that were left out."""
+        """How many chunks were left out."""
         return sum(hole.chunks for hole in self.holes)
 
-    def records(self, progress: Progress | None = None) -> Iterator[Any]:
-        """Every record that can be read, from the beginning; those of intact chunks as
-        schemas, channels and ``Messages``.
+    def records(self, progress: Progress | None = None) -> Iterator[Record | Messages]:
+        """Yield every record that can be read, from the beginning; those of intact
+        chunks as schemas, channels and ``Messages``.
 
         Raises:
             OSError: the file cannot be read.
         """
-        self.whole, self.end, self.holes, self.first, self.last, self.started = (
-            False,
-            0,
-            [],
-            None,
-            None,
-            "",
-        )
-        self._opened, self._count, self.inherited, self.cut = False, 0, [], False
+        self.whole, self.end, self.started = False, 0, ""
+        self.first = self.last = None
+        self.holes, self.inherited, self.cut = [], [], False
+        self._opened, self._count = False, 0
         source = self.content or self.path
         self.size = size = source.stat().st_size
         loose: list[bytes] = []
@@ -146,7 +142,7 @@ class Scan:
                     self._compare(content)
                 elif opcode in _READ:
                     try:
-                        record = _READ[opcode].read(ReadDataStream(BytesIO(content)))
+                        record = _READ[opcode](ReadDataStream(BytesIO(content)))
                     except _DAMAGED:
                         continue
                     if (
@@ -194,7 +190,7 @@ class Scan:
                 self.end = stream.tell()
                 return
 
-    def _chunk(self, stream: IO[bytes], content: bytes) -> Iterator[Any]:
+    def _chunk(self, stream: IO[bytes], content: bytes) -> Iterator[Record | Messages]:
         try:
             records, messages = _break_up(content)
         except _DAMAGED:
@@ -217,9 +213,9 @@ class Scan:
         ):
             self.holes.append(Hole(str(self.path), 1, self.first, self.last))
 
-    def told(self) -> dict[str, str]:
-        """What is missing here, for the record ``RECOVERY_NAME`` of a file recovered
-        from this one.
+    def recovery_details(self) -> dict[str, str]:
+        """Return what is missing here, for the record ``RECOVERY_NAME`` of a file that
+        is recovered from this one.
         """
         holes = [
             (hole.chunks, hole.first, hole.last)
@@ -277,7 +273,7 @@ def _joined(loose: list[bytes]) -> Messages:
     return Messages(b"".join(loose), numbers)
 
 
-def _break_up(content: bytes) -> tuple[list[Any], Messages]:
+def _break_up(content: bytes) -> tuple[list[Record], Messages]:
     """Schemas, channels and messages of a chunk; mcap's own way takes ten times as
     long.
     """
@@ -285,7 +281,7 @@ def _break_up(content: bytes) -> tuple[list[Any], Messages]:
         Chunk.read(ReadDataStream(BytesIO(content))), validate_crc=True
     )
     data = stream.read(length)
-    records: list[Any] = []
+    records: list[Record] = []
     numbers = array("Q")
     place = 0
     while place < length:
@@ -298,16 +294,15 @@ def _break_up(content: bytes) -> tuple[list[Any], Messages]:
             numbers.extend(_MESSAGE.unpack_from(data, begin))
             numbers.extend((begin + _MESSAGE.size, place))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            with contextlib.suppress(
-                UnicodeDecodeError
-            ):  # its messages are then of a channel that nothing describes
+            # a record whose text is damaged describes nothing
+            with contextlib.suppress(UnicodeDecodeError):
                 records.append(
-                    _READ[opcode].read(ReadDataStream(BytesIO(data[begin:place])))
+                    _READ[opcode](ReadDataStream(BytesIO(data[begin:place])))
                 )
     return records, Messages(data, numbers)
 
 
-def _described_at_the_end(stream: IO[bytes]) -> Iterator[Any]:
+def _described_at_the_end(stream: IO[bytes]) -> Iterator[Record]:
     """The schemas and channels that a file repeats before its end, for those that stood
     in a damaged chunk.
     """
@@ -317,4 +312,5 @@ def _described_at_the_end(stream: IO[bytes]) -> Iterator[Any]:
         summary = SeekingReader(stream).get_summary()
     stream.seek(place)
     if summary is not None:
-        yield from (*summary.schemas.values(), *summary.channels.values())
+        yield from summary.schemas.values()
+        yield from summary.channels.values()

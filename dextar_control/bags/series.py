@@ -17,7 +17,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain
-from typing import IO, Any, NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,23 +31,22 @@ MOST_LAYOUTS = 64  # of a topic; what fits none of them is read by the library a
 WAITING = 16  # messages of a slow topic that wait for being selected from
 TYPES = types()
 SECONDS, NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
-_SECONDS, _NANOSECONDS = "(s)", "(ns)"  # names that no column has
-_STAMP, _PUBLISHED, _LOGGED, _ORDER, _TIMES = range(
-    5
-)  # the first words of a row; numbers follow
+_STAMP_NAMES = _SECONDS, _NANOSECONDS = "(s)", "(ns)"  # which no column has
+# the first words of a row; numbers follow
+_STAMP, _PUBLISHED, _LOGGED, _ORDER, _TIMES = range(5)
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
-Columns = Callable[[Any], Mapping[str, str]]
-Select = Callable[[Iterable[Any]], list[Any]]
-Steady = Callable[
-    [Stamps, Stamps], Stamps
-]  # (stamps, places in the bag) to stamps of a clock that does not step
+Unsigned = NDArray[np.uint64]
+Columns = Callable[[object], Mapping[str, str]]
+Select = Callable[[Iterable[object]], list[object]]
+# (stamps, places in the bag) to stamps of a clock that does not step
+Steady = Callable[[Stamps, Stamps], Stamps]
 
 
 class Table(NamedTuple):
-    """A topic's columns by rising stamp, the first message of each stamp. They lie in a
-    file that is mapped into memory.
+    """A topic's columns by rising stamp, with the first message of each stamp. They lie
+    in a file that is mapped into memory.
     """
 
     stamps: Stamps  # (n,) ns
@@ -56,9 +55,9 @@ class Table(NamedTuple):
     values: Floats  # (n, k); nan where a message has no such number
 
 
-class Recorded(NamedTuple):
-    """A topic's columns in the order of the bag; as in ``Table``, with the place of
-    each message among all of the bag.
+class RecordedColumns(NamedTuple):
+    """A topic's columns in the order of the bag; as in ``Table``, with the place (n,)
+    of each message among all of the bag.
     """
 
     stamps: Stamps
@@ -68,7 +67,7 @@ class Recorded(NamedTuple):
 
 
 class Series:
-    """One topic's messages in the order of the bag.
+    """The messages of one topic, in the order of the bag.
 
     Args:
         topic: its name.
@@ -107,7 +106,7 @@ class Series:
         self._columns, self._select = columns, select
         self._count = self._rows = 0
         self._waiting: list[tuple[int, int, int, bytes]] = []
-        self._selected: list[Any] = []
+        self._selected: list[object] = []
         self._layouts: list[_Layout] = []
         self._names: list[str] = []
         self._spool: IO[bytes] | None = None
@@ -133,7 +132,7 @@ class Series:
         if len(self._waiting) >= (WAITING if self._select else BLOCK):
             self._settle()
 
-    def extend(self, data: bytes, messages: Any, places: Any) -> None:
+    def extend(self, data: bytes, messages: Unsigned, places: Stamps) -> None:
         """Take serialized messages.
 
         Args:
@@ -163,17 +162,19 @@ class Series:
         self._see(np.array([[log_time, log_time]], dtype=np.uint64))
         self._refuse(why)
 
-    def messages(self) -> list[Any]:
-        """The selected messages of a slow topic in the order of the bag, as the
+    def messages(self) -> list[object]:
+        """Return the selected messages of a slow topic in the order of the bag, as the
         library's classes.
         """
         self._settle()
         return self._selected[::-1]
 
-    def recorded(self, names: Sequence[str]) -> Recorded:
-        """The columns of these names in the order of the bag; before ``table``."""
+    def recorded(self, names: Sequence[str]) -> RecordedColumns:
+        """Return the columns of these names in the order of the bag; before
+        ``table``.
+        """
         words = self._words(names)
-        return Recorded(
+        return RecordedColumns(
             words[_STAMP],
             words[_LOGGED],
             words[_ORDER],
@@ -198,8 +199,8 @@ class Series:
         return name in self._names
 
     def table(self, names: Sequence[str], steady: Steady | None = None) -> Table:
-        """The columns of these names, nan where no message has them; once, for the
-        temporary file is given back.
+        """Return the columns of these names, nan where no message has them. It is
+        called once, for it gives the temporary file back.
 
         Args:
             names: of the columns.
@@ -227,7 +228,7 @@ class Series:
             words[_TIMES:].view(np.float64).T,
         )
 
-    def _words(self, names: Sequence[str]) -> Any:
+    def _words(self, names: Sequence[str]) -> Stamps:
         """Times and columns of these names in the order of the bag, a row for each, in
         a mapped file.
         """
@@ -244,12 +245,12 @@ class Series:
                 )
         return words
 
-    def _see(self, raw: Any) -> Stamps:
+    def _see(self, raw: Unsigned) -> Stamps:
         """Count messages; their (m, 2) log and publish times, with another for each
         that is none.
         """
         wrong = (raw > LATEST) | ((raw == 0) & (raw[:, ::-1] > 0))
-        times = raw.astype(np.int64)
+        times: Stamps = raw.astype(np.int64)
         if wrong.any():
             beyond = raw[raw > LATEST]
             if len(beyond):
@@ -293,21 +294,22 @@ class Series:
             joined, np.column_stack([numbers[:, :2], begins, ends, numbers[:, 2]])
         )
 
-    def _message(self, data: bytes) -> Any:
+    def _message(self, data: bytes) -> object | None:
         """The message, or None where the bytes are none, which is counted."""
         try:
-            return read_message(data, self.type)
+            message: object = read_message(data, self.type)
+            return message
         except StateError as error:
             self._refuse(str(error))
             return None
 
-    def _append(self, data: bytes, messages: Any) -> None:
+    def _append(self, data: bytes, messages: Stamps) -> None:
         begins, sizes = messages[:, 2], messages[:, 3] - messages[:, 2]
-        found: list[tuple[Any, Any, Mapping[str, Any]]] = []  # places, stamps, numbers
+        found: list[_Read] = []
         refused: list[int] = []
         left = np.arange(len(messages))
-        for layout in self._layouts:
-            left = layout.take(data, begins, sizes, left, found)
+        for known in self._layouts:
+            left = known.take(data, begins, sizes, left, found)
         while len(left):
             raw = data[begins[left[0]] : messages[left[0], 3]]
             message = self._message(raw)
@@ -317,48 +319,27 @@ class Series:
                 continue
             paths = self._columns(message) if self._columns is not None else {}
             room = len(self._layouts) < MOST_LAYOUTS
-            layout_of_it = _Layout.of(message, raw, self.type, paths) if room else None
-            if (
-                layout_of_it is None
-                # its bytes are not those that the library writes, or hardly two
-                # messages
-                # are alike
-            ):
-                own = dict(_numbers(message))
-                stamp = int(own[SECONDS]) * 1_000_000_000 + int(own[NANOSECONDS])
-                found.append(
-                    (
-                        left[:1],
-                        stamp,
-                        {
-                            name: own[path]
-                            for name, path in paths.items()
-                            if path in own
-                        },
-                    )
-                )
-                left = left[1:]
+            layout = _Layout.of(message, raw, self.type, paths) if room else None
+            if layout is not None:
+                self._layouts.append(layout)
+                left = layout.take(data, begins, sizes, left, found)
                 continue
-            self._layouts.append(layout_of_it)
-            left = layout_of_it.take(data, begins, sizes, left, found)
-        self._names += [
-            name
-            for _, _, numbers in found
-            for name in numbers
-            if name not in self._names
-        ]
+            # its bytes are not the library's, or hardly two messages are alike
+            own = dict(_numbers(message))
+            stamp = int(own[SECONDS]) * 1_000_000_000 + int(own[NANOSECONDS])
+            numbers = {name: own[path] for name, path in paths.items() if path in own}
+            found.append(_Read(left[:1], stamp, numbers))
+            left = left[1:]
+        names = dict.fromkeys(name for read in found for name in read.numbers)
+        self._names += [name for name in names if name not in self._names]
         rows = np.full((len(messages), _TIMES + len(self._names)), np.nan)
         times = rows.view(np.int64)
-        times[:, _PUBLISHED], times[:, _LOGGED], times[:, _ORDER] = (
-            messages[:, 1],
-            messages[:, 0],
-            messages[:, 4],
-        )
+        times[:, [_LOGGED, _PUBLISHED, _ORDER]] = messages[:, [0, 1, 4]]
         places = dict(zip(self._names, range(_TIMES, rows.shape[1]), strict=True))
-        for where, stamps, numbers in found:
-            times[where, _STAMP] = stamps
-            for name, values in numbers.items():
-                rows[where, places[name]] = values
+        for read in found:
+            times[read.rows, _STAMP] = read.stamps
+            for name, values in read.numbers.items():
+                rows[read.rows, places[name]] = values
         if refused:
             rows = np.delete(rows, refused, axis=0)
             if len(rows) == 0:
@@ -372,7 +353,7 @@ class Series:
         self._latest = int(stamps[-1])
         self._write(rows)
 
-    def _write(self, rows: Any) -> None:
+    def _write(self, rows: Floats) -> None:
         try:
             if self._spool is None:
                 self._spool = tempfile.TemporaryFile(prefix="dextar-")
@@ -385,7 +366,7 @@ class Series:
         else:
             self._segments.append([rows.shape[1], len(rows)])
 
-    def _blocks(self) -> Iterator[tuple[int, Any]]:
+    def _blocks(self) -> Iterator[tuple[int, Stamps]]:
         """(number of the first row, (m, words) rows) of what was written, in blocks."""
         if self._spool is None:
             return
@@ -394,15 +375,11 @@ class Series:
         for words, count in self._segments:
             for done in range(0, count, BLOCK):
                 rows = min(BLOCK, count - done)
-                yield (
-                    start,
-                    np.frombuffer(
-                        self._spool.read(8 * words * rows), dtype=np.int64
-                    ).reshape(rows, words),
-                )
+                block = self._spool.read(8 * words * rows)
+                yield start, np.frombuffer(block, np.int64).reshape(rows, words)
                 start += rows
 
-    def _mapped(self, rows: int, columns: int) -> Any:
+    def _mapped(self, rows: int, columns: int) -> Stamps:
         """(rows, columns) zeros, int64, that lie in a file without a name and go with
         the last array on them.
         """
@@ -411,12 +388,10 @@ class Series:
             return np.zeros((rows, columns), dtype=np.int64)
         try:
             with tempfile.TemporaryFile(prefix="dextar-") as file:
-                os.posix_fallocate(
-                    file.fileno(), 0, size
-                )  # a full disk is found here, and not by a signal later
-                return np.frombuffer(
-                    mmap.mmap(file.fileno(), size), dtype=np.int64
-                ).reshape(rows, columns)
+                # a full disk is found here, and not by a signal later
+                os.posix_fallocate(file.fileno(), 0, size)
+                words = np.frombuffer(mmap.mmap(file.fileno(), size), np.int64)
+                return words.reshape(rows, columns)
         except OSError as error:
             raise self._no_room(error) from error
 
@@ -428,17 +403,38 @@ class Series:
         )
 
 
-class _Layout(NamedTuple):
-    """Where the wanted numbers lie in the bytes of messages of one structure."""
+class _Read(NamedTuple):
+    """What was read of some messages.
 
-    size: int  # bytes of such a message
-    fixed: Any  # (f,) places of the bytes that all such messages share
-    template: Any  # (f,) those bytes
-    numbers: np.dtype[Any]  # a message as a record of its wanted numbers
+    Attributes:
+        rows: (k,) of these messages among those that were looked at.
+        stamps: (k,) or of all, ns.
+        numbers: per column, (k,) or of all.
+    """
+
+    rows: Stamps
+    stamps: Stamps | int
+    numbers: Mapping[str, Floats | float]
+
+
+class _Layout(NamedTuple):
+    """Where the wanted numbers lie in the bytes of messages of one structure.
+
+    Attributes:
+        size: bytes of such a message.
+        fixed, template: (f,) places of the bytes that all such messages share, and
+            these bytes.
+        numbers: a message as a record of its wanted numbers.
+    """
+
+    size: int
+    fixed: NDArray[np.intp]
+    template: NDArray[np.uint8]
+    numbers: np.dtype[np.void]
 
     @staticmethod
     def of(
-        message: Any, data: bytes, type_name: str, paths: Mapping[str, str]
+        message: object, data: bytes, type_name: str, paths: Mapping[str, str]
     ) -> _Layout | None:
         """The layout of a message, or None when the library writes other bytes for
         it.
@@ -471,21 +467,17 @@ class _Layout(NamedTuple):
     def take(
         self,
         data: bytes,
-        begins: Any,
-        sizes: Any,
-        left: Any,
-        found: list[tuple[Any, Any, Mapping[str, Any]]],
-    ) -> Any:
-        """Read the messages of this layout among those left; the others."""
+        begins: Stamps,
+        sizes: Stamps,
+        left: Stamps,
+        found: list[_Read],
+    ) -> Stamps:
+        """Read the messages of this layout among those left, return the others."""
         fitting = left[sizes[left] == self.size]
         if len(fitting) == 0:
             return left
-        every_place = np.ndarray(
-            (len(data) - self.size + 1,),
-            dtype=f"V{self.size}",
-            buffer=data,
-            strides=(1,),
-        )
+        places = len(data) - self.size + 1
+        every_place = np.ndarray((places,), f"V{self.size}", data, strides=(1,))
         messages = every_place[begins[fitting]]
         same = (
             messages.view(np.uint8).reshape(len(fitting), -1)[:, self.fixed]
@@ -494,33 +486,25 @@ class _Layout(NamedTuple):
         if not same.any():
             return left
         taken = messages.view(self.numbers)
+        left = left[sizes[left] != self.size]
         if not same.all():
-            taken, rest = taken[same], fitting[~same]
-            fitting, left = (
-                fitting[same],
-                np.union1d(rest, left[sizes[left] != self.size]),
-            )
-        else:
-            left = left[sizes[left] != self.size]
+            left = np.union1d(fitting[~same], left)
+            taken, fitting = taken[same], fitting[same]
         stamps = taken[_SECONDS].astype(np.int64) * 1_000_000_000 + taken[_NANOSECONDS]
-        names = [
-            name
-            for name in self.numbers.names or ()
-            if name not in (_SECONDS, _NANOSECONDS)
-        ]
-        found.append((fitting, stamps, {name: taken[name] for name in names}))
+        names = [name for name in self.numbers.names or () if name not in _STAMP_NAMES]
+        found.append(_Read(fitting, stamps, {name: taken[name] for name in names}))
         return left
 
 
-def _numbers(message: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+def _numbers(message: object, path: str = "") -> Iterator[tuple[str, float]]:
     """(path, number) of every float and time in a message."""
-    for field in dataclasses.fields(message):
-        value, here = getattr(message, field.name), f"{path}{field.name}"
+    for name, value in vars(message).items():
+        here = f"{path}{name}"
         if isinstance(value, np.ndarray) and value.dtype == np.float64:
             yield from (
                 (f"{here}.{index}", number) for index, number in enumerate(value)
             )
-        elif isinstance(value, float) or field.name in ("sec", "nanosec"):
+        elif isinstance(value, float) or name in ("sec", "nanosec"):
             yield here, value
         elif dataclasses.is_dataclass(value):
             yield from _numbers(value, f"{here}.")

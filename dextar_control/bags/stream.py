@@ -11,19 +11,17 @@ import tempfile
 from pathlib import Path
 from typing import IO
 
-RESERVE = (
-    4 * 1024 * 1024
-)  # bytes kept free for the last chunk, the index and metadata.yaml
+# bytes kept free for the last chunk, the index and metadata.yaml
+RESERVE = 4 * 1024 * 1024
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class BagStream:
-    """What mcap's Writer writes its whole records to.
+    """The file that mcap's Writer writes its whole records to.
 
     On a full disk a kept reserve is given up: the record under way is still written,
-        and so is the end of
-    the bag. Where the reserve does not help (a limit on the file's size) the write
-    raises.
+    and so is the end of the bag. Where the reserve does not help (a limit on the file's
+    size) the write raises.
 
     Args:
         path: of the new file; the folder exists.
@@ -59,11 +57,11 @@ class BagStream:
 
     @property
     def closed(self) -> bool:
-        """Whether it was closed."""
+        """Whether the file was closed."""
         return self._file.closed
 
     def write(self, data: bytes) -> int:
-        """All of the data."""
+        """Write all of the data."""
         view = memoryview(data)
         done = 0
         while done < len(view):
@@ -79,7 +77,9 @@ class BagStream:
         return done
 
     def reserve(self, size: int) -> None:
-        """Keep at least so much free; a disk that has no more room counts as full."""
+        """Keep at least ``size`` bytes free; a disk that has no more room counts as
+        full.
+        """
         if self._reserve is None or size <= self._reserved:
             return
         try:
@@ -106,7 +106,7 @@ class BagStream:
         self.synced = end
 
     def close(self) -> None:
-        """Close the file, give the reserve back."""
+        """Close the file and give the reserve back."""
         self._release()
         self._file.close()
 
@@ -130,7 +130,9 @@ class BagStream:
 
 
 def sync_folder(folder: Path) -> None:
-    """Have the disk keep the folder's entries; some file systems cannot be asked to."""
+    """Wait until the disk has the folder's entries; some file systems cannot be asked
+    to.
+    """
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

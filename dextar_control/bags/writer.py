@@ -13,8 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from dextar_control.bags import mcap_file
-from dextar_control.bags.mcap_file import COMPRESSIONS as COMPRESSIONS
-from dextar_control.bags.mcap_file import McapFile, Sample
+from dextar_control.bags.mcap_file import McapFile, SerializedMessage
 from dextar_control.bags.message_definitions import definition, type_hash
 from dextar_control.bags.metadata import (
     METADATA_FILE,
@@ -33,7 +32,7 @@ SLICE = 200  # samples between two looks at a file's size
 
 
 class BagWriter:
-    """Takes samples from one thread, writes them from another.
+    """Takes messages from one thread and writes them to a bag from another.
 
     Args:
         path: of the new ``.mcap`` file; its folder is made. A bag that is split has
@@ -75,13 +74,12 @@ class BagWriter:
         self._max_size, self._max_duration = max_size, round(max_duration * 1e9)
         self._sync_period = sync_period
         self._folder = folder
-        self._pending: deque[Sample | Callable[[], None]] = deque()
+        self._pending: deque[SerializedMessage | Callable[[], None]] = deque()
         self._bytes_in = self._bytes_out = 0
         self._stop = threading.Event()
         self._topics: dict[str, TopicDescription] = {}
-        self._standing: dict[
-            str, Sample | None
-        ] = {}  # last sample of what is said once
+        # last sample of what is said once
+        self._standing: dict[str, SerializedMessage | None] = {}
         self._metadata: dict[str, dict[str, str]] = {}
         self._custom: dict[str, str] = {}
         self._done: list[FileSummary] = []
@@ -120,7 +118,7 @@ class BagWriter:
 
     @property
     def path(self) -> Path:
-        """The file under way."""
+        """The file that is being written."""
         return self.paths[-1]
 
     @property
@@ -130,17 +128,17 @@ class BagWriter:
 
     @property
     def synced(self) -> int:
-        """Bytes of all files that the disk has for certain."""
+        """Bytes of all files that the disk is known to have."""
         return self._earlier + self._file.stream.synced
 
     def has_topic(self, topic: str) -> bool:
-        """Whether the topic was added."""
+        """Tell whether the topic was added."""
         return topic in self._topics
 
     def add_topic(
         self, topic: str, type_name: str, qos: Sequence[Qos], *, standing: bool = False
     ) -> None:
-        """Describe a topic; before its first sample.
+        """Describe a topic, before its first message.
 
         Args:
             topic: its name.
@@ -160,8 +158,8 @@ class BagWriter:
             self._standing[topic] = None
         self._pending.append(lambda: self._file.register(description))
 
-    def add(self, sample: Sample) -> None:
-        """Queue one sample; a full queue drops and counts it."""
+    def add(self, sample: SerializedMessage) -> None:
+        """Queue a message; a full queue drops and counts it."""
         waiting = self._bytes_in - self._bytes_out
         if (
             len(self._pending) >= MAX_PENDING
@@ -174,8 +172,8 @@ class BagWriter:
         self._pending.append(sample)
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Queue a metadata record; a later one of the same name replaces it for the
-        reader. Each file has the last.
+        """Queue a metadata record. A later one of the same name replaces it for the
+        reader; each file has the last.
         """
         copy = dict(data)
 
@@ -250,17 +248,15 @@ class BagWriter:
                     return
         except OSError as error:
             self._fail(error)
-        except (
-            Exception
-        ) as error:  # a bug here must end the recording aloud, not silently
+        except Exception as error:  # a bug must end the recording aloud, not silently
             self._end(repr(error))
 
     def _drain(self) -> None:
         """Write all that waits, samples by log time between two other records."""
-        batch: list[Sample] = []
+        batch: list[SerializedMessage] = []
         for _ in range(len(self._pending)):
             item = self._pending.popleft()
-            if isinstance(item, Sample):
+            if isinstance(item, SerializedMessage):
                 batch.append(item)
             else:
                 self._write(batch)
@@ -268,7 +264,7 @@ class BagWriter:
                 item()
         self._write(batch)
 
-    def _write(self, batch: list[Sample]) -> None:
+    def _write(self, batch: list[SerializedMessage]) -> None:
         batch.sort(key=_log_time)
         start = 0
         try:
@@ -300,7 +296,7 @@ class BagWriter:
             return True
         return bool(self._max_duration) and log_time - file.first >= self._max_duration
 
-    def _slice_end(self, batch: list[Sample], start: int) -> int:
+    def _slice_end(self, batch: list[SerializedMessage], start: int) -> int:
         end = min(start + SLICE, len(batch)) if self._max_size else len(batch)
         if self._max_duration:
             limit = (self._file.first or batch[start].log_time) + self._max_duration
@@ -363,13 +359,13 @@ class BagWriter:
     def _end(self, why: str) -> None:
         self.error = BagError(f"recording to {self.path} stopped: {why}")
         for item in list(self._pending):
-            if isinstance(item, Sample):
+            if isinstance(item, SerializedMessage):
                 self._drop(item)
         self._pending.clear()
 
-    def _drop(self, sample: Sample) -> None:
+    def _drop(self, sample: SerializedMessage) -> None:
         self.dropped[sample.topic] = self.dropped.get(sample.topic, 0) + 1
 
 
-def _log_time(sample: Sample) -> int:
+def _log_time(sample: SerializedMessage) -> int:
     return sample.log_time

@@ -1,4 +1,4 @@
-"""A whole check, in two parts: what a quiet watch tells, and the report once the
+"""A whole check has two parts: what a quiet watch tells, and the report once the
 torques were sent or not.
 """
 
@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from dextar_control.check_rig.limits import Limits
 from dextar_control.check_rig.report import (
     TORQUE_LINES,
-    Line,
+    CheckLine,
     Result,
     in_order,
     skipped,
 )
-from dextar_control.check_rig.samples import Graph, Sample
+from dextar_control.check_rig.samples import Graph, JointSample
 from dextar_control.check_rig.stream import judge_graph, judge_stream, judge_velocity
 from dextar_control.check_rig.torque import TorqueTests
 from dextar_control.contract.robot import RobotParameters
@@ -37,12 +37,12 @@ NEEDED_FOR_TORQUE = (
 
 def watch_lines(
     graph: Graph,
-    samples: Sequence[Sample],
+    samples: Sequence[JointSample],
     robot: RobotParameters,
     limits: Limits,
     duration: float,
-) -> list[Line]:
-    """The lines that need no torque, the velocity's apart.
+) -> list[CheckLine]:
+    """Return the lines that need no torque, the velocity's apart.
 
     Args:
         graph: who stands at the topics.
@@ -54,8 +54,8 @@ def watch_lines(
     return judge_graph(graph) + judge_stream(samples, robot, limits, duration)
 
 
-def torque_obstacle(lines: Sequence[Line]) -> str:
-    """Why no torque may be sent after these lines; empty when it may."""
+def torque_obstacle(lines: Sequence[CheckLine]) -> str:
+    """Return why no torque may be sent after these lines; empty when it may."""
     results = {line.name: line.result for line in lines}
     bad = [name for name in NEEDED_FOR_TORQUE if results.get(name) is Result.FAIL]
     bad = bad or [
@@ -68,8 +68,8 @@ def torque_obstacle(lines: Sequence[Line]) -> str:
     )
 
 
-def torque_tests(lines: Sequence[Line], limits: Limits) -> TorqueTests:
-    """The tests that may follow a quiet watch."""
+def torque_tests(lines: Sequence[CheckLine], limits: Limits) -> TorqueTests:
+    """Return the tests that may follow a quiet watch."""
     has_effort = any(
         line.name == "effort feedback" and line.result is Result.PASS for line in lines
     )
@@ -77,9 +77,11 @@ def torque_tests(lines: Sequence[Line], limits: Limits) -> TorqueTests:
 
 
 def report(
-    lines: Sequence[Line], samples: Sequence[Sample], torque: TorqueTests | str
-) -> list[Line]:
-    """All lines, in order.
+    lines: Sequence[CheckLine],
+    samples: Sequence[JointSample],
+    torque: TorqueTests | str,
+) -> list[CheckLine]:
+    """Return all lines, in order.
 
     Args:
         lines: of the quiet watch.

@@ -13,11 +13,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import rclpy
 from rclpy.duration import Duration, Infinite
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import (
     QoSCompatibility,
     QoSProfile,
@@ -25,6 +25,8 @@ from rclpy.qos import (
     qos_check_compatible,
 )
 from rclpy.signals import SignalHandlerOptions
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.utilities import try_shutdown
 from rich.progress import BarColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
@@ -38,8 +40,8 @@ from dextar_control.check_rig.check import (
     watch_lines,
 )
 from dextar_control.check_rig.limits import MIN_SAMPLES, Limits
-from dextar_control.check_rig.report import LINES, Line, Result, failed, has_failed
-from dextar_control.check_rig.samples import Endpoint, Graph, Sample
+from dextar_control.check_rig.report import LINES, CheckLine, Result, failed, has_failed
+from dextar_control.check_rig.samples import Endpoint, Graph, JointSample
 from dextar_control.check_rig.torque import TorqueTests
 from dextar_control.check_rig.trial import NO_TORQUE, Torque
 from dextar_control.contract.caches import check_file
@@ -63,14 +65,14 @@ LAST_WORD = 1.0  # s until the last zero must be acknowledged
 DEPTH = 4000  # states held between two looks
 
 
-class RigWatch(Node):
+class RigClient(Node):
     """Reads a driver's states without an executor, and commands it once ``open`` was
     called.
 
     Args:
         namespace: of the rig's topics.
         states, commands: topic names; empty is the contract's.
-        arrays: commands are effort arrays.
+        arrays: whether commands are effort arrays.
     """
 
     def __init__(
@@ -83,30 +85,30 @@ class RigWatch(Node):
             start_parameter_services=False,
         )
         self._topic = EFFORT_COMMANDS if arrays else JOINT_COMMANDS
-        self._kind: Any = Float64MultiArray if arrays else JointState
+        self._kind = Float64MultiArray if arrays else JointState
         profile = qos(JOINT_STATES, reliable=False, depth=DEPTH)
         self._states = self.create_subscription(
             JointState, states or JOINT_STATES.name, lambda _: None, profile
         )
         self._commands_name = self.resolve_topic_name(commands or self._topic.name)
-        self._commands: Any = None
+        self._commands: Publisher | None = None
         self._stamp = 0
         self._unstepped = UnsteppedClock()
 
     def now(self) -> int:
-        """The system clock when this began, and since then the steady one, ns: torque
-        must not last because a clock was set.
+        """Return the system clock's time when this began, gone on by the steady clock,
+        ns: torque must not last because a clock was set.
         """
         return self._unstepped.now()
 
-    def take(self) -> Iterator[Sample]:
-        """The states that have arrived."""
+    def take(self) -> Iterator[JointSample]:
+        """Give the states that have arrived."""
         while (
             taken := self._states.handle.take_message(JointState, False)
         ) is not None:
             message, info = taken
             self._stamp = from_time(message.header.stamp)
-            yield Sample(
+            yield JointSample(
                 self._unstepped.arrival(info["received_timestamp"]),
                 self._stamp,
                 tuple(message.name),
@@ -116,7 +118,7 @@ class RigWatch(Node):
             )
 
     def graph(self) -> Graph:
-        """Who stands at the two topics, this node apart."""
+        """Return who stands at the two topics, without this node."""
         states = self._states.topic_name
         reader, writer = qos(JOINT_STATES, reliable=False), qos(self._topic)
         for profile in (reader, writer):  # unset counts as 0 in a comparison
@@ -143,7 +145,9 @@ class RigWatch(Node):
         )
 
     def _ends(
-        self, infos: Sequence[Any], check: Callable[[QoSProfile], Any] | None
+        self,
+        infos: Sequence[TopicEndpointInfo],
+        check: Callable[[QoSProfile], tuple[QoSCompatibility, str]] | None,
     ) -> tuple[Endpoint, ...]:
         found = []
         own = f"{self.get_namespace().rstrip('/')}/{self.get_name()}"
@@ -165,7 +169,7 @@ class RigWatch(Node):
         return tuple(found)
 
     def hint(self) -> str:
-        """Where to look when nobody publishes states."""
+        """Return where to look when nobody publishes states."""
         domain, discovery = (
             os.environ.get("ROS_DOMAIN_ID", "0"),
             os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET"),
@@ -192,23 +196,24 @@ class RigWatch(Node):
 
     @property
     def others(self) -> int:
-        """Publishers of commands beside this node."""
+        """How many publishers of commands there are beside this node."""
         return self.count_publishers(self._commands_name) - (self._commands is not None)
 
     @property
     def drivers(self) -> int:
-        """Publishers of states."""
+        """How many publishers of states there are."""
         return int(self.count_publishers(self._states.topic_name))
 
     @property
     def heard(self) -> bool:
-        """Somebody receives our commands."""
+        """Whether somebody receives our commands."""
         return (
             self._commands is not None and self._commands.get_subscription_count() > 0
         )
 
     def command(self, torque: Torque) -> None:
-        """Torques, N m, in answer to the newest state."""
+        """Command torques, N m, in answer to the newest state."""
+        assert self._commands is not None
         if self._kind is Float64MultiArray:
             self._commands.publish(Float64MultiArray(data=list(torque)))
             return
@@ -217,7 +222,7 @@ class RigWatch(Node):
         self._commands.publish(message)
 
     def release(self) -> None:
-        """Zero torque in answer to the coming states, or without any."""
+        """Command zero torque in answer to the coming states, or without any."""
         if self._commands is None:
             return
         self.command(NO_TORQUE)
@@ -233,20 +238,20 @@ class RigWatch(Node):
 
 
 @contextmanager
-def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigWatch, StopSignal]]:
-    """The node, with signals as a flag; whatever happens, zero torque is the last
+def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigClient, StopSignal]]:
+    """Give the node, with signals as a flag; whatever happens, zero torque is the last
     command.
     """
     try:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         arrays = arguments.command_interface == "effort_array"
-        node = RigWatch(
+        node = RigClient(
             arguments.namespace, arguments.states, arguments.commands, arrays=arrays
         )
     except DextarError:
         raise
     except Exception as error:  # rcl raises its own types for bad names
-        rclpy.try_shutdown()
+        try_shutdown()
         raise ParameterError(" ".join(str(error).replace("^", "").split())) from error
     stop = StopSignal()
     stop.starting = False
@@ -255,13 +260,13 @@ def _watch(arguments: argparse.Namespace) -> Iterator[tuple[RigWatch, StopSignal
     finally:
         node.release()
         node.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()
         stop.restore()
 
 
 def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
-    """The limits of parsed arguments; what is not given follows from the nodes' own
-    parameters.
+    """Return the limits of parsed arguments; what is not given follows from the nodes'
+    own parameters.
     """
     plant, controller = node_defaults("plant"), node_defaults("controller")
 
@@ -288,8 +293,8 @@ def limits_of(arguments: argparse.Namespace, robot: RobotParameters) -> Limits:
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Check the rig of parsed arguments (see ``dextar check-rig --help``); 0 all
-    passed, 1 something failed.
+    """Check the rig of parsed arguments (see ``dextar check-rig --help``); return 0
+    where all passed, 1 where something failed.
     """
     robot = load_robot(arguments.robot or config_file(ROBOT_FILE))
     limits = limits_of(arguments, robot)
@@ -330,13 +335,13 @@ def _check(stop: StopSignal) -> None:
 
 
 def _look(
-    console: Terminal, node: RigWatch, stop: StopSignal, wait: float, duration: float
-) -> tuple[Graph, list[Sample]]:
-    """The graph, and the states of a quiet watch that begins with the first of them, or
-    when it has not come.
+    console: Terminal, node: RigClient, stop: StopSignal, wait: float, duration: float
+) -> tuple[Graph, list[JointSample]]:
+    """Return the graph, and the states of a quiet watch, which begins with the first of
+    them or when none has come in time.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    samples: list[Sample] = []
+    samples: list[JointSample] = []
     with Steps(*columns, console=console, transient=True) as progress:
         bar = progress.add_task(
             f"looking for {node.graph().states}", total=wait + SETTLE + duration
@@ -359,9 +364,9 @@ def _look(
         return _settled(node, begun + DISCOVERY, stop), samples
 
 
-def _settled(node: RigWatch, earliest: float, stop: StopSignal | None = None) -> Graph:
-    """The graph once everybody has a name: a node's endpoints are often found before
-    it.
+def _settled(node: RigClient, earliest: float, stop: StopSignal | None = None) -> Graph:
+    """Return the graph once everybody has a name: a node's endpoints are often found
+    before it.
     """
     latest = max(earliest, time.monotonic()) + DISCOVERY
     while True:
@@ -380,7 +385,9 @@ def _settled(node: RigWatch, earliest: float, stop: StopSignal | None = None) ->
 def _permission(
     console: Terminal, stop: StopSignal, limits: Limits, arguments: argparse.Namespace
 ) -> str:
-    """Why the robot may not be moved; empty when it may. Asks on a terminal."""
+    """Ask on a terminal whether the robot may be moved; return why not, empty when it
+    may.
+    """
     if arguments.no_torque:
         return "not asked for (--no-torque)"
     if arguments.yes:
@@ -408,10 +415,10 @@ def _permission(
 
 
 def _torque(
-    console: Terminal, node: RigWatch, stop: StopSignal, tests: TorqueTests
-) -> Line | None:
-    """Run the tests with torque; the line that another commander or another driver
-    earns, or None.
+    console: Terminal, node: RigClient, stop: StopSignal, tests: TorqueTests
+) -> CheckLine | None:
+    """Run the tests with torque; return the line that another commander or another
+    driver earns, or None.
     """
     if node.others:
         tests.stop("another commander came")
@@ -453,8 +460,8 @@ def _torque(
     return None
 
 
-def _answer(node: RigWatch, tests: TorqueTests) -> None:
-    """Let the tests see what arrived; command what they want."""
+def _answer(node: RigClient, tests: TorqueTests) -> None:
+    """Let the tests see what arrived, and command what they want."""
     torque = None
     for sample in node.take():
         torque = tests.update(node.now(), sample)
@@ -467,7 +474,7 @@ def _answer(node: RigWatch, tests: TorqueTests) -> None:
         time.sleep(POLL)
 
 
-def _second(node: RigWatch) -> Line:
+def _second(node: RigClient) -> CheckLine:
     names = ", ".join(end.node for end in _settled(node, 0.0).commanders) or "unknown"
     return failed(
         "only commander",
@@ -476,7 +483,7 @@ def _second(node: RigWatch) -> Line:
     )
 
 
-def _second_driver(node: RigWatch) -> Line:
+def _second_driver(node: RigClient) -> CheckLine:
     names = (
         ", ".join(sorted(end.node for end in _settled(node, 0.0).drivers)) or "unknown"
     )
@@ -495,8 +502,8 @@ STYLES = {
 }
 
 
-def table(lines: Sequence[Line], graph: Graph) -> Table:
-    """The report for a person."""
+def table(lines: Sequence[CheckLine], graph: Graph) -> Table:
+    """Return the report as a table for a person."""
     grid = Table(title=title(f"{graph.states}, {graph.commands}"), show_lines=False)
     for name in ("line", "", "measured", "limit"):
         grid.add_column(name, overflow="fold")
@@ -510,7 +517,7 @@ def table(lines: Sequence[Line], graph: Graph) -> Table:
     return grid
 
 
-def _note(console: Terminal, lines: Sequence[Line]) -> None:
+def _note(console: Terminal, lines: Sequence[CheckLine]) -> None:
     counts = {result: sum(line.result is result for line in lines) for result in Result}
     notes = (
         f", {counts[Result.NOTE]} noted: not needed by the controller"
@@ -530,7 +537,9 @@ def _note(console: Terminal, lines: Sequence[Line]) -> None:
             console.print(text)
 
 
-def _write(path: Path, lines: Sequence[Line], graph: Graph, limits: Limits) -> None:
+def _write(
+    path: Path, lines: Sequence[CheckLine], graph: Graph, limits: Limits
+) -> None:
     document = {
         "passed": not has_failed(lines),
         "states": graph.states,

@@ -1,4 +1,4 @@
-"""What a driver is allowed."""
+"""A driver is allowed this much."""
 
 from __future__ import annotations
 
@@ -81,13 +81,13 @@ class Limits:
 
     @property
     def period(self) -> float:
-        """Of the states, s."""
+        """The period of the states, s."""
         return 1.0 / self.rate
 
     @property
     def watchdog_limit(self) -> float:
-        """From the last command to a state without torque, s: the drive looks, and
-        tells, once in a period.
+        """The longest time from the last command to a state without torque, s: the
+        drive looks, and tells, once in a period.
         """
         return self.watchdog + self.watchdog_margin + 2.0 * self.period
 

@@ -1,4 +1,4 @@
-"""The lines of the report."""
+"""The report has these lines."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import Enum
 
 
 class Result(Enum):
-    """Of one line."""
+    """What is said of one requirement."""
 
     PASS = "PASS"
     FAIL = "FAIL"
@@ -17,7 +17,7 @@ class Result(Enum):
 
 
 @dataclass(frozen=True)
-class Line:
+class CheckLine:
     """One requirement and what was found.
 
     Attributes:
@@ -80,39 +80,41 @@ TORQUE_LINES = ("response q11", "response q21", "watchdog", "refuses NaN")
 """Those that need torque on the robot."""
 
 
-def passed(name: str, measured: str, limit: str = "", **numbers: float) -> Line:
-    """The requirement is met."""
-    return Line(name, Result.PASS, measured, limit, numbers)
+def passed(name: str, measured: str, limit: str = "", **numbers: float) -> CheckLine:
+    """Return the line of a requirement that is met."""
+    return CheckLine(name, Result.PASS, measured, limit, numbers)
 
 
-def failed(name: str, measured: str, limit: str = "", **numbers: float) -> Line:
-    """The requirement is not met."""
-    return Line(name, Result.FAIL, measured, limit, numbers)
+def failed(name: str, measured: str, limit: str = "", **numbers: float) -> CheckLine:
+    """Return the line of a requirement that is not met."""
+    return CheckLine(name, Result.FAIL, measured, limit, numbers)
 
 
-def skipped(name: str, reason: str) -> Line:
-    """The requirement could not be tried, and why."""
-    return Line(name, Result.SKIP, reason)
+def skipped(name: str, reason: str) -> CheckLine:
+    """Return the line of a requirement that could not be tried, and why."""
+    return CheckLine(name, Result.SKIP, reason)
 
 
-def noted(name: str, measured: str, limit: str = "", **numbers: float) -> Line:
-    """The requirement is not met, but the controller does without."""
-    return Line(name, Result.NOTE, measured, limit, numbers)
+def noted(name: str, measured: str, limit: str = "", **numbers: float) -> CheckLine:
+    """Return the line of a requirement that is not met, though the controller does
+    without.
+    """
+    return CheckLine(name, Result.NOTE, measured, limit, numbers)
 
 
 def judged(
     ok: bool, name: str, measured: str, limit: str = "", **numbers: float
-) -> Line:
-    """PASS or FAIL."""
-    return Line(name, Result.PASS if ok else Result.FAIL, measured, limit, numbers)
+) -> CheckLine:
+    """Return a line that passed or failed."""
+    return CheckLine(name, Result.PASS if ok else Result.FAIL, measured, limit, numbers)
 
 
-def has_failed(lines: Iterable[Line]) -> bool:
-    """Whether any line failed."""
+def has_failed(lines: Iterable[CheckLine]) -> bool:
+    """Return whether any line failed."""
     return any(line.result is Result.FAIL for line in lines)
 
 
-def in_order(lines: Iterable[Line]) -> list[Line]:
-    """Sorted as in ``LINES``."""
+def in_order(lines: Iterable[CheckLine]) -> list[CheckLine]:
+    """Return the lines in the order of ``LINES``."""
     order = list(LINES)
     return sorted(lines, key=lambda line: order.index(line.name))

@@ -1,11 +1,11 @@
-"""Judges what the robot did under a trial's torques."""
+"""What the robot did under a trial's torques is judged here."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from dextar_control.check_rig.limits import EFFORT_SHARE, MIN_DOUBLET, MIN_MOVE, Limits
-from dextar_control.check_rig.report import Line, failed, judged, skipped
+from dextar_control.check_rig.report import CheckLine, failed, judged, skipped
 from dextar_control.check_rig.samples import (
     NANOSECOND,
     Array,
@@ -13,16 +13,16 @@ from dextar_control.check_rig.samples import (
     joint_angles,
     times,
 )
-from dextar_control.check_rig.trial import Torque, Trial
+from dextar_control.check_rig.trial import Torque, TorqueTrial
 from dextar_control.contract.robot import JOINT_NAMES
 
 SETTLED = 0.5  # of a pulse, after which the effort counts
 FEW = 3  # states of a pulse that are needed after that
 
 
-def response_line(trial: Trial, limits: Limits) -> Line:
-    """The line ``response`` of a doublet's joint: effort, and movement in the torque's
-    direction.
+def response_line(trial: TorqueTrial, limits: Limits) -> CheckLine:
+    """Return the line ``response`` of a doublet's joint: its effort, and its movement
+    in the torque's direction.
     """
     joint = JOINT_NAMES[trial.joint]
     name, tolerance = f"response {joint}", EFFORT_SHARE * limits.torque
@@ -67,9 +67,9 @@ def response_line(trial: Trial, limits: Limits) -> Line:
     )
 
 
-def movements(trial: Trial) -> tuple[float, float, float]:
-    """(up, down, noise), rad: what the first pulse, by + and by - torque each, moves
-    the joint in the torque's direction.
+def movements(trial: TorqueTrial) -> tuple[float, float, float]:
+    """Return (up, down, noise), rad: what the first pulse, by + and by - torque each,
+    moves the joint in the torque's direction.
 
     Positions are fitted by a drift and the torques integrated twice, + and - apart;
     noise is what the fit leaves.
@@ -97,15 +97,17 @@ def movements(trial: Trial) -> tuple[float, float, float]:
 
 
 def _twice(t: Array, held: Array) -> Array:
-    """The double integral of a quantity held from each instant to the next."""
+    """Return the double integral of a quantity that is held from each instant to the
+    next.
+    """
     dt = np.diff(t)
     first = np.concatenate([[0.0], np.cumsum(held[:-1] * dt)])
     return np.concatenate([[0.0], np.cumsum(first[:-1] * dt + 0.5 * held[:-1] * dt**2)])
 
 
-def _effort_at(trial: Trial, segment: str) -> Array | None:
-    """Median efforts (2,) of both motors in the settled part of a segment; None when
-    there are none.
+def _effort_at(trial: TorqueTrial, segment: str) -> Array | None:
+    """Return the median efforts of both motors, (2,), N m, in the settled part of a
+    segment; None when there are none.
     """
     _, efforts = by_name(trial.of(segment, SETTLED), "effort")
     return np.median(efforts, axis=0) if len(efforts) >= FEW else None
@@ -117,8 +119,8 @@ def _follows(effort: Array, joint: int, torque: float, tolerance: float) -> bool
     return bool((np.abs(effort - wanted) <= tolerance).all())
 
 
-def watchdog_line(trial: Trial, limits: Limits) -> Line:
-    """The line ``watchdog`` of a silence."""
+def watchdog_line(trial: TorqueTrial, limits: Limits) -> CheckLine:
+    """Return the line ``watchdog`` of a silence."""
     limit = (
         f"{1e3 * limits.watchdog_limit:.1f} ms ({1e3 * limits.watchdog:g} declared, and"
         " the way)"
@@ -163,8 +165,8 @@ def _largest(efforts: Array) -> float:
     return float(np.abs(efforts[-1]).max()) if len(efforts) else 0.0
 
 
-def nan_line(trial: Trial, limits: Limits, *, responds: bool) -> Line:
-    """The line ``refuses NaN``.
+def nan_line(trial: TorqueTrial, limits: Limits, *, responds: bool) -> CheckLine:
+    """Return the line ``refuses NaN``.
 
     Args:
         trial: of ``nan_and_on``.

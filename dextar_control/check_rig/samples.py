@@ -1,4 +1,4 @@
-"""What is seen of a driver: its place in the graph, and its states one by one."""
+"""A driver is seen by its place in the graph and by its states, one by one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 NANOSECOND = 1.0e-9  # s
 
 
-class Sample(NamedTuple):
+class JointSample(NamedTuple):
     """One joint state.
 
     Attributes:
@@ -51,7 +51,7 @@ class Endpoint(NamedTuple):
 
 
 class Graph(NamedTuple):
-    """Who stands at the two topics.
+    """The publishers and subscribers of the two topics.
 
     Attributes:
         states, commands: names of the topics.
@@ -70,9 +70,11 @@ class Graph(NamedTuple):
     commanders: tuple[Endpoint, ...]
 
 
-def by_name(samples: Iterable[Sample], field: str) -> tuple[list[Sample], Array]:
-    """The samples that have finite numbers for both joints in a field, and these
-    numbers, (n, 2), in the contract's order.
+def by_name(
+    samples: Iterable[JointSample], field: str
+) -> tuple[list[JointSample], Array]:
+    """Return the samples that have finite numbers for both joints in a field, and these
+    numbers, (n, 2), in the contract's order and the field's unit.
     """
     kept, rows = [], []
     for sample in samples:
@@ -88,12 +90,12 @@ def by_name(samples: Iterable[Sample], field: str) -> tuple[list[Sample], Array]
     return kept, np.array(rows, dtype=np.float64).reshape(-1, 2)
 
 
-def joint_angles(samples: Iterable[Sample]) -> tuple[list[Sample], Array]:
-    """The samples that the controller can use, and their joint angles (n, 2), rad,
-    without the encoders' whole turns.
+def joint_angles(samples: Iterable[JointSample]) -> tuple[list[JointSample], Array]:
+    """Return the samples that the controller can use, and their joint angles, (n, 2),
+    rad, without the encoders' whole turns.
 
     The controller takes an angle on any turn: one that wraps has moved as little as it
-        can have.
+    can have.
     """
     kept, rows = [], []
     for sample in samples:
@@ -105,9 +107,9 @@ def joint_angles(samples: Iterable[Sample]) -> tuple[list[Sample], Array]:
     return kept, np.unwrap(np.array(rows, dtype=np.float64).reshape(-1, 2), axis=0)
 
 
-def times(samples: Sequence[Sample]) -> Array:
-    """When the samples were taken, s from the first: their stamps where these rise,
-    else their arrivals.
+def times(samples: Sequence[JointSample]) -> Array:
+    """Return when the samples were taken, (n,), s from the first: their stamps where
+    these rise, else their arrivals.
     """
     stamps = np.array([sample.stamp for sample in samples], dtype=np.int64)
     if not (np.diff(stamps) > 0).all():

@@ -1,4 +1,4 @@
-"""Judges a driver by what it publishes, without commanding it."""
+"""A driver is judged by what it publishes, without commanding it."""
 
 from __future__ import annotations
 
@@ -16,13 +16,20 @@ from dextar_control.check_rig.limits import (
     VELOCITY_WINDOW,
     Limits,
 )
-from dextar_control.check_rig.report import Line, failed, judged, noted, passed, skipped
+from dextar_control.check_rig.report import (
+    CheckLine,
+    failed,
+    judged,
+    noted,
+    passed,
+    skipped,
+)
 from dextar_control.check_rig.samples import (
     NANOSECOND,
     Array,
     Endpoint,
     Graph,
-    Sample,
+    JointSample,
     by_name,
     joint_angles,
     times,
@@ -57,8 +64,8 @@ POSES = 200  # of a watch, at which the working mode is looked at
 QUICK = 10.0
 
 
-def judge_graph(graph: Graph) -> list[Line]:
-    """Topics, types, QoS, and who else commands."""
+def judge_graph(graph: Graph) -> list[CheckLine]:
+    """Return the lines on topics, types, QoS, and who else commands."""
     drivers, readers = graph.drivers, graph.readers
     found = (
         f"{graph.states}: {_who(drivers, 'publisher')}; {graph.commands}:"
@@ -102,7 +109,7 @@ def judge_graph(graph: Graph) -> list[Line]:
     return lines
 
 
-def _qos(drivers: Sequence[Endpoint], readers: Sequence[Endpoint]) -> Line:
+def _qos(drivers: Sequence[Endpoint], readers: Sequence[Endpoint]) -> CheckLine:
     limit = "states reliable; commands match a reliable, volatile publisher"
     troubles = [
         f"{end.node}: {end.mismatch}" for end in (*drivers, *readers) if end.mismatch
@@ -135,10 +142,13 @@ def _who(ends: Sequence[Endpoint], role: str) -> str:
 
 
 def judge_stream(
-    samples: Sequence[Sample], robot: RobotParameters, limits: Limits, duration: float
-) -> list[Line]:
-    """Everything that states alone tell, except the velocity, which a movement tells
-    better (``judge_velocity``).
+    samples: Sequence[JointSample],
+    robot: RobotParameters,
+    limits: Limits,
+    duration: float,
+) -> list[CheckLine]:
+    """Return all lines that states alone give, except the velocity, which a movement
+    tells better (``judge_velocity``).
 
     Args:
         samples: in the order of their arrival.
@@ -175,7 +185,7 @@ def judge_stream(
     return lines
 
 
-def _no_stream(samples: Sequence[Sample], new: int, duration: float) -> Line:
+def _no_stream(samples: Sequence[JointSample], new: int, duration: float) -> CheckLine:
     limit = f"at least {MIN_STATES} new ones"
     if not samples:
         return failed("states", f"none in {duration:.1f} s", limit, states=0)
@@ -192,7 +202,7 @@ def _no_stream(samples: Sequence[Sample], new: int, duration: float) -> Line:
     return failed("states", text, limit, states=new)
 
 
-def _names(samples: Sequence[Sample]) -> Line:
+def _names(samples: Sequence[JointSample]) -> CheckLine:
     limit = " and ".join(JOINT_NAMES)
     wrong = [
         sample.names
@@ -233,7 +243,7 @@ def _names(samples: Sequence[Sample]) -> Line:
     )
 
 
-def _sizes(samples: Sequence[Sample]) -> Line:
+def _sizes(samples: Sequence[JointSample]) -> CheckLine:
     wrong = [sample for sample in samples if len(sample.position) != len(sample.names)]
     odd = [
         sample
@@ -264,9 +274,9 @@ def _sizes(samples: Sequence[Sample]) -> Line:
     return passed("array sizes", sizes, "as many as names", wrong=0)
 
 
-def _numbers(samples: Sequence[Sample]) -> Line:
-    """Positions of both joints, which the controller needs; what else is not finite is
-    a remark.
+def _numbers(samples: Sequence[JointSample]) -> CheckLine:
+    """Judge the positions of both joints, which the controller needs; what else is not
+    finite is a remark.
     """
     wrong = len(_measured(samples)) - len(by_name(samples, "position")[0])
     if wrong:
@@ -299,8 +309,8 @@ def _numbers(samples: Sequence[Sample]) -> Line:
     )
 
 
-def _measured(samples: Sequence[Sample]) -> list[Sample]:
-    """The states with a position of both joints, finite or not."""
+def _measured(samples: Sequence[JointSample]) -> list[JointSample]:
+    """Return the states with a position of both joints, finite or not."""
     return [
         s
         for s in samples
@@ -309,7 +319,7 @@ def _measured(samples: Sequence[Sample]) -> list[Sample]:
     ]
 
 
-def _pace(samples: Sequence[Sample], limits: Limits) -> list[Line]:
+def _pace(samples: Sequence[JointSample], limits: Limits) -> list[CheckLine]:
     intervals = NANOSECOND * np.diff([sample.arrival for sample in samples])
     rate = 1.0 / max(float(intervals.mean()), NANOSECOND)
     jitter = float(np.percentile(np.abs(intervals - limits.period), 99))
@@ -349,7 +359,7 @@ def _pace(samples: Sequence[Sample], limits: Limits) -> list[Line]:
     ]
 
 
-def _stamps(samples: Sequence[Sample], limits: Limits) -> list[Line]:
+def _stamps(samples: Sequence[JointSample], limits: Limits) -> list[CheckLine]:
     stamps = np.array([sample.stamp for sample in samples], dtype=np.int64)
     arrivals = np.array([sample.arrival for sample in samples], dtype=np.int64)
     ages = NANOSECOND * (arrivals - stamps)
@@ -378,9 +388,9 @@ def _stamps(samples: Sequence[Sample], limits: Limits) -> list[Line]:
     ]
 
 
-def _rise(samples: Sequence[Sample], limits: Limits) -> Line:
-    """A step back is a fault of the controller; a repetition only begins its healthy
-    time anew.
+def _rise(samples: Sequence[JointSample], limits: Limits) -> CheckLine:
+    """Judge whether stamps rise: a step back is a fault of the controller, a repetition
+    only begins its healthy time anew.
     """
     stream, last, back, repeated, healthy = (
         StateStream(),
@@ -422,8 +432,11 @@ def _ms(seconds: float) -> str:
 
 
 def elbow_distance(robot: RobotParameters, q_a: Array) -> Array:
-    """Between the two elbows, (n,), m, at joint angles (n, 2), rad, as the encoders
-    read them.
+    """Return the distance between the two elbows, (n,), m.
+
+    Args:
+        robot: the five-bar.
+        q_a: active joints as the encoders read them, (n, 2), rad.
     """
     reach, q_a = (
         np.array([leg.proximal_length for leg in robot.legs]),
@@ -436,12 +449,16 @@ def elbow_distance(robot: RobotParameters, q_a: Array) -> Array:
 
 
 def _closing(robot: RobotParameters) -> tuple[float, float]:
-    """Between which distances of the elbows the distal links meet, m."""
+    """Return the least and the largest distance of the elbows at which the distal links
+    meet, m.
+    """
     lengths = [leg.distal_length for leg in robot.legs]
     return abs(lengths[0] - lengths[1]), sum(lengths)
 
 
-def _closes(samples: Sequence[Sample], robot: RobotParameters, limits: Limits) -> Line:
+def _closes(
+    samples: Sequence[JointSample], robot: RobotParameters, limits: Limits
+) -> CheckLine:
     _, q_a = joint_angles(samples)
     if not len(q_a):
         return skipped("closes", "no state has finite positions of both joints")
@@ -464,9 +481,11 @@ def _closes(samples: Sequence[Sample], robot: RobotParameters, limits: Limits) -
 
 
 def _mode_and_range(
-    samples: Sequence[Sample], robot: RobotParameters, limits: Limits
-) -> Line:
-    """By the controller's rules for its first state, and for each one under torque."""
+    samples: Sequence[JointSample], robot: RobotParameters, limits: Limits
+) -> CheckLine:
+    """Judge by the controller's rules for its first state, and for each one under
+    torque.
+    """
     _, q_a = joint_angles(samples)
     if not len(q_a):
         return skipped("mode and range", "no state has finite positions of both joints")
@@ -528,7 +547,9 @@ def _mode_and_range(
 
 
 def _in_mode(model: Model, q_a: Array, assembly_mode: int) -> bool:
-    """Whether the controller takes these joints for its first state."""
+    """Return whether the controller takes these joints, (2,), rad, for its
+    first state.
+    """
     try:
         implied = model.inverse_geometric_model(model.close(q_a, assembly_mode))
     except GeometryError:
@@ -537,7 +558,7 @@ def _in_mode(model: Model, q_a: Array, assembly_mode: int) -> bool:
     return bool(np.hypot(*off) < SAME_JOINTS)
 
 
-def _effort(samples: Sequence[Sample]) -> Line:
+def _effort(samples: Sequence[JointSample]) -> CheckLine:
     without = len(samples) - len(by_name(samples, "effort")[0])
     text = f"{without} of {len(samples)} states without"
     if without:
@@ -549,9 +570,9 @@ def _effort(samples: Sequence[Sample]) -> Line:
     return passed("effort feedback", text, "0", without=0)
 
 
-def judge_velocity(stretches: Sequence[Sequence[Sample]]) -> Line:
-    """Whether velocities integrate to positions, over windows of ``VELOCITY_WINDOW``
-    without a long gap.
+def judge_velocity(stretches: Sequence[Sequence[JointSample]]) -> CheckLine:
+    """Return whether velocities integrate to positions, over windows of
+    ``VELOCITY_WINDOW`` without a long gap.
 
     Args:
         stretches: unbroken runs of samples.

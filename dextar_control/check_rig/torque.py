@@ -1,4 +1,6 @@
-"""The tests with torque, one after the other, each only when those before allow it."""
+"""The tests with torque follow one after the other, each only when those before allow
+it.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +8,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from dextar_control.check_rig.limits import Limits
-from dextar_control.check_rig.report import TORQUE_LINES, Line, Result, skipped
+from dextar_control.check_rig.report import TORQUE_LINES, CheckLine, Result, skipped
 from dextar_control.check_rig.response import nan_line, response_line, watchdog_line
-from dextar_control.check_rig.samples import Sample
+from dextar_control.check_rig.samples import JointSample
 from dextar_control.check_rig.trial import (
     NO_TORQUE,
     Torque,
-    Trial,
+    TorqueTrial,
     doublet,
     nan_and_on,
     silence,
@@ -25,8 +27,8 @@ is.
 
 
 class TorqueTests:
-    """Small torques on each motor, silence, NaN; ends at the first limit that the robot
-    leaves.
+    """Sends small torques to each motor, then nothing, then NaN; ends at the first
+    limit that the robot leaves.
 
     A test that fails while states or answers were away for too long is repeated.
 
@@ -46,12 +48,12 @@ class TorqueTests:
     def __init__(self, limits: Limits, *, has_effort: bool) -> None:
         self._limits = limits
         self._has_effort = has_effort
-        self.lines: list[Line] = []
-        self.trials: list[Trial] = []
+        self.lines: list[CheckLine] = []
+        self.trials: list[TorqueTrial] = []
         self.finished = False
         self._tries = 1
         self._steps = self._sequence()
-        self._judge: Callable[[Trial], Line] = lambda trial: response_line(
+        self._judge: Callable[[TorqueTrial], CheckLine] = lambda trial: response_line(
             trial, limits
         )
         self._next()
@@ -63,7 +65,7 @@ class TorqueTests:
 
     @property
     def expected_duration(self) -> float:
-        """Of all tests, s."""
+        """How long all tests take, s."""
         parts = (
             doublet(0, self._limits),
             doublet(1, self._limits),
@@ -72,8 +74,8 @@ class TorqueTests:
         )
         return sum(segment.duration for part in parts for segment in part)
 
-    def update(self, now: int, sample: Sample | None) -> Torque | None:
-        """What to command now, N m; None for nothing.
+    def update(self, now: int, sample: JointSample | None) -> Torque | None:
+        """Return what to command now, N m; None for nothing.
 
         Args:
             now: of the clock of the samples' arrival, ns.
@@ -91,7 +93,7 @@ class TorqueTests:
             )
             if again and not trial.trouble and self._tries < TRIES:
                 self._tries += 1
-                self.trials[-1] = Trial(trial.joint, trial.segments, trial.limits)
+                self.trials[-1] = TorqueTrial(trial.joint, trial.segments, trial.limits)
                 return answer
             self.lines.append(
                 line
@@ -106,7 +108,7 @@ class TorqueTests:
         return answer
 
     def stop(self, reason: str) -> None:
-        """No more torque; what is left is skipped for this reason."""
+        """Send no more torque; what is left is skipped for this reason."""
         if not self.finished:
             self.finished = True
             done = {line.name for line in self.lines}
@@ -121,11 +123,11 @@ class TorqueTests:
         else:
             self.trials.append(trial)
 
-    def _sequence(self) -> Iterator[Trial]:
+    def _sequence(self) -> Iterator[TorqueTrial]:
         limits = self._limits
         for joint in (0, 1):
             self._judge = lambda trial: response_line(trial, limits)
-            yield Trial(joint, doublet(joint, limits), limits)
+            yield TorqueTrial(joint, doublet(joint, limits), limits)
         good = [
             joint for joint, line in enumerate(self.lines) if line.result is Result.PASS
         ]
@@ -139,7 +141,7 @@ class TorqueTests:
             )
         else:
             self._judge = lambda trial: watchdog_line(trial, limits)
-            yield Trial(good[0], silence(good[0], limits), limits)
+            yield TorqueTrial(good[0], silence(good[0], limits), limits)
             if self.lines[-1].numbers.get("gone") == 0.0:
                 self.stop(
                     "the drive keeps its torque when commands stop: too risky to go on"
@@ -148,4 +150,4 @@ class TorqueTests:
         self._judge = lambda trial: nan_line(trial, limits, responds=bool(good))
         joint = good[0] if good else 0
         script = nan_and_on(joint, limits) if good else nan_and_on(joint, limits)[:2]
-        yield Trial(joint, script, limits)
+        yield TorqueTrial(joint, script, limits)

@@ -1,4 +1,4 @@
-"""One test with torque: a sequence of torques, watched at each state, kept for
+"""One test with torque is a sequence of torques, watched at each state and kept for
 judgement.
 """
 
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dextar_control.check_rig.limits import Limits
-from dextar_control.check_rig.samples import NANOSECOND, Sample
+from dextar_control.check_rig.samples import NANOSECOND, Array, JointSample
 from dextar_control.contract.errors import StateError
 from dextar_control.contract.robot import JOINT_NAMES, joint_positions
 
@@ -27,7 +27,7 @@ STALL_PERIODS = 5  # without a state, at least, before the stream counts as stop
 
 
 class Segment(NamedTuple):
-    """What every state is answered with for some time.
+    """A part of a trial, in which every state has the same answer.
 
     Attributes:
         name: for judgement.
@@ -41,13 +41,13 @@ class Segment(NamedTuple):
 
 
 def pulse(joint: int, torque: float) -> Torque:
-    """Torque on one motor."""
+    """Return the torques, N m, of which one motor has this one."""
     return (torque, 0.0) if joint == 0 else (0.0, torque)
 
 
 def doublet(joint: int, limits: Limits) -> list[Segment]:
-    """+, -, - and + for equal times: each sign once, and a free joint comes back to
-    where and how it was.
+    """Return +, -, - and + for equal times: each sign is tried, and a free joint comes
+    back to where and how it was.
     """
     up, down = pulse(joint, limits.torque), pulse(joint, -limits.torque)
     return [
@@ -60,8 +60,8 @@ def doublet(joint: int, limits: Limits) -> list[Segment]:
 
 
 def silence(joint: int, limits: Limits) -> list[Segment]:
-    """Torque, then no command, shaped so that a drive that lets go in time leaves the
-    joint nearly at rest.
+    """Return torque, then no command, shaped so that a drive that lets go in time
+    leaves the joint nearly at rest.
     """
     up, down = pulse(joint, limits.torque), pulse(joint, -limits.torque)
     swing = 0.5 * (limits.pulse + limits.watchdog)
@@ -77,8 +77,8 @@ def silence(joint: int, limits: Limits) -> list[Segment]:
 
 
 def nan_and_on(joint: int, limits: Limits) -> list[Segment]:
-    """NaN while there is no torque, then a doublet to see whether the driver goes
-    on.
+    """Return NaN while there is no torque, then a doublet to see whether the driver
+    goes on.
     """
     return [
         Segment("rest", NO_TORQUE, limits.pulse),
@@ -88,7 +88,7 @@ def nan_and_on(joint: int, limits: Limits) -> list[Segment]:
 
 
 @dataclass
-class Trial:
+class TorqueTrial:
     """Answers states segment by segment, and stops at once when the robot leaves its
     limits.
 
@@ -108,7 +108,7 @@ class Trial:
     joint: int
     segments: Sequence[Segment]
     limits: Limits
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[JointSample] = field(default_factory=list)
     answers: list[Torque | None] = field(default_factory=list)
     places: list[int] = field(default_factory=list)
     sent: int = 0
@@ -116,15 +116,15 @@ class Trial:
     worst_delay: float = 0.0
     finished: bool = False
     _start: int = 0
-    _origin: np.ndarray | None = None
-    _last: np.ndarray | None = None
-    _recent: deque[tuple[Sample, np.ndarray]] = field(default_factory=deque)
+    _origin: Array | None = None
+    _last: Array | None = None
+    _recent: deque[tuple[JointSample, Array]] = field(default_factory=deque)
 
     def __post_init__(self) -> None:
         self._ends = np.cumsum([segment.duration for segment in self.segments])
 
-    def update(self, now: int, sample: Sample | None) -> Torque | None:
-        """What to command now: in answer to a state, or None.
+    def update(self, now: int, sample: JointSample | None) -> Torque | None:
+        """Return what to command now, N m, in answer to a state; None for nothing.
 
         Args:
             now: system clock, ns.
@@ -165,13 +165,13 @@ class Trial:
 
     @property
     def disturbed(self) -> bool:
-        """States or answers were away for so long that the torques were not those that
-        were meant.
+        """Whether states or answers were away for so long that the torques were not
+        those that were meant.
         """
         return self.worst_delay > DISTURBED * self.limits.pulse
 
-    def of(self, name: str, share: float = 0.0) -> list[Sample]:
-        """The states of a segment after this share of its duration."""
+    def of(self, name: str, share: float = 0.0) -> list[JointSample]:
+        """Return the states of a segment after this share of its duration."""
         place = next(
             index for index, segment in enumerate(self.segments) if segment.name == name
         )
@@ -186,7 +186,7 @@ class Trial:
         self.trouble = self.trouble or trouble
         self.finished = True
 
-    def _watch(self, sample: Sample) -> None:
+    def _watch(self, sample: JointSample) -> None:
         """End the test when the controller could not use the state, or a joint is too
         far from the start or too quick.
         """
@@ -207,9 +207,9 @@ class Trial:
             )
         self._watch_speed(sample, q_a)
 
-    def _watch_speed(self, sample: Sample, q_a: np.ndarray) -> None:
-        """Over a window; of stamps and arrivals the longer time counts, because states
-        arrive in bursts.
+    def _watch_speed(self, sample: JointSample, q_a: Array) -> None:
+        """Watch the speed over a window; of stamps and arrivals the longer time counts,
+        because states arrive in bursts.
         """
         window = round(max(SPEED_WINDOW, 3.0 * self.limits.period) / NANOSECOND)
         while (

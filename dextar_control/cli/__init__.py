@@ -1,4 +1,4 @@
-"""The commands of ``dextar``: each module has SUMMARY, DESCRIPTION, ``add_arguments``
+"""Each module is a command of ``dextar`` with SUMMARY, DESCRIPTION, ``add_arguments``
 and ``run``; none imports ROS at once.
 """
 

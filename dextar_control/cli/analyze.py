@@ -1,4 +1,4 @@
-"""``dextar analyze``."""
+"""The command ``dextar analyze``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WIDTHS = (40.0, 400.0)  # mm
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument(
         "bag", type=Path, nargs="+", help="an .mcap file, or the run's folder"
     )
@@ -73,7 +73,7 @@ def _width(text: str) -> float:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from dextar_control.analysis.report import analyze, summary_table
     from dextar_control.contract.terminal import Terminal, say, spoken_warnings
 
@@ -127,7 +127,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def folders(bags: list[Path], output: Path | None) -> list[Path | None]:
-    """Where each bag's results go; None is beside it.
+    """Return where each bag's results go; None is beside it.
 
     Bags that would share a folder get one each in it, by their own names, whatever
     links lead to them. A bag that is named twice has one folder.

@@ -1,4 +1,4 @@
-"""What the commands that read bags share: an argument, what is under way, and the exit
+"""The commands that read bags share an argument, the display of progress, and the exit
 code of a damaged bag.
 """
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 class Shown(NamedTuple):
-    """What is under way, on the error output where that is a terminal.
+    """The display of what is under way, on the error output where that is a terminal.
 
     Attributes:
-        stage: tell what is done now.
-        read: tell the bytes read and those there are.
+        stage: tells what is done now.
+        read: tells the bytes read and those there are.
     """
 
     stage: Callable[[str], None]
@@ -33,8 +33,13 @@ class Shown(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a command found that fits a robot's numbers to bags: a sentence, the
-    numbers, lines below them, files written.
+    """What a command found that fits a robot's numbers to bags.
+
+    Attributes:
+        sentence: the result in words.
+        quantities: the numbers.
+        lines: that stand below them.
+        files: that were written.
     """
 
     sentence: str
@@ -44,7 +49,7 @@ class Found(NamedTuple):
 
 
 def add_fit(parser: argparse.ArgumentParser, page: str) -> None:
-    """Arguments of such a command, which writes a page."""
+    """Add the arguments of a command that fits a robot's numbers and writes a page."""
     parser.add_argument(
         "bag",
         type=Path,
@@ -74,9 +79,10 @@ def run_fit(
     name: str,
     find: Callable[[Sequence[Run], Sequence[Run], Path, Callable[[str], None]], Found],
 ) -> int:
-    """Read the bags, fit, write and tell; the exit code.
+    """Read the bags, fit, write and tell; return the exit code.
 
     Args:
+        arguments: of the command line.
         name: of the command.
         find: of (bags that serve, bags that check, folder for the results, to tell what
             is done) what is found.
@@ -121,8 +127,8 @@ def run_fit(
 
 
 def add_robot(parser: argparse.ArgumentParser) -> None:
-    """What another recorder's bag does not say: the robot's namespace and its
-    description.
+    """Add the robot's namespace and description, which another recorder's bag does not
+    tell.
     """
     parser.add_argument(
         "--robot",
@@ -137,7 +143,7 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
 
 
 def given_robot(arguments: argparse.Namespace) -> RobotParameters | None:
-    """The robot of ``--robot``.
+    """Return the robot of ``--robot``; None without it.
 
     Raises:
         ParameterError: the file cannot be read or is none of a robot.
@@ -148,7 +154,7 @@ def given_robot(arguments: argparse.Namespace) -> RobotParameters | None:
 
 
 def exit_code_of(*runs: Run | Metrics) -> int:
-    """0 where the bags are whole, 1 where one is damaged or breaks off."""
+    """Return 0 where the bags are whole, 1 where one is damaged or breaks off."""
     return (
         EXIT_FAILED
         if any(run.truncated or run.holes or run.unreadable for run in runs)
@@ -158,8 +164,8 @@ def exit_code_of(*runs: Run | Metrics) -> int:
 
 @contextlib.contextmanager
 def shown_progress(first: str = "") -> Iterator[Shown]:
-    """A line with what is done, and a bar where the bytes of a bag are counted; gone at
-    the end.
+    """Show a line with what is done, and a bar where the bytes of a bag are counted,
+    until the context ends.
     """
     from rich.progress import (
         BarColumn,

@@ -1,4 +1,4 @@
-"""``dextar bench``."""
+"""The command ``dextar bench``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DESCRIPTION = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument(
         "--demos",
         type=int,
@@ -52,7 +52,7 @@ def _seconds(text: str) -> float:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     if arguments.demos is not None:
         from dextar_control.experiments.bench_stack import bench_demos
 

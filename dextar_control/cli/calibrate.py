@@ -1,4 +1,4 @@
-"""``dextar calibrate``."""
+"""The command ``dextar calibrate``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ DESCRIPTION = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     add_fit(parser, "calibration.html")
     parser.add_argument(
         "--no-pose",
@@ -39,13 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from dextar_control.identification.calibration import calibrate, predict
     from dextar_control.identification.report import (
         PAGE_FILE,
         ROBOT_FILE,
-        predicted,
-        sentence,
+        fit_in_words,
+        prediction_in_words,
         write_calibration,
     )
 
@@ -59,9 +59,9 @@ def run(arguments: argparse.Namespace) -> int:
         predictions = [predict(found, other) for other in unused]
         write_calibration(found, predictions, folder)
         return Found(
-            sentence(found),
+            fit_in_words(found),
             found.quantities,
-            [*found.kept, *map(predicted, predictions)],
+            [*found.kept, *map(prediction_in_words, predictions)],
             (ROBOT_FILE, PAGE_FILE),
         )
 

@@ -1,4 +1,4 @@
-"""``dextar campaign``."""
+"""The command ``dextar campaign``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DESCRIPTION = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument(
         "config", type=Path, help="campaign file, e.g. config/campaign_small.yaml"
     )
@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     try:
         from dextar_control.experiments.campaign.command import run_command
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""``dextar check-rig``."""
+"""The command ``dextar check-rig``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DESCRIPTION = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     where = parser.add_argument_group("where")
     where.add_argument(
         "--namespace", default="", metavar="NS", help="of the rig's topics"
@@ -150,7 +150,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from dextar_control.check_rig.client import run_check
 
     return run_check(arguments)

@@ -1,10 +1,9 @@
-"""``dextar demo``."""
+"""The command ``dextar demo``."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from dextar_control.contract.plug_in import one_of
 from dextar_control.contract.settings import ESTIMATORS, LAWS
@@ -19,8 +18,8 @@ DESCRIPTION = (
 EXCITE = 20.0  # s
 
 
-def add_excite(group: Any) -> None:
-    """``--excite`` among the arguments that say where to."""
+def add_excite(group: argparse._MutuallyExclusiveGroup) -> None:
+    """Add ``--excite`` to the arguments that say where to."""
 
     def seconds(text: str) -> float:
         if not float(text) > 0.0:
@@ -43,7 +42,7 @@ def add_excite(group: Any) -> None:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument(
         "--law",
         metavar="NAME",
@@ -166,7 +165,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from dextar_control.experiments.demo import run_demo
 
     return run_demo(arguments)

@@ -1,4 +1,4 @@
-"""``dextar export``."""
+"""The command ``dextar export``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FORMATS = ("parquet", "csv", "mat")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument("bag", type=Path, help="an .mcap file, or the run's folder")
     add_robot(parser)
     parser.add_argument(
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from dextar_control.analysis.load import load_run
     from dextar_control.analysis.table import check_formats, export
     from dextar_control.contract.terminal import Terminal, spoken_warnings

@@ -1,4 +1,4 @@
-"""``dextar faults``."""
+"""The command ``dextar faults``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DESCRIPTION = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument(
         "config", type=Path, nargs="?", help="cases (default: config/faults.yaml)"
     )
@@ -71,7 +71,7 @@ def _positive(text: str) -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from dextar_control.experiments.faults.run import run_faults
 
     return run_faults(

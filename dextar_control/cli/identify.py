@@ -1,4 +1,4 @@
-"""``dextar identify``."""
+"""The command ``dextar identify``."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ DESCRIPTION = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     add_fit(parser, "identification.html")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from dextar_control.identification.identification import identify, predict_torques
     from dextar_control.identification.report import (
         IDENTIFICATION_FILE,
         IDENTIFIED_FILE,
-        torques_predicted,
-        torques_sentence,
+        torque_fit_in_words,
+        torque_prediction_in_words,
         write_identification,
     )
 
@@ -51,9 +51,13 @@ def run(arguments: argparse.Namespace) -> int:
         found = identify(used, progress=stage)
         predictions = [predict_torques(found, other) for other in unused]
         write_identification(found, predictions, folder)
-        lines = [*found.told, *found.kept, *map(torques_predicted, predictions)]
+        lines = [
+            *found.told,
+            *found.kept,
+            *map(torque_prediction_in_words, predictions),
+        ]
         return Found(
-            torques_sentence(found),
+            torque_fit_in_words(found),
             found.quantities,
             lines,
             (IDENTIFIED_FILE, IDENTIFICATION_FILE),

@@ -6,7 +6,7 @@ import argparse
 import io
 import os
 import sys
-from typing import Any
+from typing import Protocol
 
 from dextar_control.cli import (
     analyze,
@@ -27,7 +27,21 @@ from dextar_control.contract.caches import prepare_environment
 from dextar_control.contract.signals import run_command
 from dextar_control.executables import EXECUTABLES
 
-COMMANDS: dict[str, Any] = {
+
+class CommandModule(Protocol):
+    """What a command's module offers."""
+
+    SUMMARY: str
+    DESCRIPTION: str
+
+    def add_arguments(self, parser: argparse.ArgumentParser, /) -> None:
+        """Add the command's own arguments."""
+
+    def run(self, arguments: argparse.Namespace, /) -> int:
+        """Do what was asked; return the exit code."""
+
+
+COMMANDS: dict[str, CommandModule] = {
     "demo": demo,
     "go": operate.GO,
     "stop": operate.STOP,
@@ -75,8 +89,8 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Console entry; the exit code. What a command starts stays on this machine unless
-    the environment opens it.
+    """Run the command; return the exit code. What a command starts stays on this
+    machine unless the environment opens it.
     """
     arguments = parser().parse_args(argv)
     prepare_environment()

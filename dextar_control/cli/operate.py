@@ -1,5 +1,5 @@
-"""``dextar go``, ``stop``, ``status``, ``enable`` and ``reset``: what an operator asks
-of a robot whose nodes run.
+"""``dextar go``, ``stop``, ``status``, ``enable`` and ``reset`` ask what an operator
+asks of a robot whose nodes run.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dextar_control.cli.demo import add_excite
 
 
 @dataclass
-class Command:
+class OperatorCommand:
     """One of several commands of a module, with the names that ``cli`` asks a module
     for.
     """
@@ -70,7 +70,7 @@ def _enable_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(name: str) -> Callable[[argparse.Namespace], int]:
-    """A function of ``ros.operator``, loaded when it is called."""
+    """Return a function of ``nodes.operator`` that is loaded when it is called."""
 
     def run(arguments: argparse.Namespace) -> int:
         from dextar_control.nodes import operator
@@ -80,7 +80,7 @@ def _run(name: str) -> Callable[[argparse.Namespace], int]:
     return run
 
 
-GO = Command(
+GO = OperatorCommand(
     "start a trip or tour of a running robot and follow it to its end",
     "Sets the task of the running trajectory server (what is not given stays as it was"
     " set last), has it planned and started, and follows it. Ctrl-C is a safe stop."
@@ -90,7 +90,7 @@ GO = Command(
     _go_arguments,
     _run("go"),
 )
-STOP = Command(
+STOP = OperatorCommand(
     "stop a running robot safely",
     "Asks the controller for a safe stop, and the trajectory server to start nothing"
     " that it still plans; waits until the robot is at rest. A crossing that has begun"
@@ -99,21 +99,21 @@ STOP = Command(
     _robot,
     _run("stop"),
 )
-STATUS = Command(
+STATUS = OperatorCommand(
     "tell how a running robot is and what to do next",
     "Prints what the nodes tell of themselves. Exit code 0 when no node tells of an"
     " error, 1 when one does, 2 when there is no controller.",
     _robot,
     _run("status"),
 )
-ENABLE = Command(
+ENABLE = OperatorCommand(
     "give a running robot torque, so that it holds",
     "Asks the controller for torque; it says what is missing. Exit code 0 when that was"
     " done, 2 when it was refused.",
     _enable_arguments,
     _run("enable"),
 )
-RESET = Command(
+RESET = OperatorCommand(
     "leave a fault or a safe stop of a running robot, without torque",
     "Asks the controller to leave what it has latched; it says what is in the way. Exit"
     " code 0 when that was done, 2 when it was refused.",

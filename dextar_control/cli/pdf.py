@@ -1,5 +1,5 @@
-"""``--pdf``: a page as a PDF, printed by a browser, since its figures are drawn by
-one.
+"""``--pdf`` prints a page into a PDF by a browser, since its figures are
+drawn by one.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any
 
 from dextar_control.contract.errors import DextarError
 
@@ -34,13 +33,13 @@ class PdfError(DextarError):
 
 
 def find_browser() -> str | None:
-    """The first browser of Chromium's kind on the PATH."""
+    """Return the first browser of Chromium's kind on the PATH; None without one."""
     return next((found for name in BROWSERS if (found := shutil.which(name))), None)
 
 
 class _Pdf(argparse.Action):
     def __call__(
-        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, *_: Any
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, *_: object
     ) -> None:
         if find_browser() is None:
             parser.error(
@@ -52,8 +51,8 @@ class _Pdf(argparse.Action):
 
 
 def add_pdf(parser: argparse.ArgumentParser, page: str) -> None:
-    """``--pdf`` of a command that writes a page; refused at once where there is no
-    browser.
+    """Add ``--pdf`` to a command that writes a page; it is refused at once where there
+    is no browser.
     """
     parser.add_argument(
         "--pdf",
@@ -65,7 +64,7 @@ def add_pdf(parser: argparse.ArgumentParser, page: str) -> None:
 
 
 def write_pdf(page: Path) -> Path:
-    """Print a page into a PDF beside it; where that is.
+    """Print a page into a PDF beside it; return the PDF's path.
 
     Raises:
         PdfError: there is no browser, or it fails.

@@ -1,4 +1,4 @@
-"""``dextar recover``."""
+"""The command ``dextar recover``."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ DESCRIPTION = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument("bag", type=Path, help="an .mcap file, or a bag's folder")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from datetime import datetime, timezone
 
     from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn
     from rich.table import Column, Table
 
-    from dextar_control.bags.damage import in_words
+    from dextar_control.bags.damage import hole_in_words
     from dextar_control.bags.recover import recover
     from dextar_control.contract.terminal import Steps, Terminal, TextColumn, title
     from dextar_control.contract.words import counted
@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         lines.append(f"{result.metadata}; a new one was written")
     if result.lost_bytes:
         lines.append(f"{result.lost_bytes} bytes at the end are no complete record")
-    lines += map(in_words, result.holes)
+    lines += map(hole_in_words, result.holes)
     if result.unpacked:
         lines.append(
             f"{counted(result.unpacked, 'message')} that the recorder had compressed"

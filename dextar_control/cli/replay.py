@@ -1,4 +1,4 @@
-"""``dextar replay``."""
+"""The command ``dextar replay``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ WINDOW_MODULE = "dextar_sim.replay"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's own arguments."""
+    """Add the command's own arguments."""
     parser.add_argument("bag", type=Path, help="an .mcap file, or the run's folder")
     add_robot(parser)
     parser.add_argument(
@@ -90,13 +90,13 @@ def _frames(text: str) -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """The exit code."""
+    """Run the command; return the exit code."""
     from rich.progress import BarColumn, TimeRemainingColumn
 
     from dextar_control.analysis.animate import animate, check_output
     from dextar_control.analysis.drawing import SCREEN, Look
     from dextar_control.analysis.load import load_run
-    from dextar_control.analysis.motion import motion_of
+    from dextar_control.analysis.motion import frames_of
     from dextar_control.contract.style import DARK
     from dextar_control.contract.terminal import (
         Steps,
@@ -117,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
         recorded = load_run(
             arguments.bag, arguments.namespace, shown.read, given_robot(arguments)
         )
-        motion = motion_of(
+        motion = frames_of(
             recorded, arguments.speed / arguments.fps, arguments.begin, arguments.end
         )
     if arguments.window:

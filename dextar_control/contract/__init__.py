@@ -1,3 +1,3 @@
-"""What a rig and its controller share: robot description, topics, errors, node
-scaffolding.
+"""A rig and its controller share this: robot description, topics, parameters, errors,
+and how the package prints.
 """

@@ -1,8 +1,8 @@
-"""Folders for what may be lost: caches and logs. Where none can be written the package
-works without, and says so.
+"""Caches and logs lie in folders whose content may be lost. Where none can be written
+the package works without, and says so.
 
-The first that can be written counts: the one that is asked for,
-``$XDG_CACHE_HOME/dextar`` (``~/.cache/dextar``), and a folder in the temporary one that
+The first folder that can be written is taken: the one that is asked for,
+``$XDG_CACHE_HOME/dextar`` (``~/.cache/dextar``), or a folder in the temporary one that
 is this user's alone.
 """
 
@@ -18,8 +18,8 @@ from dextar_control.contract.errors import ParameterError
 
 
 def cache_folder(name: str, *preferred: Path) -> Path | None:
-    """A folder that can be written, made where it does not exist; None where there is
-    none.
+    """Return a folder that can be written, made where it does not exist; None where
+    there is none.
 
     Args:
         name: of the cache.
@@ -31,7 +31,9 @@ def cache_folder(name: str, *preferred: Path) -> Path | None:
 
 
 def writable(folder: Path) -> bool:
-    """Whether a file can be made in a folder, which is made where it does not exist."""
+    """Return whether a file can be made in a folder, which is made where it does not
+    exist.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
@@ -68,7 +70,7 @@ def check_file(file: Path, option: str) -> None:
 
 
 def home() -> Path | None:
-    """The user's home, if the user has one."""
+    """Return the user's home; None where the user has none."""
     try:
         return Path.home()
     except RuntimeError:
@@ -77,7 +79,7 @@ def home() -> Path | None:
 
 def prepare_environment() -> None:
     """Give matplotlib's settings and the nodes' logs a folder where theirs cannot be
-    made: here and in what is started here.
+    made, for this process and its children.
     """
     own = home() or Path("/nonexistent")
     config, cache, ros = (
@@ -103,7 +105,9 @@ def _fall_back(variable: str, name: str, *usual: Path) -> None:
 
 
 def _can_be_made(folder: Path) -> bool:
-    """Whether a folder that somebody else would make could be made and written."""
+    """Return whether a folder that another program would make could be made and
+    written.
+    """
     try:
         there = next(
             place
@@ -127,8 +131,8 @@ def _folders(name: str) -> Iterator[Path]:
 
 
 def _private() -> Path | None:
-    """This user's own folder in the temporary one: nobody else may have made it or may
-    write there.
+    """Return this user's own folder in the temporary one; None where somebody else made
+    it or may write there.
     """
     try:
         folder = Path(tempfile.gettempdir()) / f"dextar-{os.getuid()}"

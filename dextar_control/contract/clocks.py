@@ -1,4 +1,4 @@
-"""Time for order and age: it does not step when somebody sets the system clock. No ROS
+"""A time for order and age must not step when somebody sets the system clock. No ROS
 here.
 """
 
@@ -11,14 +11,15 @@ Clock = Callable[[], int]
 
 
 class UnsteppedClock:
-    """The system clock's time when this was made, going on by the steady clock, ns.
+    """A clock that shows the system clock's time when it was made, and goes on by the
+    steady clock, ns.
 
-    What the middleware stamps by the system clock, and is read soon after, comes over
-    to it by how long it has waited.
+    A stamp of the middleware by the system clock is brought over to it by how long the
+    message has waited.
 
     Args:
-        system: ns; may step.
-        steady: ns; does not.
+        system: a clock that may step, ns.
+        steady: a clock that does not, ns.
     """
 
     def __init__(
@@ -28,13 +29,14 @@ class UnsteppedClock:
         self._ahead = system() - steady()
 
     def now(self) -> int:
-        """Now, ns."""
+        """Return the time, ns."""
         return self._steady() + self._ahead
 
     def arrival(self, received: int) -> int:
-        """When something arrived that the middleware received at this time of the
-        system clock; now where that is 0, unknown.
+        """Return when a message arrived, ns, that the middleware received at this time
+        of the system clock; now where that is 0, which means unknown.
 
-        A step of the system clock while it waited makes it older, never younger.
+        A step of the system clock while the message waited makes it older, never
+        younger.
         """
         return self.now() - (abs(self._system() - received) if received else 0)

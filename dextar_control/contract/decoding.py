@@ -1,5 +1,5 @@
-"""CDR bytes to messages, by rosbags, and where numbers lie in them, for live nodes and
-bags alike. Needs no ROS.
+"""rosbags turns CDR bytes into messages and tells where numbers lie in them, for live
+nodes and bags alike. Needs no ROS.
 """
 
 from __future__ import annotations
@@ -7,7 +7,6 @@ from __future__ import annotations
 import dataclasses
 import struct
 from functools import cache
-from typing import Any
 
 import numpy as np
 from rosbags.serde import SerdeError
@@ -24,16 +23,16 @@ MARK = 7.25e211  # of the floats, times 1 + their number
 
 @cache
 def types() -> Typestore:
-    """The message types of ROS 2 Jazzy."""
+    """Return the message types of ROS 2 Jazzy."""
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def read_message(raw: bytes, type_name: str) -> Any:
-    """A message from CDR bytes in rosbags' classes: the fields of rclpy's, read without
-    holding other threads up.
+def read_message(raw: bytes, type_name: str) -> object:
+    """Return the message that CDR bytes hold, in rosbags' classes, which have the
+    fields of rclpy's; no other thread waits meanwhile.
 
-    Up to SLACK bytes behind it do not matter. In a text that is not UTF-8 the bytes
-    that are none become question marks, so that it costs no number beside it.
+    Up to SLACK bytes may follow the message. Bytes of a text that are no UTF-8 become
+    question marks, so that the numbers beside it can still be read.
 
     Raises:
         StateError: the bytes are no message of that type, or rosbags does not know the
@@ -69,8 +68,8 @@ def read_message(raw: bytes, type_name: str) -> Any:
 
 
 def _readable(content: bytes, error: UnicodeDecodeError) -> bytes:
-    """The content with a question mark for each byte of a text that is no UTF-8: every
-    other byte stays in its place.
+    """Return the content with a question mark for each byte of a text that is no UTF-8;
+    every other byte stays in its place.
     """
     text, changed = error.object, error.object
     while True:
@@ -90,18 +89,18 @@ def _readable(content: bytes, error: UnicodeDecodeError) -> bytes:
     raise error
 
 
-def places_of(message: Any, type_name: str) -> dict[str, tuple[int, str]]:
-    """Where the floats and times of a message lie in the bytes that the library writes
-    of it: found by marks, not assumed.
+def places_of(message: object, type_name: str) -> dict[str, tuple[int, str]]:
+    """Return where the floats and times of a message lie in the bytes that rosbags
+    writes of it; they are found by marks, not assumed.
 
     Args:
-        message: of the library's classes, with words and lengths that stay.
+        message: of rosbags' classes, with texts and lengths that stay.
         type_name: ``package/msg/Type``.
 
     Returns:
         Per path, such as ``points.0.positions.1``, the first byte and the kind:
-            ``<f8``, ``<i4`` or ``<u4``; nothing where
-        the message's own words look like a mark.
+        ``<f8``, ``<i4`` or ``<u4``; nothing where the message's own content looks like
+        a mark.
     """
     marks: list[tuple[str, bytes, str]] = []
     marked = bytes(types().serialize_cdr(_mark(message, "", marks), type_name))
@@ -110,8 +109,8 @@ def places_of(message: Any, type_name: str) -> dict[str, tuple[int, str]]:
     return {path: (marked.index(mark), kind) for path, mark, kind in marks}
 
 
-def _mark(message: Any, path: str, marks: list[tuple[str, bytes, str]]) -> Any:
-    """A copy of the message with a mark for each of its numbers."""
+def _mark(message: object, path: str, marks: list[tuple[str, bytes, str]]) -> object:
+    """Return a copy of the message with a mark for each of its numbers."""
 
     def number(here: str) -> float:
         value = MARK * (1.0 + len(marks))
@@ -123,7 +122,8 @@ def _mark(message: Any, path: str, marks: list[tuple[str, bytes, str]]) -> Any:
         marks.append((here, struct.pack("<I", value), kind))
         return value
 
-    changed: dict[str, Any] = {}
+    changed: dict[str, object] = {}
+    assert dataclasses.is_dataclass(message) and not isinstance(message, type)
     for field in dataclasses.fields(message):
         name, value = field.name, getattr(message, field.name)
         here = f"{path}{name}"
@@ -145,6 +145,4 @@ def _mark(message: Any, path: str, marks: list[tuple[str, bytes, str]]) -> Any:
             ]
         else:
             changed[name] = value
-    return type(message)(
-        **{name: value for name, value in changed.items() if name != "__msgtype__"}
-    )
+    return dataclasses.replace(message, **changed)

@@ -1,10 +1,11 @@
-"""Everything this package raises for a caller's mistake."""
+"""The package raises these errors for a caller's mistake."""
 
 from __future__ import annotations
 
 
 class DextarError(Exception):
-    """Root of the package's errors: one sentence that names the value and the limit.
+    """Root of the package's errors; its text is one sentence that names the value and
+    the limit.
 
     Args:
         text: the sentence.
@@ -45,7 +46,8 @@ class CalibrationError(DextarError):
 
 
 def lacking(what: str, extra: str, error: ImportError) -> ParameterError:
-    """What needs a library that is installed only where it is asked for.
+    """Return the error that tells which optional library is missing and how to install
+    it.
 
     Args:
         what: needs it.

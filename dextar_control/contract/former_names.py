@@ -8,11 +8,12 @@ from __future__ import annotations
 import stat
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.node_parameters import parameters_of_node
 from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.yaml_text import (
     PARAMETERS,
     Sections,
@@ -23,19 +24,20 @@ from dextar_control.contract.yaml_text import (
 
 FILE_FLAG = "--params-file"
 VALUE_FLAGS = ("-p", "--param")
+Value = TypeVar("Value")
 
 
 def former_names(specs: Iterable[Parameter]) -> dict[str, str]:
-    """The present names of the parameters that have been renamed, by their former
-    ones.
+    """Return the present names of the parameters that have been renamed, by their
+    former ones.
     """
     return {spec.formerly: spec.name for spec in specs if spec.formerly}
 
 
 def present_names(
-    specs: Iterable[Parameter], given: Mapping[str, Any]
-) -> tuple[dict[str, Any], dict[str, str]]:
-    """Parameters under their present names.
+    specs: Iterable[Parameter], given: Mapping[str, Value]
+) -> tuple[dict[str, Value], dict[str, str]]:
+    """Return parameters under their present names.
 
     Args:
         specs: of the node's parameters.
@@ -59,7 +61,7 @@ def present_names(
 
 
 def renamed_in_words(renamed: Mapping[str, str]) -> str:
-    """The warning about former names, each with the present one."""
+    """Return the warning about former names, each with the present one."""
     names = ", ".join(f"{old} is now {new}" for old, new in renamed.items())
     return (
         f"parameters have been renamed: {names}; the next release takes the present"
@@ -68,8 +70,8 @@ def renamed_in_words(renamed: Mapping[str, str]) -> str:
 
 
 def present_sections(node: str, path: Path) -> tuple[Sections, dict[str, str]]:
-    """What a parameter file holds, in the sections that a node reads under present
-    names; and the former names that it uses there.
+    """Return what a parameter file holds, in the sections that a node reads under
+    present names; and the former names that it uses there.
 
     Args:
         node: its name, with or without its namespace.
@@ -94,9 +96,9 @@ def present_sections(node: str, path: Path) -> tuple[Sections, dict[str, str]]:
     return sections, renamed
 
 
-def present_parameters(node: str, *paths: Path) -> dict[str, Any]:
-    """Parameters of one node in parameter files, as the node itself would get them,
-    under present names.
+def present_parameters(node: str, *paths: Path) -> dict[str, ParameterValue]:
+    """Return the parameters of one node in parameter files, as the node itself would
+    get them, under present names.
 
     Args:
         node: its name, with its namespace where it has one.
@@ -115,8 +117,8 @@ def present_parameters(node: str, *paths: Path) -> dict[str, Any]:
 def present_arguments(
     node: str, words: Sequence[str], folder: Callable[[], Path]
 ) -> tuple[list[str], dict[str, str]]:
-    """A node's command line with present names, so that what stands later overrides
-    what stands earlier under whichever name.
+    """Return a node's command line with present names, so that what stands later
+    overrides what stands earlier under whichever name.
 
     Args:
         node: its name.
@@ -157,5 +159,5 @@ def present_arguments(
 
 
 def _meant(pattern: str, name: str) -> bool:
-    """Whether a pattern of nodes' names may be of the node with this name."""
+    """Return whether a pattern of nodes' names may be of the node with this name."""
     return pattern.rpartition("/")[2] in ("*", "**", name)

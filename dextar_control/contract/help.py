@@ -1,5 +1,5 @@
-"""What ``--help`` prints of a node: from its docstring, the contract's tables and its
-parameters. No ROS here.
+"""``--help`` of a node prints its docstring, the contract's tables and its parameters.
+No ROS here.
 """
 
 from __future__ import annotations
@@ -7,7 +7,7 @@ from __future__ import annotations
 import inspect
 import textwrap
 from collections.abc import Iterable
-from typing import Any
+from typing import ClassVar, Protocol
 
 from dextar_control.contract import resources
 from dextar_control.contract.parameters import Parameter
@@ -18,21 +18,32 @@ BESIDE = 22  # columns of a name in a list
 
 
 def first_paragraph(text: str | None) -> str:
-    """Of a docstring, on one line; empty without one."""
+    """Return the first paragraph of a docstring on one line; an empty text
+    without one.
+    """
     return " ".join(
         inspect.cleandoc(text or "").split("\n\n")[0].replace("``", "").split()
     )
 
 
-def node_help(node: Any) -> str:
-    """The whole text.
+class DescribedNode(Protocol):
+    """A node's class, of which the help tells beside its docstring.
 
-    Args:
-        node: a node's class, with ``NAME``, and ``PARAMETERS`` and ``ROBOT`` where it
-            has parameters.
+    Attributes:
+        NAME: node name; empty where the package's tables do not know it.
+        PARAMETERS: the node's parameters.
+        ROBOT: whether the node takes the robot description.
     """
+
+    NAME: ClassVar[str]
+    PARAMETERS: ClassVar[tuple[Parameter, ...]]
+    ROBOT: ClassVar[bool]
+
+
+def node_help(node: type[DescribedNode]) -> str:
+    """Return all that ``--help`` prints of a node."""
     about = textwrap.fill(first_paragraph(node.__doc__), WIDTH)
-    name = getattr(node, "NAME", "")
+    name = node.NAME
     if name not in NODES:
         command = f"ros2 run dextar {name}" if name else node.__name__
         return f"usage: {command} [-h] [--ros-args ROS_ARGUMENT ...]\n\n{about}"
@@ -82,7 +93,7 @@ def _section(title: str, items: Iterable[str]) -> str:
 
 
 def _item(name: str, text: str) -> str:
-    """A name with its text beside it, or below where the name is long."""
+    """Return a name with its text beside it, or below where the name is long."""
     lines = textwrap.wrap(
         text, WIDTH - BESIDE - 2, break_on_hyphens=False, break_long_words=False
     )
@@ -97,8 +108,8 @@ def _item(name: str, text: str) -> str:
 
 
 def _topic(topic: Topic, node: str = "") -> str:
-    """One line; where a parameter of the node brings the topic into being, with
-    that.
+    """Return one line on a topic, which names the parameter of this node that switches
+    it on.
     """
     owner, _, parameter = topic.switch.partition(".")
     switch = f" (only with {parameter})" if parameter and owner == node else ""
@@ -130,12 +141,12 @@ def _parameters(node: str, specs: Iterable[Parameter], robot: bool) -> str:
 
 
 def _words(spec: Parameter) -> str:
-    """The description, what may be chosen behind it."""
+    """Return the description and what may be chosen behind it."""
     return spec.description + (f" It is {spec.allowed}." if spec.allowed else "")
 
 
-def _value(default: Any) -> str:
-    """As it is typed behind NAME:=."""
+def _value(default: object) -> str:
+    """Return a default as it is typed behind NAME:=."""
     if isinstance(default, bool):
         return str(default).lower()
     if isinstance(default, str):
@@ -148,7 +159,9 @@ def _unit(spec: Parameter) -> str:
 
 
 def _limits(spec: Parameter) -> str:
-    """In brackets: the range, how many numbers, whether it is live."""
+    """Return the range, how many numbers there are, and whether it is live, in
+    brackets.
+    """
     words = []
     if spec.minimum is not None and spec.maximum is not None:
         words.append(f"{spec.minimum:.10g} to {spec.maximum:.10g}")

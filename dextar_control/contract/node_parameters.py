@@ -553,7 +553,7 @@ PARAMETERS = {
 
 
 def parameters_of_node(node: str) -> tuple[Parameter, ...]:
-    """Those of the node with this name, with or without its namespace; none of a node
-    that is not of this package.
+    """Return those of the node with this name, with or without its namespace; none of
+    a node that is not of this package.
     """
     return PARAMETERS.get(node.rpartition("/")[2], ())

@@ -1,4 +1,5 @@
-"""What a node's parameter is, which names and values it takes. Needs no ROS.
+"""A parameter of a node is described here, with the names and values that it takes.
+Needs no ROS.
 
 The parameters themselves stand in ``node_parameters``.
 """
@@ -8,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any
 
 from dextar_control.contract import resources
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.plug_in import is_own, one_of
 from dextar_control.contract.robot import PREFIX, ROBOT_KEYS
 
@@ -49,7 +50,7 @@ class Parameter:
 
     @property
     def group(self) -> str:
-        """What stands before the dot of its name; empty of a plain name."""
+        """What stands before the dot of its name; it is empty of a plain name."""
         return self.name.rpartition(".")[0]
 
     @property
@@ -93,8 +94,8 @@ SCHEDULING = (
 def nearest_in_words(
     name: str, specs: Sequence[Parameter], others: Sequence[str] = ()
 ) -> str:
-    """A question for what may have been meant by a name that is not known; empty where
-    nothing looks like it.
+    """Return a question for what may have been meant by a name that is not known; it is
+    empty where nothing looks like it.
 
     Args:
         name: as given.
@@ -113,7 +114,9 @@ def nearest_in_words(
     return f"; did you mean '{meant[close[0]]}'?" if close else ""
 
 
-def check_value(spec: Parameter, value: Any, default: Any) -> Any:
+def check_value(
+    spec: Parameter, value: ParameterValue, default: ParameterValue
+) -> ParameterValue:
     """The value in the type of its default.
 
     Raises:
@@ -173,8 +176,12 @@ def check_value(spec: Parameter, value: Any, default: Any) -> Any:
 
 
 def settled(
-    node: str, specs: Sequence[Parameter], overrides: Mapping[str, Any], *, robot: bool
-) -> dict[str, Any]:
+    node: str,
+    specs: Sequence[Parameter],
+    overrides: Mapping[str, ParameterValue],
+    *,
+    robot: bool,
+) -> dict[str, ParameterValue]:
     """The values of a node's parameters, as the node itself takes them at its start.
 
     Args:

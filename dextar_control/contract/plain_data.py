@@ -1,18 +1,31 @@
-"""Data as JSON knows it."""
+"""Data that come from files and from ROS have these types, and JSON knows data in this
+form.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, TypeAlias, cast, overload
+
+Plain: TypeAlias = "None | bool | int | float | str | list[Plain] | dict[str, Plain]"
+"""What a JSON or YAML document holds."""
+# A parameter has the type of its default in a YAML file, which no type checker reads.
+ParameterValue: TypeAlias = Any  # type: ignore[explicit-any]
+"""A node parameter's value: bool, int, float, str or a list of one of these."""
 
 
-def as_plain(value: Any) -> Any:
-    """Mappings, lists and Python's own numbers, with None for each number that is not
-    finite; numpy's become Python's.
+@overload
+def as_plain(value: Mapping[str, object]) -> dict[str, Plain]: ...
+@overload
+def as_plain(value: object) -> Plain: ...
+def as_plain(value: object) -> Plain:
+    """Return mappings, lists and Python's own numbers, with None for each number that
+    is not finite; numpy's numbers become Python's.
     """
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {key: as_plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [as_plain(item) for item in value]
-    value = value.item() if hasattr(value, "item") else value
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    number = cast(Plain, value.item() if hasattr(value, "item") else value)
+    return None if isinstance(number, float) and not math.isfinite(number) else number

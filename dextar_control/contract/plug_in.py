@@ -7,7 +7,7 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import TypeVar, cast
 
 from dextar_control.contract.errors import ParameterError
 
@@ -44,7 +44,7 @@ def chosen(what: str, name: str, ours: Mapping[str, Thing]) -> Thing:
         raise ParameterError(f"{what} = {name!r}; it must be {one_of(ours)}")
     module, _, attribute = name.partition(":")
     try:
-        found: Any = getattr(importlib.import_module(module), attribute)
+        found: object = getattr(importlib.import_module(module), attribute)
     except Exception as error:  # of code that is not ours
         absent = isinstance(error, ModuleNotFoundError)
         how = "; PYTHONPATH has to name the folder that it is in" if absent else ""
@@ -56,7 +56,7 @@ def chosen(what: str, name: str, ours: Mapping[str, Thing]) -> Thing:
             f"{what} = {name!r} is a {type(found).__name__}; it must be a function or a"
             " class"
         )
-    return found
+    return cast(Thing, found)
 
 
 def one_of(ours: Mapping[str, Thing] | tuple[str, ...]) -> str:

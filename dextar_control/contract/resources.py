@@ -1,4 +1,4 @@
-"""Where the package's configuration lies: source tree, pip environment or ROS
+"""The package's configuration lies in the source tree, a pip environment or a ROS
 installation.
 """
 
@@ -7,9 +7,9 @@ from __future__ import annotations
 import sys
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.yaml_text import load_parameters, parameters_of
 
 NODES_FILE = "crossing.yaml"
@@ -18,7 +18,7 @@ MIDDLEWARE_FILE = "fastdds.xml"
 
 
 def share_folder() -> Path:
-    """The folder that holds ``config/`` and ``launch/``.
+    """Return the folder that holds ``config/`` and ``launch/``.
 
     Raises:
         ParameterError: neither the source tree nor an installation holds it.
@@ -40,13 +40,13 @@ def share_folder() -> Path:
 
 
 def config_file(name: str) -> Path:
-    """Path of a file in ``config/``."""
+    """Return the path of a file in ``config/``."""
     return share_folder() / "config" / name
 
 
-def node_defaults(node: str, *paths: Path) -> dict[str, Any]:
-    """Parameters of one node in ROS 2 parameter files, dotted, as the node itself would
-    get them.
+def node_defaults(node: str, *paths: Path) -> dict[str, ParameterValue]:
+    """Return the parameters of one node from ROS 2 parameter files, dotted, as the node
+    itself would get them.
 
     Args:
         node: its name, with its namespace where it has one.
@@ -61,7 +61,7 @@ def node_defaults(node: str, *paths: Path) -> dict[str, Any]:
 
 
 def _version(path: Path) -> tuple[int, int]:
-    """Another one where the file has changed."""
+    """Return what differs once the file has changed: its time and size."""
     try:
         status = path.stat()
     except OSError:
@@ -72,5 +72,5 @@ def _version(path: Path) -> tuple[int, int]:
 @lru_cache(maxsize=64)
 def _node_defaults(
     node: str, files: tuple[tuple[Path, tuple[int, int]], ...]
-) -> dict[str, Any]:
+) -> dict[str, ParameterValue]:
     return parameters_of(node, load_parameters(*(path for path, _ in files)))

@@ -1,5 +1,5 @@
-"""The robot description that plant, controller, planner and analysis share: data, no
-model.
+"""Plant, controller, planner and analysis share the robot description:
+data, no model.
 """
 
 from __future__ import annotations
@@ -9,9 +9,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, get_type_hints
 
 from dextar_control.contract.errors import ParameterError, StateError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.yaml_text import dump_document, load_parameters
 
 PREFIX = "robot."  # of the robot's parameters in a node
@@ -22,11 +23,15 @@ SIM_JOINT_NAMES = ("q11", "q12", "q21", "q22")
 def joint_positions(
     names: Sequence[str], positions: Sequence[float]
 ) -> tuple[float, ...]:
-    """Positions of q11 and q21, rad, by name: all that a controller uses of a joint
-    state beside its stamp.
+    """Return the positions of q11 and q21, rad, by name: all that a controller uses of
+    a joint state beside its stamp.
 
-    Other joints, velocities and efforts may be there or not, and may be NaN. Of a name
-    that stands there twice the first counts.
+    Other joints, velocities and efforts may be there or not, and may be NaN. Where a
+    name stands there twice the first one counts.
+
+    Args:
+        names: of the joints, in the message's order.
+        positions: of these joints, rad.
 
     Raises:
         StateError: a name is missing, sizes differ or a number is not finite.
@@ -206,36 +211,39 @@ class RobotParameters:
 
     @property
     def legs(self) -> tuple[LegParameters, LegParameters]:
-        """(left, right)."""
+        """The left leg, then the right one."""
         return self.left, self.right
 
     @property
     def base_distance(self) -> float:
-        """Between the motor axes, m."""
+        """The distance between the motor axes, m."""
         return math.dist(self.left.axis, self.right.axis)
 
     @property
     def encoder_offset(self) -> tuple[float, float]:
-        """Of the active joints, rad: what an encoder reads less this is the joint's
-        angle.
+        """The offsets of both encoders, (2,), rad: an encoder's reading less its offset
+        is the joint's angle.
         """
         return self.left.encoder_offset, self.right.encoder_offset
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Names of the legs, in the order of the active joints."""
+        """The legs' names, in the order of the active joints."""
         return "left", "right"
 
     @property
     def joint_range(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """(least, largest) angles of the active joints, rad."""
+        """The least and the largest angles of the active joints, (2,) each, rad."""
         return tuple(leg.min_angle for leg in self.legs), tuple(
             leg.max_angle for leg in self.legs
         )
 
-    def replace(self, **changes: Any) -> RobotParameters:
-        """A copy with dotted or plain keys changed, e.g.
+    def replace(self, **changes: ParameterValue) -> RobotParameters:
+        """Return a copy with dotted or plain keys changed, e.g.
         ``replace(**{"left.distal_mass": 0.1})``; see ``changed``.
+
+        Raises:
+            ParameterError: as ``from_flat``.
         """
         return from_flat(changed(flatten(self), changes))
 
@@ -270,7 +278,7 @@ _MOST = {
 }  # in SI units, either way: what is larger was meant in mm, g, g mm^2 or degrees
 
 
-def _check(key: str, value: Any) -> None:
+def _check(key: str, value: ParameterValue) -> None:
     name = key.rpartition(".")[2]
     full = f"robot.{key}"
     if name == "name":
@@ -302,9 +310,14 @@ def _check(key: str, value: Any) -> None:
         raise ParameterError(f"{full} = {value}; it must be >= 0")
 
 
-def flatten(robot: RobotParameters) -> dict[str, Any]:
-    """Dotted keys (``left.distal_mass``) to values, in the order of the description."""
-    flat: dict[str, Any] = {"name": robot.name, "base_distance": robot.base_distance}
+def flatten(robot: RobotParameters) -> dict[str, ParameterValue]:
+    """Return the values by dotted keys (``left.distal_mass``), in the order of the
+    description.
+    """
+    flat: dict[str, ParameterValue] = {
+        "name": robot.name,
+        "base_distance": robot.base_distance,
+    }
     for field in dataclasses.fields(robot):
         value = getattr(robot, field.name)
         if isinstance(value, LegParameters):
@@ -364,7 +377,7 @@ _UNSAID: dict[str, float] = {
 }  # what a description need not say: no range, offset, compliance or passive friction
 
 
-def _convert(key: str, value: Any) -> Any:
+def _convert(key: str, value: ParameterValue) -> ParameterValue:
     try:
         if key == "name":
             return str(value)
@@ -384,9 +397,13 @@ def _convert(key: str, value: Any) -> Any:
         raise ParameterError(f"robot.{key} = {value!r}; it must be {wanted}") from error
 
 
-def changed(flat: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Dotted keys with some changed: a new base_distance puts the axes at its ends, two
-    known axes have their own.
+def changed(
+    flat: Mapping[str, ParameterValue], changes: Mapping[str, ParameterValue]
+) -> dict[str, ParameterValue]:
+    """Return dotted keys with some changed.
+
+    A new base_distance moves both axes to its ends, unless they are given too; where
+    both axes are given base_distance is theirs.
     """
     merged = {**flat, **changes}
     if "base_distance" in changes:
@@ -400,8 +417,10 @@ def changed(flat: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
     return merged
 
 
-def _with_axes(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """Both motor axes; where one is not said it lies at (-+base_distance/2, 0)."""
+def _with_axes(flat: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
+    """Return the keys with both motor axes; one that is not given lies at
+    (-+base_distance/2, 0).
+    """
     found = dict(flat)
     if "base_distance" not in found:
         return found
@@ -422,13 +441,13 @@ def _with_axes(flat: Mapping[str, Any]) -> dict[str, Any]:
     return ends | found
 
 
-def from_flat(flat: Mapping[str, Any]) -> RobotParameters:
-    """A robot from dotted keys.
+def from_flat(flat: Mapping[str, ParameterValue]) -> RobotParameters:
+    """Return a robot from dotted keys.
 
     Raises:
         ParameterError: a key is unknown or missing (base_distance serves for the
-            motors' axes; see ``_UNSAID`` for what need not be there), a value out of
-            its range.
+            motors' axes; ``_UNSAID`` lists what need not be there), or a value is out
+            of its range.
     """
     unknown = sorted(set(flat) - set(ROBOT_KEYS))
     if unknown:
@@ -449,7 +468,9 @@ def from_flat(flat: Mapping[str, Any]) -> RobotParameters:
             else f"s {', '.join(map(repr, names))} are"
         )
         raise ParameterError(f"robot parameter{told} missing")
-    values: dict[str, Any] = {key: _convert(key, flat[key]) for key in wanted}
+    values: dict[str, ParameterValue] = {
+        key: _convert(key, flat[key]) for key in wanted
+    }
     for side in ("left", "right"):
         values[side] = LegParameters(
             **{key: values.pop(f"{side}.{key}") for key in _LEG_KEYS}
@@ -458,7 +479,8 @@ def from_flat(flat: Mapping[str, Any]) -> RobotParameters:
 
 
 def load_robot(path: str | Path) -> RobotParameters:
-    """A robot from a ROS 2 parameter file (``/**: ros__parameters: robot:``).
+    """Return the robot that a ROS 2 parameter file describes (``/**: ros__parameters:
+    robot:``).
 
     Raises:
         ParameterError: the file cannot be read or describes no valid robot.
@@ -485,9 +507,11 @@ def load_robot(path: str | Path) -> RobotParameters:
         raise ParameterError(f"robot file {path}: {error}") from error
 
 
-def robot_text(flat: Mapping[str, Any]) -> str:
-    """A robot's dotted keys as the ROS 2 parameter file that ``load_robot`` reads."""
-    nested: dict[str, Any] = {}
+def robot_text(flat: Mapping[str, ParameterValue]) -> str:
+    """Return a robot's dotted keys as the ROS 2 parameter file that ``load_robot``
+    reads.
+    """
+    nested: dict[str, ParameterValue] = {}
     for name, value in flat.items():
         *groups, last = name.split(".")
         place = nested

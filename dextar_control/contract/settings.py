@@ -7,7 +7,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, get_type_hints
+from typing import get_type_hints
 
 from dextar_control.contract.controller_parameters import CONTROLLER
 from dextar_control.contract.controller_parameters import ESTIMATORS as ESTIMATORS
@@ -15,6 +15,7 @@ from dextar_control.contract.controller_parameters import LAWS as LAWS
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.former_names import present_names, renamed_in_words
 from dextar_control.contract.parameters import nearest_in_words
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.plug_in import is_own, one_of
 from dextar_control.contract.resources import NODES_FILE, config_file, node_defaults
 
@@ -181,8 +182,9 @@ class Settings:
     safe_stop: SafeStopSettings
 
     @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> Settings:
-        """Settings from parameter values by dotted name; other keys are ignored.
+    def from_values(cls, values: Mapping[str, ParameterValue]) -> Settings:
+        """Return the settings of parameter values by dotted name; other keys are
+        ignored.
 
         Raises:
             ParameterError: a value is missing, or law or estimator is unknown.
@@ -190,7 +192,7 @@ class Settings:
         missing = [name for name in SETTING_NAMES if name not in values]
         if missing:
             raise ParameterError(f"setting '{missing[0]}' is missing")
-        taken: dict[str, Any] = {}
+        taken: dict[str, ParameterValue] = {}
         for group, kind in GROUPS.items():
             names = [field.name for field in fields(kind)]
             taken[group] = kind(*(values[f"{group}.{name}"] for name in names))
@@ -201,8 +203,10 @@ class Settings:
         return cls(**taken)
 
 
-GROUPS: dict[str, Any] = {
-    name: kind for name, kind in get_type_hints(Settings).items() if is_dataclass(kind)
+GROUPS = {
+    name: kind
+    for name, kind in get_type_hints(Settings).items()
+    if isinstance(kind, type) and is_dataclass(kind)
 }
 """The classes of the groups."""
 SETTING_NAMES = (
@@ -220,7 +224,9 @@ SETTINGS = tuple(spec for spec in CONTROLLER if spec.name in SETTING_NAMES)
 
 
 def default_settings(**changes: object) -> Settings:
-    """The controller settings of ``config/crossing.yaml``, with changes by dotted name:
+    """Return the controller settings of ``config/crossing.yaml``, with changes.
+
+    A setting of a group is changed by its dotted name:
     ``default_settings(law="classic", **{"watch.max_tracking_error": 0.05})``.
 
     Raises:

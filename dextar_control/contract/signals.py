@@ -1,5 +1,5 @@
-"""The signals that ask a process to end, and what every program of the package makes of
-them. No ROS here.
+"""Signals ask a process to end, and every program of the package takes them alike. No
+ROS here.
 
 A node takes them as a flag (``StopSignal``) and ends in order with code 0. A command is
 interrupted by the first one (``interruptible``), tidies up, and ends with 128 + the
@@ -16,7 +16,8 @@ import sys
 import threading
 import weakref
 from collections.abc import Callable, Iterator
-from typing import Any, TextIO
+from types import FrameType
+from typing import TextIO
 
 from dextar_control.contract.errors import DextarError
 
@@ -29,7 +30,7 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 RAISE_AGAIN = 0.5  # s after which an interrupt that was swallowed is raised again
 START_GRACE = 3.0  # s from a signal during a node's start to its end
 
-Handler = Callable[[int, Any], object] | signal.Handlers
+Handler = Callable[[int, FrameType | None], object] | int | signal.Handlers | None
 
 
 class Interrupted(KeyboardInterrupt):
@@ -45,13 +46,15 @@ class Interrupted(KeyboardInterrupt):
 
 
 def exit_code(interrupt: BaseException) -> int:
-    """Of a command that a signal ended: 128 + its number, 130 after Ctrl-C."""
+    """Return the exit code of a command that a signal ended: 128 + its number, 130
+    after Ctrl-C.
+    """
     return killed(int(getattr(interrupt, "number", signal.SIGINT)))
 
 
 def caused_by_interrupt(error: BaseException) -> KeyboardInterrupt | None:
-    """The interrupt that an error is, or that it came of: compilers and child processes
-    turn one into errors of their own.
+    """Return the interrupt that an error is or came of; None without one. Compilers and
+    child processes turn an interrupt into errors of their own.
     """
     seen: BaseException | None = error
     while seen is not None and not isinstance(seen, KeyboardInterrupt):
@@ -59,19 +62,20 @@ def caused_by_interrupt(error: BaseException) -> KeyboardInterrupt | None:
     return seen
 
 
-def install(handler: Handler, always: tuple[int, ...] = ()) -> dict[int, Any]:
-    """Take every ending signal; what each one did before.
+def install(handler: Handler, always: tuple[int, ...] = ()) -> dict[int, Handler]:
+    """Handle every ending signal; return the handlers from before.
 
-    One that the parent had ignored (``nohup``, a script's background job) stays
-    ignored. Does nothing outside of the main thread, where Python allows no handlers.
+    A signal that the parent had ignored (``nohup``, a script's background job) stays
+    ignored. Outside of the main thread, where Python allows no handlers, nothing
+    changes.
 
     Args:
         handler: of Python's kind.
-        always: signals that are taken although they were ignored.
+        always: signals that are handled although they were ignored.
     """
     if threading.current_thread() is not threading.main_thread():
         return {}
-    found: dict[int, Any] = {number: signal.getsignal(number) for number in ENDING}
+    found: dict[int, Handler] = {number: signal.getsignal(number) for number in ENDING}
     before = {
         number: old
         for number, old in found.items()
@@ -82,7 +86,7 @@ def install(handler: Handler, always: tuple[int, ...] = ()) -> dict[int, Any]:
     return before
 
 
-def restore(before: dict[int, Any]) -> None:
+def restore(before: dict[int, Handler]) -> None:
     """Undo ``install``."""
     for number, handler in before.items():
         if handler is not None:  # one that Python did not set
@@ -91,13 +95,13 @@ def restore(before: dict[int, Any]) -> None:
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """Ending signals raise ``Interrupted``; a further one is passed over while the
+    """Let ending signals raise ``Interrupted``; a further one is passed over while the
     first is still being dealt with.
 
-    It is being dealt with as long as something holds the exception: an ``except`` or
-        ``finally`` block that it runs through,
-    or a name. One that nothing holds any more while the block goes on was swallowed by
-    foreign code, such as a compiler's callbacks, and is raised again.
+    It is being dealt with as long as something holds the exception: a name, or an
+    ``except`` or ``finally`` block that it runs through. An exception that nothing
+    holds any more while the block goes on was swallowed by foreign code, such as a
+    compiler's callback, and is raised again.
     """
     last: weakref.ref[Interrupted] | None = None
     left = threading.Event()
@@ -130,17 +134,17 @@ def interruptible() -> Iterator[None]:
 
 
 def killed(number: int) -> int:
-    """The exit code of a process that this signal ended."""
+    """Return the exit code of a process that this signal ended."""
     return 128 + number
 
 
 @contextlib.contextmanager
 def loading(code: Callable[[int], int] = killed) -> Iterator[None]:
-    """Ending signals end the process at once, without a word, until something else
-    takes them: only modules are being loaded.
+    """Let ending signals end the process at once, without a word, while modules are
+    being loaded.
 
     Args:
-        code: the exit code that belongs to a signal's number.
+        code: gives the exit code that belongs to a signal's number.
     """
     before = install(lambda number, _: os._exit(code(number)))
     try:
@@ -150,8 +154,8 @@ def loading(code: Callable[[int], int] = killed) -> Iterator[None]:
 
 
 def run_command(name: str, work: Callable[[], int]) -> int:
-    """The exit code of a command: its own, 2 for a user's mistake, 128 + the number of
-    a signal that ended it.
+    """Run a command; return its own exit code, 2 for a user's mistake, or 128 + the
+    number of a signal that ended it.
 
     Args:
         name: as it was called, for the one line that says why it ended.
@@ -181,14 +185,14 @@ def run_command(name: str, work: Callable[[], int]) -> int:
 
 
 class StopSignal:
-    """The ending signals as an event: a node finishes what it holds before it goes,
+    """The ending signals as an event: a node finishes what it holds before it ends,
     however many of them come.
 
     A node that is still being made holds nothing yet, and the first signal interrupts
-    it. The compiler's callbacks may swallow or print that interrupt: it is not printed,
-    and where nothing comes of it within ``START_GRACE`` the process ends. SIGINT and
-    SIGTERM are how launchers end their nodes: these are taken even from a parent that
-    ignores them.
+    it. A compiler's callback may swallow or print that interrupt: it is not printed,
+    and where the node goes on nevertheless the process ends after ``START_GRACE``.
+    SIGINT and SIGTERM are how launchers end their nodes: these are handled even where
+    the parent ignores them.
 
     Attributes:
         starting: the node is still being made.
@@ -231,14 +235,14 @@ class StopSignal:
 
 
 def _hush_callbacks() -> None:
-    """An interrupt that is raised in a callback of compiled code cannot leave it;
-    nobody wants to read its traceback.
+    """Print no traceback of an interrupt that is raised in a callback of compiled code,
+    which it cannot leave.
     """
     sys.unraisablehook = lambda _: None
 
 
 def tell(text: str, stream: TextIO) -> None:
-    """Write a line where somebody may no longer read: a closed pipe or terminal must
+    """Write a line where somebody may no longer read: a closed pipe or terminal does
     not end what still has to be done.
     """
     try:

@@ -1,16 +1,16 @@
-"""How everything that is looked at is drawn: colours on light, dark and grey, fonts,
+"""Everything that is looked at is drawn alike: colours on light, dark and grey, fonts,
 lines, marks, symbols, units.
 
 Pages take the colours as custom properties of CSS (``css``), Matplotlib as settings
-(``matplotlib_settings``). Read in grey as in colour: what shares an axis differs in
-dash, width or mark, not by its colour alone.
+(``matplotlib_settings``). Figures must read in grey as in colour: what shares an axis
+differs in dash, width or mark, not by its colour alone.
 """
 
 from __future__ import annotations
 
 import html as markup
 import re
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 LIGHT = {
     "paper": "#ffffff",
@@ -130,13 +130,15 @@ AXES = {  # label and unit of what is drawn
 
 
 def label(key: str) -> str:
-    """Name and unit of an axis, as plain text; ``html`` and ``mathtext`` typeset it."""
+    """Return name and unit of an axis as plain text; ``html`` and ``mathtext`` typeset
+    it.
+    """
     name, unit = AXES[key]
     return f"{name} ({unit})"
 
 
 def html(text: str) -> str:
-    """Plain text with its symbols typeset for a page."""
+    """Return plain text with its symbols typeset for a page."""
     return _SYMBOL.sub(
         lambda found: "<i>{}</i><sub>{}</sub>".format(*SYMBOLS[found[0]]),
         markup.escape(text),
@@ -144,7 +146,7 @@ def html(text: str) -> str:
 
 
 def mathtext(text: str) -> str:
-    """Plain text with its symbols typeset for Matplotlib."""
+    """Return plain text with its symbols typeset for Matplotlib."""
     greek = {"τ": r"\tau"}
     escaped = text.replace("$", r"\$")
     return _SYMBOL.sub(
@@ -156,7 +158,9 @@ def mathtext(text: str) -> str:
 
 
 def grey(palette: dict[str, str]) -> dict[str, str]:
-    """A palette as paper or a screen without colours shows it: the same luminance."""
+    """Return a palette as paper or a screen without colours shows it, with the same
+    luminance.
+    """
     return {
         name: (
             f"#{round(255.0 * _encoded(luminance(color))):02x}"
@@ -167,8 +171,8 @@ def grey(palette: dict[str, str]) -> dict[str, str]:
 
 
 def css() -> str:
-    """The palettes and fonts as custom properties: light, dark where the reader's
-    system is, grey on a screen without colours.
+    """Return the palettes and fonts as custom properties: light, dark where the
+    reader's system is dark, grey on a screen without colours.
     """
 
     def properties(palette: dict[str, str]) -> str:
@@ -182,8 +186,12 @@ def css() -> str:
     )
 
 
-def matplotlib_settings(palette: dict[str, str], size: float = 9.0) -> Any:
-    """Settings of a figure on this palette, in a font of this size, points."""
+# Its keys are Matplotlib's own literals, and no room below the figures imports it.
+FigureSettings: TypeAlias = Any  # type: ignore[explicit-any]
+
+
+def matplotlib_settings(palette: dict[str, str], size: float = 9.0) -> FigureSettings:
+    """Return a figure's settings on this palette, in a font of this size, points."""
     return {
         "figure.facecolor": palette["paper"],
         "savefig.facecolor": palette["paper"],
@@ -213,9 +221,9 @@ def matplotlib_settings(palette: dict[str, str], size: float = 9.0) -> Any:
 
 def matplotlib_line(
     line: Line, palette: dict[str, str], scale: float = 0.75
-) -> dict[str, Any]:
-    """The arguments of Matplotlib's ``plot`` for a line; its widths times ``scale`` are
-    points.
+) -> dict[str, object]:
+    """Return the arguments of Matplotlib's ``plot`` for a line; its widths times
+    ``scale`` are points.
     """
     dash = (0, tuple(length / line.width for length in line.dash)) if line.dash else "-"
     return {
@@ -226,7 +234,7 @@ def matplotlib_line(
 
 
 def luminance(color: str) -> float:
-    """Relative luminance of ``#rrggbb``, 0 to 1 (WCAG 2.2)."""
+    """Return the relative luminance of ``#rrggbb``, 0 to 1 (WCAG 2.2)."""
     red, green, blue = (
         int(color[index : index + 2], 16) / 255.0 for index in (1, 3, 5)
     )
@@ -244,6 +252,8 @@ def _encoded(linear: float) -> float:
 
 
 def contrast(one: str, other: str) -> float:
-    """Contrast of two colours, 1 to 21 (WCAG 2.2); text needs 4.5, what is drawn 3."""
+    """Return the contrast of two colours, 1 to 21 (WCAG 2.2); text needs 4.5, what is
+    drawn 3.
+    """
     high, low = sorted((luminance(one), luminance(other)), reverse=True)
     return (high + 0.05) / (low + 0.05)

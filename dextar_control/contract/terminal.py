@@ -1,10 +1,10 @@
-"""One way to print: what users, files and bags say appears as it is, on a terminal and
-in a file.
+"""The package prints in one way: what users, files and bags say appears as it is, on a
+terminal and in a file.
 
 Nothing that is printed here is markup: brackets in a path are brackets. Control
 characters, which could move the cursor or colour a terminal, appear as the pictures
 that Unicode has of them. Where the output is no terminal, lines are as long as they
-need to be, and what is under way is told in lines, now and then, instead of bars.
+need to be, and a line now and then takes the place of progress bars.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import sys
 import time
 import warnings
 from collections.abc import Iterator
-from typing import Any
+from typing import IO, Literal
 
 from rich.console import Console
 from rich.progress import (
@@ -33,6 +33,7 @@ from rich.text import Text
 FILE_WIDTH = (
     4000  # characters of a line where the output is no terminal: no table needs so many
 )
+ColorSystem = Literal["auto", "standard", "256", "truecolor", "windows"]
 LINE_PERIOD = (
     10.0  # s between two lines about what is under way, where the output is no terminal
 )
@@ -44,12 +45,12 @@ _ONE_LINE = _PICTURES | {0x09: 0x20, 0x0A: 0x240A}
 
 
 def plain(text: object) -> str:
-    """A text in one line without control characters."""
+    """Return a text in one line, without control characters."""
     return str(text).translate(_ONE_LINE)
 
 
 def title(*lines: object) -> Text:
-    """A table's title, whose lines are not broken where the table is narrower."""
+    """Return a table's title, whose lines do not break where the table is narrower."""
     return Text(
         "\n".join(map(plain, lines)),
         style="table.title",
@@ -59,17 +60,16 @@ def title(*lines: object) -> Text:
 
 
 def say(text: object) -> None:
-    """One line on the error output."""
+    """Print one line on the error output."""
     print(plain(text), file=sys.stderr)
 
 
 @contextlib.contextmanager
 def spoken_warnings(command: str) -> Iterator[None]:
-    """Print each warning once, as one line on the error output, without the line of
-    code that it comes from.
+    """Print each warning once, as one line on the error output, when the block has
+    ended.
 
-    Not where an error ends it all: that is told in one line, which says what is damaged
-        too.
+    Nothing is printed where an error ends the block: its own line says what is damaged.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default", UserWarning)
@@ -87,32 +87,44 @@ class Terminal(Console):
 
     Args:
         stderr: write to the error output.
-        options: as of rich's Console.
+        file, width, force_terminal, color_system: as of rich's Console.
     """
 
-    def __init__(self, *, stderr: bool = False, **options: Any) -> None:
+    def __init__(
+        self,
+        *,
+        stderr: bool = False,
+        file: IO[str] | None = None,
+        width: int | None = None,
+        force_terminal: bool | None = None,
+        color_system: ColorSystem | None = "auto",
+    ) -> None:
         super().__init__(
-            stderr=stderr, markup=False, highlight=False, emoji=False, **options
+            stderr=stderr,
+            file=file,
+            width=width,
+            force_terminal=force_terminal,
+            color_system=color_system,
+            markup=False,
+            highlight=False,
+            emoji=False,
         )
-        if (
-            not self.is_terminal
-            and "width" not in options
-            and "COLUMNS" not in os.environ
-        ):
+        if not self.is_terminal and width is None and "COLUMNS" not in os.environ:
             self.width = FILE_WIDTH
 
     def on_broken_pipe(self) -> None:
-        """Leave it to who called: rich would end the process with 1, which says that a
-        run was no success.
+        """Leave a broken pipe to the caller; rich would end the process with code 1,
+        which means that a run was no success.
         """
         raise  # noqa: PLE0704  called where it is caught
 
-    def render_str(self, text: str, **options: Any) -> Text:
-        """As rich does, without control characters in the text."""
-        return super().render_str(text.translate(_PICTURES), **options)
+    def render_str(self, text: str, **options: object) -> Text:
+        """Do as rich does, without control characters in the text."""
+        plain_text = text.translate(_PICTURES)
+        return super().render_str(plain_text, **options)  # type: ignore[arg-type]
 
     def working(self, text: str) -> Working:
-        """What is done now, for as long as the context lasts."""
+        """Return a display of what is done, for as long as its context lasts."""
         return Working(self, text)
 
 
@@ -127,7 +139,7 @@ class TextColumn(MarkupColumn):
         )
 
     def render(self, task: Task) -> Text:
-        """As rich does, without control characters in the text."""
+        """Do as rich does, without control characters in the text."""
         return Text(
             self.text_format.format(task=task).translate(_PICTURES),
             style=self.style,
@@ -136,13 +148,14 @@ class TextColumn(MarkupColumn):
 
 
 class Steps(Progress):
-    """Bars on a terminal; elsewhere, every ``LINE_PERIOD``, a line for each task, and
-    one at its end.
+    """Progress bars on a terminal; elsewhere a line for each task every
+    ``LINE_PERIOD``, and one at its end.
 
     Args:
         columns: of the display.
         console: to write to.
-        transient: nothing is to be left of it, so a task's end is no line either.
+        transient: whether the display vanishes at its end; then a task's end is no line
+            either.
     """
 
     def __init__(
@@ -158,19 +171,19 @@ class Steps(Progress):
         self._told: dict[TaskID, str] = {}
         self._since = time.monotonic()
 
-    def add_task(self, description: str, *arguments: Any, **fields: Any) -> TaskID:
-        """As rich does."""
-        task = super().add_task(description, *arguments, **fields)
+    def add_task(self, description: str, *options: object, **fields: object) -> TaskID:
+        """Do as rich does."""
+        task = super().add_task(description, *options, **fields)  # type: ignore[arg-type]
         self._tell(task)
         return task
 
-    def update(self, task_id: TaskID, **changes: Any) -> None:
-        """As rich does."""
-        super().update(task_id, **changes)
+    def update(self, task_id: TaskID, **changes: object) -> None:
+        """Do as rich does."""
+        super().update(task_id, **changes)  # type: ignore[arg-type]
         self._tell(task_id)
 
     def advance(self, task_id: TaskID, advance: float = 1) -> None:
-        """As rich does."""
+        """Do as rich does."""
         super().advance(task_id, advance)
         self._tell(task_id)
 
@@ -197,7 +210,7 @@ class Steps(Progress):
 
 
 class Working(Steps):
-    """What is done now, without knowing how long it takes.
+    """A display of what is done, without knowing how long it takes.
 
     Args:
         console: to write to.
@@ -214,12 +227,12 @@ class Working(Steps):
         self._task = self.add_task(text, total=None)
 
     def now(self, text: str) -> None:
-        """Tell what is done now."""
+        """Show what is done now."""
         self.update(self._task, description=text)
 
 
 def _words(column: ProgressColumn, task: Task) -> str:
-    """What a column says; a bar says nothing."""
+    """Return what a column shows as text; a bar shows none."""
     if isinstance(column, (BarColumn, SpinnerColumn)):
         return ""
     shown = column.render(task)

@@ -1,4 +1,4 @@
-"""The contract: one table of topics and one of services, from which the nodes create
+"""The contract is one table of topics and one of services, from which the nodes create
 their entities.
 
 Names are relative (they follow a namespace and can be remapped); ``/diagnostics`` is
@@ -16,10 +16,10 @@ from dextar_control.contract.robot import JOINT_NAMES, SIM_JOINT_NAMES
 
 @dataclass(frozen=True)
 class TimeOut:
-    """How long a reader does without a topic.
+    """How long a reader does without a topic, and what follows then.
 
     Attributes:
-        node: who enforces it.
+        node: the node that enforces it.
         parameter: of that node, in seconds; its default stands in
             ``config/crossing.yaml``.
         outcome: what happens then.
@@ -75,13 +75,13 @@ class Topic:
 
     @property
     def optional(self) -> bool:
-        """Nobody publishes it unless its switch is set."""
+        """Whether nobody publishes it unless its switch is set."""
         return bool(self.switch)
 
 
 @dataclass(frozen=True)
 class Ends:
-    """What one node has to do with the topics.
+    """The topics that one node publishes and reads.
 
     Attributes:
         publishes, reads: some of these only where a parameter asks for it.
@@ -107,7 +107,7 @@ class Service:
 
     @property
     def node(self) -> str:
-        """Who offers it."""
+        """The node that offers it."""
         return self.name.partition("/")[0]
 
 

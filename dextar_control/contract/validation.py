@@ -1,11 +1,13 @@
-"""YAML files checked against pydantic models: one sentence for what is wrong."""
+"""YAML files are checked against pydantic models, and one sentence tells
+what is wrong.
+"""
 
 from __future__ import annotations
 
 import reprlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
@@ -17,7 +19,12 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def load_yaml(model: type[M], path: str | Path, what: str) -> M:
-    """A model from a YAML file; ``what`` names the kind of file in messages.
+    """Return the model that a YAML file holds.
+
+    Args:
+        model: its class.
+        path: of the file.
+        what: names the kind of file in messages.
 
     Raises:
         ParameterError: the file cannot be read, or something in it is unknown, missing
@@ -26,12 +33,16 @@ def load_yaml(model: type[M], path: str | Path, what: str) -> M:
     return validate(model, load_document(path, what), f"{what} {path}")
 
 
-def validate(model: type[M], data: Any, source: str) -> M:
-    """A model from plain data.
+def validate(model: type[M], data: object, source: str) -> M:
+    """Return the model that plain data hold.
+
+    Args:
+        model: its class.
+        data: mappings, lists and scalars.
+        source: names the data in messages.
 
     Raises:
-        ParameterError: something in it is unknown, missing or out of its range; it
-            names the source.
+        ParameterError: something in it is unknown, missing or out of its range.
     """
     try:
         return model.model_validate(data)
@@ -55,25 +66,25 @@ def validate(model: type[M], data: Any, source: str) -> M:
 
 
 def problem(text: str) -> PydanticCustomError:
-    """What a validator raises, in its own words."""
+    """Return the error that a validator raises to be quoted in its own words."""
     return PydanticCustomError("dextar", "{text}", {"text": text})
 
 
 def unknown(name: str, known: Collection[str], what: str) -> str:
-    """What is said of a name that does not exist."""
+    """Return the sentence that tells of a name that does not exist."""
     return f"unknown {what} '{name}'; known are: {', '.join(known)}"
 
 
-class Section(BaseModel):
+class Section(BaseModel):  # type: ignore[explicit-any]  # pydantic's own, unseen
     """A part of a YAML file: a mapping of known keys to values of the right types,
-    which stay as they are.
+    which never change.
     """
 
     model_config = ConfigDict(strict=True, frozen=True)
 
     @model_validator(mode="before")
     @classmethod
-    def _known_keys(cls, data: Any) -> Any:
+    def _known_keys(cls, data: object) -> object:
         if not isinstance(data, Mapping):
             raise problem(
                 f"it must be a mapping with some of: {', '.join(cls.model_fields)}"

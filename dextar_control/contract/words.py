@@ -1,10 +1,10 @@
-"""Numbers with the nouns that they count."""
+"""Numbers are told with the nouns that they count."""
 
 from __future__ import annotations
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 crossing``, ``2 crossings``; a noun of more words ends in the one that is
-    counted.
+    """Return ``1 crossing`` or ``2 crossings``; a noun of more words must end in the
+    one that is counted.
     """
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

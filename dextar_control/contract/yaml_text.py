@@ -1,4 +1,4 @@
-"""Text files that users give, and YAML as ROS 2 reads it.
+"""Text files that users give are read here, and YAML as ROS 2 reads it.
 
 A parameter file is read by the nodes with rcl's own parser, whose rules are not those
 of YAML 1.1 (nor of PyYAML): ``1e-1`` is a number, ``1:30`` and ``1_000`` are words,
@@ -21,11 +21,12 @@ from collections.abc import Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
 from sys import float_info
-from typing import Any
+from typing import cast
 
 import yaml
 
 from dextar_control.contract.errors import ParameterError
+from dextar_control.contract.plain_data import ParameterValue, Plain
 
 MOST_BYTES = 4_000_000
 WRITER_PATIENCE = 5.0  # s until a pipe has a writer
@@ -35,7 +36,7 @@ PLAIN_TAG = "plain"
 MERGE = "<<"
 QUOTED = ("'", '"')
 PARAMETERS = "ros__parameters"
-Sections = dict[str, dict[str, Any]]
+Sections = dict[str, dict[str, ParameterValue]]
 """Parameters by the pattern of the nodes' names, in the order in which they are
 applied.
 """
@@ -54,7 +55,7 @@ _NAN = re.compile(r"[+-]?nan(\([0-9A-Za-z_]*\))?", re.IGNORECASE)
 
 
 def read_text(path: str | Path, what: str) -> str:
-    """The text of a file in UTF-8, with or without a byte order mark.
+    """Return the text of a file in UTF-8, with or without a byte order mark.
 
     Args:
         path: of the file.
@@ -98,8 +99,8 @@ def read_text(path: str | Path, what: str) -> str:
 
 
 def _descriptor(path: str | Path) -> int:
-    """Of a file that is opened to be read; of a pipe only where somebody writes into
-    it.
+    """Open a file to be read, a pipe only where somebody writes into it; return its
+    descriptor.
 
     Raises:
         OSError: it cannot be opened, or is a pipe into which nobody writes.
@@ -130,8 +131,8 @@ def _line(content: bytes, place: int) -> int:
     return content.count(b"\n", 0, place) + 1
 
 
-def load_document(path: str | Path, what: str) -> Any:
-    """What a YAML file holds, as plain data.
+def load_document(path: str | Path, what: str) -> Plain:
+    """Return what a YAML file holds, as plain data.
 
     Args:
         path: of the file.
@@ -156,7 +157,8 @@ def load_document(path: str | Path, what: str) -> Any:
 
 
 def load_parameters(*paths: str | Path, what: str = "parameter file") -> Sections:
-    """ROS 2 parameter files, merged as a node merges those that it is given.
+    """Return the content of ROS 2 parameter files, merged as a node merges those that
+    it is given.
 
     Args:
         paths: of the files, later ones over earlier ones.
@@ -187,8 +189,7 @@ def check_parameter_files(arguments: Sequence[str]) -> list[str]:
     neither line nor remedy.
 
     Returns:
-        The arguments without pipes, which give their content once: that is for the
-            node.
+        The arguments without pipes, which give their content once, to the node.
 
     Raises:
         ParameterError: a file cannot be read, or ROS 2 would not take it.
@@ -213,20 +214,21 @@ def _mode(path: str) -> int:
 
 
 def parameters_of(
-    node: str, sections: Mapping[str, Mapping[str, Any]]
-) -> dict[str, Any]:
-    """Parameters of the node with this full name (``/controller``, ``/left/plant``), as
-    rcl matches and overrides them.
+    node: str, sections: Mapping[str, Mapping[str, ParameterValue]]
+) -> dict[str, ParameterValue]:
+    """Return the parameters of the node with this full name (``/controller``,
+    ``/left/plant``), as rcl matches and overrides them.
     """
-    values: dict[str, Any] = {}
+    values: dict[str, ParameterValue] = {}
     for pattern, section in sections.items():
         if _matches(pattern.strip("/").split("/"), node.strip("/").split("/")):
             values.update(section)
     return values
 
 
-def parse_value(text: str, source: str) -> Any:
-    """The value in ``NAME:=VALUE`` as rcl reads it; ``source`` names it in messages.
+def parse_value(text: str, source: str) -> ParameterValue:
+    """Return the value in ``NAME:=VALUE`` as rcl reads it; ``source`` names it in
+    messages.
 
     Raises:
         ParameterError: it is no value of a parameter.
@@ -237,25 +239,26 @@ def parse_value(text: str, source: str) -> Any:
     return _value(nodes[0], source)
 
 
-def assignment(name: str, value: Any) -> str:
-    """``NAME:=VALUE`` for ``ros2 run ... --ros-args -p``, quoted so that the node gets
-    this very value.
+def assignment(name: str, value: object) -> str:
+    """Return ``NAME:=VALUE`` for ``ros2 run ... --ros-args -p``, quoted so that the
+    node gets this very value.
 
     Args:
         name: of the parameter, with its node's name and a colon where it has one.
         value: a bool, number, string or path, or a list of them.
 
     Raises:
-        ParameterError: a text, or a path, that is not UTF-8.
+        ParameterError: a text, or a path, is not UTF-8.
     """
     return f"{name}:={as_yaml(value)}"
 
 
-def as_yaml(value: Any) -> str:
-    """A parameter's value in one line of YAML, whichever characters a text holds.
+def as_yaml(value: object) -> str:
+    """Return a parameter's value in one line of YAML, whichever characters a text
+    holds.
 
     Raises:
-        ParameterError: a text, or a path, that is not UTF-8.
+        ParameterError: a text, or a path, is not UTF-8.
     """
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -275,9 +278,9 @@ def as_yaml(value: Any) -> str:
     ).rstrip("\n")
 
 
-def dump_document(document: Any) -> str:
-    """Plain data as YAML, words quoted where another reader might take them for
-    numbers: rcl and PyYAML read the same.
+def dump_document(document: object) -> str:
+    """Return plain data as YAML; texts that another reader might take for numbers are
+    quoted, so that rcl and PyYAML read the same.
     """
     return yaml.dump(
         document,
@@ -304,18 +307,19 @@ _Dumper.add_representer(str, _represent_text)
 class _Loader(yaml.SafeLoader):
     """Leaves open what a scalar is; only an explicit tag is kept."""
 
-    def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
-        return (
-            PLAIN_TAG
-            if kind is yaml.ScalarNode
-            else super().resolve(kind, value, implicit)
-        )
+    def resolve(
+        self, kind: type[yaml.Node], value: str | None, implicit: tuple[bool, bool]
+    ) -> str:
+        if kind is yaml.ScalarNode:
+            return PLAIN_TAG
+        resolved: str = yaml.SafeLoader.resolve(self, kind, value, implicit)
+        return resolved
 
 
 class _ParameterLoader(_Loader):
-    """As rcl: no aliases."""
+    """Refuses aliases, as rcl does."""
 
-    def compose_node(self, parent: Any, index: Any) -> Any:
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             event = self.peek_event()
             raise yaml.MarkedYAMLError(
@@ -345,7 +349,7 @@ def _nodes(text: str, source: str, loader: type[_Loader]) -> list[yaml.Node]:
 
 
 def scalar(text: str) -> bool | int | float | str:
-    """A scalar without quotes, as rcl_yaml_param_parser takes it: strtol's whole
+    """Return a scalar without quotes as rcl_yaml_param_parser takes it: strtol's whole
     numbers, strtod's others, else a text.
     """
     if text in _TRUE or text in _FALSE:
@@ -365,8 +369,8 @@ def scalar(text: str) -> bool | int | float | str:
 
 
 def _floating(text: str) -> float | str:
-    """A number, or the text where there is none or strtod says that a double cannot
-    hold it.
+    """Return a number, or the text where there is none or where strtod says that a
+    double cannot hold it.
     """
     if _HEXADECIMAL.fullmatch(text):
         try:
@@ -399,13 +403,13 @@ def _empty(node: yaml.Node) -> bool:
     )
 
 
-def _plain(node: yaml.Node, source: str, seen: dict[int, Any]) -> Any:
-    """Plain data; a key twice is a mistake. ``seen`` holds what an alias may name
-    again.
+def _plain(node: yaml.Node, source: str, seen: dict[int, Plain]) -> Plain:
+    """Return a node as plain data; a key that stands there twice is a mistake. ``seen``
+    holds what an alias may name again.
     """
     if id(node) in seen:
         return seen[id(node)]
-    value: Any
+    value: Plain
     if isinstance(node, yaml.ScalarNode):
         null = node.style is None and node.value in _NULL and node.tag != STRING_TAG
         value = _value_of(node)
@@ -422,9 +426,9 @@ def _plain(node: yaml.Node, source: str, seen: dict[int, Any]) -> Any:
     return seen.setdefault(id(node), value)
 
 
-def _mapping(node: yaml.Node, source: str, seen: dict[int, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    merged: dict[str, Any] = {}  # by YAML's <<, under the mapping's own keys
+def _mapping(node: yaml.Node, source: str, seen: dict[int, Plain]) -> dict[str, Plain]:
+    found: dict[str, Plain] = {}
+    merged: dict[str, Plain] = {}  # by YAML's <<, under the mapping's own keys
     for key, value in node.value:
         if not isinstance(key, yaml.ScalarNode):
             raise ParameterError(f"{_at(source, key)}: {_kind(key)} cannot be a key")
@@ -433,7 +437,7 @@ def _mapping(node: yaml.Node, source: str, seen: dict[int, Any]) -> dict[str, An
                 f"{_at(source, key)}: the key '{key.value}' stands there twice"
             )
         if key.value == MERGE and isinstance(value, yaml.MappingNode):
-            merged |= _plain(value, source, seen)
+            merged |= cast(dict[str, Plain], _plain(value, source, seen))
         else:
             found[key.value] = _plain(value, source, seen)
     return merged | found
@@ -466,7 +470,7 @@ def _add_sections(
 
 
 def _flatten(
-    flat: dict[str, Any], node: yaml.MappingNode, prefix: str, source: str
+    flat: dict[str, ParameterValue], node: yaml.MappingNode, prefix: str, source: str
 ) -> None:
     names = [_key(key, source) for key, _ in node.value]
     for row, (key, value) in enumerate(node.value):
@@ -483,9 +487,9 @@ def _flatten(
             flat[name] = _value(value, source)
 
 
-def _value(node: yaml.Node, source: str) -> Any:
-    """A scalar or a list of scalars of one type; an empty list, whose type nobody
-    knows, reaches a node as None.
+def _value(node: yaml.Node, source: str) -> ParameterValue:
+    """Return a scalar or a list of scalars of one type; an empty list, whose type
+    nobody knows, reaches a node as None.
     """
     if isinstance(node, yaml.ScalarNode):
         return _value_of(node)
@@ -534,8 +538,8 @@ def _at(source: str, node: yaml.Node) -> str:
 
 
 def _matches(pattern: Sequence[str], name: Sequence[str]) -> bool:
-    """Whether the parts of a node's name fit a pattern: ``*`` is one part, ``**`` any
-    number of them.
+    """Return whether the parts of a node's name fit a pattern: ``*`` is one part,
+    ``**`` any number of them.
     """
     if not pattern or not name:
         return all(part == "**" for part in pattern) and not name

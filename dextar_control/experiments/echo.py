@@ -6,26 +6,23 @@ from __future__ import annotations
 
 import sys
 
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from dextar_control.contract.topics import JOINT_COMMANDS, JOINT_STATES
 from dextar_control.nodekit.layouts import template
-from dextar_control.nodekit.node import qos, run_node
+from dextar_control.nodekit.node import RunnableNode, qos, run_node
 
-STAMP = slice(
-    4, 12
-)  # of a message whose first field is a header, behind CDR's own four bytes
+# of a message whose first field is a header, behind CDR's own four bytes
+STAMP = slice(4, 12)
 
 
-class EchoNode(Node):
+class EchoNode(RunnableNode):
     """Publishes one command's bytes for each state, with the stamp bytes of that
     state.
     """
 
     def __init__(self) -> None:
         super().__init__("controller")
-        self.exit_code, self.finished = 0, False
         command = template(JOINT_COMMANDS).pack(0, (0.0, 0.0))
         head, tail = command[: STAMP.start], command[STAMP.stop :]
         publisher = self.create_publisher(
@@ -42,9 +39,6 @@ class EchoNode(Node):
             qos(JOINT_STATES, reliable=False),
             raw=True,
         )
-
-    def close(self) -> None:
-        """Nothing to leave."""
 
 
 if __name__ == "__main__":

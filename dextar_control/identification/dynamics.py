@@ -20,7 +20,7 @@ from scipy.optimize import lsq_linear
 
 from dextar_control.contract.robot import RobotParameters, flatten
 from dextar_control.identification.fit import MEDIAN
-from dextar_control.identification.motion import BLOCK, Motion
+from dextar_control.identification.motion import BLOCK, SmoothMotion
 from dextar_control.identification.quantities import UNITS
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.regressor import Unknown, regressors, sizes_of, unknowns_of
@@ -48,8 +48,8 @@ LEAST_TORQUE = 2e-4  # N m, of the rest, that is no sign of anything
 NEGLIGIBLE = 1e-3
 
 
-class Combination(NamedTuple):
-    """A sum of numbers that the torques see together: a base parameter.
+class BaseParameter(NamedTuple):
+    """A sum of numbers that the torques show together only.
 
     Attributes:
         name: of the sum, in words, of the numbers in the units of ``UNITS``.
@@ -68,7 +68,7 @@ class Combination(NamedTuple):
 
 @dataclass(frozen=True)
 class DynamicFit:
-    """What was found.
+    """The numbers that explain recorded torques best, and how well they are known.
 
     Attributes:
         unknowns: (k) numbers that were looked for.
@@ -91,7 +91,7 @@ class DynamicFit:
     numbers: Array
     deviations: Array
     prior: Array
-    combinations: tuple[Combination, ...]
+    combinations: tuple[BaseParameter, ...]
     bound: tuple[str, ...]
     delay: Array
     delay_deviation: Array
@@ -104,7 +104,7 @@ class DynamicFit:
     used: NDArray[np.bool_]
 
     def value(self, name: str) -> tuple[float, float]:
-        """(value, standard deviation) of a number."""
+        """Return (value, standard deviation) of a number."""
         row = [one.name for one in self.unknowns].index(name)
         return float(self.numbers[row]), float(self.deviations[row])
 
@@ -121,8 +121,8 @@ class _Rows(NamedTuple):
     late: Array
 
 
-def rows_of(p: Array, motion: Motion) -> _Rows:
-    """The equation along a motion for some numbers."""
+def rows_of(p: Array, motion: SmoothMotion) -> _Rows:
+    """Evaluate the equation along a motion for some numbers p (k,), in SI units."""
     found = regressors(DETAILED_FIVE_BAR).batch("gap")(
         p, motion.q_a, motion.x, motion.x_dot, motion.x_ddot, motion.tau
     )
@@ -132,14 +132,14 @@ def rows_of(p: Array, motion: Motion) -> _Rows:
 
 
 def rest_of(rows: _Rows, gap: Array) -> Array:
-    """Torques (m, n), N m, that a gap (m, n), N on the platform, stands for."""
+    """Convert a gap (m, n), N on the platform, to torques of the joints (m, n), N m."""
     return np.asarray(
         np.linalg.solve(rows.J_inv.transpose(0, 2, 1), gap[:, :, None])[:, :, 0]
     )
 
 
-def fit_dynamics(robot: RobotParameters, motions: Sequence[Motion]) -> DynamicFit:
-    """The numbers that explain the motions best.
+def fit_dynamics(robot: RobotParameters, motions: Sequence[SmoothMotion]) -> DynamicFit:
+    """Find the numbers that explain the motions best.
 
     Args:
         robot: as described, where the search begins.
@@ -277,7 +277,7 @@ def _combinations(
     before: Array,
     numbers: Array,
     covariance: Array,
-) -> tuple[Combination, ...]:
+) -> tuple[BaseParameter, ...]:
     """The base parameters: the numbers whose torques are told apart, the last first,
     each with its share of the others'.
     """
@@ -305,7 +305,7 @@ def _combinations(
         ]
         scale = factors * prior
         found.append(
-            Combination(
+            BaseParameter(
                 " ".join([unknowns[first].name, *others]),
                 unknowns[first].unit,
                 factors,

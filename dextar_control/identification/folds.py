@@ -33,7 +33,7 @@ SMOOTHING = 3e-7  # m, what these polynomials leave
 
 
 class Fold(NamedTuple):
-    """One place where the joints turn back.
+    """A place where the joints turn back.
 
     Attributes:
         bag: number of the recording.
@@ -85,7 +85,7 @@ def find_folds(
     bag: int = 0,
     passed: Array | None = None,
 ) -> list[Fold]:
-    """The folds of a recording, in order of time.
+    """Find the folds of a recording, in order of time.
 
     Args:
         linkage: its functions.
@@ -151,7 +151,7 @@ def _powers(instants: Array) -> Array:
 
 
 def touch(linkage: Linkage, numbers: Array, fold: Fold) -> Touch:
-    """What a fold says of these numbers (16,)."""
+    """Evaluate what a fold says of some numbers (16,), in m, rad and rad/(N m)."""
     elbows = linkage.elbows(numbers, fold.readings, fold.passed)
     coefficients = fold.smoother @ elbows.between
     slopes = coefficients[1:] * np.arange(1, DEGREE + 1)[:, None]
@@ -165,12 +165,8 @@ def touch(linkage: Linkage, numbers: Array, fold: Fold) -> Touch:
             powers[:-2] @ bends,
         )
         bend = float(E_dot @ E_dot + E @ E_ddot)
-        if (
-            bend * fold.family.value >= 0.0
-            # the distance is largest where the links are stretched, least where they
-            # are
-            # folded
-        ):
+        # the distance is largest where links are stretched, least where they are folded
+        if bend * fold.family.value >= 0.0:
             return NONE
         instant -= float(E @ E_dot) / bend
         if not abs(instant) <= 1.0:
@@ -213,4 +209,5 @@ def _across(E_dot: Array, u: Array, working_mode: int) -> Array:
     one, along u, where the elbow is on the left.
     """
     normal = np.array([-E_dot[1], E_dot[0]]) / np.hypot(*E_dot)
-    return -working_mode * np.sign(u[0] * normal[1] - u[1] * normal[0]) * normal
+    bends = np.sign(u[0] * normal[1] - u[1] * normal[0])
+    return np.asarray(-working_mode * bends * normal)

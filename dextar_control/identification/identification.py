@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,19 +26,19 @@ from dextar_control.identification.motion import (
     LEAST_RATE,
     LEAST_S,
     SHORTEST,
-    Motion,
+    SmoothMotion,
     motion_of,
 )
 from dextar_control.identification.quantities import (
     UNITS,
     Progress,
     Quantity,
+    check_agreement,
     common_robot,
-    contradicts,
-    in_words,
+    quantity_in_words,
     rms_of,
 )
-from dextar_control.identification.recorded import Recorded, recorded_of
+from dextar_control.identification.recorded import MeasuredMotion, recorded_of
 from dextar_control.identification.transmission import Stiffness, stiffnesses_of
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.mechanisms.five_bar_locus import SIDES
@@ -71,7 +71,8 @@ STRIBECK_SPEED, STRIBECK_SURE, STRIBECK_LEAST = (
 
 
 class TorquePrediction(NamedTuple):
-    """How numbers explain the torques of a recording that did not serve to find them.
+    """How well an identification explains the torques of a recording that did not serve
+    to find it.
 
     Attributes:
         path: of the bag.
@@ -102,7 +103,7 @@ class Identification:
 
     before: RobotParameters
     after: RobotParameters
-    motions: list[Motion]
+    motions: list[SmoothMotion]
     fit: DynamicFit
     stiffnesses: list[Stiffness | None]
     kept: list[str]
@@ -154,7 +155,7 @@ class Identification:
 def identify(
     runs: Sequence[Run], *, progress: Progress = lambda stage: None
 ) -> Identification:
-    """A robot's masses, friction and gravity from recorded runs of it.
+    """Identify a robot's masses, friction and gravity by recorded runs of it.
 
     Args:
         runs: with torques, of one robot, whose description each of them has.
@@ -174,11 +175,12 @@ def identify(
 
 def identify_recorded(
     robot: RobotParameters,
-    recordings: Sequence[Recorded],
+    recordings: Sequence[MeasuredMotion],
     *,
     progress: Progress = lambda stage: None,
 ) -> Identification:
-    """The same of what was recorded, wherever it comes from.
+    """Identify a robot's masses, friction and gravity by recorded motions, wherever
+    they come from.
 
     Raises:
         CalibrationError: as ``identify``.
@@ -205,18 +207,18 @@ def identify_recorded(
     _check_told(motions, found)
     _check_bounds(robot, found)
     stiffnesses = stiffnesses_of(robot, motions)
-    changes: dict[str, Any] = {
+    numbers = {
         one.name: float(value)
         for one, value in zip(found.unknowns, found.numbers, strict=True)
     }
-    changes["gravity"] = changes.pop("gravity.x"), changes.pop("gravity.y")
-    changes |= {
+    gravity = numbers.pop("gravity.x"), numbers.pop("gravity.y")
+    numbers |= {
         f"{side}.transmission_stiffness": told.value
         for side, told in zip(SIDES, stiffnesses, strict=True)
         if told is not None
     }
     try:
-        after = robot.replace(**changes)
+        after = robot.replace(**numbers, gravity=gravity)
     except ParameterError as error:
         raise CalibrationError(
             f"{_names(motions)} lead to no robot: {error}. Nothing was written"
@@ -233,7 +235,7 @@ def identify_recorded(
 
 
 def predict_torques(identification: Identification, run: Run) -> TorquePrediction:
-    """How a recording that did not serve is explained before and after.
+    """Check an identification by a recording that did not serve to find it.
 
     Raises:
         CalibrationError: it tells nothing.
@@ -259,23 +261,23 @@ def predict_torques(identification: Identification, run: Run) -> TorquePredictio
 
 
 def identified_lines(identification: Identification) -> list[str]:
-    """What is known of the description's numbers, for its file."""
+    """Say what is known of the description's numbers, for its file."""
     return [
         (
             f"The robot '{identification.after.name}', its masses and friction"
             f" identified by {_names(identification.motions)}."
         ),
-        *map(in_words, identification.quantities),
+        *map(quantity_in_words, identification.quantities),
         *identification.told,
         *identification.kept,
     ]
 
 
-def _names(motions: Sequence[Motion]) -> str:
+def _names(motions: Sequence[SmoothMotion]) -> str:
     return ", ".join(str(motion.recorded.path) for motion in motions)
 
 
-def _too_little(motions: Sequence[Motion]) -> str:
+def _too_little(motions: Sequence[SmoothMotion]) -> str:
     count = sum(len(motion.tells) for motion in motions)
     return (
         f"too little motion: {count} instants tell something of masses and friction,"
@@ -285,7 +287,7 @@ def _too_little(motions: Sequence[Motion]) -> str:
     )
 
 
-def _check_motion(motions: Sequence[Motion]) -> None:
+def _check_motion(motions: Sequence[SmoothMotion]) -> None:
     """Enough of a motion, both ways.
 
     Raises:
@@ -314,7 +316,7 @@ def _check_motion(motions: Sequence[Motion]) -> None:
 
 
 def _check_agree(
-    robot: RobotParameters, motions: Sequence[Motion], found: DynamicFit
+    robot: RobotParameters, motions: Sequence[SmoothMotion], found: DynamicFit
 ) -> None:
     """Several recordings are of one robot.
 
@@ -330,7 +332,7 @@ def _check_agree(
                 rms_of(found.torque[rows]),
             )
             joint = int(np.argmax(together))
-            contradicts(
+            check_agreement(
                 motion.recorded.path,
                 float(alone[joint]),
                 float(together[joint]),
@@ -339,7 +341,7 @@ def _check_agree(
             )
 
 
-def _check_told(motions: Sequence[Motion], found: DynamicFit) -> None:
+def _check_told(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
     """The torques tell the bodies, the motors' friction and gravity.
 
     Raises:
@@ -374,7 +376,7 @@ def _check_told(motions: Sequence[Motion], found: DynamicFit) -> None:
         )
 
 
-def _check_explained(motions: Sequence[Motion], found: DynamicFit) -> None:
+def _check_explained(motions: Sequence[SmoothMotion], found: DynamicFit) -> None:
     """The numbers explain the torques.
 
     Raises:

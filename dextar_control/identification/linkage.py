@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -115,8 +114,8 @@ class Linkage:
 
 
 def numbers_of(robot: RobotParameters) -> Array:
-    """(16,) of a description, whose encoders err by their offsets and its transmissions
-    alone.
+    """Return the numbers (16,) of a description, in m, rad and rad/(N m); its encoders
+    err by their offsets and its transmissions alone.
     """
     return np.array(
         [
@@ -136,7 +135,7 @@ def numbers_of(robot: RobotParameters) -> Array:
 
 
 def described(robot: RobotParameters, numbers: Array) -> RobotParameters:
-    """The robot with these numbers.
+    """Return the robot with other numbers (16,), in m, rad and rad/(N m).
 
     Raises:
         ParameterError: a number is none that a description may have.
@@ -145,7 +144,7 @@ def described(robot: RobotParameters, numbers: Array) -> RobotParameters:
         dict(zip(NAMES, map(float, row), strict=True))
         for row in (numbers, numbers_of(robot))
     )
-    changes: dict[str, Any] = {}
+    changes: dict[str, float | tuple[float, float]] = {}
     for side in SIDES:
         changes |= {
             f"{side}.{name}": found[f"{side}.{name}"]

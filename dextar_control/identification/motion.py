@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from dextar_control.contract.robot import RobotParameters, flatten
-from dextar_control.identification.recorded import Recorded
+from dextar_control.identification.recorded import MeasuredMotion
 from dextar_control.mechanisms import DETAILED_FIVE_BAR
 from dextar_control.model.model import library_of
 from dextar_control.model.regressor import regressors
@@ -40,8 +39,8 @@ EXCITE = "record dextar demo --lockstep --excite (on a rig the task excite:=20)"
 
 
 @dataclass(frozen=True)
-class Motion:
-    """The stretches of a motion in which the encoders tell it, on even grids.
+class SmoothMotion:
+    """The stretches of a motion in which the encoders tell it, on even grids, smooth.
 
     Attributes:
         recorded: where they come from.
@@ -59,9 +58,9 @@ class Motion:
         rates: (k, n) of the joints at the k instants that tell something, rad/s.
     """
 
-    recorded: Recorded
+    recorded: MeasuredMotion
     time: Array
-    stretches: tuple[slice, ...]
+    stretches: tuple[slice[int, int, None], ...]
     parallel: Array
     tells: NDArray[np.int64]
     q_a: Array
@@ -77,15 +76,17 @@ class Motion:
     rates: Array
 
     def filtered(self, values: Array) -> Array:
-        """(m, ...) of the instants, at those that tell something."""
+        """Filter values (m, ...) of the instants, units alike, and choose those that
+        tell something.
+        """
         found = np.empty_like(values)
         for part in self.stretches:
             found[part] = sosfiltfilt(self.parallel, values[part], axis=0)
         return found[self.tells]
 
 
-def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
-    """What of a recorded motion tells something; it may be empty."""
+def motion_of(robot: RobotParameters, recorded: MeasuredMotion) -> SmoothMotion:
+    """Find the stretches of a recorded motion that tell something; maybe none."""
     p = DETAILED_FIVE_BAR.values(
         flatten(robot) | {"working_mode": recorded.working_mode}
     )
@@ -110,7 +111,9 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
         max(round(WINDOW / period), 1),
         round(SHORTEST / period),
     )
-    parts, stretches, end = list[dict[str, Array]](), list[slice](), 0
+    parts: list[dict[str, Array]] = []
+    stretches: list[slice[int, int, None]] = []
+    end = 0
     tells, rates = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2))]
     for rows in np.split(np.arange(len(recorded.time)), np.flatnonzero(breaks) + 1):
         if not usable[rows[0]] or np.ptp(recorded.time[rows]) < SHORTEST:
@@ -154,7 +157,7 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
             "tau_dot",
         )
     }
-    return Motion(
+    return SmoothMotion(
         recorded=recorded,
         stretches=tuple(stretches),
         parallel=parallel,
@@ -167,7 +170,11 @@ def motion_of(robot: RobotParameters, recorded: Recorded) -> Motion:
 
 
 def _even(
-    robot: RobotParameters, recorded: Recorded, rows: Any, period: float, smooth: Array
+    robot: RobotParameters,
+    recorded: MeasuredMotion,
+    rows: NDArray[np.int64],
+    period: float,
+    smooth: Array,
 ) -> dict[str, Array]:
     """One stretch without a gap on an even grid."""
     time = recorded.time[rows]
@@ -196,7 +203,9 @@ def _even(
     }
 
 
-def _jitter(recorded: Recorded, period: float, smooth: Array, parallel: Array) -> Array:
+def _jitter(
+    recorded: MeasuredMotion, period: float, smooth: Array, parallel: Array
+) -> Array:
     """(n,) of the joints' accelerations, rad/s^2, by what the filter takes off."""
     noise = (recorded.readings - sosfiltfilt(smooth, recorded.readings, axis=0)).std(
         axis=0

@@ -5,11 +5,11 @@ one.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from dextar_control.analysis.run import Run
+from dextar_control.analysis.run import Run, Stamps, number_of
 from dextar_control.contract.errors import CalibrationError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.symbols.types import Array
@@ -18,7 +18,7 @@ STALE = 0.02  # s, age of a command or a belief that still counts
 FEWEST = 50  # states, of which filters can tell something
 
 
-class Recorded(NamedTuple):
+class MeasuredMotion(NamedTuple):
     """A motion as its encoders, its controller and perhaps a camera told it.
 
     Attributes:
@@ -44,8 +44,8 @@ class Recorded(NamedTuple):
     believed: bool = False
 
 
-def recorded_of(run: Run, robot: RobotParameters, record: str) -> Recorded:
-    """That of a bag.
+def recorded_of(run: Run, robot: RobotParameters, record: str) -> MeasuredMotion:
+    """Take the motion of a bag.
 
     Args:
         robot: as described, where the bag does not say.
@@ -71,11 +71,9 @@ def recorded_of(run: Run, robot: RobotParameters, record: str) -> Recorded:
             ]
         )
     else:
-        side = np.full(
-            len(stamps),
-            float(run.parameters.get("controller", {}).get("assembly_mode", 1)),
-        )
-    return Recorded(
+        told = number_of(run.parameters.get("controller", {}).get("assembly_mode"))
+        side = np.full(len(stamps), 1.0 if np.isnan(told) else told)
+    return MeasuredMotion(
         run.path,
         (run.robot or robot).working_mode,
         ((stamps - stamps[0]) * 1e-9)[known],
@@ -91,13 +89,13 @@ def recorded_of(run: Run, robot: RobotParameters, record: str) -> Recorded:
     )
 
 
-def _held(stamps: Any, values: Array, at: Any) -> Array:
+def _held(stamps: Stamps, values: Array, at: Stamps) -> Array:
     """Values (k, c) at stamps (k,), ns, held until the next one, at other stamps (m,);
     nan where older than STALE.
     """
     if not len(stamps):
         return np.full((len(at), values.shape[1]), np.nan)
     rows = np.searchsorted(stamps, at, side="right") - 1
-    found = values[np.maximum(rows, 0)].astype(np.float64)
+    found: Array = values[np.maximum(rows, 0)].astype(np.float64)
     found[(rows < 0) | (at - stamps[np.maximum(rows, 0)] > STALE * 1e9)] = np.nan
     return found

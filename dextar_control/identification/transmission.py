@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.identification.motion import Motion
+from dextar_control.identification.motion import SmoothMotion
 from dextar_control.model.model import Model
 from dextar_control.symbols.types import Array
 
@@ -20,16 +20,16 @@ OUTLIER = 4.0  # standard deviations
 
 
 class Stiffness(NamedTuple):
-    """Of a transmission, N m/rad, and its standard deviation."""
+    """Stiffness of a transmission, N m/rad, and its standard deviation."""
 
     value: float
     deviation: float
 
 
 def stiffnesses_of(
-    robot: RobotParameters, motions: Sequence[Motion]
+    robot: RobotParameters, motions: Sequence[SmoothMotion]
 ) -> list[Stiffness | None]:
-    """Of each joint's transmission; None where it is not told.
+    """Find the stiffness of each joint's transmission; None where it is not told.
 
     A link lags behind its motor by what the transmission passes on over its stiffness;
     an offset and a term once a turn allow for a geometry that is not quite the

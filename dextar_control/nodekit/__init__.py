@@ -1,3 +1,3 @@
-"""What every node of the package does alike: parameters, QoS, signals, diagnostics,
+"""Every node of the package has this alike: parameters, QoS, signals, diagnostics,
 lifecycle, services, its DDS domain.
 """

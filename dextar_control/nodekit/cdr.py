@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from operator import itemgetter
-from typing import Any
+from typing import TypeVar
 
 from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
@@ -14,25 +14,26 @@ from dextar_control.contract.decoding import places_of, types
 from dextar_control.contract.decoding import read_message as read_message
 
 NANOSECONDS = 1_000_000_000
+T = TypeVar("T")
 
 
 def to_time(stamp: int) -> Time:
-    """Integer nanoseconds to a ROS stamp."""
+    """Return integer nanoseconds as a ROS stamp."""
     return Time(sec=stamp // NANOSECONDS, nanosec=stamp % NANOSECONDS)
 
 
 def from_time(time: Time) -> int:
-    """A ROS stamp to integer nanoseconds."""
-    return time.sec * NANOSECONDS + time.nanosec
+    """Return a ROS stamp as integer nanoseconds."""
+    return int(time.sec * NANOSECONDS + time.nanosec)
 
 
-def canonical(message: Any) -> bytes:
-    """A message as CDR bytes of exact length with zeros where CDR leaves bytes
+def canonical(message: object) -> bytes:
+    """Return a message as CDR bytes of exact length, with zeros where CDR leaves bytes
     undefined.
 
     rclpy's own serialisation leaves memory from before in the alignment bytes and up to
     some tens of them behind the message: strict readers refuse that, and two runs would
-    not be the same bytes.
+    not give the same bytes.
 
     Raises:
         StateError: rosbags does not know the message's type.
@@ -40,27 +41,28 @@ def canonical(message: Any) -> bytes:
     return bytes(types().serialize_cdr(*_of_library(message)))
 
 
-def places_in(message: Any) -> dict[str, tuple[int, str]]:
-    """Where floats and times lie in ``canonical``; see ``places_of``."""
+def places_in(message: object) -> dict[str, tuple[int, str]]:
+    """Return where floats and times lie in ``canonical``; see ``places_of``."""
     return places_of(*_of_library(message))
 
 
-def _of_library(message: Any) -> tuple[Any, str]:
-    """A message in rosbags' classes, and its type's name."""
+def _of_library(message: object) -> tuple[object, str]:
+    """Return a message in rosbags' classes, and its type's name."""
     package = type(message).__module__.partition(".")[0]
     name = f"{package}/msg/{type(message).__name__}"
     return read_message(bytes(serialize_message(message)), name), name
 
 
-def _chosen(places: Sequence[int]) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
-    """Takes a tuple's elements at these places, also of fewer than two, as a tuple."""
+def _chosen(places: Sequence[int]) -> Callable[[Sequence[T]], tuple[T, ...]]:
+    """Return a function that takes a tuple's elements at these places, as a tuple."""
     if len(places) > 1:
         return itemgetter(*places)
     return lambda found: tuple(found[place] for place in places)
 
 
 class CdrTemplate:
-    """A message of fixed layout: pack and unpack its stamp and float64 values.
+    """A message of fixed layout, whose stamp and float64 values are packed and
+    unpacked.
 
     Args:
         message: what stays of it, words and numbers; as long as it always is.
@@ -72,7 +74,7 @@ class CdrTemplate:
 
     def __init__(
         self,
-        message: Any,
+        message: object,
         values: Sequence[str] = (),
         *,
         stamp: str = "header.stamp",
@@ -141,8 +143,12 @@ class CdrTemplate:
         self._length = len(raw)
 
     def pack(self, stamp: int, values: Sequence[float], duration: int = 0) -> bytes:
-        """CDR bytes of the message with this stamp (ns), these values and this duration
-        (ns).
+        """Return the message's CDR bytes.
+
+        Args:
+            stamp: ns.
+            values: those that vary, in their order.
+            duration: ns.
         """
         buffer = self._buffer
         if self._has_duration:
@@ -161,8 +167,8 @@ class CdrTemplate:
         return bytes(buffer)
 
     def unpack(self, raw: bytes) -> tuple[int, list[float]] | None:
-        """(stamp in ns, values), or None when anything but stamp and values differs
-        from the template.
+        """Return (stamp in ns, values), or None when anything but stamp and values
+        differs from the template.
 
         Bytes that CDR leaves undefined (alignment) count as a difference: a reader then
         takes its slow path, checks the message and may call ``learn``.
@@ -176,8 +182,8 @@ class CdrTemplate:
         return seconds * NANOSECONDS + nanoseconds, list(self._values_of(found))
 
     def learn(self, raw: bytes) -> None:
-        """Take the undefined bytes of a publisher whose message was checked to have
-        this layout.
+        """Take over the undefined bytes of a publisher whose message was checked to
+        have this layout.
         """
         if len(raw) == self._length:
             self._fixed = tuple(raw[part] for part in self._still)

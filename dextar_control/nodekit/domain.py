@@ -1,4 +1,6 @@
-"""A DDS domain of one's own, so that two runs on one machine do not hear each other."""
+"""A run can take a DDS domain of its own, so that two runs on one machine do not hear
+each other.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ _held: list[int] = []  # descriptors of locks, for as long as the process lives
 
 
 def own_domain() -> int:
-    """A domain that no other process has by this function, until this one ends.
+    """Return a domain that no other process has by this function, until this one ends.
 
     Raises:
         DextarError: all are taken, or there is no temporary folder.
@@ -47,8 +49,8 @@ def own_domain() -> int:
 
 
 def _opened(path: str) -> int | None:
-    """A lock file, made where it does not exist. Another user's file, which may only be
-    read, can be locked as well.
+    """Return the descriptor of a lock file, made where it does not exist. Another
+    user's file, which may only be read, can be locked as well.
     """
     for flags in (os.O_RDWR | os.O_CREAT, os.O_RDONLY):
         with contextlib.suppress(OSError):
@@ -57,7 +59,9 @@ def _opened(path: str) -> int | None:
 
 
 def choose_domain() -> str:
-    """``ROS_DOMAIN_ID`` as it is set, or else set to one of one's own."""
+    """Return ``ROS_DOMAIN_ID``, set to a domain of this process's own where it was not
+    set.
+    """
     if "ROS_DOMAIN_ID" not in os.environ:
         os.environ["ROS_DOMAIN_ID"] = str(own_domain())
     return os.environ["ROS_DOMAIN_ID"]

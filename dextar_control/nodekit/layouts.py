@@ -1,8 +1,10 @@
-"""The contract's fast topics as messages of fixed layout: which numbers move in them,
-in which order.
+"""The contract's fast topics are messages of fixed layout: here stands which numbers
+vary in them, in which order.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
@@ -33,7 +35,7 @@ TWO = [0.0, 0.0]
 
 
 def template(topic: Topic) -> CdrTemplate:
-    """How messages of a topic are written and read.
+    """Return how messages of a topic are written and read.
 
     Their values are, in this order, of ``joint_states`` and ``sim/joint_states``
     position, velocity and effort of all joints; of ``joint_commands`` effort; of
@@ -69,8 +71,8 @@ def _controller_state(_: Topic) -> CdrTemplate:
 
 
 def _end_effector(topic: Topic) -> CdrTemplate:
-    """Its frame never turns against the base, so position and velocity are both in
-    base.
+    """Return the template of sim/end_effector, whose frame never turns against the
+    base: position and velocity are both in base.
     """
     moving = [
         "pose.pose.position.x",
@@ -83,7 +85,7 @@ def _end_effector(topic: Topic) -> CdrTemplate:
     )
 
 
-_TEMPLATES = {
+_TEMPLATES: dict[str, Callable[[Topic], CdrTemplate]] = {
     JOINT_STATES.name: _joint_states,
     SIM_JOINT_STATES.name: _joint_states,
     JOINT_COMMANDS.name: lambda topic: CdrTemplate(

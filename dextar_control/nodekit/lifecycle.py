@@ -1,8 +1,8 @@
-"""A managed node: the lifecycle of ROS 2 over the package's own kind of node."""
+"""A managed node adds the lifecycle of ROS 2 to the package's own kind of node."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -20,18 +20,18 @@ SUCCESS, FAILURE, ERROR = (
 
 
 class ManagedNode(LifecycleNodeMixin, DextarNode):
-    """Lifecycle states and transitions; what they mean is in ``configure``,
-    ``activate``, ``deactivate``, ``cleanup``.
+    """A node with lifecycle states; what a transition does is in ``configure``,
+    ``activate``, ``deactivate`` and ``cleanup``.
 
     A transition that raises a DextarError is refused with its message, and the node
     stays in the state where it was; any other exception leads by way of error
     processing to unconfigured. A transition that the present state does not have is
     refused too (rclpy's own service raises then, out of the executor). No executor
-    serves the services: the node polls ``desk``.
+    serves the services: the node polls ``polled_services``.
     """
 
-    def __init__(self, **options: Any) -> None:
-        DextarNode.__init__(self, served=False, **options)
+    def __init__(self) -> None:
+        DextarNode.__init__(self, served=False)
         LifecycleNodeMixin.__init__(self)
         self.transition_error: DextarError | None = None
         self._service_change_state.callback = self._on_change_state
@@ -44,7 +44,9 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
         return str(self._state_machine.current_state[1])
 
     def why_fixed(self) -> str:
-        """Only an unconfigured node takes parameters that are not live."""
+        """Return why parameters that are not live cannot be changed; only an
+        unconfigured node takes them.
+        """
         return (
             ""
             if self.lifecycle == UNCONFIGURED
@@ -52,10 +54,10 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
         )
 
     def change_state(self, transition: int) -> bool:
-        """Make a transition, one of ``lifecycle_msgs/msg/Transition``; False where it
-        is refused, and the log says why.
+        """Make a transition, one of ``lifecycle_msgs/msg/Transition``; return False
+        where it is refused, and the log says why.
         """
-        triggers = {
+        triggers: dict[int, Callable[[], TransitionCallbackReturn]] = {
             Transition.TRANSITION_CONFIGURE: self.trigger_configure,
             Transition.TRANSITION_ACTIVATE: self.trigger_activate,
             Transition.TRANSITION_DEACTIVATE: self.trigger_deactivate,
@@ -114,37 +116,37 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
         return SUCCESS
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """To inactive."""
+        """Go to inactive."""
         return self._try("configure")
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """To active."""
+        """Go to active."""
         return self._try("activate")
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """To inactive."""
+        """Go to inactive."""
         return self._try("deactivate")
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """To unconfigured."""
+        """Go to unconfigured."""
         return self._try("cleanup")
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """To finalized, by way of what the present state needs."""
+        """Go to finalized, by way of what the present state needs."""
         if state.label == ACTIVE:
             self._try("deactivate")
         return SUCCESS if state.label == UNCONFIGURED else self._try("cleanup")
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """To unconfigured, from wherever a transition failed; finalized where even that
-        fails.
+        """Go to unconfigured from where a transition failed; to finalized where even
+        that fails.
         """
         self._try("deactivate")
         return self._try("cleanup")
 
     def destroy_node(self) -> None:
-        """As any node's; the state machine, which rclpy leaves out, would keep the node
-        in the graph.
+        """Leave the graph, with the state machine, which rclpy itself would leave
+        there.
         """
         self._state_machine.destroy_when_not_in_use()
         super().destroy_node()
@@ -155,13 +157,13 @@ class ManagedNode(LifecycleNodeMixin, DextarNode):
         """
 
     def activate(self) -> None:
-        """Begin; raise a DextarError to stay inactive."""
+        """Begin the node's work; raise a DextarError to stay inactive."""
 
     def deactivate(self) -> None:
-        """End what ``activate`` began; also when that failed halfway."""
+        """End what ``activate`` began, also when that failed halfway."""
 
     def cleanup(self) -> None:
-        """Drop what ``configure`` built; also when that failed halfway."""
+        """Drop what ``configure`` built, also when that failed halfway."""
 
     def on_transition(self) -> None:
-        """After each transition, made or refused."""
+        """Called after each transition, made or refused."""

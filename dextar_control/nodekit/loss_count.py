@@ -1,4 +1,6 @@
-"""Lost samples of one topic, from the sequence numbers that its publishers count."""
+"""The sequence numbers that publishers count tell how many samples of a topic were
+lost.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,7 @@ class LossCount:
         self.received = self.lost = 0
 
     def see(self, number: int | None) -> int:
-        """Count one sample; how many are missing before it."""
+        """Count one sample; return how many are missing before it."""
         self.received += 1
         if number is None or number == UNSUPPORTED or number == 0:
             self.supported = False

@@ -1,5 +1,5 @@
-"""What every node of the package does alike: parameters, QoS, signals, diagnostics,
-exit code.
+"""Every node of the package has its parameters, QoS, signals, diagnostics and exit code
+alike.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar, TypeVar, cast
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -23,13 +23,18 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
+from rclpy.subscription import Subscription
+from rclpy.utilities import remove_ros_args, try_shutdown
 
 from dextar_control.contract import resources
 from dextar_control.contract.caches import prepare_environment
@@ -48,6 +53,7 @@ from dextar_control.contract.parameters import (
     nearest_in_words,
     settled,
 )
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.robot import (
     PREFIX,
     ROBOT_KEYS,
@@ -58,15 +64,20 @@ from dextar_control.contract.robot import (
 from dextar_control.contract.signals import StopSignal, caused_by_interrupt, tell
 from dextar_control.contract.topics import DIAGNOSTICS, Topic
 from dextar_control.contract.yaml_text import check_parameter_files
-from dextar_control.nodekit.services import ServiceDesk
+from dextar_control.nodekit.services import PolledServices
 
 EXIT_USAGE = 2
 LAST_SAMPLES = 1.0  # s given to readers that want every sample, when a node ends
 COMPLAINT_PERIOD = 1.0  # s between two lines about services that failed
+N = TypeVar("N", bound="RunnableNode")
+Take = Callable[[type[object], bool], "tuple[bytes, dict[str, int]] | None"]
+"""``take_message`` of a subscription to raw messages: bytes, and what the middleware
+says of them.
+"""
 
 
-def _robot_defaults(node: str) -> dict[str, Any]:
-    """The shipped description, by its keys."""
+def _robot_defaults(node: str) -> dict[str, ParameterValue]:
+    """Return the shipped description, by its keys."""
     shipped = resources.node_defaults(node, resources.config_file(resources.ROBOT_FILE))
     return {
         key.removeprefix(PREFIX): value
@@ -76,8 +87,12 @@ def _robot_defaults(node: str) -> dict[str, Any]:
 
 
 def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoSProfile:
-    """The profile of a contract topic; a subscriber on the control path asks for
-    ``reliable=False``.
+    """Return the profile of a contract topic.
+
+    Args:
+        topic: of the contract.
+        reliable: False for a subscriber on the control path.
+        depth: of its history; the topic's own where None.
     """
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
@@ -93,42 +108,78 @@ def qos(topic: Topic, *, reliable: bool = True, depth: int | None = None) -> QoS
     )
 
 
-class DextarNode(Node):
-    """A node with checked parameters, a diagnostics publisher and an exit code.
+class RunnableNode(Node):
+    """A node that ``run_node`` can run: with an exit code, and an end of its own.
 
     Each kind of node says of itself:
         NAME: node name, and its section in ``config/crossing.yaml``.
         PARAMETERS: the node's parameters.
         ROBOT: whether the node takes the robot description.
 
+    Attributes:
+        exit_code: of the process, once the node has ended.
+        finished: whether the node wants to end.
+    """
+
+    NAME: ClassVar[str] = ""
+    PARAMETERS: ClassVar[tuple[Parameter, ...]] = ()
+    ROBOT: ClassVar[bool] = False
+    exit_code = 0
+    finished = False
+
+    def destroy_node(self) -> None:
+        """Leave the graph."""
+        Node.destroy_node(self)
+
+    def tell_renamed(self, renamed: Mapping[str, str]) -> None:
+        """Warn of parameters that were given by former names, where there are any.
+
+        Args:
+            renamed: present names by former ones.
+        """
+        if renamed:
+            self.get_logger().warning(renamed_in_words(renamed))
+
+    def finish(self, exit_code: int = 0) -> None:
+        """Leave the spin loop with this exit code."""
+        self.exit_code = exit_code
+        self.finished = True
+
+    def close(self) -> None:
+        """Leave the outside world as it should be left; called once, before the node is
+        destroyed.
+        """
+
+
+class DextarNode(RunnableNode):
+    """A node with checked parameters, a diagnostics publisher and an exit code.
+
     Args:
         served: whether the executor serves the services, those of parameters too;
-            otherwise the node calls ``desk.poll`` when it has time for some.
+            otherwise the node calls ``polled_services.poll`` when it has time for some.
+        cli_args: ROS arguments of this node alone.
 
     Raises:
         ParameterError: an override is unknown, of another type or out of its bounds.
     """
 
-    NAME: ClassVar[str]
-    PARAMETERS: ClassVar[tuple[Parameter, ...]]
-    ROBOT: ClassVar[bool] = True
+    ROBOT = True
 
-    def __init__(self, *, served: bool = True, **options: Any) -> None:
+    def __init__(
+        self, *, served: bool = True, cli_args: list[str] | None = None
+    ) -> None:
         name, robot = self.NAME, self.ROBOT
         self._polled: set[int] = set()
-        self._waits: Any = None
+        self._waits: rclpy_implementation.WaitSet | None = None
         self._served_by_executor = served
-        super().__init__(name, **options)
-        self.exit_code = 0
-        self.finished = False
+        super().__init__(name, cli_args=cli_args)
         self._specs = {spec.name: spec for spec in self.PARAMETERS}
         self._defaults = resources.node_defaults(name)
         overrides, renamed = present_names(
             self.PARAMETERS,
             {key: given.value for key, given in self._parameter_overrides.items()},
         )
-        if renamed:
-            self.get_logger().warning(renamed_in_words(renamed))
+        self.tell_renamed(renamed)
         self.values = settled(name, self.PARAMETERS, overrides, robot=robot)
         for spec in self._specs.values():
             value = self.values[spec.name]
@@ -159,7 +210,7 @@ class DextarNode(Node):
         )
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.unstepped_clock = UnsteppedClock()
-        self.desk = ServiceDesk(
+        self.polled_services = PolledServices(
             lambda: self._services,
             lambda text: self.get_logger().error(
                 text, throttle_duration_sec=COMPLAINT_PERIOD
@@ -168,16 +219,21 @@ class DextarNode(Node):
         )
 
     @property
-    def subscriptions(self) -> Any:
-        """What the executor serves: not the polled ones."""
+    def subscriptions(self) -> Iterator[Subscription]:
+        """The subscriptions that the executor serves, without the polled ones."""
         return (
             entity for entity in super().subscriptions if id(entity) not in self._polled
         )
 
     def create_polled_subscription(
-        self, message_type: Any, name: str, profile: QoSProfile, *, raw: bool = False
-    ) -> Any:
-        """A subscription that no executor serves.
+        self,
+        message_type: type[object],
+        name: str,
+        profile: QoSProfile,
+        *,
+        raw: bool = False,
+    ) -> Subscription:
+        """Create a subscription that no executor serves.
 
         ``subscription.handle.take_message(message_type, raw)`` gives (message, info) or
         None. The events executor of rclpy 7.1 fails on callbacks that want the info.
@@ -189,17 +245,17 @@ class DextarNode(Node):
         return subscription
 
     @property
-    def services(self) -> Any:
-        """What the executor serves: not the polled ones."""
+    def services(self) -> Iterator[Service]:
+        """The services that the executor serves, without the polled ones."""
         return (
             entity
             for entity in super().services
             if self._served_by_executor and id(entity) not in self._polled
         )
 
-    def create_polled_service(self, service_type: Any, name: str) -> Any:
-        """A service that no executor serves, so that it may answer later than it is
-        asked.
+    def create_polled_service(self, service_type: type[object], name: str) -> Service:
+        """Create a service that no executor serves, so that it may answer later than it
+        is asked.
 
         ``service.handle.service_take_request(service_type.Request)`` gives (request,
         header), both None without a request; ``service.send_response(response,
@@ -209,9 +265,9 @@ class DextarNode(Node):
         self._polled.add(id(service))
         return service
 
-    def wait_for(self, subscription: Any, seconds: float) -> None:
-        """Sleep until a polled subscription holds a message, at most for so long; about
-        0.02 ms of processor time.
+    def wait_for(self, subscription: Subscription, seconds: float) -> None:
+        """Sleep until a polled subscription holds a message, at most this many seconds;
+        it takes about 0.02 ms of processor time.
         """
         if self._waits is None:
             self._waits = rclpy_implementation.WaitSet(
@@ -222,19 +278,21 @@ class DextarNode(Node):
             self._waits.add_subscription(subscription.handle)
             self._waits.wait(max(0, round(1.0e9 * seconds)))
 
-    def destroy_subscription(self, subscription: Any) -> bool:
-        """Also of a polled one; another may get its identity."""
+    def destroy_subscription(self, subscription: Subscription) -> bool:
+        """Destroy a subscription, polled or not; another one may get its identity."""
         self._polled.discard(id(subscription))
         return bool(super().destroy_subscription(subscription))
 
-    def _declare(self, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
+    def _declare(
+        self, name: str, value: ParameterValue, descriptor: ParameterDescriptor
+    ) -> None:
         self.declare_parameter(name, value, descriptor, ignore_override=True)
 
     def set_parameters_atomically(
-        self, parameter_list: list[Any]
+        self, parameter_list: list[RosParameter]
     ) -> SetParametersResult:
-        """As rclpy's; a name that is not declared is refused with the one that may be
-        meant.
+        """Set parameters as rclpy does; a name that is not declared is refused with the
+        one that may be meant.
 
         Former names are refused here, not taken as at the start: what is set must be
         what ``ros2 param get`` and the events tell, under one name.
@@ -252,8 +310,8 @@ class DextarNode(Node):
             return SetParametersResult(successful=False, reason=reason)
         return super().set_parameters_atomically(parameter_list)
 
-    def _on_set(self, parameters: list[Any]) -> SetParametersResult:
-        changes: dict[str, Any] = {}
+    def _on_set(self, parameters: list[RosParameter]) -> SetParametersResult:
+        changes: dict[str, ParameterValue] = {}
         before = dict(self.values)
         try:
             for parameter in parameters:
@@ -273,22 +331,25 @@ class DextarNode(Node):
         return SetParametersResult(successful=True)
 
     def why_fixed(self) -> str:
-        """Why parameters that are not live cannot be changed now; empty when they
-        can.
+        """Return why parameters that are not live cannot be changed now; empty when
+        they can.
         """
         return "while the node runs"
 
-    def on_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Take live changes, already in ``values``; raise a DextarError to refuse them
-        all.
+    def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
+        """Use live changes, which already stand in ``values``; raise a DextarError to
+        refuse them all.
         """
 
     def too_many_publishers(self, topic: str) -> str:
-        """Who publishes a topic, by its full name, that may have one publisher, in
-        words, where it has more; empty otherwise.
+        """Return which nodes publish a topic that may have one publisher, in words,
+        where it has more; empty otherwise.
 
         The graph keeps a publisher that was killed for some time (Fast DDS: up to 20
         s), and knows it before its node's name.
+
+        Args:
+            topic: its full name.
         """
         with self.handle:
             count = self.handle.get_count_publishers(topic)
@@ -312,10 +373,15 @@ class DextarNode(Node):
         )
 
     def publish_diagnostics(
-        self, level: bytes, message: str, values: Mapping[str, Any]
+        self, level: bytes, message: str, values: Mapping[str, object]
     ) -> None:
-        """One DiagnosticStatus on ``/diagnostics``, numbers as their shortest exact
-        text.
+        """Publish one DiagnosticStatus on ``/diagnostics``, with numbers as their
+        shortest exact text.
+
+        Args:
+            level: of DiagnosticStatus.
+            message: a summary of the node's state.
+            values: by key.
         """
         status = DiagnosticStatus(
             level=level,
@@ -330,18 +396,8 @@ class DextarNode(Node):
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
-    def finish(self, exit_code: int = 0) -> None:
-        """Leave the spin loop with this exit code."""
-        self.exit_code = exit_code
-        self.finished = True
 
-    def close(self) -> None:
-        """Leave the outside world as it should be left; called once, before the node is
-        destroyed.
-        """
-
-
-def _descriptor(spec: Parameter, value: Any) -> ParameterDescriptor:
+def _descriptor(spec: Parameter, value: ParameterValue) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=spec.measured, dynamic_typing=True)
     descriptor.additional_constraints = spec.allowed
     if spec.minimum is None and spec.maximum is None:
@@ -359,16 +415,19 @@ def _descriptor(spec: Parameter, value: Any) -> ParameterDescriptor:
     return descriptor
 
 
-def make_executor(kind: str = "events") -> Any:
-    """The events executor where this rclpy has it, else the single-threaded one."""
+def make_executor(kind: str = "events") -> Executor:
+    """Return the events executor where this rclpy has it, else the
+    single-threaded one.
+    """
     if kind == "events":
         try:
             from rclpy.experimental.events_executor import EventsExecutor
 
-            return EventsExecutor()
+            events: Executor = EventsExecutor()
+            return events
         except ImportError:
             pass
-    return rclpy.executors.SingleThreadedExecutor()
+    return SingleThreadedExecutor()
 
 
 def prepare_middleware() -> None:
@@ -384,24 +443,24 @@ def prepare_middleware() -> None:
 
 
 def run_node(
-    make: Callable[[], Any],
+    make: type[N],
     args: list[str] | None = None,
-    spin: Callable[[Any, Any, StopSignal], None] | None = None,
+    spin: Callable[[N, Executor, StopSignal], None] | None = None,
 ) -> int:
-    """Run one node until a signal or its own end; the process's exit code.
+    """Run one node until a signal or its own end; return the process's exit code.
 
     ``--help`` and anything else that is not ROS's own are answered before a node, or
     ROS itself, is started.
 
     Args:
-        make: builds the node.
+        make: the node's class.
         args: command line without the program's name, ``sys.argv``'s when None.
         spin: the node's own loop ``spin(node, executor, stop)``; the default hands
             events to callbacks.
     """
     prepare_environment()
     stop = StopSignal()
-    node: Any = None
+    node: N | None = None
     try:
         words = sys.argv[1:] if args is None else args
         if (code := _answer(make, words)) is not None:
@@ -409,14 +468,13 @@ def run_node(
         prepare_middleware()
         with contextlib.ExitStack() as stack:
             words, renamed = present_arguments(
-                getattr(make, "NAME", ""),
+                make.NAME,
                 words,
                 lambda: Path(stack.enter_context(tempfile.TemporaryDirectory())),
             )
             rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
-        node = make()
-        if renamed:
-            node.get_logger().warning(renamed_in_words(renamed))
+        node = cast(Callable[[], N], make)()
+        node.tell_renamed(renamed)
         stop.starting = False
         executor = make_executor()
         executor.add_node(node)
@@ -427,7 +485,7 @@ def run_node(
             _wait_for_readers(node)
             executor.remove_node(node)
             executor.shutdown()
-        return int(node.exit_code)
+        return node.exit_code
     except DextarError as error:
         return _refuse(str(error))
     except BaseException as error:
@@ -447,12 +505,12 @@ def run_node(
     finally:
         if node is not None:
             node.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()
 
 
 def _wait_for_readers(node: Node) -> None:
-    """Let readers that want every sample, as the recorder, have the last ones: what is
-    under way goes with the publisher.
+    """Wait until readers that want every sample, such as the recorder, have the last
+    ones, which are lost with their publisher.
     """
     deadline = time.monotonic() + LAST_SAMPLES
     for publisher in node.publishers:
@@ -461,9 +519,9 @@ def _wait_for_readers(node: Node) -> None:
         )
 
 
-def _answer(make: Callable[[], Any], words: list[str]) -> int | None:
-    """Help, or the refusal of what neither the node nor rcl takes; None where the node
-    is to be started.
+def _answer(make: type[RunnableNode], words: list[str]) -> int | None:
+    """Print the help, or refuse what neither the node nor rcl takes; return the exit
+    code, None where the node is to be started.
     """
     own = _own(words)
     if not {"-h", "--help"}.isdisjoint(own):
@@ -490,8 +548,8 @@ def _answer(make: Callable[[], Any], words: list[str]) -> int | None:
 
 
 def _own(words: list[str]) -> list[str]:
-    """What stands outside of ``--ros-args ... [--]``; rcl itself would still take a
-    remapping there, in the way of ROS 1.
+    """Return the words that stand outside of ``--ros-args ... [--]``; rcl itself would
+    still take a remapping there, in the way of ROS 1.
     """
     own, theirs = [], False
     for word in words:
@@ -510,7 +568,7 @@ def _refuse(text: str) -> int:
 
 
 def _in_one_line(error: BaseException) -> str:
-    """What rcl says, without the places in its own sources."""
+    """Return what rcl says, without the places in its own sources."""
     if type(error).__name__ == "UnknownROSArgsError":
         return (
             f"unknown ROS argument {str(error).strip('[]')}; --help says what there is"
@@ -528,6 +586,6 @@ def _in_one_line(error: BaseException) -> str:
     return text
 
 
-def _spin(node: DextarNode, executor: Any, stop: StopSignal) -> None:
+def _spin(node: RunnableNode, executor: Executor, stop: StopSignal) -> None:
     while not stop and not node.finished:
         executor.spin_once(timeout_sec=0.05)

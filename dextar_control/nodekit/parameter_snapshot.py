@@ -1,28 +1,32 @@
-"""The resolved parameters of other nodes, asked for without ever waiting."""
+"""A node can ask for the parameters of other nodes without ever waiting."""
 
 from __future__ import annotations
-
-from typing import Any
 
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
+from rclpy.task import Future
+
+from dextar_control.contract.plain_data import ParameterValue
 
 GIVE_UP_AFTER = 100  # asks without an answer before a request is made anew
 
 
 class ParameterSnapshot:
-    """All parameters of one node, through its standard services; call ``ask`` now and
-    then until ``values`` is there.
+    """All parameters of one node, asked for by its standard services; call ``ask`` now
+    and then until ``values`` is there.
 
     Args:
         node: that asks.
         target: name of the node asked, relative to the asking node's namespace.
+
+    Attributes:
+        values: by name; None while they are not known.
     """
 
     def __init__(self, node: Node, target: str) -> None:
         self.target = target
-        self.values: dict[str, Any] | None = None
+        self.values: dict[str, ParameterValue] | None = None
         self._node = node
         self._list = node.create_client(ListParameters, f"{target}/list_parameters")
         self._get = node.create_client(GetParameters, f"{target}/get_parameters")
@@ -46,14 +50,14 @@ class ParameterSnapshot:
         self.values = None
         self._age = 0
 
-    def _on_names(self, future: Any) -> None:
+    def _on_names(self, future: Future) -> None:
         names = sorted(future.result().result.names)
         request = GetParameters.Request(names=names)
         self._get.call_async(request).add_done_callback(
             lambda answer: self._on_values(names, answer)
         )
 
-    def _on_values(self, names: list[str], future: Any) -> None:
+    def _on_values(self, names: list[str], future: Future) -> None:
         values = future.result().values
         if len(values) == len(names):
             self.values = dict(

@@ -1,4 +1,4 @@
-"""QoS profiles as rosbag2 (version 9) writes them."""
+"""QoS profiles are written as rosbag2 (version 9) writes them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
 
 def describe(profile: QoSProfile) -> dict[str, object]:
-    """The profile as the mapping that stands in a bag's ``offered_qos_profiles``."""
+    """Return the profile as the mapping that stands in a bag's
+    ``offered_qos_profiles``.
+    """
     return {
         "history": profile.history.name.lower(),
         "depth": profile.depth,
@@ -24,7 +26,7 @@ def describe(profile: QoSProfile) -> dict[str, object]:
 
 
 def _duration(duration: Duration) -> dict[str, int]:
-    """0 means "not set" to rclpy and never to a writer: both are written as
+    """Return a duration as rosbag2 writes it; 0, which means "not set" to rclpy, is
     infinite.
     """
     total = duration.nanoseconds

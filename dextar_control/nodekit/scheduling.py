@@ -1,5 +1,5 @@
-"""How the kernel runs a process: precise timers, and what a control loop may ask for
-besides. No ROS here.
+"""A process can ask the kernel for precise timers, priority, processors and memory. No
+ROS here.
 """
 
 from __future__ import annotations
@@ -8,7 +8,8 @@ import contextlib
 import ctypes
 import os
 from collections.abc import Callable, Mapping
-from typing import Any
+
+from dextar_control.contract.plain_data import ParameterValue
 
 PR_SET_TIMERSLACK = 29  # of Linux' prctl
 MCL_CURRENT, MCL_FUTURE = 1, 2  # of mlockall
@@ -16,8 +17,8 @@ REALTIME_LIMITS = "give the user rtprio and memlock in /etc/security/limits.conf
 
 
 def precise_timers() -> None:
-    """Have the kernel end this thread's sleeps when they are over; usually it takes up
-    to 0.05 ms more.
+    """Have the kernel end this thread's sleeps when they are over; by default they may
+    last 0.05 ms longer.
     """
     ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
@@ -33,9 +34,11 @@ def stand_back() -> None:
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
-def ask_kernel(values: Mapping[str, Any], warn: Callable[[str], object]) -> None:
-    """Priority, processors and memory as the parameters of a node ask for them, for all
-    threads that the process has.
+def ask_kernel(
+    values: Mapping[str, ParameterValue], warn: Callable[[str], object]
+) -> None:
+    """Ask for the priority, processors and memory that a node's parameters name, for
+    all threads that the process has.
 
     What is not permitted costs one warning, and the node runs on without it. Threads
     that begin later, such as the one that checks a trajectory, have the usual priority.

@@ -1,14 +1,30 @@
-"""Services that no executor serves: a few requests at a time, in turn."""
+"""A node can serve its services itself, a few requests at a time, instead of its
+executor.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Protocol, cast
+
+from rclpy.service import Service
 
 from dextar_control.contract.clocks import UnsteppedClock
 
 
-class ServiceDesk:
+class ServiceType(Protocol):
+    """The type of a service, such as ``std_srvs.srv.Trigger``."""
+
+    Request: type[object]
+    Response: type[object]
+
+
+def type_of(service: Service) -> ServiceType:
+    """Return the type of a service."""
+    return cast(ServiceType, service.srv_type)
+
+
+class PolledServices:
     """Takes requests where they wait in the middleware, and answers them when it is
     told to.
 
@@ -28,7 +44,7 @@ class ServiceDesk:
 
     def __init__(
         self,
-        services: Callable[[], Iterable[Any]],
+        services: Callable[[], Iterable[Service]],
         complain: Callable[[str], object],
         clock: UnsteppedClock,
     ) -> None:
@@ -41,7 +57,7 @@ class ServiceDesk:
 
     def poll(self, limit: int) -> int:
         """Serve at most ``limit`` waiting requests, one of each service before the
-        second of any; how many they were.
+        second of any; return how many they were.
         """
         services = list(self._services())
         served = idle = 0
@@ -55,26 +71,27 @@ class ServiceDesk:
         self.served += served
         return served
 
-    def _serve(self, service: Any) -> bool:
-        """Answer one request of a service; a callback that fails is told, and answered
-        with an empty response.
+    def _serve(self, service: Service) -> bool:
+        """Answer one request of a service; where its callback fails that is told, and
+        the response is empty.
         """
-        request, header = service.handle.service_take_request(service.srv_type.Request)
+        kind = type_of(service)
+        request, header = service.handle.service_take_request(kind.Request)
         if header is None:
             return False
+        answer = cast(Callable[[object, object], object], service.callback)
         self.received = self._clock.arrival(
             int(getattr(header, "received_timestamp", 0))
         )
-        response = service.srv_type.Response()
         try:
-            response = service.callback(request, response)
+            response: object = answer(request, kind.Response())
         except (
             Exception
         ) as error:  # a malformed request must not end a node that holds a robot
             self._complain(
                 f"{service.service_name} failed: {type(error).__name__}: {error}"
             )
-            response = service.srv_type.Response()
+            response = kind.Response()
         try:
             service.send_response(response, header)
         except Exception as error:  # the caller is gone

@@ -1,5 +1,5 @@
-"""Work beside a node: done in order in one thread, its progress told, its end taken by
-the node's own thread.
+"""A node hands long work to one thread, which tells its progress, and takes the results
+in its own thread.
 """
 
 from __future__ import annotations
@@ -7,22 +7,21 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from typing import TypeVar
 
 from dextar_control.contract.errors import DextarError
 
-Done = Callable[[Any, DextarError | None], None]
+T = TypeVar("T")
+Done = Callable[[T | None, DextarError | None], None]
 
 
 class GivenUp(DextarError):
-    """What is planned is not wanted any more: the node ends, or a stop was asked
-    for.
-    """
+    """A plan is given up because the node ends or a stop was asked for."""
 
 
-class Worker:
-    """Runs jobs one after the other; ``poll`` hands their results over where it is
-    called.
+class JobQueue:
+    """Runs jobs one after the other in a thread; ``poll`` hands their results over in
+    the caller's thread.
 
     Attributes:
         fraction, stage: of the job under way, as its ``progress`` told them; stage is
@@ -34,39 +33,44 @@ class Worker:
         self.stage = ""
         self._closing = False
         self._threads = ThreadPoolExecutor(max_workers=1)
-        self._jobs: deque[tuple[Future[Any], Done]] = deque()
+        self._jobs: deque[tuple[Callable[[], bool], Callable[[], None]]] = deque()
 
-    def submit(self, work: Callable[[], Any], done: Done) -> None:
+    def submit(self, work: Callable[[], T], done: Done[T]) -> None:
         """Do ``work``; afterwards ``poll`` calls ``done(result, None)`` or ``done(None,
         error)``.
         """
-        self._jobs.append((self._threads.submit(work), done))
+        future = self._threads.submit(work)
+        self._jobs.append((future.done, lambda: _hand_over(future, done)))
 
     def progress(self, fraction: float, stage: str) -> None:
-        """What a job under way calls.
+        """Tell how far the job under way is, which calls this.
 
         Raises:
-            GivenUp: the worker is closed.
+            GivenUp: the queue is closed.
         """
         if self._closing:
             raise GivenUp("planning was given up: the node ends")
         self.fraction, self.stage = fraction, stage
 
     def poll(self) -> None:
-        """Take the results that are there, in the order in which they were asked
+        """Hand over the results that are there, in the order in which they were asked
         for.
         """
-        while self._jobs and self._jobs[0][0].done():
-            future, done = self._jobs.popleft()
+        while self._jobs and self._jobs[0][0]():
+            _, hand_over = self._jobs.popleft()
             self.fraction, self.stage = 0.0, ""
-            try:
-                result = future.result()
-            except DextarError as error:
-                done(None, error)
-            else:
-                done(result, None)
+            hand_over()
 
     def close(self) -> None:
-        """Give up what is under way at its next progress, and all that waits."""
+        """Give up the job under way at its next progress, and all that wait."""
         self._closing = True
         self._threads.shutdown(wait=False, cancel_futures=True)
+
+
+def _hand_over(future: Future[T], done: Done[T]) -> None:
+    try:
+        result = future.result()
+    except DextarError as error:
+        done(None, error)
+    else:
+        done(result, None)

@@ -1,1 +1,1 @@
-"""The nodes, thin around the mathematics."""
+"""The nodes are thin around the mathematics."""

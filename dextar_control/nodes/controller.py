@@ -1,4 +1,4 @@
-"""The controller node: one command for each joint state, from the active joints
+"""The controller node answers each joint state with one command, from the active joints
 alone.
 """
 
@@ -9,18 +9,21 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
+from rclpy.executors import Executor
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import DextarError, ParameterError, StateError
 from dextar_control.contract.node_parameters import PARAMETERS
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.settings import SETTING_NAMES, Settings
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import JOINT_STATES, TRAJECTORY
@@ -42,6 +45,7 @@ from dextar_control.nodes.progress import crossing_line, trip_line
 from dextar_control.nodes.reference import ReferenceReader
 from dextar_control.nodes.statistics import Statistics
 from dextar_control.planning.certificate import Certificate
+from dextar_control.symbols.types import Array
 
 SWITCH_INTERVAL = (
     2e-4  # s until the thread that checks a trajectory lets the control thread go on
@@ -53,18 +57,20 @@ MOST_AT_ONCE = 10  # states that are answered before what else is due
 SERVED_PER_WATCH = 2
 DIAGNOSTICS_PERIOD = 0.2  # s
 TELL_PERIOD = 1.0  # s between two lines about the external pose
+R = TypeVar("R", SetBool.Response, Trigger.Response)
 LATCHED = (Phase.SAFE_STOP, Phase.FAULT)  # left by ~/reset only
 
 
 class ControllerNode(ManagedNode):
     """Answers each joint state with a torque and tells what it did.
 
-    Managed: ``configure`` builds everything from the parameters, ``activate`` answers
-        states. Torque needs healthy states (``joint_states.healthy_time``) and nobody
-    else who commands; ``enabled`` asks for it by itself, once. A gap of more than
-    ``joint_states.timeout`` between the stamps of two states is a fault (no torque
-    until ``~/reset`` and ``~/enable``); while no state comes nothing is commanded at
-    all, and the drive's own time-out takes the torque away.
+    It is a managed node: ``configure`` builds everything from the parameters,
+    ``activate`` begins to answer states. Torque needs healthy states
+    (``joint_states.healthy_time``) and nobody else who commands; ``enabled`` asks for
+    it once, by itself. A gap of more than ``joint_states.timeout`` between the stamps
+    of two states is a fault (no torque until ``~/reset`` and ``~/enable``); while no
+    state comes nothing is commanded at all, and the drive's own time-out takes the
+    torque away.
     """
 
     NAME = "controller"
@@ -82,15 +88,15 @@ class ControllerNode(ManagedNode):
         self._enabling = "off"
         self._side_unknown = False
         self._latched: tuple[str, int] = ("", 0)
-        self._others = self._rivals = ""
+        self._other_commanders = self._second_publishers = ""
         self._stamp = -1
         self._published = 0
         self._stalled = False
         self._refusal = ""
-        self._said: tuple[Phase, str] = (Phase.IDLE, "")
+        self._logged_phase: tuple[Phase, str] = (Phase.IDLE, "")
         self._passed: list[Passed] = []
         self._begun = -1
-        self._judged: list[Passed] = []
+        self._logged_crossings: list[Passed] = []
         self._verdicts: list[Verdict] = []
         self._completed = 0
         self._tracked: Certificate | None = None
@@ -99,7 +105,7 @@ class ControllerNode(ManagedNode):
         self._largest_error = 0.0
         self._pose_note = ""
         self._pose_told = -math.inf
-        self._states: Any = None
+        self._states: Subscription | None = None
         self._state_topic = self.resolve_topic_name(JOINT_STATES.name)
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.create_service(Trigger, "~/stop", self._on_stop)
@@ -120,7 +126,9 @@ class ControllerNode(ManagedNode):
         gc.freeze()
 
     def configure(self) -> None:
-        """The loop, which checks the parameters, then publishers and subscriptions."""
+        """Build the loop, which checks the parameters, then publishers and
+        subscriptions.
+        """
         values = self.values
         loop = self._make_loop()
         self._period = values["task.sample_period"]
@@ -150,8 +158,8 @@ class ControllerNode(ManagedNode):
         self.get_logger().info(f"law {values['law']}, estimator {values['estimator']}")
 
     def activate(self) -> None:
-        """Answer states, beginning with a loop that knows none; a fault that was
-        latched before still is.
+        """Begin to answer states, with a loop that knows none; a fault that was latched
+        before still is.
 
         Raises:
             StateError: the controller was deactivated where it did not know the robot's
@@ -173,14 +181,14 @@ class ControllerNode(ManagedNode):
             self._loop.fault(self._latched[0])
         elif self._automatic and self.values["joint_states.healthy_time"] == 0.0:
             self._enable_itself()
-        self._said = (self._loop.phase, self._loop.reason)
+        self._logged_phase = (self._loop.phase, self._loop.reason)
         self._active = True
         self.get_logger().info(
             f"waiting for {self.resolve_topic_name(JOINT_STATES.name)}"
         )
 
     def deactivate(self) -> None:
-        """No torque, at once; the side of the locus as it was believed stays, in the
+        """Take the torque away at once, and keep the believed assembly mode in the
         parameter ``assembly_mode``.
         """
         self._active = False
@@ -202,16 +210,17 @@ class ControllerNode(ManagedNode):
         """Drop the loop and everything on the network but services and diagnostics; a
         latched fault still is.
         """
-        self._loop, self._others, self._rivals = None, "", ""
+        self._loop, self._other_commanders, self._second_publishers = None, "", ""
         while self._closers:
             self._closers.pop()()
 
     def _close_states(self) -> None:
+        assert self._states is not None
         self.destroy_subscription(self._states)
         self._states = None
 
     def on_transition(self) -> None:
-        """Tell it."""
+        """Publish diagnostics at once."""
         self._diagnose()
 
     def _make_loop(self) -> ControlLoop:
@@ -223,8 +232,8 @@ class ControllerNode(ManagedNode):
             enabled=False,
         )
 
-    def on_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Take live gains, limits or, without torque, the assembly mode; what is not
+    def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
+        """Use live gains and limits and, without torque, the assembly mode; what is not
         live waits for ``configure``.
         """
         if "assembly_mode" in changes:
@@ -240,22 +249,24 @@ class ControllerNode(ManagedNode):
         else:
             self._tell_mode(changes)
 
-    def _tell_mode(self, changes: Mapping[str, Any]) -> None:
+    def _tell_mode(self, changes: Mapping[str, ParameterValue]) -> None:
         if "assembly_mode" in changes:
             if self._loop is not None:
                 self._loop.set_assembly_mode(changes["assembly_mode"])
             self._side_unknown = False
 
     def _now(self) -> float | None:
-        """The steady clock, s; None in lockstep, where states may come at any pace."""
+        """Return the steady clock's time, s; None in lockstep, where states may come at
+        any pace.
+        """
         return None if self._lockstep else time.perf_counter()
 
-    def turn(self, executor: Any) -> None:
-        """The states that have come, or come soon, and what is due besides: that is
-        done, in parts, when they are answered.
+    def turn(self, executor: Executor) -> None:
+        """Answer the states that have come or come soon, then do one part of what is
+        due besides.
 
         No executor serves the states: its callbacks, and timers that fire when the next
-            state comes, would make its answer late.
+        state comes, would make its answer late.
         """
         left = max(0.0, self._watched + WATCH_PERIOD - time.perf_counter())
         if self._states is None:
@@ -266,7 +277,7 @@ class ControllerNode(ManagedNode):
             for _ in range(MOST_AT_ONCE):
                 if (taken := take(JointState, True)) is None:
                     break
-                self._hear(*taken)
+                self._receive(*taken)
         now = time.perf_counter()
         if self._situation is not None:
             self.publish_diagnostics(*self._situation)
@@ -274,14 +285,14 @@ class ControllerNode(ManagedNode):
             executor.spin_once(timeout_sec=0.0)
         elif now - self._diagnosed >= DIAGNOSTICS_PERIOD:
             self._diagnosed = now
-            self._situation = self._look_about()
+            self._situation = self._situation_now()
         elif now - self._watched >= WATCH_PERIOD:
             self._watched = now
             self._watch()
 
-    def _hear(self, raw: bytes, info: Mapping[str, int]) -> None:
-        """A state, and what the middleware tells of it: its publisher's number, and
-        when it was sent.
+    def _receive(self, raw: bytes, info: Mapping[str, int]) -> None:
+        """Take a state with what the middleware tells of it: its publisher's number,
+        and when it was sent.
         """
         self._stream.hear(info.get("publication_sequence_number"), time.perf_counter())
         self._published = info.get("source_timestamp", 0)
@@ -327,8 +338,8 @@ class ControllerNode(ManagedNode):
             self._statistics.spaced(gap, self._period)
         self._stamp = stamp
         self._stalled = False
-        if (loop.phase, loop.reason) != self._said:
-            self._say(answered=True)
+        if (loop.phase, loop.reason) != self._logged_phase:
+            self._log_phase(answered=True)
         self._statistics.arrived(stamp, begin, self._published)
         self._statistics.worked(time.perf_counter() - begin)
         if loop.refusal != self._refusal:
@@ -337,8 +348,8 @@ class ControllerNode(ManagedNode):
                 self._reference.refuse(self._refusal)
                 self._diagnose()
 
-    def _read_state(self, raw: bytes) -> tuple[int, np.ndarray]:
-        """Stamp, ns, and active joints (2,), rad, of a joint state."""
+    def _read_state(self, raw: bytes) -> tuple[int, Array]:
+        """Return stamp, ns, and active joints, (2,), rad, of a joint state."""
         known = self._states_in.unpack(raw)
         if known is not None:
             return known[0], np.array(known[1][0:2])
@@ -349,8 +360,8 @@ class ControllerNode(ManagedNode):
         return from_time(message.header.stamp), q_a
 
     def _repeat(self, stamp: int) -> None:
-        """A state that came before; in lockstep a rig asks so for an answer that it did
-        not get.
+        """Answer a state that came before; in lockstep a rig asks so for an answer that
+        it did not get.
         """
         self._statistics.counts["repeated_states"] += 1
         if not self._lockstep:
@@ -358,8 +369,8 @@ class ControllerNode(ManagedNode):
         self._outputs.repeat()
 
     def _verdict(self, loop: ControlLoop, tick: Tick) -> float:
-        """Of the planned crossing that has begun last; once the controller let go that
-        one stays.
+        """Return the verdict on the planned crossing that began last, which stays when
+        the controller has let go.
         """
         passed = loop.passed
         if passed is not self._passed:
@@ -373,8 +384,8 @@ class ControllerNode(ManagedNode):
         return float(passed[self._begun].verdict) if self._begun >= 0 else 0.0
 
     def _note_error(self, loop: ControlLoop) -> None:
-        """The largest distance between reference and estimate while a trajectory is
-        tracked.
+        """Keep the largest distance between reference and estimate while a trajectory
+        is tracked.
         """
         if loop.phase in MOVING:
             if loop.certificate is not self._tracked:
@@ -383,12 +394,16 @@ class ControllerNode(ManagedNode):
             self._largest_error = max(self._largest_error, loop.supervisor.error)
 
     def _refuse(self, loop: ControlLoop, error: DextarError) -> None:
-        """No torque for a state that cannot be used; a broken first state or a bad
-        number is a fault.
+        """Command no torque for a state that cannot be used; a broken first state or a
+        bad number is a fault.
         """
         self._statistics.counts["refused_states"] += 1
         self._look_at_publishers()
-        reason = f"{error}; {self._rivals}" if self._rivals else str(error)
+        reason = (
+            f"{error}; {self._second_publishers}"
+            if self._second_publishers
+            else str(error)
+        )
         self._stream.spoil(reason)
         if loop.phase not in (Phase.IDLE, Phase.FAULT) and isinstance(
             error, StateError
@@ -396,20 +411,20 @@ class ControllerNode(ManagedNode):
             loop.fault(reason)
         else:
             self.get_logger().error(reason, throttle_duration_sec=1.0)
-        if (loop.phase, loop.reason) != self._said:
-            self._say()
+        if (loop.phase, loop.reason) != self._logged_phase:
+            self._log_phase()
 
-    def _say(self, *, answered: bool = False) -> None:
+    def _log_phase(self, *, answered: bool = False) -> None:
         """Tell a change of phase; one that no state has answered yet takes the torque
         away at once.
         """
         loop = self._loop
         assert loop is not None
-        if loop.phase in LATCHED and self._said[0] is not loop.phase:
+        if loop.phase in LATCHED and self._logged_phase[0] is not loop.phase:
             loop.reason = "; ".join(
                 [*self._lateness(loop), loop.reason, *self._second_rig(loop)]
             )
-        before, self._said = self._said, (loop.phase, loop.reason)
+        before, self._logged_phase = self._logged_phase, (loop.phase, loop.reason)
         if not answered and loop.phase in LIMP:
             self._outputs.release()
         if loop.phase in LATCHED:
@@ -431,14 +446,14 @@ class ControllerNode(ManagedNode):
         self._diagnose()
 
     def _watch(self) -> None:
-        """Every WATCH_PERIOD: some service requests, new trajectories, the steady
-        clock, and who else commands the robot.
+        """Serve some requests, and look for new trajectories, a stalled stream and
+        other commanders, every WATCH_PERIOD.
         """
-        self.desk.poll(SERVED_PER_WATCH)
+        self.polled_services.poll(SERVED_PER_WATCH)
         loop = self._loop
         if loop is None:
             return
-        self._others = self._outputs.others()
+        self._other_commanders = self._outputs.others()
         self._outputs.look()
         self._look_at_publishers()
         if not self._active:
@@ -452,33 +467,35 @@ class ControllerNode(ManagedNode):
         self._tell_pose()
         if loop.phase in (Phase.IDLE, Phase.FAULT):
             return
-        if self._others or self._contested:
-            loop.fault(self._others or self._rivals)
+        if self._other_commanders or self._states_are_mixed:
+            loop.fault(self._other_commanders or self._second_publishers)
         self._watch_stall(loop)
-        if (loop.phase, loop.reason) != self._said:
-            self._say()
+        if (loop.phase, loop.reason) != self._logged_phase:
+            self._log_phase()
 
     def _look_at_publishers(self) -> None:
-        self._rivals = self.too_many_publishers(self._state_topic)
+        self._second_publishers = self.too_many_publishers(self._state_topic)
 
     @property
-    def _contested(self) -> bool:
-        """Whether two publishers send joint states: there are two, and another's state
-        came lately. A silent one does no harm.
+    def _states_are_mixed(self) -> bool:
+        """Whether a second publisher of joint states sent one lately; a silent one does
+        no harm.
         """
-        return bool(self._rivals) and self._stream.mixed(time.perf_counter())
+        return bool(self._second_publishers) and self._stream.mixed(time.perf_counter())
 
     def _second_rig(self, loop: ControlLoop) -> list[str]:
-        """What else was wrong when the loop let go, and may be why."""
+        """Return the second publisher where it may be why the loop let go,
+        in a list.
+        """
         return (
-            [self._rivals]
-            if self._contested and self._rivals not in loop.reason
+            [self._second_publishers]
+            if self._states_are_mixed and self._second_publishers not in loop.reason
             else []
         )
 
     def _lateness(self, loop: ControlLoop) -> list[str]:
-        """That a watch tripped while commands came too late, in real time: then that is
-        told before what the watch saw.
+        """Return in a list that commands came too late while a watch tripped in real
+        time; it is told before what the watch saw.
         """
         watched = loop.phase is Phase.SAFE_STOP and loop.tripped and not self._lockstep
         return [
@@ -488,15 +505,15 @@ class ControllerNode(ManagedNode):
         ]
 
     def _next_step(self) -> str:
-        """What to call for a robot that is held."""
+        """Return what to call for a robot that is held."""
         phase = self._loop.phase.name if self._loop is not None else ""
         return next_step(
             self.get_fully_qualified_name(), self.lifecycle, phase, self._enabling
         )
 
     def _watch_stall(self, loop: ControlLoop) -> None:
-        """No state on the steady clock: no torque at once, and after a while a
-        fault.
+        """Take the torque away when no state comes by the steady clock, and after a
+        while begin a fault.
         """
         age = time.perf_counter() - self._statistics.arrival
         if math.isnan(age) or self._lockstep:
@@ -519,8 +536,8 @@ class ControllerNode(ManagedNode):
             )
 
     def _tell_pose(self) -> None:
-        """A complaint about the external pose when it changes, the last one and not
-        more than one each TELL_PERIOD.
+        """Log a complaint about the external pose when it changes, at most one each
+        TELL_PERIOD.
         """
         if self._poses is None:
             return
@@ -545,8 +562,8 @@ class ControllerNode(ManagedNode):
         """
         if not self._active:
             raise StateError(f"the controller is {self.lifecycle}; {self._next_step()}")
-        if self._others or self._contested:
-            raise StateError(self._others or self._rivals)
+        if self._other_commanders or self._states_are_mixed:
+            raise StateError(self._other_commanders or self._second_publishers)
         self._stream.check(
             self.values["joint_states.healthy_time"],
             self.values["joint_states.timeout"],
@@ -554,15 +571,15 @@ class ControllerNode(ManagedNode):
         )
 
     def _enable_itself(self) -> None:
-        """Once, when the states have become healthy; what was kept begins with this
-        state.
+        """Enable once, when the states have become healthy; the trajectory that was
+        kept begins with this state.
         """
         assert self._loop is not None
         self._automatic = False
         try:
             self._look_at_publishers()
-            if self._others or self._contested:
-                raise StateError(self._others or self._rivals)
+            if self._other_commanders or self._states_are_mixed:
+                raise StateError(self._other_commanders or self._second_publishers)
             self._enable(self._loop)
         except StateError as error:
             self._enabling = f"refused: {error}"
@@ -610,11 +627,11 @@ class ControllerNode(ManagedNode):
     def _on_reset(
         self, _: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        """Only what was latched before this call, and only while its cause is gone."""
+        """Clear what was latched before this call, and only while its cause is gone."""
         loop = self._loop
         try:
             if loop is not None and loop.phase in LATCHED:
-                if self.desk.received < self._latched[1]:
+                if self.polled_services.received < self._latched[1]:
                     raise StateError(
                         f"{loop.phase.name} was latched after this call: {loop.reason};"
                         " call again to clear it"
@@ -633,15 +650,15 @@ class ControllerNode(ManagedNode):
             )
         return self._answer(response, loop is not None and loop.phase is Phase.IDLE)
 
-    def _answer(self, response: Any, success: bool, message: str = "") -> Any:
-        """A service's response, once the change of phase is told."""
+    def _answer(self, response: R, success: bool, message: str = "") -> R:
+        """Return a service's response, once the change of phase is told."""
         loop = self._loop
         if (
             loop is not None
             and self._active
-            and (loop.phase, loop.reason) != self._said
+            and (loop.phase, loop.reason) != self._logged_phase
         ):
-            self._say()
+            self._log_phase()
         state = (
             f"phase {loop.phase.name} {loop.reason}".strip()
             if loop is not None and self._active
@@ -653,12 +670,12 @@ class ControllerNode(ManagedNode):
         return response
 
     def _diagnose(self) -> None:
-        """Tell at once."""
+        """Publish diagnostics at once."""
         self._situation = None
-        self.publish_diagnostics(*self._look_about())
+        self.publish_diagnostics(*self._situation_now())
 
-    def _look_about(self) -> tuple[bytes, str, dict[str, object]]:
-        """Level, message and values for ``/diagnostics``."""
+    def _situation_now(self) -> tuple[bytes, str, dict[str, object]]:
+        """Return level, message and values for ``/diagnostics``."""
         values: dict[str, object] = {"lifecycle": self.lifecycle}
         values |= {name: self.values[name] for name in ("law", "estimator")}
         loop = self._loop
@@ -681,10 +698,10 @@ class ControllerNode(ManagedNode):
             "motions": self._motions,
             "waiting_for": waiting_for(self._reference),
             **loop_values(loop, self._begun + 1, self._largest_error),
-            "other_commanders": self._others,
-            "state_publishers": self._rivals,
+            "other_commanders": self._other_commanders,
+            "state_publishers": self._second_publishers,
             "next_step": self._next_step(),
-            "requests": self.desk.served,
+            "requests": self.polled_services.served,
         }
         if self._poses is not None:
             values |= {
@@ -707,8 +724,11 @@ class ControllerNode(ManagedNode):
     def _tell_crossings(self, loop: ControlLoop) -> None:
         """Log each verdict on a planned crossing once, and how a trajectory ended."""
         passed, log = loop.passed, self.get_logger().info
-        if passed is not self._judged:
-            self._judged, self._verdicts = passed, [Verdict.UNDECIDED] * len(passed)
+        if passed is not self._logged_crossings:
+            self._logged_crossings, self._verdicts = (
+                passed,
+                [Verdict.UNDECIDED] * len(passed),
+            )
         for index, crossing in enumerate(passed):
             if crossing.verdict is not self._verdicts[index]:
                 self._verdicts[index] = crossing.verdict
@@ -727,10 +747,10 @@ class ControllerNode(ManagedNode):
                 log(f"done: {trip_line(crossed, len(passed), self._largest_error)}")
 
     def _warnings(self, limit: float) -> list[str]:
-        """What an operator should look at."""
+        """Return what an operator should look at."""
         told = [
-            self._others,
-            self._told_rivals(),
+            self._other_commanders,
+            self._told_second_publishers(),
             self._other_servers(),
             self._pose_complaint(),
         ]
@@ -747,19 +767,21 @@ class ControllerNode(ManagedNode):
             told.append(f"enabling was {self._enabling}")
         return [text for text in told if text]
 
-    def _told_rivals(self) -> str:
+    def _told_second_publishers(self) -> str:
         return (
-            self._rivals
-            if self._contested or not self._rivals
-            else f"{self._rivals}; one speaks"
+            self._second_publishers
+            if self._states_are_mixed or not self._second_publishers
+            else f"{self._second_publishers}; one speaks"
         )
 
     def _other_servers(self) -> str:
-        """Trajectories by two hands: the newest one counts, whoever serves it."""
+        """Return who serves trajectories where there are two; the newest trajectory
+        counts, whoever serves it.
+        """
         return self.too_many_publishers(self.resolve_topic_name(TRAJECTORY.name))
 
     def close(self) -> None:
-        """A last word, and zero torque in answer to the last state."""
+        """Publish diagnostics, and zero torque in answer to the last state."""
         if self._loop is not None:
             self._reference.drop()
             if self._active:
@@ -767,13 +789,13 @@ class ControllerNode(ManagedNode):
         self._diagnose()
 
 
-def _check_mode(values: Mapping[str, Any]) -> None:
+def _check_mode(values: Mapping[str, ParameterValue]) -> None:
     if values["assembly_mode"] == 0:
         raise ParameterError("parameter 'assembly_mode' = 0; it must be +1 or -1")
 
 
-def spin(node: ControllerNode, executor: Any, stop: StopSignal) -> None:
-    """The node's own loop, until a signal."""
+def spin(node: ControllerNode, executor: Executor, stop: StopSignal) -> None:
+    """Turn the node until a signal."""
     precise_timers()
     ask_kernel(node.values, node.get_logger().warning)
     while not stop and not node.finished:
@@ -781,7 +803,7 @@ def spin(node: ControllerNode, executor: Any, stop: StopSignal) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry."""
+    """Run the controller; return the exit code."""
     return run_node(ControllerNode, args, spin)
 
 

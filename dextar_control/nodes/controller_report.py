@@ -1,4 +1,4 @@
-"""What the controller's loop is at, as values for /diagnostics."""
+"""The state of the controller's loop is told as values for /diagnostics."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WORDS = {verdict: verdict.name.lower() for verdict in Verdict}
 def loop_values(
     loop: ControlLoop, begun: int, largest_error: float
 ) -> dict[str, object]:
-    """Where the robot is and what became of its crossings; m, s.
+    """Return where the robot is and what became of its crossings; m, s.
 
     Args:
         loop: that answers the states.
@@ -51,7 +51,7 @@ def loop_values(
 
 
 def watched(loop: ControlLoop) -> dict[str, object]:
-    """Each watch of the loop with its limit."""
+    """Return each watch of the loop with its limit."""
     watches = getattr(loop, "watches", {})
     return {
         f"watch_{name}": f"{value:.4g} of {limit:.4g}"
@@ -60,8 +60,8 @@ def watched(loop: ControlLoop) -> dict[str, object]:
 
 
 def distance_to_locus(loop: ControlLoop) -> float:
-    """To the Type 2 locus to first order, |s| over the length of its gradient, m; nan
-    before the first state.
+    """Return the distance to the Type 2 locus to first order, |s| over the length of
+    its gradient, m; nan before the first state.
     """
     if loop.tick is None:
         return math.nan
@@ -70,7 +70,7 @@ def distance_to_locus(loop: ControlLoop) -> float:
 
 
 def waiting_for(reader: ReferenceReader) -> str:
-    """What an accepted trajectory waits for; empty when none does."""
+    """Return what an accepted trajectory waits for; empty when none does."""
     if reader.waiting is None:
         return ""
     return "its start" if reader.waiting.scheduled else "the enabling"

@@ -1,9 +1,10 @@
-"""External measurements of the end effector as they arrive at the controller: read
-without waiting, refused in words.
+"""External measurements of the end effector are read at the controller without waiting;
+a sentence tells why one is refused.
 """
 
 from __future__ import annotations
 
+from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import deserialize_message
 
 from dextar_control.contract.errors import StateError
@@ -13,14 +14,16 @@ from dextar_control.nodekit.cdr import NANOSECONDS, from_time
 from dextar_control.nodekit.layouts import template
 from dextar_control.nodekit.node import DextarNode, qos
 from dextar_control.nodes import messages
-from dextar_control.nodes.messages import PoseStamped
 
 # measurements that may wait: one is taken with each joint state, the oldest first
 DEPTH = 5
 
 
 class ExternalPoseReader:
-    """Polled subscription of ``external_pose``.
+    """Reads ``external_pose`` by polling.
+
+    Args:
+        node: that subscribes.
 
     Attributes:
         received, refused: messages so far; a refused one is not in the base frame or
@@ -41,7 +44,7 @@ class ExternalPoseReader:
         self.note = ""
 
     def take(self) -> Pose | None:
-        """The oldest measurement that waits; None when there is none or it is
+        """Return the oldest measurement that waits; None when there is none or it is
         refused.
         """
         taken = self._take(PoseStamped, True)
@@ -58,7 +61,7 @@ class ExternalPoseReader:
         return pose
 
     def read(self, raw: bytes) -> Pose:
-        """The measurement in a message's bytes.
+        """Return the measurement in a message's bytes.
 
         Raises:
             StateError: another frame than base, or a coordinate that is not finite.

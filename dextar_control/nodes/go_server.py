@@ -1,5 +1,5 @@
-"""The action ``go``: what ``dextar go`` does, for programs. Loads only where
-``dextar_interfaces`` is installed.
+"""The action ``go`` does for programs what ``dextar go`` does. This module loads only
+where ``dextar_interfaces`` is installed.
 """
 
 from __future__ import annotations
@@ -7,23 +7,28 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from typing import Any
+from collections.abc import Callable
 
 from dextar_interfaces.action import Go
-from rclpy.action import ActionServer, CancelResponse
-from rclpy.action.server import ServerGoalHandle
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
+from rclpy.executors import Executor, MultiThreadedExecutor
 
 from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.signals import Interrupted, StopSignal
 from dextar_control.contract.topics import GO
-from dextar_control.nodekit.node import run_node
-from dextar_control.nodes.operator import TICK, Operator, Trip, task_values
+from dextar_control.nodekit.node import RunnableNode, run_node
+from dextar_control.nodes.operator import (
+    TICK,
+    OperatorClient,
+    TripFollower,
+    task_values,
+)
 
 LAST_RESULT = 1.0  # s in which the result of a trip that a signal ended is sent
 
 
-class Ending:
+class GoalStop:
     """True once the goal's client cancels it, or a signal asks this process to end."""
 
     def __init__(
@@ -42,29 +47,28 @@ class Ending:
             raise Interrupted
 
 
-class GoServer(Operator):
-    """Offers the action go: starts a trip of the robot whose nodes run in this
-    namespace, and follows it to its end.
+class GoServer(OperatorClient, RunnableNode):
+    """Offers the action go, which starts a trip of the robot whose nodes run in this
+    namespace and follows it to its end.
 
-    One goal at a time. Cancelling it is a safe stop, and so is the end of this process
-    while a trip is under way. A goal that cannot be is aborted, and the result's
-    message says why and what to do.
+    It takes one goal at a time. Cancelling it is a safe stop, and so is the end of this
+    process while a trip is under way. A goal that cannot be is aborted, and the
+    result's message says why and what to do.
     """
 
     NAME = "go_server"
-    exit_code = 0
 
     def __init__(self) -> None:
         self.signals: StopSignal | None = None
         self.busy = threading.Lock()
-        super().__init__("", Ending(None, None), self.NAME)
+        super().__init__("", GoalStop(None, None), self.NAME)
         self._server = ActionServer(
             self, Go, GO, self._execute, cancel_callback=lambda _: CancelResponse.ACCEPT
         )
         self.get_logger().info(f"action {self.full(GO)}")
 
     def turn(self) -> None:
-        """Another thread hears meanwhile."""
+        """Wait a moment; another thread hears meanwhile."""
         time.sleep(TICK)
 
     def _execute(self, goal: ServerGoalHandle) -> Go.Result:
@@ -79,7 +83,7 @@ class GoServer(Operator):
         lines: list[str] = []
         good = False
         try:
-            self.stop = Ending(goal, self.signals)
+            self.stop = GoalStop(goal, self.signals)
             good = self._go(goal, result, lines.append)
         except DextarError as error:
             lines.append(str(error))
@@ -89,18 +93,19 @@ class GoServer(Operator):
             self.busy.release()
         result.message = "\n".join(lines)
         self.get_logger().info(result.message)
-        (
-            goal.succeed
-            if good
-            else goal.canceled
-            if goal.is_cancel_requested
-            else goal.abort
-        )()
+        if good:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
         return result
 
-    def _go(self, goal: ServerGoalHandle, result: Go.Result, say: Any) -> bool:
-        """Start the goal's trip and follow it; whether it was done and every planned
-        crossing crossed.
+    def _go(
+        self, goal: ServerGoalHandle, result: Go.Result, say: Callable[[str], None]
+    ) -> bool:
+        """Start the goal's trip and follow it; return whether it was done and every
+        planned crossing crossed.
         """
 
         def show(text: str, share: float) -> None:
@@ -123,7 +128,7 @@ class GoServer(Operator):
 
         self.status.clear()  # of nodes that may have ended
         self.prepare(values_of(goal.request))
-        trip = Trip(self, show, say)
+        trip = TripFollower(self, show, say)
         trip.start()
         trip.follow()
         good = trip.end()
@@ -135,12 +140,12 @@ class GoServer(Operator):
         return good
 
     def close(self) -> None:
-        """No more goals."""
+        """Take no more goals."""
         self._server.destroy()
 
 
-def values_of(request: Go.Goal) -> dict[str, Any]:
-    """The trajectory server's parameters that a goal asks for.
+def values_of(request: Go.Goal) -> dict[str, ParameterValue]:
+    """Return the trajectory server's parameters that a goal asks for.
 
     Raises:
         ParameterError: the task is unknown, or a tour without crossings.
@@ -167,7 +172,7 @@ def values_of(request: Go.Goal) -> dict[str, Any]:
     )
 
 
-def spin(node: GoServer, _: Any, stop: StopSignal) -> None:
+def spin(node: GoServer, _: Executor, stop: StopSignal) -> None:
     """Serve goals until a signal; a trip that is under way then is stopped first."""
     node.signals = stop
     executor = MultiThreadedExecutor(num_threads=2)  # a trip takes one, the other hears
@@ -181,7 +186,7 @@ def spin(node: GoServer, _: Any, stop: StopSignal) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry."""
+    """Serve the action; return the exit code."""
     return run_node(GoServer, args, spin)
 
 

@@ -1,5 +1,5 @@
-"""The marker node: shows the robot live in RViz and Foxglove. It reads, and nothing on
-the control path waits for it.
+"""The marker node shows the robot live in RViz and Foxglove; nothing on the control
+path waits for it.
 """
 
 from __future__ import annotations
@@ -8,18 +8,18 @@ import sys
 import time
 from collections import deque
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from dextar_control.contract.errors import DextarError
 from dextar_control.contract.node_parameters import PARAMETERS
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.topics import JOINT_STATES, MARKERS
 from dextar_control.nodekit.node import DextarNode, qos, run_node
 from dextar_control.nodekit.scheduling import stand_back
-from dextar_control.nodes.newest import UNCHANGED, Newest
+from dextar_control.nodes.newest import NewestSamples
 from dextar_control.nodes.scene import Scene, View, to_array, wipe
 from dextar_control.symbols.types import Array
 
@@ -38,11 +38,11 @@ class MarkerNode(DextarNode):
     NAME = "markers"
     PARAMETERS = PARAMETERS[NAME]
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
+    def __init__(self) -> None:
+        super().__init__()
         self._scene = Scene(self.robot)
         self._publisher = self.create_publisher(MarkerArray, MARKERS.name, qos(MARKERS))
-        self._newest = Newest(self)
+        self._newest = NewestSamples(self)
         self._still_at = -np.inf
         self._trail: deque[tuple[float, Array]] = deque()
         self._drawn = 0
@@ -54,7 +54,7 @@ class MarkerNode(DextarNode):
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
         self.get_logger().info(f"drawing on {self._publisher.topic_name}")
 
-    def on_parameters(self, changes: Mapping[str, Any]) -> None:
+    def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
         """Switch the display on or off."""
         if "enabled" in changes:
             self._apply(changes["enabled"])
@@ -73,9 +73,8 @@ class MarkerNode(DextarNode):
             return
         now = time.monotonic()
         try:
-            trajectory = self._newest.take()
-            if trajectory is not UNCHANGED:
-                self._scene.set_path(trajectory)
+            if (taken := self._newest.take()) is not None:
+                self._scene.set_path(*taken)
                 self._still_at = -np.inf
             view = self._view(now)
         except DextarError as error:
@@ -95,7 +94,7 @@ class MarkerNode(DextarNode):
             self._drawn += 1
 
     def _view(self, now: float) -> View | None:
-        """What the samples say; None before the first joint state."""
+        """Return what the samples say; None before the first joint state."""
         view = self._newest.view()
         if view is None:
             return None
@@ -110,7 +109,7 @@ class MarkerNode(DextarNode):
             self._trail.popleft()
         return view
 
-    def _publish(self, markers: list[Any]) -> None:
+    def _publish(self, markers: list[Marker]) -> None:
         self._publisher.publish(to_array(markers, self.get_clock().now().to_msg()))
 
     def _diagnose(self) -> None:
@@ -134,7 +133,9 @@ class MarkerNode(DextarNode):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry; who only shows does not interrupt who moves the robot."""
+    """Draw until a signal, at a priority that does not interrupt what moves the robot;
+    return the exit code.
+    """
     stand_back()
     return run_node(MarkerNode, args)
 

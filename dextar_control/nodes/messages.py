@@ -1,11 +1,10 @@
-"""Messages to planning's and control's quantities and back; every refusal names the
-value and the limit.
+"""Messages become quantities of planning and control here, and the other way round;
+every refusal names the value and the limit.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -24,7 +23,7 @@ from dextar_control.symbols.types import Array
 
 
 def finite_position(x: float, y: float) -> Array:
-    """A measured position (2,), m.
+    """Return a measured position, (2,), m.
 
     Raises:
         StateError: a number is not finite.
@@ -35,7 +34,7 @@ def finite_position(x: float, y: float) -> Array:
 
 
 def position_in_base(message: PoseStamped) -> Array:
-    """Position (2,), m, of an external pose.
+    """Return the position, (2,), m, of an external pose.
 
     Raises:
         StateError: another frame than base, or a number that is not finite.
@@ -49,7 +48,7 @@ def position_in_base(message: PoseStamped) -> Array:
 
 
 def active_joints(message: JointState) -> Array:
-    """Positions (2,), rad, of q11 and q21 by name.
+    """Return the positions of q11 and q21, (2,), rad, by name.
 
     Raises:
         StateError: a name is missing, sizes differ or a number is not finite.
@@ -58,11 +57,11 @@ def active_joints(message: JointState) -> Array:
 
 
 def to_trajectory(message: MultiDOFJointTrajectory) -> Trajectory:
-    """The trajectory of a message.
+    """Return the trajectory of a message.
 
     Raises:
-        TrajectoryError: another joint, missing fields, times not rising, a number not
-            finite.
+        TrajectoryError: another joint, missing fields, times not rising, or a number
+            that is not finite.
     """
     if list(message.joint_names) != [END_EFFECTOR_NAME]:
         raise TrajectoryError(
@@ -96,8 +95,13 @@ def _duration(seconds: float) -> Duration:
 def from_trajectory(
     trajectory: Trajectory, times: Array, stamp: int = 0
 ) -> MultiDOFJointTrajectory:
-    """A trajectory sampled at ``times`` (m,), s, each rounded to a nanosecond before it
-    is sampled.
+    """Return the message of a trajectory.
+
+    Args:
+        trajectory: of the end effector.
+        times: of its points, (m,), s, each rounded to a nanosecond before it is
+            sampled.
+        stamp: of its start, ns; 0 is at once.
     """
     times = np.round(np.asarray(times) * NANOSECONDS) / NANOSECONDS
     message = MultiDOFJointTrajectory(
@@ -117,17 +121,23 @@ def from_trajectory(
 
 
 def stop_trajectory() -> MultiDOFJointTrajectory:
-    """A trajectory without points: stop."""
+    """Return a trajectory without points, which means stop."""
     return MultiDOFJointTrajectory(
         header=Header(frame_id=BASE_FRAME), joint_names=[END_EFFECTOR_NAME]
     )
 
 
 def to_path(trajectory: Trajectory, times: Array) -> Path:
-    """A trajectory as a Path whose poses are stamped with the time from its start."""
+    """Return a trajectory as a Path whose poses are stamped with the time from its
+    start.
+
+    Args:
+        trajectory: of the end effector.
+        times: of the poses, (m,), s.
+    """
     path = Path(header=Header(frame_id=BASE_FRAME))
     for time, p in zip(times, trajectory.table(times)[0], strict=True):
-        pose: Any = PoseStamped(
+        pose = PoseStamped(
             header=Header(
                 stamp=to_time(round(float(time) * NANOSECONDS)), frame_id=BASE_FRAME
             )

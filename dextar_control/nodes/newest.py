@@ -1,16 +1,21 @@
-"""The newest of what a robot's topics say, for who shows it at a pace of its own:
-nothing on the control path waits for it.
+"""Nodes that show the robot keep the newest sample of its topics and take it at a pace
+of their own: nothing on the control path waits for it.
 """
 
 from __future__ import annotations
 
 import time
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+from trajectory_msgs.msg import (
+    JointTrajectory,
+    JointTrajectoryPoint,
+    MultiDOFJointTrajectory,
+)
 
 from dextar_control.contract.topics import (
     CONTROLLER_STATE,
@@ -33,11 +38,11 @@ STREAMS = {
 }
 STALE_AFTER = 1.0  # s on the steady clock without a joint state
 UNKNOWN = np.full(2, np.nan)
-UNCHANGED = object()
 
 
-class Newest:
-    """Readers that keep one sample and ask for no repetition; closed there are none.
+class NewestSamples:
+    """Readers that keep one sample and ask for no repetition; there are none while it
+    is closed.
 
     Args:
         node: that shows it.
@@ -49,8 +54,8 @@ class Newest:
 
     def __init__(self, node: DextarNode) -> None:
         self._node = node
-        self._readers: dict[str, Any] = {}
-        self.seen: dict[str, Any] = {}
+        self._readers: dict[str, Subscription] = {}
+        self.seen: dict[str, JointState | JointTrajectory] = {}
         self.arrival = -np.inf
 
     def __bool__(self) -> bool:
@@ -73,15 +78,18 @@ class Newest:
         )
 
     def close(self) -> None:
-        """Read and know nothing any more."""
+        """Stop reading, and forget all samples."""
         for reader in self._readers.values():
             self._node.destroy_subscription(reader)
         self._readers.clear()
         self.seen.clear()
 
-    def take(self) -> Any:
-        """The newest sample of each topic into ``seen``; the trajectory that has come,
-        None for a stop, or UNCHANGED.
+    def take(self) -> tuple[Trajectory | None] | None:
+        """Keep the newest sample of each topic in ``seen``.
+
+        Returns:
+            The trajectory that has come, or None for a stop, in a tuple; None where
+            nothing has come.
 
         Raises:
             TrajectoryError: that trajectory is none.
@@ -93,16 +101,18 @@ class Newest:
                 if name == JOINT_STATES.name:
                     self.arrival = time.monotonic()
         raw = self._last(TRAJECTORY.name, MultiDOFJointTrajectory, raw=True)
-        return UNCHANGED if raw is None else _trajectory(bytes(raw))
+        return None if raw is None else (_trajectory(bytes(raw)),)
 
-    def _last(self, name: str, kind: Any, *, raw: bool) -> Any:
+    def _last(
+        self, name: str, kind: type[object], *, raw: bool
+    ) -> JointState | JointTrajectory | bytes | None:
         newest = None
         while (taken := self._readers[name].handle.take_message(kind, raw)) is not None:
             newest = taken[0]
         return newest
 
     def view(self) -> View | None:
-        """What the samples say; None before the first joint state.
+        """Return what the samples say of the robot; None before the first joint state.
 
         Raises:
             StateError: a joint state cannot be used.
@@ -125,11 +135,11 @@ class Newest:
 
 
 def _trajectory(raw: bytes) -> Trajectory | None:
-    message = read_message(raw, TRAJECTORY.type)
+    message: MultiDOFJointTrajectory = read_message(raw, TRAJECTORY.type)
     return messages.to_trajectory(message) if len(message.points) else None
 
 
-def _position(points: Any, row: int) -> Array:
+def _position(points: Sequence[JointTrajectoryPoint], row: int) -> Array:
     if len(points) <= row or len(points[row].positions) != len(PLATFORM_NAMES):
         return UNKNOWN
     return np.array(points[row].positions)

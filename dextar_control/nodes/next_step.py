@@ -1,5 +1,5 @@
-"""What a user does from where a controller stands so that it takes a trip, in words
-that a refusal ends with.
+"""A refusal ends with what a user does next, from where the controller stands, so that
+it takes a trip.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dextar_control.contract.topics import DIAGNOSTICS
 
 
 def next_step(controller: str, lifecycle: str, phase: str, enabling: str = "") -> str:
-    """The commands that lead to phase HOLD; empty where it holds already.
+    """Return the commands that lead to phase HOLD; empty where it holds already.
 
     Args:
         controller: the node's full name, as its services bear it.
@@ -52,14 +52,14 @@ def next_step(controller: str, lifecycle: str, phase: str, enabling: str = "") -
 
 
 def command(controller: str, name: str) -> str:
-    """A command of ``dextar`` for the robot of this controller's namespace."""
+    """Return a command of ``dextar`` for the robot of this controller's namespace."""
     namespace = controller.rpartition("/")[0]
     return f"dextar {name} --namespace {namespace}" if namespace else f"dextar {name}"
 
 
 def why_not(controller: str, told: Mapping[str, str]) -> str:
-    """Why a controller would not take a trajectory now, as far as it has told; empty
-    when it would.
+    """Return why a controller would not take a trajectory now, as far as it has told;
+    empty when it would.
 
     It takes one while it holds, and while it waits to enable itself.
 

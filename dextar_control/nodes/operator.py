@@ -1,5 +1,5 @@
-"""An operator's client of a robot whose nodes run: starts a trip and follows it, stops,
-enables, resets, tells the state.
+"""An operator's client starts a trip of a robot whose nodes run and follows it, stops,
+enables and resets the robot, and tells its state.
 """
 
 from __future__ import annotations
@@ -11,18 +11,22 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, Protocol
+from typing import Protocol
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.utilities import try_shutdown
 from rich.progress import BarColumn, TimeElapsedColumn
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.signals import EXIT_FAILED, StopSignal, tell
 from dextar_control.contract.terminal import Steps, Terminal, TextColumn, plain
 from dextar_control.contract.topics import DIAGNOSTICS, NODES
@@ -46,10 +50,10 @@ OK, ERROR = (str(level[0]) for level in (DiagnosticStatus.OK, DiagnosticStatus.E
 
 
 class Unreached(DextarError):
-    """Nobody there to ask, or no answer; the message says what to do."""
+    """Nobody is there to ask, or none answers; the message says what to do."""
 
 
-class Stop(Protocol):
+class StopRequest(Protocol):
     """True from when on what is under way is to end."""
 
     def __bool__(self) -> bool: ...
@@ -58,7 +62,7 @@ class Stop(Protocol):
         """Raise ``Interrupted`` where it is to end."""
 
 
-class Operator(Node):
+class OperatorClient(Node):
     """Hears what the nodes of one robot tell of themselves, and calls their services.
 
     Args:
@@ -71,7 +75,9 @@ class Operator(Node):
             ``message`` and ``level``.
     """
 
-    def __init__(self, namespace: str, stop: Stop, name: str = "operator") -> None:
+    def __init__(
+        self, namespace: str, stop: StopRequest, name: str = "operator"
+    ) -> None:
         super().__init__(
             name,
             namespace=namespace,
@@ -81,7 +87,7 @@ class Operator(Node):
         self.stop = stop
         self.status: dict[str, dict[str, str]] = {}
         self._heard: dict[str, float] = {}
-        self._clients_of: dict[str, Any] = {}
+        self._clients_of: dict[str, Client] = {}
         self.create_subscription(
             DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS)
         )
@@ -101,7 +107,7 @@ class Operator(Node):
                 } | told
 
     def full(self, name: str) -> str:
-        """A node's or service's name with the namespace."""
+        """Return a node's or service's name with the namespace."""
         return f"{self.get_namespace().rstrip('/')}/{name}"
 
     @property
@@ -116,10 +122,12 @@ class Operator(Node):
     def until(
         self, condition: Callable[[], object], seconds: float, *, through: bool = False
     ) -> bool:
-        """Hear until something holds; False where it does not within so long.
+        """Hear until something holds; return False where it does not in time.
 
         Args:
-            through: go on after a signal.
+            condition: true once it holds.
+            seconds: at most.
+            through: whether to go on after a signal.
 
         Raises:
             Interrupted: a signal came.
@@ -190,7 +198,7 @@ class Operator(Node):
         )
 
     def count_nodes(self, name: str) -> int:
-        """How many nodes have this name in the namespace."""
+        """Return how many nodes have this name in the namespace."""
         return self.get_node_names_and_namespaces().count((name, self.get_namespace()))
 
     def alone(self, *names: str) -> None:
@@ -206,14 +214,22 @@ class Operator(Node):
                     " robot a namespace (one that was killed counts for up to 20 s)"
                 )
 
-    def _client(self, kind: Any, name: str) -> Any:
+    def _client(self, kind: type[object], name: str) -> Client:
         self._clients_of[name] = self._clients_of.get(name) or self.create_client(
             kind, name
         )
         return self._clients_of[name]
 
-    def ask(self, kind: Any, name: str, request: Any, *, through: bool = False) -> Any:
-        """The answer of a service, as a future.
+    def ask(
+        self, kind: type[object], name: str, request: object, *, through: bool = False
+    ) -> Future:
+        """Return the answer of a service, as a future.
+
+        Args:
+            kind: the service's type.
+            name: of the service, relative to the namespace.
+            request: of that type.
+            through: whether to go on after a signal.
 
         Raises:
             Unreached: nobody offers it.
@@ -223,8 +239,10 @@ class Operator(Node):
             raise Unreached(self._missing(name.partition("/")[0]))
         return client.call_async(request)
 
-    def call(self, kind: Any, name: str, request: Any, *, through: bool = False) -> Any:
-        """The answer of a service.
+    def call(
+        self, kind: type[object], name: str, request: object, *, through: bool = False
+    ) -> object:
+        """Return the answer of a service; the arguments are those of ``ask``.
 
         Raises:
             Unreached: none comes.
@@ -240,7 +258,9 @@ class Operator(Node):
             )
         return future.result()
 
-    def set_parameters_of(self, node: str, values: Mapping[str, Any]) -> None:
+    def set_parameters_of(
+        self, node: str, values: Mapping[str, ParameterValue]
+    ) -> None:
         """Set parameters of a node, all or none.
 
         Raises:
@@ -251,13 +271,13 @@ class Operator(Node):
             for name, value in values.items()
         ]
         request = SetParametersAtomically.Request(parameters=parameters)
-        result = self.call(
+        answer: SetParametersAtomically.Response = self.call(
             SetParametersAtomically, f"{node}/set_parameters_atomically", request
-        ).result
-        if not result.successful:
-            raise ParameterError(result.reason)
+        )
+        if not answer.result.successful:
+            raise ParameterError(answer.result.reason)
 
-    def prepare(self, values: Mapping[str, Any]) -> None:
+    def prepare(self, values: Mapping[str, ParameterValue]) -> None:
         """See that a trip can begin, and set the task; what is not given stays as it
         was set last.
 
@@ -273,13 +293,13 @@ class Operator(Node):
             self.set_parameters_of("trajectory_server", values)
 
     def heard_since(self, name: str, moment: float) -> bool:
-        """Whether a node has told of itself since a moment of the monotonic clock,
-        s.
+        """Return whether a node has told of itself since a moment of the monotonic
+        clock, s.
         """
         return self._heard.get(name, -SILENCE) > moment
 
     def silence(self, name: str) -> str:
-        """That a node has fallen silent; empty when it has not."""
+        """Return that a node has fallen silent; empty when it has not."""
         age = time.monotonic() - self._heard[name]
         return (
             f"no word of {self.full(name)} for {age:.0f} s; see that it runs, and where"
@@ -316,7 +336,7 @@ class Operator(Node):
             self.until(server.call_async(Trigger.Request()).done, SERVER, through=True)
 
     def at_rest(self) -> bool:
-        """Whether a stop is over: the robot holds, or has no torque."""
+        """Return whether a stop is over: the robot holds, or has no torque."""
         phase = self.controller.get("phase", "")
         return (
             self.controller.get("stopped") == "True"
@@ -325,7 +345,7 @@ class Operator(Node):
         )
 
     def wait_for_rest(self) -> bool:
-        """Whether the controller tells, after this call, that a stop is over."""
+        """Return whether the controller tells, after this call, that a stop is over."""
         since = time.monotonic()
         return self.until(
             lambda: self.heard_since("controller", since) and self.at_rest(),
@@ -334,20 +354,26 @@ class Operator(Node):
         )
 
     def bag(self) -> str:
-        """The file that a recorder of the robot writes; empty without one."""
+        """Return the file that a recorder of the robot writes; empty without one."""
         self.hear("recorder")
         recorder = self.status.get("recorder", {})
         return recorder.get("bag", "") if recorder.get("recording") == "True" else ""
 
-    def ask_controller(self, kind: Any, name: str, request: Any) -> str:
-        """Have the controller do something at once; its state afterwards, in words.
+    def ask_controller(self, kind: type[object], name: str, request: object) -> str:
+        """Have the controller do something at once; return its state afterwards, in
+        words.
+
+        Args:
+            kind: the service's type.
+            name: of the controller's service.
+            request: of that type.
 
         Raises:
             Unreached: it refuses, or no one controller answers.
         """
         self.find("controller")
         self.alone("controller")
-        answer = self.call(kind, f"controller/{name}", request)
+        answer: Trigger.Response = self.call(kind, f"controller/{name}", request)
         if not answer.success:
             raise Unreached(answer.message)
         since = time.monotonic()
@@ -356,30 +382,32 @@ class Operator(Node):
 
     def trip(
         self,
-        values: Mapping[str, Any],
+        values: Mapping[str, ParameterValue],
         show: Callable[[str, float], None],
         say: Callable[[str], object],
     ) -> bool:
-        """Set the task, have it planned and started, and follow it; whether it was done
-        and each planned crossing crossed.
+        """Set the task, have it planned and started, and follow it; return whether it
+        was done and each planned crossing crossed.
 
         Args:
             values: parameters of the trajectory server; what is not given stays as it
                 was set last.
-            show, say: as ``Trip`` takes them.
+            show, say: as ``TripFollower`` takes them.
 
         Raises:
             Unreached: nothing is started; says why and what to do.
             ParameterError: the task is refused.
         """
         self.prepare(values)
-        trip = Trip(self, show, say)
+        trip = TripFollower(self, show, say)
         trip.start()
         trip.follow()
         return trip.end()
 
     def state(self) -> str:
-        """Phase and reason, and what to do next, as the controller told them last."""
+        """Return phase and reason, and what to do next, as the controller told them
+        last.
+        """
         told = self.controller
         phase, lifecycle, reason = (
             told.get("phase", ""),
@@ -393,23 +421,22 @@ class Operator(Node):
         return f"{text}: {step}" if step else text
 
 
-def kind_of(value: Any) -> Parameter.Type:
-    """A parameter's type; an empty list is one of floats."""
-    return (
-        Parameter.Type.DOUBLE_ARRAY
-        if isinstance(value, list)
-        else Parameter.Type.from_parameter_value(value)
-    )
+def kind_of(value: ParameterValue) -> Parameter.Type:
+    """Return a parameter's type; an empty list is one of floats."""
+    if isinstance(value, list):
+        return Parameter.Type.DOUBLE_ARRAY
+    found: Parameter.Type = Parameter.Type.from_parameter_value(value)
+    return found
 
 
-def task_values(asked: Mapping[str, Any]) -> dict[str, Any]:
-    """The trajectory server's parameters that were asked for; one kind of task switches
-    the others off.
+def task_values(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
+    """Return the trajectory server's parameters that were asked for; one kind of task
+    switches the others off.
 
     Args:
         asked: tour, point, excite, duration and repeat; None where it was not.
     """
-    values: dict[str, Any] = {}
+    values: dict[str, ParameterValue] = {}
     if any(asked[name] is not None for name in ("tour", "point", "excite")):
         values = {
             "task.tour": asked["tour"] or 0,
@@ -426,8 +453,8 @@ def task_values(asked: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @contextmanager
-def operator(namespace: str) -> Iterator[Operator]:
-    """A client with signals as a flag.
+def operator(namespace: str) -> Iterator[OperatorClient]:
+    """Return a client whose signals are a flag, for as long as the context lasts.
 
     Raises:
         ParameterError: the namespace is none.
@@ -437,21 +464,22 @@ def operator(namespace: str) -> Iterator[Operator]:
     stop.starting = False
     try:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        node = Operator(namespace, stop)
+        node = OperatorClient(namespace, stop)
     except Exception as error:  # rcl raises its own types for bad names
-        rclpy.try_shutdown()
+        try_shutdown()
         stop.restore()
         raise ParameterError(" ".join(str(error).replace("^", "").split())) from error
     try:
         yield node
     finally:
         node.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()
         stop.restore()
 
 
-class Trip:
-    """A trip from its start to its end, as trajectory server and controller tell of it.
+class TripFollower:
+    """Starts a trip and follows it to its end, by what trajectory server and controller
+    tell.
 
     Args:
         me: the client.
@@ -467,7 +495,7 @@ class Trip:
 
     def __init__(
         self,
-        me: Operator,
+        me: OperatorClient,
         show: Callable[[str, float], None],
         say: Callable[[str], object],
     ) -> None:
@@ -484,8 +512,8 @@ class Trip:
 
     @property
     def verdicts(self) -> list[tuple[str, str]]:
-        """Of each planned crossing the verdict and the confidence in it; none before it
-        began.
+        """The verdict on each planned crossing and the confidence in it; empty before
+        the trip began.
         """
         told = self._me.controller if self.begun else {}
         return list(
@@ -497,7 +525,7 @@ class Trip:
         )
 
     def start(self) -> None:
-        """Have it planned and served.
+        """Have the trip planned and served.
 
         Raises:
             Unreached: that is refused, or nobody answers.
@@ -520,7 +548,7 @@ class Trip:
             raise Unreached(answer.result().message)
 
     def follow(self) -> None:
-        """Until it ends; a signal is a safe stop.
+        """Follow the trip until it ends; a signal begins a safe stop.
 
         Raises:
             Unreached: the controller does not take it.
@@ -600,7 +628,9 @@ class Trip:
         )
 
     def end(self) -> bool:
-        """Say how it ended; whether it was done and every planned crossing crossed."""
+        """Say how it ended; return whether it was done and every planned crossing
+        crossed.
+        """
         me, told = self._me, self._me.controller
         verdicts = self.verdicts
         crossed = [verdict for verdict, _ in verdicts].count("crossed")
@@ -624,7 +654,7 @@ class Trip:
 
 
 def go(arguments: argparse.Namespace) -> int:
-    """Start a trip and follow it; the exit code."""
+    """Start a trip and follow it; return the exit code."""
     values, console = task_values(vars(arguments)), Terminal()
     columns = (
         TextColumn("{task.description}"),
@@ -647,7 +677,7 @@ def go(arguments: argparse.Namespace) -> int:
 
 
 def stop(arguments: argparse.Namespace) -> int:
-    """Stop safely; the exit code."""
+    """Stop safely; return the exit code."""
     with operator(arguments.namespace) as me:
         me.stop_robot()
         rests = me.wait_for_rest()
@@ -663,19 +693,19 @@ def stop(arguments: argparse.Namespace) -> int:
 
 
 def enable(arguments: argparse.Namespace) -> int:
-    """Torque on, or off; the exit code."""
+    """Switch the torque on or off; return the exit code."""
     return _ask_controller(
         arguments, SetBool, "enable", SetBool.Request(data=not arguments.off)
     )
 
 
 def reset(arguments: argparse.Namespace) -> int:
-    """Leave a fault or a safe stop; the exit code."""
+    """Leave a fault or a safe stop; return the exit code."""
     return _ask_controller(arguments, Trigger, "reset", Trigger.Request())
 
 
 def _ask_controller(
-    arguments: argparse.Namespace, kind: Any, name: str, request: Any
+    arguments: argparse.Namespace, kind: type[object], name: str, request: object
 ) -> int:
     with operator(arguments.namespace) as me:
         say(me.ask_controller(kind, name, request))
@@ -683,7 +713,7 @@ def _ask_controller(
 
 
 def status(arguments: argparse.Namespace) -> int:
-    """Print how the robot is; the exit code."""
+    """Print the robot's state; return the exit code."""
     with operator(arguments.namespace) as me:
         me.find("controller")
         me.until(lambda: False, GRAPH)
@@ -715,5 +745,5 @@ def status(arguments: argparse.Namespace) -> int:
 
 
 def say(text: str) -> None:
-    """A line on what was found or done."""
+    """Print a line on what was found or done."""
     tell(plain(text), sys.stdout)

@@ -1,12 +1,11 @@
-"""What the controller sends: commands, and what it thought of the state that they
-answer.
+"""The controller sends commands, and what it computed from the state that
+they answer.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from typing import Any
 
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -55,7 +54,9 @@ verdict stand about the confidence.
 
 
 class EffortArray:
-    """effort_commands as CDR bytes; where the two numbers lie is found, not assumed."""
+    """Packs effort_commands as CDR bytes; where the two numbers lie is found, not
+    assumed.
+    """
 
     def __init__(self) -> None:
         message = Float64MultiArray(data=[0.0, 0.0])
@@ -63,18 +64,18 @@ class EffortArray:
         self._head, self._tail = raw[:place], raw[place + 16 :]
 
     def pack(self, effort: Sequence[float]) -> bytes:
-        """CDR bytes of these torques (2), N m."""
+        """Return the CDR bytes of these torques, (2,), N m."""
         return self._head + struct.pack("<2d", *effort) + self._tail
 
 
 class Outputs:
-    """The publishers of one configured controller; of a tick the command first.
+    """The publishers of one configured controller; the command goes out first.
 
     Args:
         node: that publishes.
         array: whether the torques go out as ``effort_commands`` too.
-        readable: whether what was thought goes out in messages of ``dextar_interfaces``
-            too.
+        readable: whether state and criterion go out in messages of
+            ``dextar_interfaces`` too.
 
     Attributes:
         stamp: of the state answered last, ns; negative before the first.
@@ -119,7 +120,12 @@ class Outputs:
         return bool(self._last[0])
 
     def command(self, stamp: int, torque: Sequence[float]) -> None:
-        """The command (2), N m, that answers a state; its stamp, ns."""
+        """Publish the command that answers a state.
+
+        Args:
+            stamp: of the state, ns.
+            torque: of the motors, (2,), N m.
+        """
         self.stamp = stamp
         self._send(
             self._commands_out.pack(stamp, torque),
@@ -127,7 +133,14 @@ class Outputs:
         )
 
     def tell(self, stamp: int, tick: Tick, verdict: float) -> None:
-        """What was thought of the state that was answered, to those who read it."""
+        """Publish what was computed from a state, to those who read it.
+
+        Args:
+            stamp: of the state, ns.
+            tick: the loop's quantities.
+            verdict: on the planned crossing that began last, as ``criterion`` carries
+                it.
+        """
         states_read, criterion_read = self._read
         state, judged, reference_time = [], [], round(tick.reference_time * NANOSECONDS)
         if states_read:
@@ -141,8 +154,8 @@ class Outputs:
             self._readable.publish(stamp, state, reference_time, judged)
 
     def look(self) -> None:
-        """Who reads what: for topics that nobody does, as in a bare loop, no message is
-        made. About 10 us.
+        """Look which topics are read; for others no message is made. It takes about 10
+        us.
         """
         if self._readable is None:  # which needs both
             self._read = (
@@ -151,18 +164,18 @@ class Outputs:
             )
 
     def repeat(self) -> None:
-        """The last command once more."""
+        """Publish the last command once more."""
         self._send(*self._last)
 
     def release(self) -> None:
-        """No torque, in answer to the last state once more; nothing before the
-        first.
+        """Command no torque, in answer to the last state once more; nothing is sent
+        before the first.
         """
         if self.stamp >= 0:
             self.command(self.stamp, [0.0, 0.0])
 
     def forget(self) -> None:
-        """As before the first state."""
+        """Forget the last command, as before the first state."""
         self._last, self.stamp = (b"", b""), -1
 
     def _send(self, command: bytes, array: bytes) -> None:
@@ -172,8 +185,8 @@ class Outputs:
             self._efforts.publish(array)
 
     def others(self) -> str:
-        """Who else publishes commands, in words; empty when nobody does. About 5 us for
-        each topic.
+        """Return which other nodes publish commands, in words; empty when none does. It
+        takes about 5 us for each topic.
         """
         for name in self._command_topics:
             if told := self._node.too_many_publishers(name):
@@ -182,15 +195,9 @@ class Outputs:
 
     def close(self) -> None:
         """Destroy the publishers."""
-        publishers: list[Any] = [
-            self._commands,
-            self._states,
-            self._criterion,
-            self._efforts,
-        ]
-        for publisher in [
-            *publishers,
-            *(self._readable.publishers if self._readable is not None else ()),
-        ]:
+        publishers = [self._commands, self._states, self._criterion, self._efforts]
+        if self._readable is not None:
+            publishers += self._readable.publishers
+        for publisher in publishers:
             if publisher is not None:
                 self._node.destroy_publisher(publisher)

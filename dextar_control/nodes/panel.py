@@ -1,5 +1,5 @@
-"""The panel's node: one page in the browser that watches and drives a robot. It reads,
-and nothing on the control path waits.
+"""The panel is one page in the browser that watches and drives a robot; nothing on the
+control path waits for it.
 """
 
 from __future__ import annotations
@@ -9,17 +9,19 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.executors import Executor
 
 from dextar_control.contract import style
 from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.node_parameters import PARAMETERS
 from dextar_control.contract.parameters import Parameter
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import (
@@ -31,16 +33,18 @@ from dextar_control.contract.topics import (
 from dextar_control.control.supervisor import WATCHES
 from dextar_control.nodekit.node import DextarNode, run_node
 from dextar_control.nodekit.scheduling import stand_back
-from dextar_control.nodekit.worker import GivenUp, Worker
-from dextar_control.nodes.newest import UNCHANGED, Newest
+from dextar_control.nodekit.worker import GivenUp, JobQueue
+from dextar_control.nodes.newest import NewestSamples
 from dextar_control.nodes.panel_operator import SET, PanelOperator, task_of
 from dextar_control.nodes.scene import Scene, View
 from dextar_control.nodes.task import Task, in_words, plan_from
 from dextar_control.panel.server import Answer, PanelServer
-from dextar_control.panel.words import mend, shown_margins
-from dextar_control.planning.locus import nearest_point
+from dextar_control.panel.words import shown_margins, trouble_and_remedy
+from dextar_control.planning.locus import LocusPoint, nearest_point
 from dextar_control.symbols.types import Array
 
+Told = Callable[[bool, str, Mapping[str, object]], None]
+# Of the command ``dextar panel``, for short; ``--namespace`` besides.
 OPTIONS = {"--host": "host", "--port": "port"}
 UNITS = {watch.name: watch.unit for watch in WATCHES}
 
@@ -105,9 +109,9 @@ class PanelNode(DextarNode):
     def __init__(self) -> None:
         super().__init__()
         self._scene = Scene(self.robot)
-        self._newest = Newest(self)
+        self._newest = NewestSamples(self)
         self.operator = PanelOperator(self.get_namespace())
-        self._worker = Worker()
+        self._worker = JobQueue()
         self._wanted: object | None = None  # the plan that is looked at
         self._reporting: asyncio.Task[None] | None = None
         self._report: Path | None = None
@@ -123,8 +127,8 @@ class PanelNode(DextarNode):
             )
         self.get_logger().info(f"the panel is at {self.server.address}")
 
-    def setup(self) -> dict[str, Any]:
-        """What a page draws once: robot, locus, and what may be set."""
+    def setup(self) -> dict[str, object]:
+        """Return what a page draws once: robot, locus, and what may be set."""
         low, high = self._scene.workspace
         arcs = [
             {"family": arc.family.name.lower(), "x": _rounded(arc.x[::4])}
@@ -151,27 +155,38 @@ class PanelNode(DextarNode):
         }
 
     def watched(self, viewers: int) -> None:
-        """Read while somebody looks on."""
+        """Read topics while somebody looks on."""
         if viewers and not self._newest:
             self._newest.open()
         elif not viewers and self._newest:
             self._newest.close()
 
     def told(self, text: str) -> None:
-        """In the log and on the pages."""
+        """Tell a text in the log and on the pages."""
         self.get_logger().warning(text, throttle_duration_sec=1.0)
         self.operator.note(text)
 
     def report(self) -> Path | None:
-        """The page that was made last."""
+        """Return the report that was made last."""
         return self._report
 
-    def ask(self, name: str, asked: Mapping[str, Any], answer: Answer) -> None:
-        """What the driver asks for; see ``panel_operator``."""
+    def ask(
+        self, name: str, asked: Mapping[str, ParameterValue], answer: Answer
+    ) -> None:
+        """Do what the driver asks for; see ``panel_operator``.
+
+        Args:
+            name: of the request.
+            asked: what the page sent with it.
+            answer: told in the server's thread what became of it.
+
+        Raises:
+            KeyError: there is no such request, or a value is missing.
+        """
         assert self._loop is not None
         loop, me = self._loop, self.operator
 
-        def told(ok: bool, text: str, more: Mapping[str, Any] | None = None) -> None:
+        def told(ok: bool, text: str, more: Mapping[str, object] | None = None) -> None:
             with contextlib.suppress(RuntimeError):  # the panel has ended meanwhile
                 loop.call_soon_threadsafe(answer, ok, text, more or {})
 
@@ -195,9 +210,9 @@ class PanelNode(DextarNode):
             raise KeyError(name)
         requests[name]()
 
-    def _plan(self, changes: Mapping[str, Any], told: Callable[..., None]) -> None:
-        """Plan as the trajectory server would, from where the robot stands; the newest
-        wish counts.
+    def _plan(self, changes: Mapping[str, ParameterValue], told: Told) -> None:
+        """Plan as the trajectory server would, from where the robot stands; a newer
+        request ends an older one.
         """
         server = self.operator.values.get("trajectory_server") or node_defaults(
             "trajectory_server"
@@ -211,7 +226,7 @@ class PanelNode(DextarNode):
                 raise GivenUp("another plan is wanted")
             self._worker.progress(fraction, stage)
 
-        def work() -> dict[str, Any]:
+        def work() -> dict[str, object]:
             progress(0.0, "planning")
             plan = task.plan(self.robot, progress)
             if origin is not None:
@@ -241,7 +256,7 @@ class PanelNode(DextarNode):
                 ],
             }
 
-        def done(plan: dict[str, Any] | None, error: DextarError | None) -> None:
+        def done(plan: dict[str, object] | None, error: DextarError | None) -> None:
             if plan is None:
                 told(
                     False,
@@ -256,27 +271,27 @@ class PanelNode(DextarNode):
 
         self._worker.submit(work, done)
 
-    def _near(self, point: Any, told: Callable[..., None]) -> None:
-        """The point of the locus nearest to a place."""
+    def _near(self, point: Sequence[float], told: Told) -> None:
+        """Find the point of the locus nearest to a place, (2,), m."""
         x = np.array(point, dtype=float)
 
-        def done(found: Any, error: DextarError | None) -> None:
+        def done(found: LocusPoint | None, error: DextarError | None) -> None:
             told(
                 error is None,
                 str(error or "the nearest point of the locus"),
-                {} if error else {"point": _rounded(found.x)},
+                {} if found is None else {"point": _rounded(found.x)},
             )
 
         self._worker.submit(lambda: nearest_point(self.robot, x), done)
 
     def _origin(self) -> Array | None:
-        """Where the robot stands; None where that is not known."""
+        """Return where the robot stands, (2,), m; None where that is not known."""
         x = np.array(
             [float(self.operator.controller.get(axis, "nan")) for axis in ("x", "y")]
         )
         return x if np.isfinite(x).all() else None
 
-    def _make_report(self, told: Callable[..., None]) -> None:
+    def _make_report(self, told: Told) -> None:
         """Have the last recording analysed, in a process of its own."""
         if not self._bag:
             raise DextarError(
@@ -286,7 +301,7 @@ class PanelNode(DextarNode):
             raise DextarError("the report is being made")
         self._reporting = asyncio.ensure_future(self._analyze(Path(self._bag), told))
 
-    async def _analyze(self, bag: Path, told: Callable[..., None]) -> None:
+    async def _analyze(self, bag: Path, told: Told) -> None:
         command = [
             "-n",
             "10",
@@ -309,32 +324,21 @@ class PanelNode(DextarNode):
             .splitlines()
         )
         page = bag.parent / "report.html"
-        if (
-            process.returncode not in (0, 1) or not page.is_file()
-        ):  # 1: the run is no success, or not whole
-            told(
-                False,
-                (
-                    said[-1]
-                    if said
-                    else (
-                        f"the analysis of {bag} ended with exit code"
-                        f" {process.returncode}"
-                    )
-                ),
-            )
+        # 1: the run is no success, or not whole
+        if process.returncode not in (0, 1) or not page.is_file():
+            ended = f"the analysis of {bag} ended with exit code {process.returncode}"
+            told(False, said[-1] if said else ended, {})
             return
         self._report = page
         told(True, f"{page} is made", {"report": True})
 
     def show(self) -> None:
-        """The newest sample to all pages."""
+        """Send the newest sample to all pages."""
         if not self._newest:
             return
         try:
-            trajectory = self._newest.take()
-            if trajectory is not UNCHANGED:
-                self._scene.set_path(trajectory)
+            if (taken := self._newest.take()) is not None:
+                self._scene.set_path(*taken)
                 self.send_path()
             view = self._newest.view()
             state = None if view is None else self._state(view)
@@ -347,7 +351,7 @@ class PanelNode(DextarNode):
             self._shown += 1
 
     def send_path(self) -> None:
-        """The path that is served, to all pages."""
+        """Send the path that is served to all pages."""
         thin = max(1, len(self._scene.path) // PATH_POINTS)
         self.server.send(
             "path",
@@ -358,7 +362,7 @@ class PanelNode(DextarNode):
             keep=True,
         )
 
-    def _state(self, view: View) -> dict[str, Any]:
+    def _state(self, view: View) -> dict[str, object]:
         x = self._scene.platform(view)
         t_s, s = self._scene.kernel(view, x)
         joints, told = (
@@ -400,7 +404,7 @@ class PanelNode(DextarNode):
         }
 
     def status(self) -> None:
-        """What the nodes tell of themselves, to all pages."""
+        """Send what the nodes tell of themselves to all pages."""
         me = self.operator
         told = me.controller if me.fresh("controller") else {}
         recorder = me.status.get("recorder", {}) if me.fresh("recorder") else {}
@@ -414,7 +418,7 @@ class PanelNode(DextarNode):
         }
         plant = me.status.get("plant", {}) if me.fresh("plant") else {}
         listening = not nodes and time.monotonic() - self._began < LISTENING
-        why, action = mend(self.get_namespace(), told, nodes, listening)
+        why, action = trouble_and_remedy(self.get_namespace(), told, nodes, listening)
         self.server.send(
             "status",
             {
@@ -455,7 +459,7 @@ class PanelNode(DextarNode):
         )
 
     def diagnose(self) -> None:
-        """For the other nodes."""
+        """Publish diagnostics."""
         viewers = len(self.server.pages)
         self.publish_diagnostics(
             DiagnosticStatus.OK,
@@ -469,7 +473,7 @@ class PanelNode(DextarNode):
         )
 
     async def serve(self, ended: Callable[[], bool]) -> None:
-        """Until it ends: show, tell and answer."""
+        """Show, tell and answer until it ends."""
         self._loop = asyncio.get_running_loop()
         self.server.begin()
         period, due = (
@@ -496,12 +500,12 @@ class PanelNode(DextarNode):
         self.diagnose()
 
     def destroy_node(self) -> None:
-        """With the operator's client."""
+        """Leave the graph, with the operator's client."""
         self.operator.destroy_node()
         super().destroy_node()
 
 
-def _seconds(stamp: Any) -> float:
+def _seconds(stamp: Time) -> float:
     return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
@@ -509,25 +513,26 @@ def _round(value: float) -> float:
     return round(float(value), DIGITS) + 0.0  # no minus nothing
 
 
-def _rounded(values: Array) -> Any:
-    return np.round(values, DIGITS).tolist()
+def _rounded(values: Array) -> list[object]:
+    rounded: list[object] = np.round(values, DIGITS).tolist()
+    return rounded
 
 
-def _spec(node: str, spec: Parameter) -> dict[str, Any]:
-    """A parameter as a page sets it."""
+def _spec(node: str, spec: Parameter) -> dict[str, object]:
+    """Return a parameter as a page sets it."""
     default = node_defaults(node)[spec.name]
     return {**spec.__dict__, "default": default}
 
 
-def _flag(asked: Mapping[str, Any], name: str) -> bool:
+def _flag(asked: Mapping[str, ParameterValue], name: str) -> bool:
     value = asked[name]
     if not isinstance(value, bool):
         raise ParameterError(f"'{name}' = {value!r}; it must be true or false")
     return value
 
 
-def spin(node: PanelNode, executor: Any, stop: StopSignal) -> None:
-    """The server in this thread, ROS in another, until a signal."""
+def spin(node: PanelNode, executor: Executor, stop: StopSignal) -> None:
+    """Run the server in this thread and ROS in another, until a signal."""
     executor.add_node(node.operator)
     ended = threading.Event()
 
@@ -554,8 +559,8 @@ def spin(node: PanelNode, executor: Any, stop: StopSignal) -> None:
 
 
 def ros_arguments(words: list[str]) -> list[str]:
-    """``--host H``, ``--port N`` and ``--namespace NS`` as ROS arguments; everything
-    else as it is.
+    """Return ``--host H``, ``--port N`` and ``--namespace NS`` as ROS arguments;
+    everything else stays as it is.
     """
     own: list[str] = []
     rest = list(words)
@@ -570,7 +575,9 @@ def ros_arguments(words: list[str]) -> list[str]:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry; who only shows does not interrupt who moves the robot."""
+    """Run the panel, at a priority that does not interrupt what moves the robot; return
+    the exit code.
+    """
     stand_back()
     return run_node(
         PanelNode, ros_arguments(sys.argv[1:] if args is None else args), spin

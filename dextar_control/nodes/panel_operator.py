@@ -1,5 +1,5 @@
-"""What a panel asks of the nodes: the operator's own requests, each kind in a thread of
-its own.
+"""A panel asks the nodes what an operator asks, each kind of request in a thread of its
+own.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -20,11 +19,18 @@ from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.contract.node_parameters import PARAMETERS
+from dextar_control.contract.parameters import check_value
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.signals import Interrupted
-from dextar_control.nodekit.node import check_value
 from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
-from dextar_control.nodes.operator import MOVING, TICK, Operator, Unreached, task_values
+from dextar_control.nodes.operator import (
+    MOVING,
+    TICK,
+    OperatorClient,
+    Unreached,
+    task_values,
+)
 
 SET = ("controller", "trajectory_server", "recorder")
 """The nodes whose parameters a panel sets."""
@@ -42,18 +48,18 @@ EVENTS_DEPTH = 100
 Job = Callable[[], str]
 
 
-class _Never:
-    """Stands where a command's signals do: a panel is ended by its own node's."""
+class _NeverStops:
+    """Stands where a command has its signals: a panel is ended by its own node's."""
 
     def __bool__(self) -> bool:
         return False
 
     def check(self) -> None:
-        """No signal comes."""
+        """Do nothing: no signal comes."""
 
 
-class PanelOperator(Operator):
-    """The operator's client, spun by who has made it, for several threads that wait.
+class PanelOperator(OperatorClient):
+    """The operator's client for several threads that wait; whoever made it spins it.
 
     Args:
         namespace: of the robot's nodes.
@@ -67,7 +73,7 @@ class PanelOperator(Operator):
     """
 
     def __init__(self, namespace: str) -> None:
-        super().__init__(namespace, _Never())
+        super().__init__(namespace, _NeverStops())
         self._news = threading.Condition()
         self._leaving = False
         self._snapshots = {name: ParameterSnapshot(self, name) for name in SET}
@@ -85,22 +91,22 @@ class PanelOperator(Operator):
         )
 
     def hear(self, *names: str) -> None:
-        """What is known is known: this client hears all the time."""
+        """Do nothing: this client hears all the time."""
 
     def turn(self) -> None:
-        """Wait for news; who spins this node calls ``heard``."""
+        """Wait for news, which whoever spins this node tells by ``heard``."""
         with self._news:
             self._news.wait(TICK)
         if self._leaving:
             raise Interrupted
 
     def heard(self) -> None:
-        """Something may have come."""
+        """Tell the waiting threads that something may have come."""
         with self._news:
             self._news.notify_all()
 
     def note(self, text: str) -> None:
-        """Say something to all pages."""
+        """Show a line on all pages."""
         self.lines.append((self.lines[-1][0] + 1 if self.lines else 1, text))
 
     def _on_parameters(self, event: ParameterEvent) -> None:
@@ -118,8 +124,8 @@ class PanelOperator(Operator):
             snapshot.values = snapshot.values | changed
 
     def each_second(self) -> None:
-        """Ask for parameters that are not known; forget those of a node that has
-        gone.
+        """Ask for parameters that are not known; forget those of a node
+        that has gone.
         """
         for name, snapshot in self._snapshots.items():
             if not self.fresh(name):
@@ -128,12 +134,12 @@ class PanelOperator(Operator):
                 snapshot.ask()
 
     def fresh(self, name: str) -> bool:
-        """Whether a node has told of itself lately."""
+        """Return whether a node has told of itself lately."""
         return self.heard_since(name, time.monotonic() - SILENT)
 
     @property
-    def values(self) -> dict[str, dict[str, Any]]:
-        """Of each node the parameters of its table."""
+    def values(self) -> dict[str, dict[str, ParameterValue]]:
+        """The parameters of each node, as far as its table names them."""
         return {
             name: {
                 spec.name: known[spec.name]
@@ -145,7 +151,9 @@ class PanelOperator(Operator):
         }
 
     def stop_now(self, answer: Callable[[bool, str], None]) -> None:
-        """A safe stop, whatever else is under way; answered when the controller has."""
+        """Begin a safe stop, whatever else is under way; ``answer`` is called when the
+        controller has answered.
+        """
 
         def work() -> str:
             self.stop_controller()
@@ -159,7 +167,7 @@ class PanelOperator(Operator):
         self._do("drop", drop, lambda *_: None)
 
     def enable(self, on: bool, answer: Callable[[bool, str], None]) -> None:
-        """Torque, or none."""
+        """Switch the torque on or off."""
         self._do(
             "desk",
             lambda: self.ask_controller(SetBool, "enable", SetBool.Request(data=on)),
@@ -175,9 +183,13 @@ class PanelOperator(Operator):
         )
 
     def go(
-        self, values: Mapping[str, Any], answer: Callable[[bool, str], None]
+        self, values: Mapping[str, ParameterValue], answer: Callable[[bool, str], None]
     ) -> None:
-        """A trip; answered when it has ended.
+        """Start a trip; ``answer`` is called when it has ended.
+
+        Args:
+            values: parameters of the trajectory server.
+            answer: told whether it was done, and why not.
 
         Raises:
             Unreached: one is under way.
@@ -201,10 +213,18 @@ class PanelOperator(Operator):
         self._do("trip", work, answer)
 
     def put(
-        self, node: str, values: Mapping[str, Any], answer: Callable[[bool, str], None]
+        self,
+        node: str,
+        values: Mapping[str, ParameterValue],
+        answer: Callable[[bool, str], None],
     ) -> None:
-        """Live parameters of a node; law and estimator of the controller too, which is
-        built anew for them, without torque.
+        """Set live parameters of a node; the controller is built anew, without torque,
+        for law and estimator.
+
+        Args:
+            node: its name.
+            values: by name.
+            answer: told whether it was done, and why not.
 
         Raises:
             ParameterError: there is no such parameter, or its value cannot be.
@@ -242,8 +262,8 @@ class PanelOperator(Operator):
     def record(
         self, on: bool, labels: Mapping[str, str], answer: Callable[[bool, str], None]
     ) -> None:
-        """A new recording with this name and these notes, or the end of the one that is
-        on.
+        """Begin a recording with this name and these notes, or end the one
+        that is on.
         """
 
         def work() -> str:
@@ -252,7 +272,7 @@ class PanelOperator(Operator):
             self.set_parameters_of("recorder", labels)
             if (self.status["recorder"].get("recording") == "True") == on:
                 return "name and notes are set"
-            told = self.call(
+            told: Trigger.Response = self.call(
                 Trigger, f"recorder/{'start' if on else 'stop'}", Trigger.Request()
             )
             if not told.success:
@@ -261,9 +281,9 @@ class PanelOperator(Operator):
 
         self._do("desk", work, answer)
 
-    def _rebuild(self, values: Mapping[str, Any]) -> None:
-        """The controller with another law or estimator: it lets go of the robot first,
-        and asks for torque as at its start.
+    def _rebuild(self, values: Mapping[str, ParameterValue]) -> None:
+        """Build the controller anew with another law or estimator: it lets go of the
+        robot first, and asks for torque as at its start.
         """
         self.find("controller")
         self.alone("controller")
@@ -284,12 +304,15 @@ class PanelOperator(Operator):
 
     def _change(self, label: str) -> None:
         request = ChangeState.Request(transition=Transition(label=label))
-        if not self.call(ChangeState, "controller/change_state", request).success:
+        answer: ChangeState.Response = self.call(
+            ChangeState, "controller/change_state", request
+        )
+        if not answer.success:
             raise Unreached(f"the controller does not {label}; its log says why")
 
     def _do(self, thread: str, work: Job, answer: Callable[[bool, str], None]) -> None:
-        """Work in a thread; a panel of the same name would ask the same robot, so there
-        may be one.
+        """Work in a thread; two panels of one name would ask the same robot, so that is
+        refused.
         """
 
         def run() -> None:
@@ -309,14 +332,14 @@ class PanelOperator(Operator):
         self._threads[thread].submit(run)
 
     def leave(self) -> None:
-        """Let the threads go; the robot stays to the controller's own rules."""
+        """End the threads; the robot stays to the controller's own rules."""
         self._leaving = True
         for pool in self._threads.values():
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def task_of(asked: Mapping[str, Any]) -> dict[str, Any]:
-    """The trajectory server's parameters of a task that a page asks for.
+def task_of(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
+    """Return the trajectory server's parameters of a task that a page asks for.
 
     Args:
         asked: ``kind`` of KINDS; ``start`` and ``goal``, or ``point``, or ``count`` of

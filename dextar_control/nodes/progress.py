@@ -1,5 +1,5 @@
-"""How far a trip is and what became of it, in the words of the controller's log,
-``dextar demo`` and ``dextar go``.
+"""The controller's log, ``dextar demo`` and ``dextar go`` tell how far a trip is and
+what became of it in the same words.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from collections.abc import Mapping
 
 
 def crossing_line(index: int, total: int, verdict: str, confidence: str) -> str:
-    """What became of a planned crossing, counted from 0, as the controller's log and
-    ``dextar go`` tell it.
+    """Return what became of a planned crossing, counted from 0, as the controller's log
+    and ``dextar go`` tell it.
     """
     return (
         f"crossing {index + 1} of {total}: {verdict.upper()} (confidence {confidence})"
@@ -17,22 +17,24 @@ def crossing_line(index: int, total: int, verdict: str, confidence: str) -> str:
 
 
 def trip_line(crossed: int, total: int, largest_error: float) -> str:
-    """What became of a trajectory that was tracked; the largest error by the estimate,
-    m.
+    """Return what became of a trajectory that was tracked; the largest error is by the
+    estimate, m.
     """
     crossings = f"crossed {crossed} of {total} planned, " if total else ""
     return f"{crossings}largest error {1e3 * largest_error:.3f} mm"
 
 
 def crossings(told: Mapping[str, str]) -> str:
-    """How many of the planned crossings have begun, by the controller's diagnostics."""
+    """Return how many of the planned crossings have begun, by the controller's
+    diagnostics.
+    """
     total = told.get("crossings") or "0"
     return f"crossing {told.get('begun') or '0'} of {total}" if total != "0" else ""
 
 
 def unhealthy(told: Mapping[str, str]) -> str:
-    """Why the controller still waits to enable itself, by its diagnostics; empty when
-    it does not.
+    """Return why the controller still waits to enable itself, by its diagnostics; empty
+    when it does not.
     """
     if told.get("enabling") != "waiting":
         return ""

@@ -1,12 +1,12 @@
-"""controller_state and criterion in messages of ``dextar_interfaces``, where each
-number has a name.
+"""controller_state and criterion can be published in messages of ``dextar_interfaces``
+too, where each number has a name.
 """
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
-from typing import Any
+from typing import Protocol
 
 from builtin_interfaces.msg import Duration
 
@@ -21,8 +21,12 @@ from dextar_control.nodekit.cdr import NANOSECONDS, to_time
 from dextar_control.nodekit.node import DextarNode, qos
 
 
+class _Message(Protocol):
+    def get_fields_and_field_types(self) -> dict[str, str]: ...
+
+
 class Readable:
-    """The two publishers.
+    """Publishes state and criterion in messages of ``dextar_interfaces``.
 
     Attributes:
         publishers: of the state and of the criterion.
@@ -53,11 +57,11 @@ class Readable:
         reference_time: int,
         criterion: Sequence[float],
     ) -> None:
-        """What controller_state and criterion say.
+        """Publish what controller_state and criterion tell.
 
         Args:
             stamp: of the state that was answered, ns.
-            state: as ``contract.layouts.template`` of controller_state takes them.
+            state: as ``nodekit.layouts.template`` of controller_state takes them.
             reference_time: since the trajectory's start, ns.
             criterion: in the order of CRITERION_NAMES.
         """
@@ -72,7 +76,7 @@ class Readable:
             publisher.publish(message)
 
 
-def fill(message: Any, values: Sequence[float]) -> None:
+def fill(message: _Message, values: Sequence[float]) -> None:
     """Put numbers into a message's fields in their order; a field of two takes two."""
     left = iter(values)
     for name, kind in message.get_fields_and_field_types().items():

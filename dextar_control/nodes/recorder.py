@@ -1,5 +1,5 @@
-"""Records every contract topic to MCAP, with all that is known of the run; says which
-samples it lost.
+"""The recorder writes every contract topic to MCAP, with all that is known of the run,
+and says which samples it lost.
 """
 
 from __future__ import annotations
@@ -9,27 +9,28 @@ from collections import Counter
 from collections.abc import Mapping
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.executors import Executor
 from std_srvs.srv import Trigger
 
-from dextar_control.bags.writer import Sample
+from dextar_control.bags.mcap_file import SerializedMessage
 from dextar_control.contract.errors import BagError, DextarError, ParameterError
 from dextar_control.contract.node_parameters import PARAMETERS
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.signals import StopSignal
 from dextar_control.contract.topics import DIAGNOSTICS, TOPICS
 from dextar_control.nodekit.node import DextarNode, run_node
 from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
 from dextar_control.nodekit.scheduling import stand_back
-from dextar_control.nodes.recording import LABELS, Recording
-from dextar_control.nodes.taps import (
+from dextar_control.nodes.recorded_topics import (
     ALONGSIDE,
     PARAMETER_EVENTS,
-    Tap,
+    RecordedTopic,
     found_topic,
     profile_of,
 )
+from dextar_control.nodes.recording import LABELS, BagRecording
 
 EXIT_RECORDING = 1
 POLL_PERIOD = 0.02  # s
@@ -42,15 +43,10 @@ class RecorderNode(DextarNode):
     """Records every topic of the package, and those that are asked for, into an MCAP
     file in the layout of rosbag2.
 
-    It polls its subscriptions instead of being called for each sample.
-
-    Six topics at 1 kHz are 6000 callbacks a second: with the single-threaded executor
-        they took
-    76-86 % of a core, and the events executor of rclpy 7.1.6 fails on callbacks that
-    also want the message info. Taking what each reader holds every 20 ms takes 12 % (5
-    ms: 14 %, 50 ms: 11 %), and the receive times are the middleware's, so that polling
-    does not blur them. With the writing (8 us per sample, in the bag writer's thread)
-    the whole recorder takes 15-18 % of a core at seven topics.
+    It polls its subscriptions every 20 ms instead of being called for each sample: at
+    6000 samples a second callbacks took 76-86 % of a core, polling takes 12 %, and
+    15-18 % with the writing, which the bag writer's thread does. Receive times are the
+    middleware's, so that polling does not blur them.
 
     A best-effort reader that gets no processor time for about 0.1 s loses samples,
     because the middleware's queue holds 512 of them; a reliable one is given all again,
@@ -68,23 +64,23 @@ class RecorderNode(DextarNode):
     PARAMETERS = PARAMETERS[NAME]
     ROBOT = False
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
+    def __init__(self) -> None:
+        super().__init__()
         if 0 < self.values["bag.max_size"] < LEAST_SPLIT:
             size = self.values["bag.max_size"]
             raise ParameterError(
                 f"parameter 'bag.max_size' = {size}; it must be 0 or >= {LEAST_SPLIT}"
                 " bytes"
             )
-        self._recording: Recording | None = None
+        self._recording: BagRecording | None = None
         self._made: Counter[Path] = Counter()
         self._unnumbered: set[str] = set()
         listeners = {
             DIAGNOSTICS.name: self._on_diagnostics,
             PARAMETER_EVENTS.name: self._on_parameter_event,
         }
-        self._taps = [
-            Tap(
+        self._topics = [
+            RecordedTopic(
                 self,
                 topic,
                 profile_of(topic, self.values["topics.reliable"]),
@@ -103,8 +99,8 @@ class RecorderNode(DextarNode):
         self.create_timer(ASK_PERIOD, self._ask, clock=self.steady_clock)
         self.create_timer(1.0, self._on_second, clock=self.steady_clock)
 
-    def on_parameters(self, changes: Mapping[str, Any]) -> None:
-        """Name, notes and tags as they are set last."""
+    def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
+        """Use name, notes and tags as they are set last."""
         if self._recording is not None:
             self._recording.record.labels.update(
                 {
@@ -117,8 +113,8 @@ class RecorderNode(DextarNode):
     def begin(self) -> None:
         """Begin the first recording, unless ``~/start`` shall.
 
-        Not while the node is made: a signal that comes then ends the process at once,
-            and a bag would stay cut off.
+        It is not begun while the node is made: a signal then ends the process at once,
+        and a bag would stay cut off.
 
         Raises:
             BagError: the file cannot be made.
@@ -127,17 +123,17 @@ class RecorderNode(DextarNode):
             self._begin()
 
     def poll(self) -> int:
-        """Take what the readers hold, and record it if a recording is on; how many
-        samples.
+        """Take what the readers hold, and record it if a recording is on; return how
+        many samples.
         """
         count = 0
         recording = self._recording
-        for tap in self._taps:
+        for recorded in self._topics:
             message_type, take, name, losses = (
-                tap.message_type,
-                tap.take,
-                tap.name,
-                tap.losses,
+                recorded.message_type,
+                recorded.take,
+                recorded.name,
+                recorded.losses,
             )
             while (taken := take(message_type, True)) is not None:
                 count += 1
@@ -145,22 +141,22 @@ class RecorderNode(DextarNode):
                 number = info["publication_sequence_number"]
                 losses.see(number)
                 received = info["received_timestamp"] or time.time_ns()
-                sample = Sample(
+                sample = SerializedMessage(
                     received,
                     name,
                     info["source_timestamp"],
                     number or losses.received,
                     data,
                 )
-                if tap.kept is not None:
-                    tap.kept.append(sample)
+                if recorded.kept is not None:
+                    recorded.kept.append(sample)
                 if recording is None:
                     continue
                 if not recording.writer.has_topic(name):
-                    recording.describe(tap)
+                    recording.describe(recorded)
                 recording.writer.add(sample)
-                if tap.listen is not None:
-                    tap.listen(data, received)
+                if recorded.listen is not None:
+                    recorded.listen(data, received)
         if (
             recording is not None
             and recording.writer.error is not None
@@ -181,8 +177,12 @@ class RecorderNode(DextarNode):
         if self._recording is not None:
             self._end(self._recording)
 
-    def _begin(self) -> Recording:
-        """Begin a recording; raises BagError."""
+    def _begin(self) -> BagRecording:
+        """Begin a recording.
+
+        Raises:
+            BagError: the file cannot be made.
+        """
         stamp = datetime.now(timezone.utc).strftime("%Y%m%dT%H%M%SZ")
         path = target = Path(
             self.values["output"].replace("{stamp}", stamp)
@@ -193,19 +193,19 @@ class RecorderNode(DextarNode):
             path = (
                 target.parent / f"{target.stem}-{self._made[target] + 1}" / target.name
             )
-        self._recording = Recording(self, path, self._taps, self._snapshots)
+        self._recording = BagRecording(self, path, self._topics, self._snapshots)
         self._made[target] += 1
         self.get_logger().info(f"recording to {self._recording.writer.path}")
         return self._recording
 
-    def _end(self, recording: Recording) -> str:
-        """Finish the recording; why the bag is not whole, or ""."""
+    def _end(self, recording: BagRecording) -> str:
+        """Finish the recording; return why the bag is not whole, or ""."""
         self._recording = None
-        for tap in self._taps:
-            if tap.losses.lost:
+        for recorded in self._topics:
+            if recorded.losses.lost:
                 self.get_logger().warning(
-                    f"{tap.name}: {tap.losses.lost} samples lost, {tap.losses.received}"
-                    " recorded"
+                    f"{recorded.name}: {recorded.losses.lost} samples lost,"
+                    f" {recorded.losses.received} recorded"
                 )
         if missing := recording.missing():
             self.get_logger().warning(
@@ -264,7 +264,7 @@ class RecorderNode(DextarNode):
         return response
 
     def _parameters_missing(self) -> str:
-        """The nodes whose parameters are not known."""
+        """Return the nodes whose parameters are not known."""
         return (
             " ".join(
                 snapshot.target
@@ -286,12 +286,12 @@ class RecorderNode(DextarNode):
     def _on_second(self) -> None:
         if self._recording is not None:
             self._recording.on_second()
-        for tap in self._taps:
-            if not tap.losses.supported and tap.name not in self._unnumbered:
-                self._unnumbered.add(tap.name)
+        for recorded in self._topics:
+            if not recorded.losses.supported and recorded.name not in self._unnumbered:
+                self._unnumbered.add(recorded.name)
                 self.get_logger().warning(
-                    f"{tap.name}: the middleware numbers no samples; only stamps can"
-                    " tell losses"
+                    f"{recorded.name}: the middleware numbers no samples; only stamps"
+                    " can tell losses"
                 )
         self._find_extra_topics()
         self._publish_diagnostics()
@@ -305,14 +305,14 @@ class RecorderNode(DextarNode):
             if resolved not in types:
                 continue
             self._wanted.remove(name)
-            if any(tap.name == resolved for tap in self._taps):
+            if any(recorded.name == resolved for recorded in self._topics):
                 continue
             offered = [
                 info.qos_profile for info in self.get_publishers_info_by_topic(resolved)
             ]
             try:
-                self._taps.append(
-                    Tap(self, *found_topic(name, types[resolved][0], offered))
+                self._topics.append(
+                    RecordedTopic(self, *found_topic(name, types[resolved][0], offered))
                 )
             except (
                 DextarError,
@@ -333,11 +333,8 @@ class RecorderNode(DextarNode):
             self._recording.hear_parameter_event(data, received)
 
     def _publish_diagnostics(self) -> None:
-        level, message, values = (
-            DiagnosticStatus.OK,
-            "not recording",
-            {"recording": False},
-        )
+        values: dict[str, object] = {"recording": False}
+        level, message = DiagnosticStatus.OK, "not recording"
         if self._recording is not None:
             level, message, values = self._recording.status()
         self._missing = self._parameters_missing()
@@ -346,7 +343,7 @@ class RecorderNode(DextarNode):
         )
 
 
-def _spin(node: RecorderNode, executor: Any, stop: StopSignal) -> None:
+def _spin(node: RecorderNode, executor: Executor, stop: StopSignal) -> None:
     node.begin()
     while not stop and not node.finished:
         executor.spin_once(timeout_sec=POLL_PERIOD)
@@ -354,11 +351,11 @@ def _spin(node: RecorderNode, executor: Any, stop: StopSignal) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Record until a signal asks to end; 0, or 1 when the bag is not whole, or 2 when
-    it cannot be made.
+    """Record until a signal asks to end; return 0, or 1 when the bag is not whole, or 2
+    when it cannot be made.
 
-    What is recorded has time: taken as soon as it comes it would interrupt who sends
-        it, plant and controller.
+    The recorder has time: taking samples as soon as they come would interrupt plant and
+    controller, which send them.
     """
     stand_back()
     return run_node(RecorderNode, args, _spin)

@@ -1,4 +1,6 @@
-"""One bag under way: what goes into it beside the samples, and what is told of it."""
+"""One bag under way holds the samples and a record of the run; the diagnostics tell of
+it.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,6 @@ import time
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import ParameterEvent
@@ -17,10 +18,12 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 from dextar_control.bags.run_record import METADATA_NAME, RunRecord
 from dextar_control.bags.writer import BagWriter
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.topics import TOPICS
+from dextar_control.nodekit.node import DextarNode
 from dextar_control.nodekit.parameter_snapshot import ParameterSnapshot
 from dextar_control.nodekit.qos_profiles import describe
-from dextar_control.nodes.taps import Tap
+from dextar_control.nodes.recorded_topics import RecordedTopic
 
 # s between two records of what was counted so far: what a killed recorder still says
 METADATA_PERIOD = 10
@@ -28,13 +31,13 @@ LOW_SPACE = 300.0  # s of recording that still fit the disk, from which on it is
 LABELS = ("name", "notes", "tags")
 
 
-class Recording:
+class BagRecording:
     """A bag, its record of the run and its counts.
 
     Args:
         node: the recorder.
         path: of the new ``.mcap`` file.
-        taps: the topics; more may be added while it runs.
+        topics: that are recorded; more may be added while it runs.
         snapshots: of the other nodes' parameters; asked for anew.
 
     Attributes:
@@ -47,9 +50,9 @@ class Recording:
 
     def __init__(
         self,
-        node: Any,
+        node: DextarNode,
         path: Path,
-        taps: Sequence[Tap],
+        topics: Sequence[RecordedTopic],
         snapshots: Sequence[ParameterSnapshot],
     ) -> None:
         values = node.values
@@ -65,33 +68,33 @@ class Recording:
             {key: values[f"run.{key}"] for key in LABELS},
             get_rmw_implementation_identifier(),
         )
-        self._node, self._taps, self._snapshots = node, taps, snapshots
-        self._known: tuple[Any, ...] = ()
+        self._node, self._topics, self._snapshots = node, topics, snapshots
+        self._known: tuple[object, ...] = ()
         self._seconds = 0
         for snapshot in snapshots:
             snapshot.renew()
         self.writer.add_metadata(METADATA_NAME, self._texts())
         self._begun = time.monotonic()
         now = time.time_ns()
-        for tap in taps:
-            tap.losses.restart()
-            for sample in tap.kept or ():
-                self.describe(tap)
+        for recorded in topics:
+            recorded.losses.restart()
+            for sample in recorded.kept or ():
+                self.describe(recorded)
                 self.writer.add(sample._replace(log_time=now))
 
-    def describe(self, tap: Tap) -> None:
+    def describe(self, recorded: RecordedTopic) -> None:
         """Add a topic to the bag as its publishers offer it, at its first sample."""
         offered = [
             info.qos_profile
-            for info in self._node.get_publishers_info_by_topic(tap.name)
+            for info in self._node.get_publishers_info_by_topic(recorded.name)
         ]
         profiles = [describe(profile) for profile in offered]
         self.writer.add_topic(
-            tap.name, tap.type, profiles, standing=tap.kept is not None
+            recorded.name, recorded.type, profiles, standing=recorded.kept is not None
         )
 
     def hear_diagnostics(self, data: bytes) -> None:
-        """The plan's certificate is told there."""
+        """Keep the plan's certificate, which diagnostics tell."""
         own = self._node.get_namespace().rstrip("/")
         for status in deserialize_message(data, DiagnosticArray).status:
             if status.name.rpartition("/")[0] == own:
@@ -100,7 +103,12 @@ class Recording:
                         self.record.note_certificate(entry.value)
 
     def hear_parameter_event(self, data: bytes, received: int) -> None:
-        """A node's parameters were changed."""
+        """Keep a change of a node's parameters.
+
+        Args:
+            data: the event as CDR bytes.
+            received: ns.
+        """
         event = deserialize_message(data, ParameterEvent)
         for parameter in event.changed_parameters:
             self.record.note_change(
@@ -111,7 +119,7 @@ class Recording:
             )
 
     def on_second(self) -> None:
-        """Write what has become known of the run; now and then what was counted."""
+        """Write what has become known of the run, and now and then what was counted."""
         self._seconds += 1
         record = self.record
         known = (
@@ -125,15 +133,19 @@ class Recording:
             self.writer.add_metadata(METADATA_NAME, self._texts())
 
     def end(self) -> None:
-        """Finish the bag; raises BagError when it is not whole or ended early."""
+        """Finish the bag.
+
+        Raises:
+            BagError: it is not whole or ended early.
+        """
         ended = datetime.now(timezone.utc)
         self.writer.close(
             {METADATA_NAME: self._texts(ended)},
             self.record.custom_data(self._parameters()),
         )
 
-    def status(self) -> tuple[bytes, str, dict[str, Any]]:
-        """Level, message and values for ``/diagnostics``."""
+    def status(self) -> tuple[bytes, str, dict[str, object]]:
+        """Return level, message and values for ``/diagnostics``."""
         writer = self.writer
         level, message = DiagnosticStatus.OK, f"recording to {writer.path}"
         free = _free_space(writer.path.parent)
@@ -149,7 +161,7 @@ class Recording:
             level, message = DiagnosticStatus.WARN, f"{self.lost} samples lost"
         elif lasts < LOW_SPACE:
             level, message = DiagnosticStatus.WARN, f"the disk is full in {lasts:.0f} s"
-        values = {
+        values: dict[str, object] = {
             "recording": writer.error is None,
             "bag": writer.path,
             "bytes": writer.size,
@@ -169,38 +181,38 @@ class Recording:
 
     @property
     def lost(self) -> int:
-        """Samples that are not in the bag, of all topics."""
-        return sum(tap.losses.lost for tap in self._taps) + sum(
+        """How many samples of all topics are not in the bag."""
+        return sum(recorded.losses.lost for recorded in self._topics) + sum(
             self.writer.dropped.values()
         )
 
     @property
     def written(self) -> int:
-        """Samples that are, or will be."""
-        return sum(tap.losses.received for tap in self._taps) - sum(
+        """How many samples are, or will be, in the bag."""
+        return sum(recorded.losses.received for recorded in self._topics) - sum(
             self.writer.dropped.values()
         )
 
     def missing(self) -> list[str]:
-        """Nodes whose parameters are not known."""
+        """Return the nodes whose parameters are not known."""
         return [
             snapshot.target for snapshot in self._snapshots if snapshot.values is None
         ]
 
     def _counts(self) -> dict[str, dict[str, int | None]]:
-        """Per topic: samples received, lost on the way (None: not numbered), dropped
-        before the disk.
+        """Return, per topic, samples received, lost on the way (None: not numbered) and
+        dropped before the disk.
         """
         return {
-            tap.name: {
-                "received": tap.losses.received,
-                "lost": tap.losses.lost if tap.losses.supported else None,
-                "dropped": self.writer.dropped.get(tap.name, 0),
+            recorded.name: {
+                "received": recorded.losses.received,
+                "lost": recorded.losses.lost if recorded.losses.supported else None,
+                "dropped": self.writer.dropped.get(recorded.name, 0),
             }
-            for tap in self._taps
+            for recorded in self._topics
         }
 
-    def _parameters(self) -> Mapping[str, dict[str, Any]]:
+    def _parameters(self) -> Mapping[str, dict[str, ParameterValue]]:
         node = self._node
         others = {
             snapshot.target: snapshot.values
@@ -211,7 +223,9 @@ class Recording:
 
     def _texts(self, ended: datetime | None = None) -> dict[str, str]:
         resolved = {
-            tap.topic.name: tap.name for tap in self._taps if tap.topic in TOPICS
+            recorded.topic.name: recorded.name
+            for recorded in self._topics
+            if recorded.topic in TOPICS
         }
         return self.record.texts(
             self._parameters(), resolved, self._counts(), self.missing(), ended
@@ -219,7 +233,7 @@ class Recording:
 
 
 def _free_space(folder: Path) -> float:
-    """Bytes that the disk still has; nan when it cannot be asked."""
+    """Return the bytes that the disk still has; nan when it cannot be asked."""
     try:
         space = os.statvfs(folder)
     except OSError:

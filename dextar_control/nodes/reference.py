@@ -1,5 +1,5 @@
-"""Trajectories as they arrive at the controller: read and checked beside the loop, kept
-until they begin or are too old.
+"""Trajectories that arrive at the controller are read and checked beside the loop, and
+kept until they begin or are too old.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
@@ -41,13 +41,12 @@ class Waiting(NamedTuple):
 
 
 class ReferenceReader:
-    """Polled subscription of ``trajectory``: the newest one counts.
+    """Reads ``trajectory`` by polling; the newest one counts.
 
-    One that was served before the controller was active, or long before it arrived, is
-        refused: a latched or
-    delayed trajectory moves nothing by surprise. Nor does one that has waited too long
-    to begin. Reading and checking take a thread of their own (a long one takes tenths
-    of a second).
+    A trajectory that was served before the controller was active, or long before it
+    arrived, is refused: a latched or delayed one moves nothing by surprise. One that
+    has waited too long to begin is dropped. Reading and checking, which take tenths of
+    a second for a long one, have a thread of their own.
 
     How old it is when it arrives is the difference of two times of the system clocks,
     the server's and this machine's; how long the controller has been active is measured
@@ -78,7 +77,7 @@ class ReferenceReader:
         self.waiting: Waiting | None = None
 
     def restart(self) -> None:
-        """From now on: what was served until now counts no more."""
+        """Forget every trajectory that was served until now."""
         self._since = self._clock.now()
         self.drop()
         if self._newest() is not None:
@@ -92,7 +91,9 @@ class ReferenceReader:
             self._checking = None
 
     def refuse(self, reason: str) -> None:
-        """Tell that the last trajectory is refused, or what waited dropped."""
+        """Tell that the last trajectory is refused, or that the waiting
+        one is dropped.
+        """
         self.waiting = None
         self.note = f"refused: {reason}"
         self._node.get_logger().error(f"trajectory refused: {reason}")
@@ -100,20 +101,21 @@ class ReferenceReader:
     def poll(
         self,
         loop: ControlLoop,
-        limits: Mapping[str, Any],
+        limits: Mapping[str, float],
         clock: float,
         now: float,
         keep: bool,
     ) -> bool:
-        """Read, check, hand over to the loop, drop what has waited too long; whether
-        ``note`` changed.
+        """Read, check, hand over to the loop, and drop what has waited too long; return
+        whether ``note`` changed.
 
         Args:
+            loop: that tracks the trajectory.
             limits: the parameters ``trajectory.max_age`` and
                 ``trajectory.wait_timeout``, s.
             clock: by which waiting is measured, s; nan while there is none.
             now: of the last state, s; nan before the first.
-            keep: the loop cannot take one yet, but is going to.
+            keep: whether the loop cannot take one yet, but is going to.
         """
         before = self.note
         try:
@@ -129,7 +131,7 @@ class ReferenceReader:
         return self.note != before
 
     def begin(self, loop: ControlLoop) -> None:
-        """The loop holds now: hand over what was kept for that."""
+        """Hand over the trajectory that was kept until the loop holds."""
         waiting = self.waiting
         if waiting is None or waiting.scheduled:
             return
@@ -142,7 +144,9 @@ class ReferenceReader:
     def _take(
         self, loop: ControlLoop, max_age: float
     ) -> tuple[Reference | None] | None:
-        """What was read and checked: a reference, or (None,) for a stop."""
+        """Return what was read and checked: a reference, or (None,) for a stop; None
+        where nothing was.
+        """
         if (newest := self._newest()) is not None:
             raw, info = newest
             if self._checking is not None:
@@ -165,8 +169,8 @@ class ReferenceReader:
         return (checking.result(),)
 
     def _newest(self) -> tuple[bytes, Mapping[str, int]] | None:
-        """The last message that waits, with what the middleware says of it; those
-        before it are passed over.
+        """Return the last message that waits, with the middleware's information on it;
+        those before it are passed over.
         """
         newest = None
         while (
@@ -185,7 +189,7 @@ class ReferenceReader:
         active: float,
         max_age: float,
     ) -> Reference | None:
-        """Judge how old a message is, then what it says; None is a stop.
+        """Check a message's age, then its trajectory; return None for a stop.
 
         Args:
             check: gives the certificate, or refuses.
@@ -211,7 +215,7 @@ class ReferenceReader:
                 " s: if this machine's clock was set back just now serve it again,"
                 " else synchronise the clock of the server's machine with this one's"
             )
-        message = read_message(raw, TRAJECTORY.type)
+        message: MultiDOFJointTrajectory = read_message(raw, TRAJECTORY.type)
         if len(message.points) == 0:
             return None
         if len(message.points) > MAX_TRAJECTORY_POINTS:

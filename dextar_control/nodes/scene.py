@@ -1,4 +1,4 @@
-"""The robot and what it is about to do as markers: linkage, locus, path and t_s, in
+"""Markers draw the robot and what it is about to do: linkage, locus, path and t_s, in
 frame base.
 """
 
@@ -101,7 +101,7 @@ class Scene:
         self.crossings = np.empty((0, 2))
 
     def set_path(self, trajectory: Trajectory | None) -> None:
-        """The trajectory that is served; None for none."""
+        """Take over the trajectory that is served; None for none."""
         self.path, self.crossings = np.empty((0, 2)), np.empty((0, 2))
         if trajectory is None:
             return
@@ -116,8 +116,8 @@ class Scene:
         ]
 
     def platform(self, view: View) -> Array:
-        """Where to draw the end effector (2,), m: the estimate, else the direct model
-        in the believed assembly mode.
+        """Return where to draw the end effector, (2,), m: the estimate, else the direct
+        model in the believed assembly mode.
         """
         if np.isfinite(view.x_hat).all():
             return view.x_hat
@@ -126,12 +126,17 @@ class Scene:
         )
 
     def linkage(self, q_a: Array, x: Array) -> Array:
-        """(5, 2) motor, elbow, end effector, elbow, motor, m."""
+        """Return motor, elbow, end effector, elbow and motor, (5, 2), m.
+
+        Args:
+            q_a: active joints, (2,), rad.
+            x: end effector, (2,), m.
+        """
         linkage: Array = self._model.mechanism.linkage(q_a, x, self._model.numbers)
         return linkage
 
     def still(self) -> list[Marker]:
-        """Base, locus, path and its crossings."""
+        """Return the markers of base, locus, path and its crossings."""
         markers = [
             _marker("base", 0, Marker.LINE_LIST, self.motors, STALE, LINE),
             _marker(
@@ -156,12 +161,12 @@ class Scene:
     def moving(
         self, view: View, trail: Sequence[Array] = (), *, text: bool = True
     ) -> list[Marker]:
-        """Links, joints, end effector, reference, t_s at the end effector, the way it
-        came and two lines of text.
+        """Return the markers of links, joints, end effector, reference, t_s, trail and
+        two lines of text.
 
         Args:
             view: the instant.
-            trail: end effector positions (2,) before it, the oldest first, m.
+            trail: end effector positions before it, (2,) each, the oldest first, m.
             text: whether to write phase and scalars.
         """
         x = self.platform(view)
@@ -211,18 +216,24 @@ class Scene:
         return [_living(marker, MOVING_LIFETIME) for marker in markers]
 
     def phase(self, view: View) -> str:
-        """Its name; empty where it is not known."""
+        """Return the phase's name; empty where it is not known."""
         number = view.scalars.get("phase", np.nan)
         names = list(PHASES)
         return names[int(number)] if 0 <= number < len(names) else ""
 
     def kernel(self, view: View, x: Array) -> tuple[Array, float]:
-        """t_s (2,), the direction that the torques cannot hold on the locus, and s."""
+        """Return t_s, (2,), the direction that the torques cannot hold on the locus,
+        and s.
+
+        Args:
+            view: the instant.
+            x: end effector, (2,), m.
+        """
         state = self._model.state(view.q_a, x, np.zeros(2))
         return state.t_s, float(state.s[0])
 
     def _kernel(self, view: View, x: Array) -> Marker:
-        """t_s: an arrow that fades with the distance to the locus."""
+        """Return t_s as an arrow that fades with the distance to the locus."""
         t_s, s = self.kernel(view, x)
         opacity = max(FAINTEST, 1.0 - 2.0 * abs(s)) if np.isfinite(s) else 0.0
         ends = np.stack([x, x + KERNEL_LENGTH * t_s])
@@ -261,7 +272,9 @@ class Scene:
 
 
 def to_array(markers: Iterable[Marker], stamp: object) -> MarkerArray:
-    """One message, each marker with this stamp (builtin_interfaces/msg/Time)."""
+    """Return one message of markers, each with this stamp
+    (builtin_interfaces/msg/Time).
+    """
     array = MarkerArray(markers=list(markers))
     for marker in array.markers:
         marker.header.stamp = stamp
@@ -269,7 +282,7 @@ def to_array(markers: Iterable[Marker], stamp: object) -> MarkerArray:
 
 
 def wipe() -> list[Marker]:
-    """What makes a display forget everything."""
+    """Return the marker that makes a display forget everything."""
     marker = Marker(action=Marker.DELETEALL)
     marker.header.frame_id = BASE_FRAME
     return [marker]
@@ -285,8 +298,8 @@ def _marker(
     layer: int = 0,
     opacity: float = 1.0,
 ) -> Marker:
-    """A marker through points (n, 2), m; one with a point that is not finite, or with
-    too few, is deleted.
+    """Return a marker through points, (n, 2), m; one with a point that is not finite,
+    or with too few, is deleted.
     """
     marker = Marker(ns=name, id=number, type=kind, action=Marker.ADD)
     marker.header.frame_id = BASE_FRAME

@@ -1,4 +1,4 @@
-"""How a controller's states come and what its ticks cost, for /diagnostics."""
+"""The diagnostics tell how a controller's states come and what its ticks cost."""
 
 from __future__ import annotations
 
@@ -62,7 +62,9 @@ class Statistics:
         self._reported = (0, 0)
 
     def restart(self) -> None:
-        """Another stream of states: what is missing until it begins is not late."""
+        """Begin with another stream of states: what is missing until it begins is not
+        late.
+        """
         self._arrival = math.nan
         self._intervals.clear()
         self._latencies.clear()
@@ -79,8 +81,11 @@ class Statistics:
         return self._arrival
 
     def spaced(self, gap: float, period: float) -> None:
-        """The stamps of two states lie ``gap`` apart, s; ``period`` is the nominal
-        one.
+        """Count what lies between two states.
+
+        Args:
+            gap: between their stamps, s.
+            period: the nominal one, s.
         """
         periods = round(gap / period)
         self.counts["missed_states"] += max(periods - 1, 0)
@@ -89,7 +94,7 @@ class Statistics:
         )
 
     def arrived(self, stamp: int, now: float, published: int = 0) -> None:
-        """A state that was answered.
+        """Count a state that was answered.
 
         Args:
             stamp: of its header, ns.
@@ -111,11 +116,13 @@ class Statistics:
             self._ages.append(age)
 
     def worked(self, duration: float) -> None:
-        """What one state cost, s."""
+        """Note how long one state took, s."""
         self._work.add(duration)
 
     def warnings(self, period: float) -> list[str]:
-        """What is off in the states' arrival, against the nominal period, s."""
+        """Return what is wrong with the states' arrival, against the
+        nominal period, s.
+        """
         told = []
         found = self._intervals.regularity()
         if len(self._intervals.numbers) >= SETTLED:
@@ -133,7 +140,7 @@ class Statistics:
         return told + self.missed_lately()
 
     def lateness(self, period: float) -> str:
-        """Whether commands came too late for the robot lately, in words with the
+        """Return whether commands came too late for the robot lately, in words with the
         numbers; empty where they did not.
 
         An answer is late by what it took longer than the promptest one from its state's
@@ -160,8 +167,8 @@ class Statistics:
         return f"commands came too late: {'; '.join(told)}" if told else ""
 
     def missed_lately(self) -> list[str]:
-        """Whether states were missed, or stamps were off the period, within the last
-        LATELY reports.
+        """Return whether states were missed, or stamps were off the period, within the
+        last LATELY reports.
         """
         lately = {
             name: self.counts[name] - self._before[0][name]
@@ -175,7 +182,7 @@ class Statistics:
         ]
 
     def report(self, saturated: int) -> dict[str, object]:
-        """Values for /diagnostics.
+        """Return the values for /diagnostics.
 
         Args:
             saturated: ticks so far at a torque limit; begins again with each

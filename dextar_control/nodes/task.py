@@ -1,14 +1,14 @@
-"""What the trajectory server is asked to plan, taken from its parameters."""
+"""The trajectory server's parameters say what it is to plan."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from dextar_control.contract.errors import ParameterError, TrajectoryError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.planning.certificate import Certificate
 from dextar_control.planning.checks import certify
@@ -52,9 +52,13 @@ class Task:
         tour: how many crossings are spread over the locus; the other way round where
             negative.
         tour_points: of a tour, m.
+        tour_seed: of the random numbers that spread a tour's crossings.
         excite: about how long an exciting motion is, s; 0 is none.
         duration: of one way, s; None leaves it to the planner.
+        dwell: rest before, between and after the motions, s.
+        repeat: how often the trip, or the tour's lap, is repeated.
         locus_time: s; see ``plan_crossing``.
+        criterion: that the motion satisfies at each crossing.
     """
 
     start: tuple[float, float]
@@ -72,8 +76,8 @@ class Task:
     criterion: Criterion
 
     @classmethod
-    def from_values(cls, values: Mapping[str, Any]) -> Task:
-        """From parameter values, each of them checked by itself.
+    def from_values(cls, values: Mapping[str, ParameterValue]) -> Task:
+        """Return the task of parameter values, each of them checked by itself.
 
         Raises:
             ParameterError: they ask for several things at once, or contradict each
@@ -127,8 +131,12 @@ class Task:
         )
 
     def plan(self, robot: RobotParameters, progress: Progress = silent) -> Plan:
-        """The certified plan; a tour or an exciting motion begins in A, a trip through
-        a point where the planner lets it begin.
+        """Return the certified plan; a tour or an exciting motion begins in A, a trip
+        through a point where the planner lets it begin.
+
+        Args:
+            robot: that is to move.
+            progress: told how far planning is.
 
         Raises:
             DextarError: there is none within the limits; names the limit and what would
@@ -186,7 +194,12 @@ class Task:
         goal: Array,
         progress: Progress = silent,
     ) -> Plan:
-        """One way between two given places.
+        """Return the certified plan of one way between two given places.
+
+        Args:
+            robot: that is to move.
+            start, goal: positions of the end effector, (2,), m.
+            progress: told how far planning is.
 
         Raises:
             DextarError: as ``plan``.
@@ -203,10 +216,12 @@ class Task:
 
 
 def plan_from(robot: RobotParameters, origin: Array, plan: Plan, speed: float) -> Plan:
-    """A planned trip with the way from where the robot stands before it.
+    """Return a planned trip with the way from where the robot stands before it.
 
     Args:
-        origin: (2,) m, where it stands.
+        robot: that is to move.
+        origin: where it stands, (2,), m.
+        plan: the trip.
         speed: peak speed of that way, m/s.
 
     Raises:
@@ -222,12 +237,12 @@ def plan_from(robot: RobotParameters, origin: Array, plan: Plan, speed: float) -
     return Plan(trajectory, certify(robot, trajectory, max_residual=PLAN_RESIDUAL))
 
 
-def _pair(numbers: Any) -> tuple[float, float]:
+def _pair(numbers: Sequence[float]) -> tuple[float, float]:
     return float(numbers[0]), float(numbers[1])
 
 
 def in_words(certificate: Certificate) -> str:
-    """A certificate on one line, cut where it grows long."""
+    """Return a certificate on one line, cut where it grows long."""
     lines = certificate.lines()
     more = len(lines) - MOST_LINES
     return "; ".join([*lines[:MOST_LINES], *([f"and {more} more"] if more > 0 else [])])

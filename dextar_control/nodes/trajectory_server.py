@@ -1,5 +1,5 @@
-"""The trajectory server: plans a trip or a tour through the locus, says and draws what
-it planned, serves it.
+"""The trajectory server plans a trip or a tour through the locus, tells and draws the
+plan, and serves it.
 """
 
 from __future__ import annotations
@@ -8,23 +8,27 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.srv import GetPlan
+from rclpy.service import Service
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from dextar_control.contract.errors import DextarError, TrajectoryError
 from dextar_control.contract.node_parameters import PARAMETERS
+from dextar_control.contract.plain_data import ParameterValue
+from dextar_control.contract.robot import RobotParameters
 from dextar_control.contract.topics import (
     DIAGNOSTICS,
     MAX_TRAJECTORY_POINTS,
     TRAJECTORY,
 )
 from dextar_control.nodekit.node import EXIT_USAGE, DextarNode, qos, run_node
-from dextar_control.nodekit.worker import Done, GivenUp, Worker
+from dextar_control.nodekit.services import type_of
+from dextar_control.nodekit.worker import Done, GivenUp, JobQueue
 from dextar_control.nodes import messages
 from dextar_control.nodes.next_step import command, why_not
 from dextar_control.nodes.task import Task, in_words, plan_from
@@ -45,7 +49,7 @@ POLL_PERIOD = 0.05  # s
 TELL_PERIOD = 1.0  # s between two lines about the progress
 
 
-class Served(NamedTuple):
+class ServedTrip(NamedTuple):
     """A trajectory ready to be published."""
 
     plan: Plan
@@ -81,7 +85,7 @@ class TrajectoryServer(DextarNode):
         self._error = ""
         self._controller: dict[str, str] = {}
         self._controller_time = -FRESH
-        self._worker = Worker()
+        self._worker = JobQueue()
         self._told = (0.0, "")
         self._starting: object | None = None  # the trip that is planned to be served
         self._trajectory_publisher = self.create_publisher(
@@ -90,7 +94,7 @@ class TrajectoryServer(DextarNode):
         self.create_subscription(
             DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, qos(DIAGNOSTICS)
         )
-        self._requests: list[tuple[Any, Callable[[Any, Any, Any], None]]] = [
+        self._requests = [
             (self.create_polled_service(Trigger, "~/plan"), self._on_plan),
             (self.create_polled_service(Trigger, "~/start"), self._on_start),
             (self.create_polled_service(GetPlan, "~/get_plan"), self._on_get_plan),
@@ -101,17 +105,17 @@ class TrajectoryServer(DextarNode):
         self.create_timer(POLL_PERIOD, self._poll, clock=self.steady_clock)
         self.create_timer(DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady_clock)
 
-    def on_parameters(self, changes: Mapping[str, Any]) -> None:
-        """A changed task is planned before it is served."""
+    def on_parameters(self, changes: Mapping[str, ParameterValue]) -> None:
+        """Take a changed task, which is planned before it is served."""
         self._task = Task.from_values(self.values)
 
     def _poll(self) -> None:
-        """Requests, results, and the served trip once there is a controller, which
-        refuses what is older than itself.
+        """Take requests and results, and serve the trip once there is a controller,
+        which refuses what is older than itself.
         """
         for service, answer in self._requests:
             while (
-                taken := service.handle.service_take_request(service.srv_type.Request)
+                taken := service.handle.service_take_request(type_of(service).Request)
             )[1] is not None:
                 answer(service, *taken)
         self._worker.poll()
@@ -130,7 +134,9 @@ class TrajectoryServer(DextarNode):
     def _plan_of(
         self, wanted: Task, progress: Progress | None = None
     ) -> Callable[[], tuple[Task, Plan]]:
-        """A job: the plan of a task, drawn where that is asked for and nobody waits."""
+        """Return a job: the plan of a task, drawn where that is asked for and nobody
+        waits.
+        """
         drawing = "" if self._waiting else self.values["drawing"]
 
         def work() -> tuple[Task, Plan]:
@@ -151,7 +157,7 @@ class TrajectoryServer(DextarNode):
 
         return work
 
-    def _trip(self, origin: Array, progress: Progress) -> Callable[[], Served]:
+    def _trip(self, origin: Array, progress: Progress) -> Callable[[], ServedTrip]:
         """A job: the planned trip with the way from where the robot stands before it,
         as a message.
         """
@@ -161,17 +167,17 @@ class TrajectoryServer(DextarNode):
             self.values["trajectory.sample_period"],
         )
 
-        def work() -> Served:
+        def work() -> ServedTrip:
             wanted, plan = plan_now()
             trajectory, certificate = plan_from(self.robot, origin, plan, speed)
             times = served_times(trajectory, certificate, period)
-            return Served(
+            return ServedTrip(
                 plan, wanted, certificate, messages.from_trajectory(trajectory, times)
             )
 
         return work
 
-    def _submit_trip(self, done: Done) -> None:
+    def _submit_trip(self, done: Done[ServedTrip]) -> None:
         """Plan the trip from where the robot stands, for ``done`` to serve it, unless
         ``~/stop`` is called before.
         """
@@ -185,7 +191,7 @@ class TrajectoryServer(DextarNode):
                 raise stopped
             self._worker.progress(fraction, stage)
 
-        def planned(served: Served | None, error: DextarError | None) -> None:
+        def planned(served: ServedTrip | None, error: DextarError | None) -> None:
             if self._starting is starting:
                 self._starting = None
                 done(served, error)
@@ -195,11 +201,11 @@ class TrajectoryServer(DextarNode):
         self._worker.submit(self._trip(self._origin(), progress), planned)
 
     def _origin(self) -> Array:
-        """Where the robot stands as far as is known, else A."""
+        """Return where the robot stands as far as is known, else A; (2,), m."""
         x = np.array([float(self._controller.get(axis, "nan")) for axis in ("x", "y")])
         return x if np.isfinite(x).all() else np.array(self._task.start)
 
-    def _publish(self, served: Served) -> str:
+    def _publish(self, served: ServedTrip) -> str:
         self._planned, self._certificate = (
             (served.task, served.plan),
             served.certificate,
@@ -261,7 +267,9 @@ class TrajectoryServer(DextarNode):
             return
         self._take(planned)
 
-    def _on_autostart(self, served: Served | None, error: DextarError | None) -> None:
+    def _on_autostart(
+        self, served: ServedTrip | None, error: DextarError | None
+    ) -> None:
         if served is None:
             self._note(error)
         else:
@@ -277,13 +285,13 @@ class TrajectoryServer(DextarNode):
             self._diagnose(whole=True)
 
     def _note(self, error: DextarError | None) -> str:
-        """Tell a refusal."""
+        """Log a refusal, and return it in words."""
         self._error = str(error)
         self.get_logger().error(self._error)
         self._diagnose()
         return self._error
 
-    def _on_plan(self, service: Any, _: Trigger.Request, header: Any) -> None:
+    def _on_plan(self, service: Service, _: Trigger.Request, header: object) -> None:
         def done(planned: tuple[Task, Plan] | None, error: DextarError | None) -> None:
             self._take(planned)
             message = (
@@ -297,8 +305,8 @@ class TrajectoryServer(DextarNode):
 
         self._worker.submit(self._plan_of(self._task), done)
 
-    def _on_start(self, service: Any, _: Trigger.Request, header: Any) -> None:
-        def done(served: Served | None, error: DextarError | None) -> None:
+    def _on_start(self, service: Service, _: Trigger.Request, header: object) -> None:
+        def done(served: ServedTrip | None, error: DextarError | None) -> None:
             message = self._note(error) if served is None else self._publish(served)
             service.send_response(
                 Trigger.Response(success=served is not None, message=message), header
@@ -317,7 +325,9 @@ class TrajectoryServer(DextarNode):
             return
         self._submit_trip(done)
 
-    def _on_get_plan(self, service: Any, request: GetPlan.Request, header: Any) -> None:
+    def _on_get_plan(
+        self, service: Service, request: GetPlan.Request, header: object
+    ) -> None:
         ends = [request.start.pose.position, request.goal.pose.position]
         start, goal = (np.array([point.x, point.y]) for point in ends)
         wanted = self._task
@@ -348,8 +358,8 @@ class TrajectoryServer(DextarNode):
         return response
 
     def _diagnose(self, whole: bool = False) -> None:
-        """Where planning is, and the certificate; ``whole``: with all its crossings,
-        however many.
+        """Publish how far planning is, and the certificate; with ``whole`` all its
+        crossings, however many.
         """
         worker = self._worker
         planning = f"{worker.fraction:.0%}, {worker.stage}" if worker.stage else ""
@@ -380,8 +390,8 @@ class TrajectoryServer(DextarNode):
         self.publish_diagnostics(level, trouble or state, values)
 
     def close(self) -> None:
-        """A last word; a plan under way is given up. The drawing that nobody waited for
-        is made.
+        """Give up a plan under way, publish diagnostics, and make the drawing that
+        nobody waited for.
         """
         self._worker.close()
         self._diagnose()
@@ -404,14 +414,21 @@ class TrajectoryServer(DextarNode):
 def served_times(
     trajectory: Trajectory, certificate: Certificate, period: float
 ) -> Array:
-    """When a trajectory is sampled: every period, at its knots and at its crossings; a
-    long one less often.
+    """Return when a trajectory is sampled, (m,), s: every period, at its knots and at
+    its crossings; a long one less often.
+
+    Args:
+        trajectory: that is served.
+        certificate: of it.
+        period: between two points, s.
 
     Raises:
         TrajectoryError: even COARSEST apart there are more than MAX_TRAJECTORY_POINTS.
     """
     while True:
-        times = np.union1d(sample_times(trajectory, period), certificate.crossing_times)
+        times: Array = np.union1d(
+            sample_times(trajectory, period), certificate.crossing_times
+        )
         times = times[np.concatenate([[True], np.diff(times) > 2e-9])]
         if len(times) <= MAX_TRAJECTORY_POINTS:
             return times
@@ -424,8 +441,12 @@ def served_times(
         period = min(period * len(times) / MAX_TRAJECTORY_POINTS * 1.01, COARSEST)
 
 
-def _draw(robot: Any, plan: Plan, path: Path) -> None:
-    """Raises: TrajectoryError: the picture cannot be written."""
+def _draw(robot: RobotParameters, plan: Plan, path: Path) -> None:
+    """Draw a plan.
+
+    Raises:
+        TrajectoryError: the picture cannot be written.
+    """
     from dextar_control.analysis.plan_figure import draw_plan
 
     try:
@@ -436,7 +457,7 @@ def _draw(robot: Any, plan: Plan, path: Path) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Console entry."""
+    """Run the trajectory server; return the exit code."""
     return run_node(TrajectoryServer, args)
 
 

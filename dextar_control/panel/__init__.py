@@ -1,3 +1,3 @@
-"""The panel in the browser: one page, and the server that lets it watch and drive. No
+"""The panel in the browser is one page, and the server that lets it watch and drive. No
 ROS here.
 """

@@ -1,5 +1,5 @@
-"""Who may see and drive: by the address that a request names, the page that it comes
-from, and a token.
+"""Who may see and drive is decided by the address that a request names, the page that
+it comes from, and a token.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 
 class Access:
-    """What a panel lets in.
+    """Decides which requests a panel lets in.
 
     Bound to this machine alone it answers requests that name this machine (a foreign
     name that was made to lead here, as a page of the internet may try, is refused).
@@ -28,7 +28,7 @@ class Access:
         self.token = "" if _is_here(host) else secrets.token_urlsafe(16)
 
     def refusal(self, host: str, origin: str | None, token: str) -> str:
-        """Why a request is refused, in a sentence; empty where it is not.
+        """Return why a request is refused, in a sentence; empty where it is not.
 
         Args:
             host: the name and port that it asked.
@@ -72,7 +72,7 @@ class Access:
 
 
 def _is_here(name: str) -> bool:
-    """Whether a host's name or address is this machine's own loop."""
+    """Return whether a host's name or address is this machine's own loop."""
     try:
         return name.lower() == "localhost" or ipaddress.ip_address(name).is_loopback
     except ValueError:

@@ -1,5 +1,5 @@
-"""The panel's server: the page, a stream of what is seen, and commands by one driver at
-a time.
+"""The panel's server gives out the page and a stream of what is seen, and takes
+commands from one driver at a time.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from tornado.httpserver import HTTPServer
@@ -23,9 +23,10 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from dextar_control.contract import style
 from dextar_control.contract.errors import DextarError, ParameterError
+from dextar_control.contract.plain_data import ParameterValue
 from dextar_control.panel.access import Access
 
-Answer = Callable[[bool, str, Mapping[str, Any]], None]
+Answer = Callable[[bool, str, Mapping[str, object]], None]
 PORTS_TRIED = 10  # from the wanted one on
 PING, PATIENCE = (
     6.0,
@@ -56,30 +57,32 @@ class Backend(Protocol):
     do not wait.
     """
 
-    def setup(self) -> Mapping[str, Any]:
-        """What a page needs once."""
+    def setup(self) -> Mapping[str, object]:
+        """Return what a page needs once."""
 
-    def ask(self, name: str, arguments: Mapping[str, Any], answer: Answer) -> None:
-        """A command of the driver, or a stop of anybody; ``answer`` is called in the
+    def ask(
+        self, name: str, arguments: Mapping[str, ParameterValue], answer: Answer
+    ) -> None:
+        """Do what the driver asks, or stop for anybody; ``answer`` is called in the
         server's thread.
         """
 
     def watched(self, viewers: int) -> None:
-        """How many pages look on."""
+        """Take note of how many pages look on."""
 
     def told(self, text: str) -> None:
-        """What an operator should know of."""
+        """Tell the operator something."""
 
     def report(self) -> Path | None:
-        """The last run's page, where one has been made."""
+        """Return the last run's page; None where none has been made."""
 
 
-def to_json(value: Any) -> str:
-    """JSON that every browser reads: a number that is not finite is null."""
+def to_json(value: object) -> str:
+    """Return JSON that every browser reads: a number that is not finite is null."""
     return json.dumps(_plain(value), separators=(",", ":"), allow_nan=False)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
@@ -106,19 +109,19 @@ class PanelServer:
 
     def __init__(self, backend: Backend, host: str, port: int) -> None:
         self.backend, self.access = backend, Access(host)
-        self.pages: list[Stream] = []
-        self.driver: Stream | None = None
+        self.pages: list[StreamHandler] = []
+        self.driver: StreamHandler | None = None
         self.kept: dict[
             str, str
         ] = {}  # the last message of each kind that a page needs which comes later
         logging.getLogger("tornado.access").setLevel(logging.ERROR)
         application = Application(
             [
-                (r"/", Page, {"server": self, "file": "panel.html"}),
-                (r"/(panel\.js|panel\.css)", Page, {"server": self}),
-                (r"/stream", Stream, {"server": self}),
-                (r"/report", Report, {"server": self}),
-                (r"/why", Why, {"server": self}),
+                (r"/", PageHandler, {"server": self, "file": "panel.html"}),
+                (r"/(panel\.js|panel\.css)", PageHandler, {"server": self}),
+                (r"/stream", StreamHandler, {"server": self}),
+                (r"/report", ReportHandler, {"server": self}),
+                (r"/why", WhyHandler, {"server": self}),
             ],
             websocket_ping_interval=PING,
             websocket_ping_timeout=PATIENCE,
@@ -139,9 +142,16 @@ class PanelServer:
         """Answer requests, in the loop that runs."""
         self._http.add_sockets(self._sockets)
 
-    def send(self, kind: str, value: Mapping[str, Any], *, keep: bool = False) -> None:
-        """To every page; one that is still busy with the last message is passed over,
-        unless this is kept for it.
+    def send(
+        self, kind: str, value: Mapping[str, object], *, keep: bool = False
+    ) -> None:
+        """Send to every page; one that is still busy with the last message is passed
+        over, unless this one is kept for it.
+
+        Args:
+            kind: of the message.
+            value: its fields.
+            keep: whether pages that are busy, or come later, get it too.
         """
         text = to_json({"kind": kind, **value})
         if keep:
@@ -149,8 +159,8 @@ class PanelServer:
         for page in self.pages:
             page.push(kind, text, keep)
 
-    def joined(self, page: Stream, wants: bool) -> None:
-        """A page is there; it drives where it wants to and nobody else does."""
+    def joined(self, page: StreamHandler, wants: bool) -> None:
+        """Take a page in; it drives where it wants to and nobody else does."""
         self.pages.append(page)
         self.backend.watched(len(self.pages))
         page.say("setup", self.backend.setup())
@@ -158,17 +168,19 @@ class PanelServer:
             page.push(kind, text, True)
         self.take_over(page if wants and self.driver is None else self.driver)
 
-    def left(self, page: Stream) -> None:
-        """A page is gone: nothing is asked of the robot, which stays to the
-        controller's own rules.
+    def left(self, page: StreamHandler) -> None:
+        """Let a page go: nothing is asked of the robot, which stays to the controller's
+        own rules.
         """
         if page in self.pages:
             self.pages.remove(page)
             self.backend.watched(len(self.pages))
             self.take_over(None if page is self.driver else self.driver)
 
-    def take_over(self, page: Stream | None) -> None:
-        """This page drives from now on, all others watch; None: nobody does."""
+    def take_over(self, page: StreamHandler | None) -> None:
+        """Let this page drive from now on, and all others watch; None lets nobody
+        drive.
+        """
         self.driver = page
         for one in self.pages:
             one.say(
@@ -187,8 +199,8 @@ class PanelServer:
 
 
 def _bound(host: str, port: int) -> tuple[list[socket.socket], bool]:
-    """Sockets on the first free port, and whether that is another than the wanted
-    one.
+    """Return sockets on the first free port, and whether that is another than the
+    wanted one.
     """
     last = port + (PORTS_TRIED if port else 1)
     for number in range(port, min(last, 65536)):
@@ -214,8 +226,8 @@ def _bound(host: str, port: int) -> tuple[list[socket.socket], bool]:
     )
 
 
-class _Guarded(RequestHandler):
-    """A request that is let in, or refused with a sentence."""
+class _GuardedHandler(RequestHandler):
+    """Lets a request in, or refuses it with a sentence."""
 
     server: PanelServer
 
@@ -235,29 +247,29 @@ class _Guarded(RequestHandler):
             raise Finish(f"{why}\n")
 
     def set_default_headers(self) -> None:
-        """What a browser may do with it."""
+        """Tell a browser what it may do with the page."""
         for name, value in HEADERS.items():
             self.set_header(name, value)
         self.clear_header("Server")
 
 
-class Page(_Guarded):
-    """The page's files."""
+class PageHandler(_GuardedHandler):
+    """Gives out the page's files."""
 
     def initialize(self, server: PanelServer, file: str = "") -> None:
-        """Which file, unless the address names it."""
+        """Take the server, and the file unless the address names it."""
         self.server, self._file = server, file
 
     def prepare(self) -> None:
-        """Style and script are no secret, and carry no token; the page itself explains
-        what is missing.
+        """Let style and script out without a token, which they do not carry; the page
+        itself explains what is missing.
         """
         if self.server.access.token:
             return
         super().prepare()
 
     def get(self, name: str = "") -> None:
-        """A file of ``static``; the style begins with the package's own."""
+        """Send a file of ``static``; the style begins with the package's own."""
         name = self._file or name
         text = (
             files("dextar_control.panel")
@@ -275,9 +287,9 @@ class Page(_Guarded):
         self.finish(f"{style.css()}\n{text}" if name.endswith(".css") else text)
 
 
-class Why(_Guarded):
-    """Why a stream would be refused, for the page, which a browser does not tell;
-    nothing where it would not.
+class WhyHandler(_GuardedHandler):
+    """Tells the page why a stream would be refused, which a browser does not; nothing
+    where it would not be.
     """
 
     def initialize(self, server: PanelServer) -> None:
@@ -285,18 +297,18 @@ class Why(_Guarded):
         self.server = server
 
     def get(self) -> None:
-        """It is let in."""
+        """Answer nothing: the request is let in."""
 
 
-class Report(_Guarded):
-    """The page of the last run."""
+class ReportHandler(_GuardedHandler):
+    """Gives out the page of the last run."""
 
     def initialize(self, server: PanelServer) -> None:
         """Whose."""
         self.server = server
 
     async def get(self) -> None:
-        """As it was made; its scripts may draw, but not ask the panel."""
+        """Send it as it was made; its scripts may draw, but not ask the panel."""
         page = self.server.backend.report()
         if page is None:
             self.set_status(404)
@@ -308,17 +320,17 @@ class Report(_Guarded):
         self.finish(await asyncio.to_thread(page.read_bytes))
 
 
-class Stream(_Guarded, WebSocketHandler):
-    """One page: what it is told and what it asks."""
+class StreamHandler(_GuardedHandler, WebSocketHandler):
+    """Sends one page what it shows and takes its commands."""
 
     def initialize(self, server: PanelServer) -> None:
-        """Whose page."""
+        """Take the server."""
         self.server = server
         self._flight: asyncio.Future[None] | None = None
         self._owed: dict[str, str] = {}
 
     def check_origin(self, origin: str) -> bool:
-        """``prepare`` has looked at it."""
+        """Allow every origin that ``prepare`` has let in."""
         return True
 
     def open(self, *_: str, **__: str) -> None:
@@ -330,11 +342,11 @@ class Stream(_Guarded, WebSocketHandler):
         self.server.joined(self, self.get_query_argument("drive", "1") == "1")
 
     def on_close(self) -> None:
-        """The page is gone, or asleep for too long."""
+        """Take note that the page is gone, or asleep for too long."""
         self.server.left(self)
 
-    def say(self, kind: str, value: Mapping[str, Any]) -> None:
-        """To this page alone."""
+    def say(self, kind: str, value: Mapping[str, object]) -> None:
+        """Send to this page alone."""
         number = value.get("number", "")  # answers are all of them kept
         self.push(f"{kind}{number}", to_json({"kind": kind, **value}), True)
 
@@ -360,8 +372,8 @@ class Stream(_Guarded, WebSocketHandler):
             self._owed = {}
 
     def on_message(self, message: str | bytes) -> None:
-        """A command: ``{"ask": name, "number": n, ...}``; each is answered with its
-        number.
+        """Take a command ``{"ask": name, "number": n, ...}``, which is answered with
+        its number.
         """
         try:
             asked = json.loads(message)
@@ -392,6 +404,6 @@ class Stream(_Guarded, WebSocketHandler):
                 answer(False, f"'{name}' cannot be done with that: {error!r}", {})
 
     def _answer(
-        self, number: int, ok: bool, text: str, more: Mapping[str, Any]
+        self, number: int, ok: bool, text: str, more: Mapping[str, object]
     ) -> None:
         self.say("answer", {"number": number, "ok": ok, "text": text, **more})

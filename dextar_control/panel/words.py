@@ -1,25 +1,35 @@
-"""What a page says of a robot: why it has no torque and what mends that, and how near
-its watches are to their limits.
+"""A page says why a robot has no torque and what mends that, and how near its watches
+are to their limits.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TypedDict
 
 GREATER = ("locus",)  # watches whose value is to stay above the limit
 SILENT = 2.0  # s without a joint state that are told
 WITH_TORQUE = ("APPROACH", "HOLD", "TRACK", "CROSSING")
 
 
-def mend(
+class ShownMargin(TypedDict):
+    """How near a watch is to its limit: value and limit as told, and the share used."""
+
+    name: str
+    value: str
+    limit: str
+    unit: str
+    used: float  # 0 to 1
+
+
+def trouble_and_remedy(
     namespace: str,
     told: Mapping[str, str],
-    nodes: Mapping[str, Any],
+    nodes: Mapping[str, object],
     listening: bool = False,
 ) -> tuple[str, str]:
-    """Why there is no torque, or none that follows the robot, in a sentence, and the
-    panel's command that mends it; else empty.
+    """Return why there is no torque, or none that follows the robot, and the panel's
+    command that mends it; else empty texts.
 
     Args:
         namespace: of the robot.
@@ -91,11 +101,14 @@ def mend(
 
 def shown_margins(
     told: Mapping[str, str], units: Mapping[str, str]
-) -> list[dict[str, Any]]:
-    """Of each watch that the controller tells: name, value and limit as told, their
-    unit, and what share of the limit is used up, 0 to 1.
+) -> list[ShownMargin]:
+    """Return the margin of each watch that the controller tells, the smallest first.
+
+    Args:
+        told: by the controller.
+        units: of the watches, by their names.
     """
-    rows = []
+    rows: list[ShownMargin] = []
     for key, text in told.items():
         if not key.startswith("watch_"):
             continue

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from dextar_control.contract.errors import GeometryError, ParameterError
 from dextar_control.contract.robot import RobotParameters
 from dextar_control.mechanisms.five_bar import FiveBar
-from dextar_control.mechanisms.five_bar_locus import Family, FiveBarLocus
+from dextar_control.mechanisms.five_bar_locus import Family as Family
+from dextar_control.mechanisms.five_bar_locus import FiveBarLocus
 from dextar_control.model.robot import AnyRobot, Robot
 from dextar_control.planning.model import PlanningModel, planning_model
 from dextar_control.planning.trajectory import in_words, lengths_along

@@ -1,1 +1,1 @@
-"""Who may command: access rules for DDS security, made from the contract."""
+"""Access rules for DDS security, made from the contract, say who may command."""

@@ -1,5 +1,5 @@
-"""The SROS2 policy: what each node may publish, read, offer and call, from the
-contract; everything else is denied.
+"""The SROS2 policy says what each node may publish, read, offer and call; everything
+else is denied.
 
 ``python -m dextar_control.security.policy`` prints the file that
 ``config/sros2/policy.xml`` is, with ``--namespace /left`` the one for a robot whose
@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Iterable
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -45,20 +44,16 @@ PARAMETER_SERVICES = (
 EVERY_NODE_OFFERS = ("get_type_description", *PARAMETER_SERVICES)
 # What rclcpp's nodes and RViz read besides what they show.
 VIEWERS_READ = ("/clock", "/parameter_events", "/rosout", "/tf", "/tf_static")
-COMMAND_LINE = (  # the nodes of `ros2 ...`, each with its process id in its name
-    "_ros2cli_*"
-)
-PARAMETERS_OF = (
-    "controller",
-    "plant",
-    "trajectory_server",
-)  # that the recorder asks for
+# The nodes of `ros2 ...`, each with its process id in its name.
+COMMAND_LINE = "_ros2cli_*"
+# Nodes whose parameters the recorder asks for.
+PARAMETERS_OF = ("controller", "plant", "trajectory_server")
 NAMESPACE = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+|/")
 
 
 @dataclass(frozen=True)
-class Profile:
-    """What the nodes of one name may do.
+class NodeRights:
+    """What the nodes of one name may do in the graph.
 
     Attributes:
         node: its name, which may end in ``*``.
@@ -86,12 +81,12 @@ class Enclave:
     Attributes:
         name: last part of the enclave's path.
         why: what it is for, in words.
-        profiles: of the nodes that run under it.
+        rights: of the nodes that run under it.
     """
 
     name: str
     why: str
-    profiles: tuple[Profile, ...]
+    rights: tuple[NodeRights, ...]
 
 
 def _names(*topics: Topic) -> tuple[str, ...]:
@@ -104,18 +99,16 @@ def _offered_by(node: str) -> tuple[str, ...]:
     )
 
 
-def _profile(
+def _rights(
     node: str,
     *,
     publishes: tuple[str, ...] = (),
     reads: tuple[str, ...] = (),
     calls: tuple[str, ...] = (),
-) -> Profile:
-    """One of the package's nodes: what the contract says of it, and what is not in
-    there.
-    """
+) -> NodeRights:
+    """Return the rights that the contract gives one of our nodes, and these more."""
     ends = NODES[node]
-    return Profile(
+    return NodeRights(
         node,
         (*_names(*ends.publishes), *publishes),
         (*_names(*ends.reads), *reads),
@@ -146,43 +139,43 @@ ENCLAVES = (
     Enclave(
         "plant",
         "the simulated rig, the only one that knows the truth",
-        (_profile("plant"),),
+        (_rights("plant"),),
     ),
     Enclave(
         "rig",
         "the driver of a real robot; its node is called rig",
-        (Profile("rig", _names(*STATES, DIAGNOSTICS), _names(*COMMANDS)),),
+        (NodeRights("rig", _names(*STATES, DIAGNOSTICS), _names(*COMMANDS)),),
     ),
     Enclave(
         "camera",
         "a camera that sees the end effector; its node is called camera",
-        (Profile("camera", _names(EXTERNAL_POSE, DIAGNOSTICS)),),
+        (NodeRights("camera", _names(EXTERNAL_POSE, DIAGNOSTICS)),),
     ),
     Enclave(
         "controller",
         "the only one that may command; check-rig commands in its stead, while it does"
         " not run",
         (
-            _profile(
+            _rights(
                 "controller",
                 publishes=(
                     "controller/transition_event",
                     *_names(READABLE_STATE, READABLE_CRITERION),
                 ),
             ),
-            Profile("check_rig", _names(*COMMANDS), _names(*STATES, DIAGNOSTICS)),
+            NodeRights("check_rig", _names(*COMMANDS), _names(*STATES, DIAGNOSTICS)),
         ),
     ),
     Enclave(
         "trajectory_server",
         "tells the controller where to go",
-        (_profile("trajectory_server"),),
+        (_rights("trajectory_server"),),
     ),
     Enclave(
         "recorder",
         "reads everything and asks for parameters",
         (
-            _profile(
+            _rights(
                 "recorder",
                 reads=EVERY_NODE_PUBLISHES,
                 calls=tuple(
@@ -193,18 +186,18 @@ ENCLAVES = (
             ),
         ),
     ),
-    Enclave("markers", "draws what happens", (_profile("markers"),)),
+    Enclave("markers", "draws what happens", (_rights("markers"),)),
     Enclave(
         "go_server",
         "offers the action go; it starts and stops trips, and may command no torque",
-        (Profile("go_server", (), (DIAGNOSTICS.name,), (), TRIPS, actions=(GO,)),),
+        (NodeRights("go_server", (), (DIAGNOSTICS.name,), (), TRIPS, actions=(GO,)),),
     ),
     Enclave(
         "panel",
         "the page in the browser, which asks as an operator does",
         (
-            _profile("panel"),
-            Profile(
+            _rights("panel"),
+            NodeRights(
                 "operator", (), (*OBSERVES, "/parameter_events"), (), EVERY_SERVICE
             ),
         ),
@@ -215,7 +208,7 @@ ENCLAVES = (
         " `ros2 ...`; it may command no torque",
         (
             *(
-                Profile(node, (), OBSERVES, (), EVERY_SERVICE, asks=(GO,))
+                NodeRights(node, (), OBSERVES, (), EVERY_SERVICE, asks=(GO,))
                 for node in ("demo", "operator", COMMAND_LINE)
             ),
         ),
@@ -224,7 +217,7 @@ ENCLAVES = (
         "viewer",
         "RViz, PlotJuggler and the Foxglove bridge; they look on",
         tuple(
-            Profile(node, (), (*OBSERVES, *VIEWERS_READ))
+            NodeRights(node, (), (*OBSERVES, *VIEWERS_READ))
             for node in ("foxglove_bridge", "plotjuggler", "rviz", "rviz2")
         ),
     ),
@@ -232,7 +225,7 @@ ENCLAVES = (
 
 
 def build_policy(namespace: str = "/") -> ElementTree.Element:
-    """The policy as XML.
+    """Return the policy as XML.
 
     Args:
         namespace: of the nodes; enclaves lie in it too, so that two robots do not share
@@ -252,57 +245,50 @@ def build_policy(namespace: str = "/") -> ElementTree.Element:
         element = ElementTree.SubElement(
             enclaves, "enclave", path=enclave_path(enclave.name, namespace)
         )
-        element.append(
-            ElementTree.Comment(f" {enclave.why} ")
-        )  # within: sros2 takes every child of enclaves for one
+        # Within its element: sros2 takes every child of enclaves for one.
+        element.append(ElementTree.Comment(f" {enclave.why} "))
         profiles = ElementTree.SubElement(element, "profiles")
-        for profile in enclave.profiles:
-            _add_profile(profiles, profile, namespace)
+        for rights in enclave.rights:
+            _add_profile(profiles, rights, namespace)
     return policy
 
 
 def enclave_path(name: str, namespace: str = "/") -> str:
-    """Path of an enclave, as ``--enclave`` takes it."""
+    """Return the path of an enclave, as ``--enclave`` takes it."""
     return f"{namespace.rstrip('/')}/dextar/{name}"
 
 
 def _add_profile(
-    profiles: ElementTree.Element, profile: Profile, namespace: str
+    profiles: ElementTree.Element, rights: NodeRights, namespace: str
 ) -> None:
-    element = ElementTree.SubElement(
-        profiles, "profile", ns=namespace, node=profile.node
+    profile = ElementTree.SubElement(
+        profiles, "profile", ns=namespace, node=rights.node
     )
-    own = tuple(f"~/{name}" for name in (*EVERY_NODE_OFFERS, *profile.offers))
-    _add(element, "topic", "publish", (*EVERY_NODE_PUBLISHES, *profile.publishes))
-    _add(element, "topic", "subscribe", profile.reads)
-    _add(element, "service", "reply", own)
-    _add(element, "service", "request", profile.calls)
-    _add(element, "action", "execute", profile.actions)
-    _add(element, "action", "call", profile.asks)
-
-
-def _add(
-    profile: ElementTree.Element, kind: str, right: str, names: Iterable[str]
-) -> None:
-    names = sorted(set(names))
-    if names:
-        group = ElementTree.SubElement(profile, f"{kind}s", {right: "ALLOW"})
-        for name in names:
-            ElementTree.SubElement(group, kind).text = name
+    own = tuple(f"~/{name}" for name in (*EVERY_NODE_OFFERS, *rights.offers))
+    for kind, right, names in (
+        ("topic", "publish", (*EVERY_NODE_PUBLISHES, *rights.publishes)),
+        ("topic", "subscribe", rights.reads),
+        ("service", "reply", own),
+        ("service", "request", rights.calls),
+        ("action", "execute", rights.actions),
+        ("action", "call", rights.asks),
+    ):
+        if names:
+            group = ElementTree.SubElement(profile, f"{kind}s", {right: "ALLOW"})
+            for name in sorted(set(names)):
+                ElementTree.SubElement(group, kind).text = name
 
 
 def policy_text(namespace: str = "/") -> str:
-    """The policy as a file's text."""
+    """Return the policy as a file's text."""
     policy = build_policy(namespace)
     ElementTree.indent(policy)
-    return (
-        '<?xml version="1.0"'
-        f' encoding="UTF-8"?>\n{ElementTree.tostring(policy, encoding="unicode")}\n'
-    )
+    text = ElementTree.tostring(policy, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
 
 
 def main() -> int:
-    """Print the policy."""
+    """Print the policy; the exit code."""
     parser = argparse.ArgumentParser(
         description="Print the SROS2 policy of this package's nodes."
     )

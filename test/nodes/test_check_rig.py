@@ -41,11 +41,11 @@ from dextar_control.check_rig.limits import Limits
 from dextar_control.check_rig.report import (
     LINES,
     TORQUE_LINES,
-    Line,
+    CheckLine,
     Result,
     has_failed,
 )
-from dextar_control.check_rig.samples import Endpoint, Graph, Sample
+from dextar_control.check_rig.samples import Endpoint, Graph, JointSample
 from dextar_control.check_rig.stream import elbow_distance
 from dextar_control.check_rig.torque import TorqueTests
 from dextar_control.cli import main as cli
@@ -91,7 +91,7 @@ class SimulatedRig:
         self.now = BEGIN
         self.commands: list[tuple[float, float]] = []
 
-    def sample(self) -> Sample | None:
+    def sample(self) -> JointSample | None:
         """One period on; None from a dead driver."""
         self.now += PERIOD
         if not self.driver.alive:
@@ -101,7 +101,7 @@ class SimulatedRig:
         values = (
             tuple(fields[key]) for key in ("name", "position", "velocity", "effort")
         )
-        return Sample(self.now + WAY, stamp, *values)
+        return JointSample(self.now + WAY, stamp, *values)
 
     def run(self, tests: TorqueTests) -> None:
         for _ in range(10_000):
@@ -116,7 +116,7 @@ class SimulatedRig:
         raise AssertionError("the tests never end")
 
 
-def watch(driver: FakeDriver) -> tuple[SimulatedRig, list[Sample]]:
+def watch(driver: FakeDriver) -> tuple[SimulatedRig, list[JointSample]]:
     rig = SimulatedRig(driver)
     samples = [sample for _ in range(WATCHED) if (sample := rig.sample())]
     return rig, samples
@@ -124,7 +124,7 @@ def watch(driver: FakeDriver) -> tuple[SimulatedRig, list[Sample]]:
 
 def check(
     robot: RobotParameters, fault: str, graph: Graph = GRAPH, limits: Limits = LIMITS
-) -> tuple[dict[str, Line], SimulatedRig]:
+) -> tuple[dict[str, CheckLine], SimulatedRig]:
     """The whole of ``dextar check-rig`` without DDS."""
     return check_driver(robot, FakeDriver(fault), graph, limits)
 
@@ -134,7 +134,7 @@ def check_driver(
     driver: FakeDriver,
     graph: Graph = GRAPH,
     limits: Limits = LIMITS,
-) -> tuple[dict[str, Line], SimulatedRig]:
+) -> tuple[dict[str, CheckLine], SimulatedRig]:
     rig, samples = watch(driver)
     lines = watch_lines(graph, samples, robot, limits, WATCHED / LIMITS.rate)
     torque: TorqueTests | str = torque_obstacle(lines)
@@ -144,7 +144,7 @@ def check_driver(
     return {line.name: line for line in report(lines, samples, torque)}, rig
 
 
-def results(lines: dict[str, Line], result: Result) -> set[str]:
+def results(lines: dict[str, CheckLine], result: Result) -> set[str]:
     return {name for name, line in lines.items() if line.result is result}
 
 
@@ -384,7 +384,7 @@ def test_the_check_fails_a_state_where_the_controller_refuses_it_and_only_there(
     except StateError:
         taken = False
     samples = [
-        Sample(
+        JointSample(
             BEGIN + PERIOD * k,
             BEGIN + PERIOD * k,
             *(tuple(values) for values in fields.values()),
@@ -436,7 +436,7 @@ def test_repeated_stamps_are_judged_by_the_healthy_time_that_enabling_needs(
 ) -> None:
     even = [0.005 * index for index in range(401)]
 
-    def repeating(every: int) -> dict[str, Line]:
+    def repeating(every: int) -> dict[str, CheckLine]:
         return judge(
             robot,
             stream(
@@ -554,17 +554,19 @@ def test_what_is_wrong_in_the_graph_fails_its_own_line_and_nothing_is_commanded(
     assert all(next(iter(failing)) in lines[name].measured for name in TORQUE_LINES)
 
 
-def stream(arrivals: list[float], stamps: list[float] | None = None) -> list[Sample]:
+def stream(
+    arrivals: list[float], stamps: list[float] | None = None
+) -> list[JointSample]:
     """States at rest with these arrivals and stamps, s."""
     taken = arrivals if stamps is None else stamps
     fields = (("q11", "q21"), START, (0.0, 0.0), (0.0, 0.0))
     return [
-        Sample(BEGIN + round(1e9 * a), BEGIN + round(1e9 * s), *fields)
+        JointSample(BEGIN + round(1e9 * a), BEGIN + round(1e9 * s), *fields)
         for a, s in zip(arrivals, taken, strict=True)
     ]
 
 
-def judge(robot: RobotParameters, samples: list[Sample]) -> dict[str, Line]:
+def judge(robot: RobotParameters, samples: list[JointSample]) -> dict[str, CheckLine]:
     return {line.name: line for line in watch_lines(GRAPH, samples, robot, LIMITS, 1.0)}
 
 

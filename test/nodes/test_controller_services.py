@@ -124,9 +124,9 @@ def test_a_watch_period_serves_a_bounded_number_of_requests_however_many_there_a
     served = []
     deadline = time.monotonic() + PATIENCE
     while sum(served) < len(futures):
-        before = controller.node.desk.served
+        before = controller.node.polled_services.served
         controller.node._watch()
-        served.append(controller.node.desk.served - before)
+        served.append(controller.node.polled_services.served - before)
         assert time.monotonic() < deadline
     assert max(served) == SERVED_PER_WATCH
     for future in futures:

@@ -55,7 +55,7 @@ class Robot:
         deadline = time.monotonic() + PATIENCE
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(operator, "GRAPH", 0.0)
-            patch.setattr(operator.Operator, "hear", lambda *_: None)
+            patch.setattr(operator.OperatorClient, "hear", lambda *_: None)
             while not re.match(
                 f"controller: active, ({phases})", text := self("status")[1]
             ):
@@ -178,7 +178,7 @@ def test_a_stop_reaches_a_trajectory_server_that_is_found_late() -> None:
             return bool(condition())
 
     busy = Busy()
-    operator.Operator.stop_server(busy)  # type: ignore[arg-type]
+    operator.OperatorClient.stop_server(busy)  # type: ignore[arg-type]
     assert busy.stopped
 
 

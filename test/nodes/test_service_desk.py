@@ -108,9 +108,9 @@ def test_an_executor_serves_none_and_a_poll_at_most_its_limit(desk: _Desk) -> No
     for _ in range(20):
         desk._executor.spin_once(timeout_sec=0.01)
     assert not desk.asked
-    served = [desk.node.desk.poll(3)]
-    while desk.node.desk.served < len(futures) + len(read):
-        served.append(desk.node.desk.poll(3))
+    served = [desk.node.polled_services.poll(3)]
+    while desk.node.polled_services.served < len(futures) + len(read):
+        served.append(desk.node.polled_services.poll(3))
     assert max(served) == 3
     assert len(desk.asked) == len(futures)
     desk.spin(futures + read)
@@ -121,10 +121,10 @@ def test_a_flood_on_one_service_does_not_keep_another_waiting(desk: _Desk) -> No
     futures = [desk.call(Trigger, "one", Trigger.Request()) for _ in range(8)]
     futures.append(desk.call(Trigger, "two", Trigger.Request()))
     desk.arrive("one", "two")
-    desk.node.desk.poll(2)
+    desk.node.polled_services.poll(2)
     assert sorted(desk.asked) == ["one", "two"]
     while len(desk.asked) < len(futures):
-        desk.node.desk.poll(2)
+        desk.node.polled_services.poll(2)
     desk.spin(futures)
 
 
@@ -135,7 +135,7 @@ def test_a_malformed_request_is_answered_and_ends_nothing(desk: _Desk) -> None:
         SetParameters, "set_parameters", SetParameters.Request(parameters=[wrong])
     )
     deadline = time.monotonic() + PATIENCE
-    while not desk.node.desk.poll(1):
+    while not desk.node.polled_services.poll(1):
         assert time.monotonic() < deadline
     desk.spin([future])
     assert len(future.result().results) == 0
@@ -146,7 +146,7 @@ def test_a_malformed_request_is_answered_and_ends_nothing(desk: _Desk) -> None:
     future = desk.call(
         SetParameters, "set_parameters", SetParameters.Request(parameters=[good])
     )
-    while not desk.node.desk.poll(1):
+    while not desk.node.polled_services.poll(1):
         assert time.monotonic() < deadline
     desk.spin([future])
     assert "fixed while the node runs" in future.result().results[0].reason

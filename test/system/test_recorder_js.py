@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from bag_messages import TYPES, difference, random_message
 
-from dextar_control.bags.writer import BagWriter, Sample
+from dextar_control.bags.writer import BagWriter, SerializedMessage
 from dextar_control.contract.topics import TOPICS
-from dextar_control.nodes.taps import ALONGSIDE
+from dextar_control.nodes.recorded_topics import ALONGSIDE
 
 EACH = 40  # messages of each topic
 
@@ -33,7 +33,7 @@ def test_foxglove_reads_every_field_of_every_topic_that_is_recorded(
             message = random_message(topic.type, rng)
             time = 1_795_544_112_476_479_520 + len(sent)
             writer.add(
-                Sample(
+                SerializedMessage(
                     time,
                     name,
                     time - 7,

@@ -22,7 +22,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rig import PATIENCE, start, stop
 
-from dextar_control.check_rig.client import RigWatch
+from dextar_control.check_rig.client import RigClient
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.topics import (
@@ -41,7 +41,7 @@ from dextar_control.contract.topics import (
 )
 from dextar_control.experiments.monitor import Monitor
 from dextar_control.nodekit.node import qos
-from dextar_control.nodes.operator import Operator
+from dextar_control.nodes.operator import OperatorClient
 from dextar_control.security.policy import TRIPS, build_policy, policy_text
 
 POLICY = config_file("sros2/policy.xml")
@@ -326,8 +326,8 @@ def test_commands_and_states_have_one_publisher_each(system: System) -> None:
     ("name", "make"),
     [
         ("demo", lambda: Monitor("demo")),
-        ("operator", lambda: Operator("", SimpleNamespace())),
-        ("check_rig", lambda: RigWatch("", "", "", arrays=False)),
+        ("operator", lambda: OperatorClient("", SimpleNamespace())),
+        ("check_rig", lambda: RigClient("", "", "", arrays=False)),
     ],
     ids=["demo", "operator", "check_rig"],
 )

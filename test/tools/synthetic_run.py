@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 from rosbags.typesys import Stores, get_typestore
 
-from dextar_control.bags.writer import BagWriter, Sample
+from dextar_control.bags.writer import BagWriter, SerializedMessage
 from dextar_control.contract import resources
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 
@@ -257,7 +257,7 @@ def write_run(
             writer.add_topic(topic, kind, [])
         clock[0] += 1000
         writer.add(
-            Sample(
+            SerializedMessage(
                 clock[0], topic, clock[0], 1, bytes(TYPES.serialize_cdr(content, kind))
             )
         )

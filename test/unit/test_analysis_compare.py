@@ -13,7 +13,8 @@ from synthetic_run import CROSSINGS, TRUE_OFFSET, path, write_run
 
 from dextar_control.analysis import Metrics, Run, compute_metrics, load_run
 from dextar_control.analysis.compare import (
-    QUANTITIES,
+    COMPARED,
+    OF_THE_MACHINE,
     Comparison,
     by_matter,
     compare_runs,
@@ -80,12 +81,17 @@ def test_what_needs_truth_is_null_and_marked(comparison: Comparison) -> None:
 def test_every_quantity_of_equal_runs_differs_by_nothing(good: Run) -> None:
     metrics = compute_metrics(good)
     same = compare_runs([good, good], [metrics, metrics])
-    for entry in [*same.lines, *(one for lines in same.crossings for one in lines)]:
+    for entry in [
+        *same.lines,
+        *same.machine,
+        *(one for lines in same.crossings for one in lines),
+    ]:
         assert entry.values[0] == entry.values[1]
         assert entry.differences in ([0.0], [None])
     assert len(set(same.names)) == 2
     assert same.remarks == []
-    assert len(same.lines) == len(QUANTITIES)
+    assert len(same.lines) == len(COMPARED)
+    assert len(same.machine) == len(OF_THE_MACHINE)
 
 
 def test_crossings_are_compared_one_by_one(comparison: Comparison) -> None:
@@ -136,7 +142,7 @@ def test_beside_a_run_without_truth_the_estimated_curves_of_all_are_drawn(
 
 
 def test_true_and_estimated_speed_are_different_lines(comparison: Comparison) -> None:
-    lines = {entry.name: entry for entry in comparison.crossings[0]}
+    lines = {entry.metric.name: entry for entry in comparison.crossings[0]}
     assert lines["true speed"].values[:2] == pytest.approx(
         [abs(path(CROSSINGS[0])[1])] * 2, rel=1e-2
     )
@@ -195,13 +201,13 @@ def test_what_differs_is_listed_and_names_the_runs(good: Run) -> None:
 def test_what_differs_most_stands_first_and_what_is_of_the_machine_apart(
     comparison: Comparison,
 ) -> None:
-    matter, alike, machine = by_matter(comparison.lines)
+    matter, alike = by_matter(comparison.lines)
     finite = [line.matter for line in matter if math.isfinite(line.matter)]
     assert finite == sorted(finite, reverse=True)
-    assert "peak torque" in {line.name for line in alike} and "round trip, median" in {
-        line.name for line in machine
-    }
-    assert len(matter) + len(alike) + len(machine) == len(comparison.lines)
+    assert "peak torque" in {line.metric.name for line in alike}
+    machine = {line.metric.name for line in comparison.machine}
+    assert "round trip, median" in machine
+    assert len(matter) + len(alike) == len(comparison.lines)
 
 
 def test_the_command_writes_page_text_and_numbers(
@@ -251,6 +257,6 @@ def test_one_bag_is_no_comparison(
 
 def test_metrics_are_what_is_compared(good: Run) -> None:
     metrics: Metrics = compute_metrics(good)
-    for quantity in QUANTITIES:
-        value = quantity.of(metrics)
-        assert isinstance(value, (int, float, str)) or value is None, quantity.name
+    for compared in (*COMPARED, *OF_THE_MACHINE):
+        value = compared.of(metrics)
+        assert isinstance(value, (int, float, str)) or value is None, compared.metric

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import random
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -120,25 +121,20 @@ def test_a_trajectory_whose_end_lies_in_a_hole_did_not_end_early(
     intact: tuple[Run, Metrics],
 ) -> None:
     _, expected = intact
-    values = vars(expected) | {"tracked_until": 0.9, "final_true_error": 1.0}
+    early = replace(expected, tracked_until=0.9, final_true_error=1.0)
 
     def judged(begin: float, end: float | None) -> tuple[bool | None, int]:
         stamps = [
             None if time is None else expected.start_stamp + round(1e9 * time)
             for time in (begin, end)
         ]
-        verdict = judge(
-            values | {"holes": [Hole("run.mcap", 1, 0, 1, *stamps)]},
-            has_truth=True,
-            tracked=True,
-        )
-        return verdict.success, len(verdict.reasons)
+        holed = replace(early, holes=[Hole("run.mcap", 1, 0, 1, *stamps)])
+        success, reasons = judge(holed, has_truth=True)
+        return success, len(reasons)
 
     assert judged(0.9, 1.5) == judged(0.9, None) == (None, 1)
-    assert judged(1.2, 1.5) == (
-        False,
-        2,
-    )  # the hole came later: it ended early, and far from the plan
+    # the hole came later: it ended early, and far from the plan
+    assert judged(1.2, 1.5) == (False, 2)
 
 
 def test_a_hole_is_neither_a_long_period_nor_states_without_a_command(

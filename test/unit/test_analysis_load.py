@@ -32,11 +32,11 @@ from synthetic_run import (
     write_run,
 )
 
+from dextar_control.analysis.compute import compute_metrics
 from dextar_control.analysis.load import load_run
-from dextar_control.analysis.metrics import compute_metrics
 from dextar_control.analysis.run import Run
 from dextar_control.bags.recover import recover
-from dextar_control.bags.writer import BagWriter, Sample
+from dextar_control.bags.writer import BagWriter, SerializedMessage
 from dextar_control.cli import main as cli
 from dextar_control.contract.errors import BagError
 
@@ -262,7 +262,7 @@ def test_a_split_bag_loads_as_one(bag: Path, tmp_path: Path, named: bool) -> Non
             later = first + 1000 * (
                 time - first
             )  # 1 us between two samples becomes 1 ms
-            writer.add(Sample(later, connection.topic, time, 1, bytes(raw)))
+            writer.add(SerializedMessage(later, connection.topic, time, 1, bytes(raw)))
     writer.close()
     assert len(writer.paths) > 10  # two digits: sorted by number, not by letter
     run = load_run(tmp_path)
@@ -293,7 +293,9 @@ def one_message(file: Path, topic: str, message: object) -> Path:
     kind = message.__msgtype__  # type: ignore[attr-defined]
     writer = BagWriter(file)
     writer.add_topic(topic, kind, [])
-    writer.add(Sample(1, topic, 1, 1, bytes(TYPES.serialize_cdr(message, kind))))
+    writer.add(
+        SerializedMessage(1, topic, 1, 1, bytes(TYPES.serialize_cdr(message, kind)))
+    )
     writer.close()
     return file
 
@@ -398,7 +400,9 @@ def two_recordings(folder: Path, started: tuple[str, str] | None, apart: float) 
                     "sensor_msgs/msg/JointState",
                 )
             )
-            writer.add(Sample(log_time, "/joint_states", log_time, tick, data))
+            writer.add(
+                SerializedMessage(log_time, "/joint_states", log_time, tick, data)
+            )
         writer.close()
     return folder
 

@@ -16,7 +16,7 @@ from synthetic_run import FAR_TORQUE, robot, write_run
 from dextar_control.analysis import compute_metrics, load_run
 from dextar_control.analysis.margins import Margin, Margins, measure_margins
 from dextar_control.analysis.page import render_report
-from dextar_control.analysis.run import Control, Criterion, Joints, Run
+from dextar_control.analysis.run import Control, CriterionRecord, Joints, Run
 from dextar_control.analysis.timing import measure_timing
 from dextar_control.analysis.tracking import tracked
 from dextar_control.cli import main as cli
@@ -32,7 +32,7 @@ CHANGES = {"trajectory.max_residual": 1.0}  # N
 PUSH, PUSHED = 1.0, (0.34, 0.36)  # N along y, s
 
 
-def drive_step() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
+def driven() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
     """A pushed trip in a plain loop as a bag would hold it: (run, (share, value, limit)
     per watch, longest time saturated).
     """
@@ -91,7 +91,7 @@ def drive_step() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
         of("output", "u"),
         of("output", "force"),
     )
-    criterion = Criterion(
+    criterion = CriterionRecord(
         stamps,
         of("output", "residual"),
         of("output", "s"),
@@ -127,7 +127,7 @@ def by_name(margins: Margins) -> dict[str, Margin]:
 
 
 def test_the_watches_are_those_that_the_controller_had() -> None:
-    run, nearest, longest = drive_step()
+    run, nearest, longest = driven()
     track = tracked(run)
     margins = measure_margins(
         run, track, None, measure_timing(run, track), math.inf, math.nan

@@ -27,10 +27,10 @@ from synthetic_run import (
     write_run,
 )
 
+from dextar_control.analysis.compute import compute_metrics
 from dextar_control.analysis.figure import draw_run
 from dextar_control.analysis.geometry import active_joints, singularity_measure
 from dextar_control.analysis.load import load_run
-from dextar_control.analysis.metrics import compute_metrics
 from dextar_control.analysis.report import analyze, summary_table
 from dextar_control.analysis.run import Run
 from dextar_control.analysis.tracking import plan_of

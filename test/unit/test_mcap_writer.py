@@ -42,7 +42,7 @@ from dextar_control.bags import writer as writing
 from dextar_control.bags.mcap_file import McapFile
 from dextar_control.bags.message_definitions import SEPARATOR, definition, type_hash
 from dextar_control.bags.reader import read_bag
-from dextar_control.bags.writer import BagWriter, Sample
+from dextar_control.bags.writer import BagWriter, SerializedMessage
 from dextar_control.contract.errors import BagError
 from dextar_control.contract.topics import TOPICS
 from dextar_control.nodekit.loss_count import UNSUPPORTED, LossCount
@@ -96,7 +96,7 @@ def test_two_independent_readers_agree_with_what_was_written(
     ]
     for k, message in enumerate(sent):
         data = bytes(TYPES.serialize_cdr(message, JOINT_STATE))
-        writer.add(Sample(5000 - k, "/joints", 4000 + k, 2**32 + k, data))
+        writer.add(SerializedMessage(5000 - k, "/joints", 4000 + k, 2**32 + k, data))
     writer.close({"note": {"key": "value"}})
 
     with file.open("rb") as stream:
@@ -183,7 +183,7 @@ def write_numbers(
         text = f"{number} {rng.randbytes(size).hex()}"
         message = TYPES.types["std_msgs/msg/String"](data=text)
         writer.add(
-            Sample(
+            SerializedMessage(
                 moment,
                 "/numbers",
                 moment - 5,
@@ -222,8 +222,8 @@ def test_the_folder_is_a_bag_with_the_metadata_that_rosbags_would_write(
     writer = BagWriter(tmp_path / "run" / "run.mcap", folder=True)
     writer.add_topic("/joints", JOINT_STATE, described)
     message = bytes(TYPES.serialize_cdr(joint_state(1, ["q11"], (1.0,)), JOINT_STATE))
-    writer.add(Sample(100, "/joints", 90, 1, message))
-    writer.add(Sample(175, "/joints", 95, 2, message))
+    writer.add(SerializedMessage(100, "/joints", 90, 1, message))
+    writer.add(SerializedMessage(175, "/joints", 95, 2, message))
     writer.close(custom={"name": "Lauf ü: 1"})
     with RosbagsWriter(
         tmp_path / "theirs", version=9, storage_plugin=StoragePlugin.MCAP
@@ -343,7 +343,7 @@ def test_what_a_failed_write_took_with_it_is_counted(
     writer.add_topic("/numbers", "std_msgs/msg/String", [])
     write, written = McapFile.write, []
 
-    def fail(self: McapFile, batch: list[Sample]) -> None:
+    def fail(self: McapFile, batch: list[SerializedMessage]) -> None:
         if len(written) >= 20:
             raise OSError(5, "Input/output error")
         write(self, batch)
@@ -351,7 +351,7 @@ def test_what_a_failed_write_took_with_it_is_counted(
 
     monkeypatch.setattr(McapFile, "write", fail)
     for number in range(100):
-        writer.add(Sample(number, "/numbers", number, number, b"x"))
+        writer.add(SerializedMessage(number, "/numbers", number, number, b"x"))
         if number % 10 == 9:
             deadline = time.monotonic() + PATIENCE
             while len(writer) and writer.error is None:
@@ -380,7 +380,9 @@ def test_each_file_of_a_split_bag_begins_with_what_holds(tmp_path: Path) -> None
     ]
     for number, (when, topic, data) in enumerate(samples):
         writer.add(
-            Sample(round(when * second), topic, round(when * second), number, data)
+            SerializedMessage(
+                round(when * second), topic, round(when * second), number, data
+            )
         )
     writer.close()
     found = []

@@ -21,7 +21,7 @@ from dextar_control.contract.errors import DextarError, ParameterError
 from dextar_control.panel import server as server_module
 from dextar_control.panel.access import Access
 from dextar_control.panel.server import PanelServer, to_json
-from dextar_control.panel.words import mend, shown_margins
+from dextar_control.panel.words import shown_margins, trouble_and_remedy
 
 MOST_BYTES = 300_000  # of the page
 PATIENCE = 30.0  # s
@@ -424,16 +424,16 @@ def test_the_page_is_small_asks_nobody_else_and_may_not_be_framed() -> None:
 def test_why_there_is_no_torque_and_what_mends_it(
     told: dict[str, str], words: str, action: str
 ) -> None:
-    said, mended = mend("/", told, {})
+    said, mended = trouble_and_remedy("/", told, {})
     assert words in said and bool(words) == bool(said)
     assert mended == action
 
 
 def test_who_is_heard_of_is_named_where_the_controller_is_not() -> None:
-    assert mend("/left", {}, {"panel": 0, "plant": 0})[0].startswith(
+    assert trouble_and_remedy("/left", {}, {"panel": 0, "plant": 0})[0].startswith(
         "No controller is heard of in /left; heard of: plant."
     )
-    just_begun = mend("/left", {}, {}, listening=True)
+    just_begun = trouble_and_remedy("/left", {}, {}, listening=True)
     assert (
         just_begun[0].startswith("The panel has just begun to listen")
         and not just_begun[1]

@@ -9,6 +9,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import cast
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -73,7 +74,7 @@ class Store:
             raise CampaignError(
                 f"cannot write into {self.folder / ROWS}: {error.strerror or error}"
             ) from error
-        self.rows.update({text(row, "key"): as_plain(row) for row in rows})
+        self.rows.update({text(row, "key"): cast(Row, as_plain(row)) for row in rows})
 
     def write_table(self, keys: Iterable[str]) -> Path:
         """Write all rows as a Parquet file, in the order of the keys."""

@@ -1,19 +1,18 @@
-"""The topics that are recorded, each with its reader and its count of losses."""
+"""Each recorded topic has its reader and its count of losses."""
 
 from __future__ import annotations
 
 import importlib
 from collections import deque
 from collections.abc import Callable
-from typing import Any
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from dextar_control.bags.mcap_file import Sample
+from dextar_control.bags.mcap_file import SerializedMessage
 from dextar_control.bags.message_definitions import definition, type_hash
 from dextar_control.contract.topics import Topic
 from dextar_control.nodekit.loss_count import LossCount
-from dextar_control.nodekit.node import DextarNode, qos
+from dextar_control.nodekit.node import DextarNode, Take, qos
 
 HISTORY = 10000  # samples each reader holds between two polls: 10 s at 1 kHz
 SLOW = (
@@ -44,7 +43,7 @@ ALONGSIDE = (
 """Recorded beside the contract's topics."""
 
 
-class Tap:
+class RecordedTopic:
     """One recorded topic.
 
     Args:
@@ -81,14 +80,14 @@ class Tap:
         self.message_type = message_type
         self.listen = listen
         self.losses = LossCount(lambda: node.count_publishers(self.name))
-        self.take: Callable[[Any, bool], Any] = subscription.handle.take_message
-        self.kept: deque[Sample] | None = (
+        self.take: Take = subscription.handle.take_message
+        self.kept: deque[SerializedMessage] | None = (
             deque(maxlen=1) if topic.latched and profile.depth == 1 else None
         )
 
 
 def profile_of(topic: Topic, reliable: bool) -> QoSProfile:
-    """How a topic is read: latched ones as they are offered, streams with a long
+    """Return how a topic is read: latched ones as they are offered, streams with a long
     history.
     """
     one = topic.latched and topic.depth == 1
@@ -102,7 +101,7 @@ def profile_of(topic: Topic, reliable: bool) -> QoSProfile:
 def found_topic(
     name: str, type_name: str, offered: list[QoSProfile]
 ) -> tuple[Topic, QoSProfile]:
-    """A topic that was found, and a profile that matches all its publishers."""
+    """Return a topic that was found, and a profile that matches all its publishers."""
     reliable = all(
         profile.reliability == ReliabilityPolicy.RELIABLE for profile in offered
     )
