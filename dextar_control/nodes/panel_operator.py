@@ -34,14 +34,11 @@ from dextar_control.nodes.operator import (
 
 SET = ("controller", "trajectory_server", "recorder")
 """The nodes whose parameters a panel sets."""
-REBUILT = (
-    "law",
-    "estimator",
-)  # of the controller, which takes them only where it is built anew
+# Parameters that the controller takes only where it is built anew.
+REBUILT = ("law", "estimator")
 KINDS = ("trip", "point", "tour")  # of a task
-SILENT = (
-    3.0  # s without a word of a node, after which its parameters are asked for again
-)
+# s without a word of a node, after which its parameters are asked for again.
+SILENT = 3.0
 LINES = 40  # that are kept of what was said
 EVENTS_DEPTH = 100
 
@@ -249,7 +246,7 @@ class PanelOperator(OperatorClient):
         self._do("desk", work, answer)
 
     def activate(self, answer: Callable[[bool, str], None]) -> None:
-        """A controller that was let go answers states again."""
+        """Have a controller that was let go answer states again."""
 
         def work() -> str:
             if self.controller.get("lifecycle") == "unconfigured":
@@ -361,10 +358,8 @@ def task_of(asked: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
     values = task_values(chosen) | {"task.start": asked["start"]}
     if kind == "trip":
         values["task.goal"] = asked["goal"]
-    defaults, specs = (
-        node_defaults("trajectory_server"),
-        {spec.name: spec for spec in PARAMETERS["trajectory_server"]},
-    )
+    defaults = node_defaults("trajectory_server")
+    specs = {spec.name: spec for spec in PARAMETERS["trajectory_server"]}
     return {
         name: check_value(specs[name], value, defaults[name])
         for name, value in values.items()
