@@ -240,7 +240,7 @@ class PanelOperator(OperatorClient):
             if anew:
                 self._rebuild(anew)
             return "; ".join(
-                f"{name} is {value}" for name, value in (checked | anew).items()
+                f"'{name}' is {value}" for name, value in (checked | anew).items()
             )
 
         self._do("desk", work, answer)

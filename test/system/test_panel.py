@@ -314,7 +314,11 @@ def test_a_parameter_out_of_its_range_is_refused_and_one_within_is_set(
         page.evaluate(
             f"{row}.value = '{value}'; {row}.dispatchEvent(new Event('change'))"
         )
-        says(page, "notice" if told else "lines", told or "Damping_ratio is 1.2.")
+        says(
+            page,
+            "notice" if told else "lines",
+            told or "'feedback.damping_ratio' is 1.2.",
+        )
     page.wait(
         "document.querySelector('[data-name=\"feedback.damping_ratio\"]').classList.contains('changed')"
     )
