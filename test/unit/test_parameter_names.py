@@ -38,7 +38,7 @@ from dextar_control.experiments.campaign.config import load_config
 from dextar_control.experiments.launch_arguments import changes, check_nodes, read
 from dextar_control.experiments.start_check import check_start
 from dextar_control.nodes.controller import ControllerNode
-from dextar_control.planning.search import LOCUS_TIMES, Criterion
+from dextar_control.planning.search import LOCUS_TIMES, CrossingCriterion
 
 PLAIN = {
     "law",
@@ -130,7 +130,7 @@ def test_the_settings_are_grouped_as_the_parameters_are() -> None:
 def test_choices_and_limits_in_the_table_are_those_of_the_rooms_that_use_them() -> None:
     served = {spec.name: spec for spec in specs("trajectory_server")}
     kept = {spec.name: spec for spec in specs("recorder")}
-    names = {criterion.name.lower() for criterion in Criterion}
+    names = {criterion.name.lower() for criterion in CrossingCriterion}
     assert {*served["task.criterion"].choices} == names
     time = served["task.locus_time"]
     assert (time.minimum, time.maximum) == LOCUS_TIMES
