@@ -46,7 +46,7 @@ class Effects:
     motor.
 
     Each field is the plant's parameter of its name, with its meaning and unit; see
-    ``parameters.PARAMETERS``.
+    ``contract.node_parameters.PLANT``.
     """
 
     friction: str = "stick"

@@ -18,7 +18,7 @@ from dextar_control.analysis.tracking import Tracked
 from dextar_control.contract.errors import ParameterError
 from dextar_control.contract.resources import node_defaults
 from dextar_control.contract.robot import RobotParameters
-from dextar_control.contract.settings import Settings, default_settings
+from dextar_control.contract.settings import Settings
 from dextar_control.control.law import OUTPUT
 from dextar_control.control.phases import WITHOUT_LAW
 from dextar_control.control.supervisor import (
@@ -239,7 +239,7 @@ def _settings(run: Run) -> Settings:
     """The controller's as they were recorded; what another version did not have, by
     default.
     """
-    defaults = vars(default_settings())
+    defaults = node_defaults("controller")
     try:
         return Settings.from_values(defaults | run.parameters.get("controller", {}))
     except (ParameterError, TypeError, ValueError):
@@ -259,7 +259,7 @@ def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
         if len(run.states.stamps) > 1
         else math.nan
     )
-    allowed = _parameter(run, "controller", "state_timeout")
+    allowed = _parameter(run, "controller", "joint_states.timeout")
     limits = [
         (
             "states",
@@ -276,7 +276,7 @@ def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
                 "longest time between two commands, by the system clock",
                 "s",
                 timing.command_period.maximum,
-                _parameter(run, "plant", "command_timeout"),
+                _parameter(run, "plant", "drive.command_timeout"),
             ),
             (
                 "late",
@@ -308,8 +308,8 @@ def _side(
     inside = (time >= track.time[0]) & (time <= track.time[-1])
     unsure = (
         inside
-        & (np.abs(s) >= settings.verdict_s)
-        & (criterion.mode_confidence < settings.verdict_confidence)
+        & (np.abs(s) >= settings.mode_check.above_abs_s)
+        & (criterion.mode_confidence < settings.mode_check.confidence)
     )
     begins, ends = (
         np.flatnonzero(np.diff(np.concatenate([[0], unsure, [0]]).astype(int)))
@@ -324,11 +324,14 @@ def _side(
         "longest time clear of the locus without knowing the side",
         "s",
         value,
-        settings.side_time,
-        value / settings.side_time,
+        settings.mode_check.unknown_time,
+        value / settings.mode_check.unknown_time,
         float(time[row]) if row >= 0 else math.nan,
         float(criterion.s[row]) if row >= 0 else math.nan,
-        note=f"ends a motion only after an error of {1e3 * settings.side_error:g} mm",
+        note=(
+            "ends a motion only after an error of"
+            f" {1e3 * settings.mode_check.unknown_error:g} mm"
+        ),
     )
 
 
@@ -408,7 +411,7 @@ def _watches(
         distance = np.hypot(*error.T)
         recovers = (
             run.criterion.mode_confidence[ticks.criterion]
-            >= settings.verdict_confidence
+            >= settings.mode_check.confidence
         )
         recovers &= distance < _before(distance)
         passed[:, NAMES.index("saturation")] &= ~recovers

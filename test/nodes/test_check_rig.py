@@ -850,7 +850,7 @@ def test_the_plant_passes_every_line(tmp_path: Path) -> None:
         "-p",
         "task.sample_period:=0.005",
         "-p",
-        "command_timeout:=0.1",
+        "drive.command_timeout:=0.1",
     )
     try:
         code, lines, text = outcome(
@@ -868,7 +868,7 @@ def test_the_plant_passes_with_arrays_too(tmp_path: Path) -> None:
         "-p",
         "task.sample_period:=0.005",
         "-p",
-        "command_timeout:=0.1",
+        "drive.command_timeout:=0.1",
         "-p",
         "command_interface:=effort_array",
         "-r",

@@ -63,7 +63,7 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     def run(output: Path, *parameters: str, prefix: str = "") -> subprocess.Popen[str]:
         arguments = [
             part
-            for text in (f"output:={output}", "reliable:=true", *parameters)
+            for text in (f"output:={output}", "topics.reliable:=true", *parameters)
             for part in ("-p", text)
         ]
         process = subprocess.Popen(
@@ -163,7 +163,9 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     )
     latched.publish(MultiDOFJointTrajectory(joint_names=["end_effector"]))
     extra = plant.create_publisher(String, "remarks", 10)
-    process = start(file, "extra_topics:=remarks ghosts", "parameters_of:=plant nobody")
+    process = start(
+        file, "topics.extra:=remarks ghosts", "bag.parameters_of:=plant nobody"
+    )
     executor = SingleThreadedExecutor(context=plant.context)
     executor.add_node(plant)
     sent = states(plant, process)
@@ -229,7 +231,7 @@ def test_a_killed_recorder_leaves_a_readable_bag(
     from dextar_control.bags.reader import read_bag
 
     file = tmp_path / "run.mcap"
-    process = start(file, "compression:=none")
+    process = start(file, "bag.compression:=none")
     states(plant, process)
     until(lambda: file.exists() and b"q21" in file.read_bytes())
     process.kill()
@@ -274,9 +276,9 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
     process = start(
         file,
         "record_from_start:=false",
-        "extra_topics:=remarks",
-        "name:=tuning",
-        "parameters_of:=plant",
+        "topics.extra:=remarks",
+        "run.name:=tuning",
+        "bag.parameters_of:=plant",
     )
     executor = SingleThreadedExecutor(context=plant.context)
     executor.add_node(plant)
@@ -337,8 +339,8 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
         lambda: executor.spin_once(timeout_sec=0.02),
     )
     changes = [
-        Parameter("notes", value="brake later").to_parameter_msg(),
-        Parameter("tags", value="a b").to_parameter_msg(),
+        Parameter("run.notes", value="brake later").to_parameter_msg(),
+        Parameter("run.tags", value="a b").to_parameter_msg(),
     ]
     set_parameters = SetParameters.Request(parameters=changes)
     answer = call(
@@ -390,8 +392,8 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
         for entry in json.loads(record["parameter_changes"])
     }
     assert changed == {
-        ("/recorder", "notes"): "brake later",
-        ("/recorder", "tags"): "a b",
+        ("/recorder", "run.notes"): "brake later",
+        ("/recorder", "run.tags"): "a b",
         ("/plant", "mode"): "realtime",
     }
     assert yaml.safe_load(record["parameters.plant"])["mode"] == "lockstep"
@@ -452,7 +454,7 @@ def test_a_recorder_that_was_away_is_given_all_it_missed(
     plant: Node, start: Callable[..., Any], tmp_path: Path
 ) -> None:
     file = tmp_path / "run.mcap"
-    process = start(file, "compression:=none", "sync_period:=0.1")
+    process = start(file, "bag.compression:=none", "bag.sync_period:=0.1")
     sent = away(
         plant.create_publisher(
             JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
@@ -481,7 +483,9 @@ def test_what_is_lost_on_the_way_is_counted_and_told(
     plant: Node, start: Callable[..., Any], tmp_path: Path
 ) -> None:
     file = tmp_path / "run.mcap"
-    process = start(file, "reliable:=false", "compression:=none", "sync_period:=0.1")
+    process = start(
+        file, "topics.reliable:=false", "bag.compression:=none", "bag.sync_period:=0.1"
+    )
     away(
         plant.create_publisher(
             JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
@@ -518,9 +522,9 @@ def test_a_recording_is_split_while_it_runs(
     folder = tmp_path / "run"
     process = start(
         folder / "run.mcap",
-        "max_bag_size:=70000",
-        "compression:=none",
-        "sync_period:=0.1",
+        "bag.max_size:=70000",
+        "bag.compression:=none",
+        "bag.sync_period:=0.1",
     )
     publisher = plant.create_publisher(
         JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
@@ -553,22 +557,26 @@ def test_a_recording_is_split_while_it_runs(
 @pytest.mark.parametrize(
     ("output", "parameter", "words"),
     [
-        ("run.bag", "name:=x", "run.bag: the name must end in .mcap"),
+        ("run.bag", "run.name:=x", "run.bag: the name must end in .mcap"),
         (
             "run.mcap",
-            "max_bag_size:=10",
-            "'max_bag_size' = 10; it must be 0 or >= 65536 bytes",
+            "bag.max_size:=10",
+            "'bag.max_size' = 10; it must be 0 or >= 65536 bytes",
         ),
         (
             "run.mcap",
-            "max_bag_duration:=-1.0",
-            "'max_bag_duration' = -1.0; it must be >= 0",
+            "bag.max_duration:=-1.0",
+            "'bag.max_duration' = -1.0; it must be >= 0",
         ),
-        ("run.mcap", "sync_period:=0.0", "'sync_period' = 0.0; it must be >= 0.1"),
         (
             "run.mcap",
-            "compression:=lz5",
-            "'compression' = 'lz5'; it must be one of zstd, none",
+            "bag.sync_period:=0.0",
+            "'bag.sync_period' = 0.0; it must be >= 0.1",
+        ),
+        (
+            "run.mcap",
+            "bag.compression:=lz5",
+            "'bag.compression' = 'lz5'; it must be one of zstd, none",
         ),
     ],
 )
@@ -611,7 +619,7 @@ def test_a_bag_that_is_deleted_under_the_recorder_ends_the_recording_aloud(
     plant: Node, start: Callable[..., Any], tmp_path: Path
 ) -> None:
     file = tmp_path / "run" / "run.mcap"
-    process = start(file, "sync_period:=0.1")
+    process = start(file, "bag.sync_period:=0.1")
     states(plant, process)
     until(file.exists)
     shutil.rmtree(file.parent)
@@ -627,7 +635,7 @@ def test_a_disk_that_fills_ends_the_recording_aloud(
     limit = (
         "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000)); "
     )
-    process = start(tmp_path / "run.mcap", "compression:=none", prefix=limit)
+    process = start(tmp_path / "run.mcap", "bag.compression:=none", prefix=limit)
     states(plant, process)
     _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1

@@ -20,14 +20,14 @@ from rclpy.signals import SignalHandlerOptions
 from rig import PATIENCE
 from std_srvs.srv import Trigger
 
+from dextar_control.contract.node_parameters import RECORDER
 from dextar_control.nodekit.node import DextarNode
-from dextar_control.nodes.recorder import SPECS
 
 WaitSet = rclpy_implementation.WaitSet
 
 
 class _Unserved(DextarNode):
-    NAME, PARAMETERS, ROBOT = "recorder", SPECS, False
+    NAME, PARAMETERS, ROBOT = "recorder", RECORDER, False
 
 
 class _Desk:

@@ -23,7 +23,10 @@ from dextar_control.nodekit.node import qos
 
 DURATION = {"left": 0.33, "right": 0.4}  # s of one way
 MODULES = {
-    "plant": ("dextar_sim.node", ("mode:=lockstep", "real_time_factor:=0.0")),
+    "plant": (
+        "dextar_sim.node",
+        ("mode:=lockstep", "simulation.real_time_factor:=0.0"),
+    ),
     "controller": ("dextar_control.nodes.controller", ("lockstep:=true",)),
     "trajectory_server": (
         "dextar_control.nodes.trajectory_server",
@@ -98,7 +101,7 @@ def seen() -> Iterator[Seen]:
         for module, values in MODULES.values():
             own = [part for value in values for part in ("-p", value)]
             own += (
-                ["-p", f"duration:={DURATION[robot]}"]
+                ["-p", f"task.duration:={DURATION[robot]}"]
                 if module.endswith("server")
                 else []
             )

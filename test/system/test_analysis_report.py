@@ -484,13 +484,13 @@ def test_what_is_not_the_default_stands_first() -> None:
     run, metrics, _ = made()
     own = {
         **run.parameters["controller"],
-        "zone": 0.25,
+        "near_locus.fade_abs_s": 0.25,
         "robot.end_effector_mass": 0.06,
     }
     page = Text(
         render_report(dataclasses.replace(run, parameters={"controller": own}), metrics)
     )
-    assert ["zone", "0.25", "0.2"] in page.rows and [
+    assert ["near_locus.fade_abs_s", "0.25", "0.2"] in page.rows and [
         "end_effector_mass",
         "0.06",
         "0.05",

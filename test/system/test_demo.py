@@ -42,7 +42,12 @@ def demo(
     """One lockstep demo, shared by the tests that look at what it left."""
     runs = tmp_path_factory.mktemp("runs")
     answer = dextar(
-        "demo", "--lockstep", "--output", str(runs), "-p", "plant.pose_rate:=100.0"
+        "demo",
+        "--lockstep",
+        "--output",
+        str(runs),
+        "-p",
+        "plant.external_pose.rate:=100.0",
     )
     return runs / "latest", answer
 
@@ -196,7 +201,7 @@ def test_a_tour_crosses_everywhere_and_the_estimator_knows_it(tmp_path: Path) ->
     [
         (("--point", "0.0", "0.05"), "off the Type 2 locus"),
         (
-            ("--tour", "2", "-p", "trajectory_server.point:=[0.0, 0.08]"),
+            ("--tour", "2", "-p", "trajectory_server.task.point:=[0.0, 0.08]"),
             "are given; one may be",
         ),
         (("--tour", "2", "--point", "0.0", "0.08"), "not allowed with argument"),

@@ -39,9 +39,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of a run with a camera, named on the command line."""
     runs = tmp_path_factory.mktemp("runs")
     settings = (
-        "plant.pose_rate:=100.0",
-        "recorder.name:=first light",
-        "recorder.tags:=demo lockstep",
+        "plant.external_pose.rate:=100.0",
+        "recorder.run.name:=first light",
+        "recorder.run.tags:=demo lockstep",
     )
     answer = subprocess.run(
         [

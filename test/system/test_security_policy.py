@@ -54,11 +54,11 @@ RIGHTS = (
 OF_ACTIONS = (("action", "execute"), ("action", "call"))
 READABLE = {f"/{topic.name}" for topic in (READABLE_STATE, READABLE_CRITERION)}
 MODULES = {
-    "plant": ("dextar_sim.node", "pose_rate:=50.0"),
+    "plant": ("dextar_sim.node", "external_pose.rate:=50.0"),
     "controller": (
         "dextar_control.nodes.controller",
         "estimator:=external",
-        "publish_effort_array:=true",
+        "publish.effort_array:=true",
     ),
     "trajectory_server": ("dextar_control.nodes.trajectory_server",),
     "recorder": ("dextar_control.nodes.recorder",),

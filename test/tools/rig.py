@@ -45,7 +45,10 @@ PATIENCE = (
 NODES = {
     "plant": ("dextar_sim.node", ("mode:=lockstep",)),
     "controller": ("dextar_control.nodes.controller", ("lockstep:=true",)),
-    "trajectory_server": ("dextar_control.nodes.trajectory_server", ("dwell:=0.05",)),
+    "trajectory_server": (
+        "dextar_control.nodes.trajectory_server",
+        ("task.dwell:=0.05",),
+    ),
     "recorder": ("dextar_control.nodes.recorder", ()),
 }
 
