@@ -198,11 +198,11 @@ class _Scene:
             [], [], **look.line(LINKS, marker="o", markersize=6, alpha=0.85)
         )
         (self._t_s,) = moving[0].plot([], [], **look.line(T_S))
-        self._arcs = [
-            moving[0].plot([], [], **look.line(ARC))[0] for _ in motion.torque.T
-        ]
-        self._heads = [
-            moving[0].plot([], [], **look.line(ARC, marker="o", markersize=6))[0]
+        self._torques = [
+            tuple(
+                moving[0].plot([], [], **drawn)[0]
+                for drawn in (look.line(ARC), look.line(ARC, marker="o", markersize=6))
+            )
             for _ in motion.torque.T
         ]
         self._cursors = [
@@ -233,12 +233,12 @@ class _Scene:
         along = T_S_HALF * motion.t_s[frame]
         self._t_s.set_data(*np.stack([x - along, x + along]).T)
         self._t_s.set_alpha(max(0.15, 1.0 - abs(float(motion.s[frame]))) ** 2)
-        for arc, base, torque in zip(
-            self._arcs, links[[0, 4]], motion.torque[frame], strict=True
+        for (arc, head), base, torque in zip(
+            self._torques, links[[0, 4]], motion.torque[frame], strict=True
         ):
             around = _arc(base, torque / self._limit if math.isfinite(torque) else 0.0)
             arc.set_data(*around.T)
-            self._heads[self._arcs.index(arc)].set_data(*around[-1:].T)
+            head.set_data(*around[-1:].T)
         for cursor in self._cursors:
             cursor.set_xdata([motion.time[frame]] * 2)
         time, s = (

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dextar_control.analysis.run import Floats, Phase, Run, Stamps, number_of
+from dextar_control.analysis.run import Floats, Phase, Run, Stamps, number_of, seconds
 from dextar_control.analysis.timing import MOST_LATE, Timing
 from dextar_control.analysis.tracking import Tracked
 from dextar_control.contract.errors import ParameterError
@@ -303,7 +303,7 @@ def _side(
         or settings.estimator in ("dgm", "plain")
     ):
         return None
-    time = (criterion.stamps - track.start) * 1e-9
+    time = seconds(criterion.stamps - track.start)
     s = np.interp(time, plan.profile.time, plan.profile.s.reshape(-1))
     inside = (time >= track.time[0]) & (time <= track.time[-1])
     unsure = (
@@ -369,7 +369,7 @@ def _watches(
         recorded = run.criterion.torque_limit[ticks.criterion]
         limit = np.where(recorded > 0.0, recorded, limit)
         dt, known = np.full(len(phase), 1e-3), np.zeros(len(phase))
-        dt[1:] = np.diff(run.states.stamps[ticks.state]) * 1e-9
+        dt[1:] = seconds(np.diff(run.states.stamps[ticks.state]))
         known[1:] = np.diff(ticks.state) == 1
         answer = watch(
             model.p,
@@ -412,7 +412,7 @@ def _watches(
         )
         recovers &= distance < _before(distance)
         passed[:, NAMES.index("saturation")] &= ~recovers
-        time = (run.criterion.stamps[ticks.criterion] - track.start) * 1e-9
+        time = seconds(run.criterion.stamps[ticks.criterion] - track.start)
         for column, one in [(NAMES.index(one.name), one) for one in ASKED]:
             share = _share(
                 one.name, values[ticks.fresh, column], limits[ticks.fresh, column]

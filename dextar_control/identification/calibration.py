@@ -293,7 +293,7 @@ def calibrate_recorded(
         else None
     )
     wanted = directions_of(folds, places)
-    _check_enough(recordings, folds, wanted, places)
+    _check_enough(robot, recordings, folds, wanted, places)
     progress(f"fitting {len(wanted)} quantities to {len(folds)} folds")
     found = fit(linkage, numbers, folds, places, wanted)
     _check_agree(linkage, numbers, recordings, found)
@@ -330,7 +330,7 @@ def predict(calibration: Calibration, run: Run) -> Prediction:
     )
     if not recording.folds:
         raise CalibrationError(
-            f"{run.path} cannot check: {_no_fold(calibration.before, recording)}"
+            f"{run.path} cannot check: {_no_fold(calibration.before, [recording])}"
         )
     numbers = numbers_of(calibration.before), numbers_of(calibration.after)
     gaps = np.array(
@@ -365,20 +365,22 @@ def robot_lines(calibration: Calibration) -> list[str]:
     ]
 
 
-def _no_fold(robot: RobotParameters, recording: CalibrationData) -> str:
+def _no_fold(robot: RobotParameters, recordings: Sequence[CalibrationData]) -> str:
     total, least = (
-        robot.left.distal_length + robot.right.distal_length,
-        robot.left.distal_length - robot.right.distal_length,
+        robot.left.distal_length + sign * robot.right.distal_length for sign in (1, -1)
     )
-    low, high = 1e3 * recording.extremes
+    low = 1e3 * min(recording.extremes[0] for recording in recordings)
+    high = 1e3 * max(recording.extremes[1] for recording in recordings)
     return (
         f"no crossing: the elbows, by the description, come {low:.2f} to {high:.2f} mm"
         f" near each other and nowhere turn back from {1e3 * total:.2f} mm (stretched"
-        f" distal links) or {1e3 * abs(least):.2f} mm (folded ones); {RECORD}"
+        f" distal links) or {1e3 * abs(least):.2f} mm (folded ones), so that no length"
+        f" can be told; {RECORD}"
     )
 
 
 def _check_enough(
+    robot: RobotParameters,
     recordings: Sequence[CalibrationData],
     folds: Sequence[Fold],
     wanted: Sequence[Direction],
@@ -394,7 +396,7 @@ def _check_enough(
             f" {SIDES[joint]}.proximal_length {LEAST_SPAN} rad are the least; {RECORD}"
         )
     if not folds and places is None:
-        raise CalibrationError(f"{names}: {_no_fold_of_all(recordings)}")
+        raise CalibrationError(f"{names}: {_no_fold(robot, recordings)}")
     lacking = len(wanted) + SPARE - len(folds)
     if places is None and lacking > 0:
         raise CalibrationError(
@@ -402,16 +404,6 @@ def _check_enough(
             f" ({', '.join(one.name for one in wanted)}); {lacking} more are needed;"
             f" {RECORD}"
         )
-
-
-def _no_fold_of_all(recordings: Sequence[CalibrationData]) -> str:
-    low = 1e3 * min(recording.extremes[0] for recording in recordings)
-    high = 1e3 * max(recording.extremes[1] for recording in recordings)
-    return (
-        f"no crossing: the elbows' distance by the description, {low:.2f} to {high:.2f}"
-        " mm, nowhere turns back from that of stretched or folded distal links, so"
-        f" that no length can be told; {RECORD}"
-    )
 
 
 def _check_agree(
