@@ -385,15 +385,15 @@ def _crossing(
 
 
 def _stamps(track: Tracked, first: float, last: float) -> tuple[float, float]:
-    """Times since the trajectory's start as stamps, ns."""
+    """Convert two times since the trajectory's start to stamps, ns."""
     return track.start + 1e9 * first, track.start + 1e9 * last
 
 
 def _verdict(
     run: Run, plan: Certificate, track: Tracked, time: Floats, index: int
 ) -> tuple[Verdict | None, float, float]:
-    """(last verdict, when it fell, confidence) on one crossing; where the controller
-    let go, until the run ends.
+    """Find (last verdict, when it fell, confidence) on one crossing; after the last one
+    the controller judged until the run ends.
     """
     verdicts = run.criterion.verdict
     if len(verdicts) == 0 or (
@@ -434,7 +434,7 @@ def _correct(
 
 
 def _own_part(plan: Certificate, time: Floats, index: int) -> slice[int, int, None]:
-    """The times that are nearer to this crossing than to any other."""
+    """Find the rows of times that are nearer to this crossing than to any other."""
     times = plan.crossing_times
     edges = np.concatenate([[-np.inf], 0.5 * (times[1:] + times[:-1]), [np.inf]])
     return rows_between(time, *edges[index : index + 2])

@@ -37,9 +37,8 @@ from dextar_control.symbols.record import Field, Layout
 
 ROWS = 1024  # ticks that are looked at together
 LAGS = 50  # samples over which the innovation is compared with itself
-ASKED = [
-    watch for watch in WATCHES if watch.name != "finite"
-]  # of a number that is not finite there is no near miss
+# a number is finite or not: to that limit nothing comes near
+ASKED = [watch for watch in WATCHES if watch.name != "finite"]
 SURE = 1.96  # deviations of a 95 % interval
 
 
@@ -236,8 +235,8 @@ def _largest(values: Floats) -> list[float]:
 
 
 def _settings(run: Run) -> Settings:
-    """The controller's as they were recorded; what another version did not have, by
-    default.
+    """Return the controller's settings as they were recorded, with defaults for those
+    that its version did not have.
     """
     defaults = vars(default_settings())
     try:
@@ -252,7 +251,7 @@ def _parameter(run: Run, node: str, name: str) -> float:
 
 
 def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
-    """What the nodes watch: states and commands that do not come."""
+    """Measure what the nodes watch: states and commands that do not come."""
     found = []
     gap = (
         float(np.diff(run.states.stamps).max()) * 1e-9
@@ -295,7 +294,7 @@ def _node_limits(run: Run, timing: Timing, late_share: float) -> list[Margin]:
 def _side(
     run: Run, settings: Settings, track: Tracked, plan: Certificate | None
 ) -> Margin | None:
-    """The longest time clear of the locus without knowing the side."""
+    """Measure the longest time clear of the locus without knowing the side."""
     criterion = run.criterion
     if (
         plan is None
@@ -340,7 +339,9 @@ def _watches(
     stamps: Stamps,
     torque_limit: float,
 ) -> list[Margin]:
-    """The supervisor's watches at each tick under a law, by its own function."""
+    """Ask the supervisor's watches again, by its own function, at each tick under a
+    law.
+    """
     model = Model.of(robot)
     supervisor = Supervisor(robot, model)
     supervisor.configure(settings)
@@ -452,7 +453,7 @@ def _zeros(fields: Iterable[Field]) -> dict[str, float]:
 
 
 def _before(values: Floats) -> Floats:
-    """(m, ...) of the tick before each; the first is its own."""
+    """Return the values (m, ...) of the tick before each; the first has its own."""
     return np.concatenate([values[:1], values[:-1]])
 
 
@@ -465,7 +466,9 @@ def _share(name: str, values: Floats, limits: Floats) -> Floats:
 
 
 def _stretches(run: Run, stamps: Stamps) -> Iterator[_Ticks]:
-    """The ticks of these stamps that states, control and criterion have, in order."""
+    """Yield the ticks of these stamps that states, control and criterion have, in
+    order.
+    """
     known = np.isin(stamps, run.control.stamps) & np.isin(stamps, run.states.stamps)
     stamps = stamps[known]
     for begin in range(0, len(stamps), ROWS):
@@ -487,7 +490,7 @@ def _stretches(run: Run, stamps: Stamps) -> Iterator[_Ticks]:
 
 
 def _innovation(innovation: Floats, squares: Floats) -> Innovation | None:
-    """Of innovations (n, k), rad, and their normalised squares (n,)."""
+    """Judge innovations (n, k), rad, and their normalised squares (n,)."""
     count, size = innovation.shape
     if count <= 2 * LAGS or not has_values(innovation):
         return None

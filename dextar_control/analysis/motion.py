@@ -165,8 +165,8 @@ def frames_of(
 
 
 def _positions(run: Run) -> tuple[Stamps, Floats, Floats]:
-    """(stamps, end effector, active joints): the truth, or else the estimate with the
-    measured joints.
+    """Return (stamps, end effector, active joints): the true ones, or else the estimate
+    with the measured joints.
     """
     if run.truth is not None:
         return run.truth.stamps, run.truth.x, run.truth.q_a
@@ -186,5 +186,5 @@ def _positions(run: Run) -> tuple[Stamps, Floats, Floats]:
 
 
 def _last(clock: Floats, times: Floats) -> Stamps:
-    """Row of the last value at each time; -1 before the first."""
+    """Find the row of the last value at each time; -1 before the first."""
     return np.searchsorted(clock, times + 1e-9, side="right").astype(np.int64) - 1

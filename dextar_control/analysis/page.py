@@ -62,14 +62,14 @@ T = TypeVar("T")
 NO_TRUTH = "needs truth"
 MOST_PLAN_LINES = 40  # crossings in the plan's table
 TICK = 1.5e-3  # s
-LACKING = (
-    0.5  # correlation of an innovation with the next one, from which on it is no noise
-)
+# correlation of successive innovations above which something is not modelled
+LACKING = 0.5
 WORDS = {
     True: ("good", "Success."),
     False: ("bad", "Failed."),
     None: ("", "Not decidable."),
 }
+# keys of the record that the page shows in places of their own
 PRINTED = {
     "version",
     "versions",
@@ -85,7 +85,7 @@ PRINTED = {
     "estimator",
     "robot_description",
     "parameter_changes_not_listed",
-}  # in their own places
+}
 
 
 class Column(NamedTuple):
@@ -302,7 +302,7 @@ def _tiles(metrics: Metrics) -> list[dict[str, str]]:
 
 
 def _margins(margins: Margins) -> dict[str, object]:
-    """Limits as bars, the nearest first, and what the observer says of itself."""
+    """Show limits as bars, the nearest first, and what the observer says of itself."""
     rows = [
         {
             "name": one.name.replace("_", " "),
@@ -357,8 +357,8 @@ def _margins(margins: Margins) -> dict[str, object]:
 
 
 def _passed(margin: Margin) -> bool:
-    """Whether what is watched did not allow it; the tick at which a motion ends is no
-    longer one under the law.
+    """Tell whether a limit was passed for longer than allowed; the tick at which a
+    motion ends is no longer one under the law.
     """
     return (
         margin.share >= 1.0
@@ -390,7 +390,7 @@ def _margin_in_words(margin: Margin) -> str:
 
 
 def _innovation_in_words(found: Innovation) -> str:
-    """Whether the observer errs as it believes."""
+    """Say whether the observer errs as it believes."""
     if found.square > found.high:
         said = (
             "it trusts its model more than this robot bears: something that it does not"
@@ -427,7 +427,7 @@ def _innovation_in_words(found: Innovation) -> str:
 
 
 def _seen(has_truth: bool) -> tuple[str, ...]:
-    """The numbers of a crossing that a table shows of what was seen there."""
+    """Name a crossing's numbers that the controller saw, as the table shows them."""
     kind = "" if has_truth else "estimated_"
     at_crossing = f"{kind}speed", "residual", "sigma_min"
     return (
@@ -487,7 +487,7 @@ def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
 def _crossed_places(
     metrics: Metrics, has_truth: bool
 ) -> tuple[list[Column], list[list[Cell]]] | None:
-    """Where and when, for beside the path."""
+    """Say where and when it crossed, in a table beside the path."""
     if not metrics.crossings:
         return None
     columns = [
@@ -707,8 +707,8 @@ def _recording(run: Run) -> dict[str, object]:
 
 
 def _rates(name: str, topic: TopicCounts) -> tuple[float | None, float | None]:
-    """(nominal, mean by the recorder's clock) of a topic to which the contract gives
-    one rate; else None: it comes in bursts.
+    """Return the nominal rate of a topic and its mean by the recorder's clock; None
+    where the contract gives no single rate, because it comes in bursts.
     """
     longest = max(
         (own for own in TOPICS if f"/{name}".endswith(f"/{own.name.lstrip('/')}")),
@@ -767,7 +767,7 @@ def _versions(run: Run) -> list[tuple[str, str]]:
 
 
 def _parsed(text: str, kind: type[T]) -> T:
-    """A recorded JSON value of a kind; an empty one where there is none."""
+    """Read a recorded JSON value of a kind; an empty one where there is none."""
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):
@@ -776,7 +776,7 @@ def _parsed(text: str, kind: type[T]) -> T:
 
 
 def _changes(run: Run) -> list[str]:
-    """Parameters changed while the run was recorded, in words."""
+    """Say which parameters were changed while the run was recorded."""
     track = tracked(run)
     zero = int(run.states.published[0])
     if track is not None:
@@ -796,8 +796,8 @@ def _changes(run: Run) -> list[str]:
 
 
 def _plan(run: Run, plan: Certificate | None) -> dict[str, object]:
-    """Extremes and crossings of the plan as computed anew, beside what was recorded of
-    it and the robot's limits.
+    """Show extremes and crossings of the plan as computed anew, beside what was
+    recorded of it and the robot's limits.
     """
     recorded = _parsed(run.record.get("certificate", ""), dict)
     listed = [

@@ -16,7 +16,8 @@ from dextar_control.planning.model import states_model
 
 T_S_LENGTH = 6.0e-3  # m, half of what is drawn of t_s
 MARGIN = 0.012  # m around everything
-# of the size of what is worth seeing, within which an arc of the locus is shown whole
+# share of the size of what is worth seeing, within which an arc of the locus is shown
+# whole
 NEAR_BY = 0.25
 MOST_NUMBERS = 4  # of crossings at one place, the rest as dots
 SAME_PLACE = 1e-3  # m, crossings nearer than this share their marks

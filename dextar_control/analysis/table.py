@@ -218,8 +218,8 @@ class Sheet(NamedTuple):
 
 
 def _states(run: Run) -> Sheet:
-    """One row for each recorded state, the others joined to it by their stamps; null
-    where there is none.
+    """Make one row of each recorded state, with what else has its stamp; null where
+    nothing has.
 
     Units and meanings stand with each column, the robot, the parameters and time zero
     with the table.
@@ -349,7 +349,9 @@ def export(
 
 
 def _joined(own: Stamps, values: NDArray[Scalar], stamps: Stamps) -> NDArray[Scalar]:
-    """Values (n, ...) by their stamps on other stamps; masked where there is none."""
+    """Join values (n, ...) by their stamps to other stamps; masked where there is
+    none.
+    """
     if len(own) == len(stamps) and (own == stamps).all():
         return values
     if len(own) == 0:
@@ -365,7 +367,7 @@ def _joined(own: Stamps, values: NDArray[Scalar], stamps: Stamps) -> NDArray[Sca
 def _columns(
     rows: Rows, record: object, stamps: Stamps | None = None
 ) -> list[Variable]:
-    """The columns of a record, joined to other stamps where these are given."""
+    """Make columns of a record, joined to other stamps where these are given."""
     found, fields = [], vars(record)
     for name, unit, meaning, field in rows:
         values: Floats = fields[field]
@@ -433,8 +435,8 @@ def _sheet(fields: list[Variable], run: Run, extra: dict[str, str]) -> Sheet:
 
 
 def _words(numbers: Numbers, names: Mapping[int, str]) -> Words:
-    """The names of numbers (n,); none where one is masked, not a number, or has no
-    name.
+    """Name numbers (n,); a masked one, one that is nan, and one without a name get no
+    word.
     """
     codes = {number: row for row, number in enumerate(names)}
     rows = [
@@ -449,7 +451,7 @@ def _words(numbers: Numbers, names: Mapping[int, str]) -> Words:
 
 
 def _plain(values: Numbers) -> tuple[Numbers, NDArray[np.bool_]]:
-    """(numbers (n,), (n,) whether there is none)."""
+    """Part numbers (n,) from (n,) whether there is none."""
     data = np.asarray(np.ma.getdata(values))
     return data, np.ma.getmaskarray(values) | np.isnan(data)
 
@@ -493,7 +495,7 @@ def _write_csv(sheet: Sheet, file: Path) -> None:
 
 
 def _blocks(sheet: Sheet) -> Iterator[list[list[object]]]:
-    """The columns as lists of some rows, None where there is no value."""
+    """Yield the columns as lists of some rows, None where there is no value."""
     columns = [
         field.values if isinstance(field.values, Words) else _plain(field.values)
         for field in sheet.fields
