@@ -75,61 +75,14 @@ def keeping_pace(steps: int, late: int, ran: int, period: int) -> list[str]:
     return told
 
 
-class Paced(Protocol):
-    """What the loop needs of the plant node.
-
-    Attributes:
-        lockstep: each step waits for its command.
-        paced: samples are due at the steady clock's times; always without lockstep.
-        answered: the command for the published state is here.
-    """
-
-    lockstep: bool
-    paced: bool
-    answered: bool
-    period_ns: int
-    schedule: Schedule
-
-    @property
-    def paused(self) -> bool:
-        """Whether no sample is due."""
-
-    @property
-    def sample_ready(self) -> bool:
-        """Whether the next state is computed and not yet published."""
-
-    @property
-    def awaited(self) -> bool:
-        """Whether somebody commands, and has not answered the published state yet."""
-
-    def begin(self) -> None:
-        """Prepare the first state."""
-
-    def listen(self) -> None:
-        """Take the commands that have come."""
-
-    def wait(self, seconds: float) -> None:
-        """Sleep until a command comes, at most for so long, s."""
-
-    def advance(self) -> None:
-        """Compute the next state."""
-
-    def publish(self) -> None:
-        """Send the prepared state."""
-
-    def repeat_unanswered(self) -> None:
-        """Send the last state again when its answer is long missing."""
-
-
 class Schedule:
     """Knows when the samples of a periodic task are due, ns of the steady clock.
 
     The due times lie whole periods apart. A sample that is late does not move the later
-        ones: their deadlines follow it by
-    ``SHORTEST`` periods at least, by ``PATIENT`` ones where its command is awaited,
-    until one is on time again; no two samples come closer than half a period. Lateness
-    beyond ``MOST_BEHIND`` (and beyond a period) is dropped: the due times move by all
-    of it.
+    ones: their deadlines follow it by ``SHORTEST`` periods at least, by ``PATIENT``
+    ones where its command is awaited, until one is on time again; no two samples come
+    closer than half a period. Lateness beyond ``MOST_BEHIND`` (and beyond a period) is
+    dropped: the due times move by all of it.
 
     Args:
         period: ns.
@@ -226,7 +179,44 @@ class Schedule:
         self._last = deadline if missed <= JITTER * self._period else now
 
 
-def cycle(node: Paced, executor: Executor) -> None:
+class PacedNode(Protocol):
+    """A node whose samples are paced: what ``cycle`` reads of it and asks it to do."""
+
+    schedule: Schedule
+    period_ns: int
+    paced: bool
+    lockstep: bool
+    answered: bool
+
+    @property
+    def paused(self) -> bool:
+        """Whether simulated time stands still."""
+
+    @property
+    def sample_ready(self) -> bool:
+        """Whether the next sample has been simulated."""
+
+    @property
+    def awaited(self) -> bool:
+        """Whether a command for the last sample may still come."""
+
+    def advance(self) -> None:
+        """Simulate the next sample."""
+
+    def publish(self) -> None:
+        """Publish the sample."""
+
+    def listen(self) -> None:
+        """Take the commands that have come."""
+
+    def wait(self, seconds: float) -> None:
+        """Wait for a command, s at most."""
+
+    def repeat_unanswered(self) -> None:
+        """Publish the sample again, whose command has not come."""
+
+
+def cycle(node: PacedNode, executor: Executor) -> None:
     """Do one sample: take its command, simulate, and publish the state at its deadline;
     or spend some of the waiting for that command.
 
@@ -267,7 +257,7 @@ def cycle(node: Paced, executor: Executor) -> None:
     node.publish()
 
 
-def _pass(node: Paced, executor: Executor, left: float) -> None:
+def _pass(node: PacedNode, executor: Executor, left: float) -> None:
     """Spend some of the time until the work begins; a sample that makes lateness up
     waits for its command, to begin with it.
     """
@@ -278,7 +268,7 @@ def _pass(node: Paced, executor: Executor, left: float) -> None:
         node.wait(left)
 
 
-def _await_command(node: Paced, executor: Executor) -> None:
+def _await_command(node: PacedNode, executor: Executor) -> None:
     """Wait in lockstep for the command of a step."""
     node.wait(SERVED_EACH)
     if node.schedule.serve(time.monotonic_ns()):

@@ -123,7 +123,9 @@ class Estimator(ABC):
         """One sample while a law acts, as ``observe``.
 
         Args:
-            dt, q_a, tau: as there.
+            dt: since the last sample, s.
+            q_a: (n,) measured, rad.
+            tau: (n,) that acted since, N m.
             reference: record of ``estimation.records.REFERENCE``.
             zone, width: |s| of the reference within which the direct geometric model
                 serves no more, and over which it fades in.
@@ -133,7 +135,9 @@ class Estimator(ABC):
         self.observe(dt, q_a, tau)
 
     def coast(self, dt: float, q_a: Array, tau: Array) -> None:
-        """One sample without a reference, as ``observe``."""
+        """One sample without a reference, q_a (n,), rad, and tau (n,), N m, as
+        ``observe``.
+        """
         self.observe(dt, q_a, tau)
         if not abs(self.estimate.s) >= self.unknown_s:
             self._known, self.estimate.confidence = False, 0.5

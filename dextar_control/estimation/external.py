@@ -114,7 +114,9 @@ class ExternalEstimator(ObserverEstimator):
             self._waiting.append((pose, max(age, 0.0)))
 
     def observe(self, dt: float, q_a: Array, tau: Array) -> None:
-        """See ``Estimator``."""
+        """See ``Estimator``: q_a (n,), rad, tau (n,), N m; then the positions that
+        have come.
+        """
         self._history.take_sample(tau, dt, q_a)
         self._silence += dt
         for pose, age in self._waiting:

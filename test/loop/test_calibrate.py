@@ -17,6 +17,7 @@ import pytest
 import synthetic_run as made
 import yaml
 from browser import looks_right
+from closed_loop import running
 
 from dextar_control.analysis.load import load_run
 from dextar_control.bags.writer import BagWriter, SerializedMessage
@@ -210,13 +211,13 @@ def test_numbers_come_back_within_their_deviations() -> None:
 
 def test_a_tour_that_the_robot_was_driven_through_calibrates_it() -> None:
     numbers = wrong(np.random.default_rng(3))
-    readings = drive_step(numbers)
+    readings = driven(numbers)
     found = fit(LINKAGE, NOMINAL, folds_of(readings))
     assert found.used.sum() == 12
     assert np.abs(found.numbers - as_kept(numbers))[LENGTHS].max() <= 20e-6
 
 
-def drive_step(numbers: np.ndarray) -> np.ndarray:
+def driven(numbers: np.ndarray) -> np.ndarray:
     """What the encoders read while the controller drives a robot through the tour that
     it takes for the described one.
     """
@@ -227,11 +228,7 @@ def drive_step(numbers: np.ndarray) -> np.ndarray:
     start = loop.model.place(tour().trajectory.at(0.0).x)
     rig.reset_joints(start.q_a, round(np.sign(start.s[0])))
     loop.schedule(tour().trajectory, tour().certificate)
-    rows = []
-    for _ in range(len(path())):
-        sample = rig.read()
-        rows.append(sample.q_a)
-        rig.write(loop.step(sample.time, sample.q_a))
+    rows = [sample.q_a for sample, _ in running(loop, rig, count=len(path()))]
     rig.close()
     return np.array(rows)
 

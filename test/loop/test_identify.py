@@ -26,7 +26,7 @@ from dextar_control.contract.errors import (
 from dextar_control.contract.robot import RobotParameters, flatten, load_robot
 from dextar_control.experiments.campaign import self_calibration
 from dextar_control.experiments.campaign.design import CrossingPoint, Trial
-from dextar_control.experiments.campaign.self_calibration import record
+from dextar_control.experiments.campaign.self_calibration import record_motion
 from dextar_control.experiments.campaign.trial import run_trial, sample_points
 from dextar_control.identification.dynamics import DynamicFit
 from dextar_control.identification.identification import (
@@ -68,12 +68,14 @@ def exciting() -> Plan:
 @functools.cache
 def recorded(plant: str = "cartesian", **rig: Any) -> MeasuredMotion:
     """What a robot that is not the one described records of the exciting motion."""
-    return record(ROBOT, exciting(), Rig(ROBOT.replace(**ROUGH), plant=plant, **rig))
+    return record_motion(
+        ROBOT, exciting(), Rig(ROBOT.replace(**ROUGH), plant=plant, **rig)
+    )
 
 
 @functools.cache
 def plain() -> MeasuredMotion:
-    return record(ROBOT, exciting(), Rig(ROBOT, plant="cartesian"))
+    return record_motion(ROBOT, exciting(), Rig(ROBOT, plant="cartesian"))
 
 
 @functools.cache
@@ -236,7 +238,7 @@ def test_the_transmission_is_told_by_poses_beside_encoders_at_the_motors() -> No
         }
     )
     rig = Rig(belt, plant="cartesian", pose_rate=100.0, pose_noise=2e-4)
-    found = identify_recorded(ROBOT, [record(ROBOT, exciting(), rig)])
+    found = identify_recorded(ROBOT, [record_motion(ROBOT, exciting(), rig)])
     for told in found.stiffnesses:
         assert told is not None
         assert abs(told.value - 100.0) <= 4.0 * told.deviation

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from closed_loop import running
 from synthetic_run import FAR_TORQUE, robot, write_run
 
 from dextar_control.analysis import compute_metrics, load_run
@@ -30,7 +31,7 @@ START, GOAL = np.array([0.0, 0.105]), np.array([0.0, 0.06])
 PUSH, PUSHED = 1.0, (0.34, 0.36)  # N along y, s
 
 
-def drive_step() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
+def driven() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
     """A pushed trip in a plain loop as a bag would hold it: (run, (share, value, limit)
     per watch, longest time saturated).
     """
@@ -44,10 +45,7 @@ def drive_step() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
     loop.accept(plan.trajectory)
     nearest: dict[str, tuple[float, float, float]] = {}
     rows, longest = [], 0.0
-    for k in range(1400):
-        sample = rig.read()
-        tau = loop.step(sample.time, sample.q_a)
-        assert loop.tick is not None
+    for k, (sample, tau) in enumerate(running(loop, rig, count=1400)):
         rows.append((round(sample.time * 1e9), sample.q_a, loop.tick, tau))
         if loop.phase not in LIMP:
             for name, (value, limit) in loop.watches.items():
@@ -62,7 +60,6 @@ def drive_step() -> tuple[Run, dict[str, tuple[float, float, float]], float]:
             longest = max(longest, loop.supervisor._timers["saturation"])
         if PUSHED[0] <= k * 1e-3 < PUSHED[1]:
             rig.strike(np.array([0.0, PUSH * rig.period]))
-        rig.write(tau)
     rig.close()
     stamps = np.array([stamp for stamp, *_ in rows])
     none, ticks = np.zeros((len(rows), 2)), [tick for *_, tick, _ in rows]
@@ -125,7 +122,7 @@ def by_name(margins: Margins) -> dict[str, Margin]:
 
 
 def test_the_watches_are_those_that_the_controller_had() -> None:
-    run, nearest, longest = drive_step()
+    run, nearest, longest = driven()
     track = tracked(run)
     margins = measure_margins(
         run, track, None, measure_timing(run, track), math.inf, math.nan

@@ -20,25 +20,18 @@ UNIT = re.compile(
 )
 # files whose docstrings still lack some: the list only gets shorter
 UNFINISHED = {
-    "dextar_control/check_rig/samples.py",
     "dextar_control/control/phases.py",
     "dextar_control/control/timing.py",
     "dextar_control/estimation/direct.py",
-    "dextar_control/estimation/estimate.py",
     "dextar_control/estimation/joint_filter.py",
     "dextar_control/estimation/observer.py",
     "dextar_control/estimation/observing.py",
     "dextar_control/estimation/out_of_sequence.py",
-    "dextar_control/experiments/faults/judgement.py",
-    "dextar_control/experiments/faults/operator.py",
     "dextar_control/mechanisms/five_bar.py",
     "dextar_control/mechanisms/five_bar_locus.py",
     "dextar_control/mechanisms/mechanism.py",
     "dextar_control/model/model.py",
     "dextar_control/model/regressor.py",
-    "dextar_control/nodes/messages.py",
-    "dextar_control/nodes/task.py",
-    "dextar_control/nodes/trajectory_server.py",
     "dextar_control/planning/locus.py",
     "dextar_control/planning/model.py",
     "dextar_control/planning/planner.py",
@@ -48,8 +41,6 @@ UNFINISHED = {
     "dextar_control/planning/search.py",
     "dextar_control/planning/trajectory.py",
     "dextar_control/symbols/record.py",
-    "dextar_sim/messages.py",
-    "dextar_sim/state.py",
 }
 WITHOUT_UNIT = re.compile(r"NDArray\[np\.(?:bool_|intp)\]")
 SOURCES = {
