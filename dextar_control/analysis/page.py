@@ -231,21 +231,14 @@ def verdict(metrics: Metrics) -> dict[str, object]:
             " own verdict"
         )
     if math.isfinite(metrics.max_true_error):
-        largest, last = 1e3 * metrics.max_true_error, 1e3 * metrics.final_true_error
-        parts.append(
-            f"true error {largest:.3f} mm at most and {last:.3f} mm at the end"
-        )
+        largest, last = map(metrics.shown, ("max_true_error", "final_true_error"))
+        parts.append(f"true error {largest} at most and {last} at the end")
     elif math.isfinite(metrics.max_estimated_error):
-        parts.append(
-            f"estimated error {1e3 * metrics.max_estimated_error:.3f} mm at most"
-        )
+        parts.append(f"estimated error {metrics.shown('max_estimated_error')} at most")
     if math.isfinite(metrics.peak_torque):
-        of_plan = (
-            f", {metrics.torque_ratio:.2f} × the plan's"
-            if math.isfinite(metrics.torque_ratio)
-            else ""
-        )
-        parts.append(f"peak torque {metrics.peak_torque:.4f} N m{of_plan}")
+        ratio = number(metrics.torque_ratio, ".2f", "")
+        of_plan = f", {ratio} × the plan's" if ratio else ""
+        parts.append(f"peak torque {metrics.shown('peak_torque')}{of_plan}")
     if saturated(metrics).isdigit():
         parts.append(
             f"{counted(metrics.saturated, 'command')} saturated"
@@ -438,9 +431,16 @@ def _seen(has_truth: bool) -> tuple[str, ...]:
     )
 
 
-def _crossing_columns(has_truth: bool) -> list[Column]:
-    seen = (CROSSING_METRICS[name] for name in _seen(has_truth))
-    return [
+def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
+    has_truth = run.truth is not None
+    rows = [
+        _crossing_row(
+            index, crossing, has_truth, crossing.planned_time <= metrics.tracked_until
+        )
+        for index, crossing in enumerate(metrics.crossings, start=1)
+    ]
+    seen = [CROSSING_METRICS[name] for name in _seen(has_truth)]
+    columns = [
         Column("no."),
         Column("planned", "s"),
         Column("true", "s"),
@@ -452,23 +452,7 @@ def _crossing_columns(has_truth: bool) -> list[Column]:
         Column("verdict is"),
         *(Column(metric.name, metric.shown_unit) for metric in seen),
     ]
-
-
-def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
-    has_truth = run.truth is not None
-    rows = [
-        _crossing_row(
-            index, crossing, has_truth, crossing.planned_time <= metrics.tracked_until
-        )
-        for index, crossing in enumerate(metrics.crossings, start=1)
-    ]
-    notes = [
-        "Speed at the crossing; residual at the planned instant; smallest singular"
-        " value of A_r over the distal length as the controller saw it; peak torque"
-        " within |s| < 0.1; torque step from one tick to the next within |s| < 0.15;"
-        " largest error from where the plan leaves |s| ≥ 0.3 to the crossing, and from"
-        " there to |s| ≥ 0.3 again."
-    ]
+    notes = [" ".join(f"{metric.name}: {metric.definition}" for metric in seen)]
     if not has_truth:
         notes.insert(
             0,
@@ -476,7 +460,7 @@ def _crossings(run: Run, metrics: Metrics) -> dict[str, object]:
             " verdict need it; errors and speed are the estimator's.",
         )
     return {
-        "columns": _crossing_columns(has_truth),
+        "columns": columns,
         "rows": rows,
         "notes": notes,
         "empty": _no_crossings(metrics),
