@@ -15,10 +15,8 @@ from dextar_control.contract.robot import PREFIX, flatten, load_robot
 
 ABSENT = "–"
 OWN_LINE = {"law", "estimator"}  # parameters that have one
-PLACES = {
-    "recorder.output",
-    "trajectory_server.drawing",
-}  # parameters that name where a run's files go
+# parameters that name where a run's files go
+PLACES = {"recorder.output", "trajectory_server.drawing"}
 
 
 class Difference(NamedTuple):
@@ -65,7 +63,9 @@ def differing(runs: Sequence[Run], metrics: Sequence[Metrics]) -> list[Differenc
 
 
 def _parameters(run: Run) -> dict[str, object]:
-    """By dotted names, a node's before its own; the controller's robot as ``robot``."""
+    """Collect the parameters by dotted names, with their node's before them; the
+    controller's robot as ``robot``.
+    """
     robot = run.parameters.get("controller", {})
     found = {
         key: value
