@@ -95,10 +95,10 @@ class CdrTemplate:
         )
         edge, form = 0, "<"
         order: list[int] = []  # -1, -2, ... are the parts between, which stay
-        self._still: list[slice] = []
+        self._still: list[tuple[int, int]] = []
         for offset, code, first in (*moving, (len(raw), "", 0)):
             if offset > edge:
-                self._still.append(slice(edge, offset))
+                self._still.append((edge, offset))
                 order.append(-len(self._still))
                 form += f"{offset - edge}s"
             order += range(first, first + len(code))
@@ -114,7 +114,7 @@ class CdrTemplate:
 
     def _parts(self, raw: bytes) -> tuple[bytes, ...]:
         """Return the bytes that stay."""
-        return tuple(raw[part] for part in self._still)
+        return tuple(raw[start:stop] for start, stop in self._still)
 
     def pack(self, stamp: int, values: Sequence[float], duration: int = 0) -> bytes:
         """Return the message's CDR bytes.

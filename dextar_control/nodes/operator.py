@@ -67,7 +67,8 @@ class OperatorClient(Node):
 
     Args:
         namespace: of the robot's nodes.
-        stop: what asks for an end; of the commands the signals to this process.
+        stop: what asks for an end, as the signals to a command's process; None asks
+            for none.
         name: of the node.
 
     Attributes:
@@ -76,7 +77,7 @@ class OperatorClient(Node):
     """
 
     def __init__(
-        self, namespace: str, stop: StopRequest, name: str = "operator"
+        self, namespace: str, stop: StopRequest | None = None, name: str = "operator"
     ) -> None:
         super().__init__(
             name,
@@ -133,7 +134,7 @@ class OperatorClient(Node):
         """
         deadline = time.monotonic() + seconds
         while not condition():
-            if not through:
+            if self.stop and not through:
                 self.stop.check()
             if time.monotonic() > deadline:
                 return False
@@ -652,7 +653,8 @@ def go(arguments: argparse.Namespace) -> int:
             lambda text, share: bars.update(bar, description=text, completed=share),
             lambda text: console.print(text, soft_wrap=True),
         )
-        me.stop.check()
+        if me.stop:
+            me.stop.check()
     return 0 if good else EXIT_FAILED
 
 
