@@ -38,7 +38,7 @@ from dextar_control.nodes.newest import NewestSamples
 from dextar_control.nodes.panel_operator import SET, PanelOperator, task_of
 from dextar_control.nodes.scene import Scene, View
 from dextar_control.nodes.task import Task, in_words, plan_from
-from dextar_control.panel.server import Answer, PanelServer
+from dextar_control.panel.server import PanelServer, Reply
 from dextar_control.panel.words import shown_margins, trouble_and_remedy
 from dextar_control.planning.locus import LocusPoint, nearest_point
 from dextar_control.symbols.types import Array
@@ -171,7 +171,7 @@ class PanelNode(DextarNode):
         return self._report
 
     def ask(
-        self, name: str, asked: Mapping[str, ParameterValue], answer: Answer
+        self, name: str, asked: Mapping[str, ParameterValue], answer: Reply
     ) -> None:
         """Do what the driver asks for; see ``panel_operator``.
 

@@ -45,16 +45,6 @@ EVENTS_DEPTH = 100
 Job = Callable[[], str]
 
 
-class _NeverStops:
-    """Stands where a command has its signals: a panel is ended by its own node's."""
-
-    def __bool__(self) -> bool:
-        return False
-
-    def check(self) -> None:
-        """Do nothing: no signal comes."""
-
-
 class PanelOperator(OperatorClient):
     """The operator's client for several threads that wait; whoever made it spins it.
 
@@ -70,7 +60,7 @@ class PanelOperator(OperatorClient):
     """
 
     def __init__(self, namespace: str) -> None:
-        super().__init__(namespace, _NeverStops())
+        super().__init__(namespace)
         self._news = threading.Condition()
         self._leaving = False
         self._snapshots = {name: ParameterSnapshot(self, name) for name in SET}
