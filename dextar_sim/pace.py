@@ -9,12 +9,9 @@ away for longer than ``MOST_BEHIND`` loses that time.
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from rclpy.executors import Executor
-
-if TYPE_CHECKING:
-    from dextar_sim.node import PlantNode
 
 SHORTEST = 0.75
 """Share of the period below which two deadlines never come together, however late the
@@ -76,6 +73,35 @@ def keeping_pace(steps: int, late: int, ran: int, period: int) -> list[str]:
             f" is {100 * MOST_LATE:.0f} %: the drives go on under an older one"
         )
     return told
+
+
+class _Paced(Protocol):
+    """What the loop needs of ``PlantNode``, which says what each is."""
+
+    lockstep: bool
+    paced: bool
+    answered: bool
+    period_ns: int
+    schedule: Schedule
+
+    @property
+    def paused(self) -> bool: ...
+
+    @property
+    def sample_ready(self) -> bool: ...
+
+    @property
+    def awaited(self) -> bool: ...
+
+    def listen(self) -> None: ...
+
+    def wait(self, seconds: float) -> None: ...
+
+    def advance(self) -> None: ...
+
+    def publish(self) -> None: ...
+
+    def repeat_unanswered(self) -> None: ...
 
 
 class Schedule:
@@ -182,7 +208,7 @@ class Schedule:
         self._last = deadline if missed <= JITTER * self._period else now
 
 
-def cycle(node: PlantNode, executor: Executor) -> None:
+def cycle(node: _Paced, executor: Executor) -> None:
     """Do one sample: take its command, simulate, and publish the state at its deadline;
     or spend some of the waiting for that command.
 
@@ -223,7 +249,7 @@ def cycle(node: PlantNode, executor: Executor) -> None:
     node.publish()
 
 
-def _pass(node: PlantNode, executor: Executor, left: float) -> None:
+def _pass(node: _Paced, executor: Executor, left: float) -> None:
     """Spend some of the time until the work begins; a sample that makes lateness up
     waits for its command, to begin with it.
     """
@@ -234,7 +260,7 @@ def _pass(node: PlantNode, executor: Executor, left: float) -> None:
         node.wait(left)
 
 
-def _await_command(node: PlantNode, executor: Executor) -> None:
+def _await_command(node: _Paced, executor: Executor) -> None:
     """Wait in lockstep for the command of a step."""
     node.wait(SERVED_EACH)
     if node.schedule.serve(time.monotonic_ns()):
