@@ -75,35 +75,6 @@ def keeping_pace(steps: int, late: int, ran: int, period: int) -> list[str]:
     return told
 
 
-class _Paced(Protocol):
-    """What the loop needs of ``PlantNode``, which says what each is."""
-
-    lockstep: bool
-    paced: bool
-    answered: bool
-    period_ns: int
-    schedule: Schedule
-
-    @property
-    def paused(self) -> bool: ...
-
-    @property
-    def sample_ready(self) -> bool: ...
-
-    @property
-    def awaited(self) -> bool: ...
-
-    def listen(self) -> None: ...
-
-    def wait(self, seconds: float) -> None: ...
-
-    def advance(self) -> None: ...
-
-    def publish(self) -> None: ...
-
-    def repeat_unanswered(self) -> None: ...
-
-
 class Schedule:
     """Knows when the samples of a periodic task are due, ns of the steady clock.
 
@@ -208,7 +179,44 @@ class Schedule:
         self._last = deadline if missed <= JITTER * self._period else now
 
 
-def cycle(node: _Paced, executor: Executor) -> None:
+class PacedNode(Protocol):
+    """A node whose samples are paced: what ``cycle`` reads of it and asks it to do."""
+
+    schedule: Schedule
+    period_ns: int
+    paced: bool
+    lockstep: bool
+    answered: bool
+
+    @property
+    def paused(self) -> bool:
+        """Whether simulated time stands still."""
+
+    @property
+    def sample_ready(self) -> bool:
+        """Whether the next sample has been simulated."""
+
+    @property
+    def awaited(self) -> bool:
+        """Whether a command for the last sample may still come."""
+
+    def advance(self) -> None:
+        """Simulate the next sample."""
+
+    def publish(self) -> None:
+        """Publish the sample."""
+
+    def listen(self) -> None:
+        """Take the commands that have come."""
+
+    def wait(self, seconds: float) -> None:
+        """Wait for a command, s at most."""
+
+    def repeat_unanswered(self) -> None:
+        """Publish the sample again, whose command has not come."""
+
+
+def cycle(node: PacedNode, executor: Executor) -> None:
     """Do one sample: take its command, simulate, and publish the state at its deadline;
     or spend some of the waiting for that command.
 
@@ -249,7 +257,7 @@ def cycle(node: _Paced, executor: Executor) -> None:
     node.publish()
 
 
-def _pass(node: _Paced, executor: Executor, left: float) -> None:
+def _pass(node: PacedNode, executor: Executor, left: float) -> None:
     """Spend some of the time until the work begins; a sample that makes lateness up
     waits for its command, to begin with it.
     """
@@ -260,7 +268,7 @@ def _pass(node: _Paced, executor: Executor, left: float) -> None:
         node.wait(left)
 
 
-def _await_command(node: _Paced, executor: Executor) -> None:
+def _await_command(node: PacedNode, executor: Executor) -> None:
     """Wait in lockstep for the command of a step."""
     node.wait(SERVED_EACH)
     if node.schedule.serve(time.monotonic_ns()):
