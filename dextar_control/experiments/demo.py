@@ -103,12 +103,12 @@ def run_demo(arguments: argparse.Namespace) -> int:
         else "each step waits for its command"
     )
     mode = "real time" if arguments.real_time else waiting
-    chosen = "".join(
+    picked = "".join(
         f"{name} {getattr(arguments, name)}, "
         for name in ("law", "estimator")
         if getattr(arguments, name)
     )
-    said = f"{chosen}{mode}, ROS_DOMAIN_ID={domain}, into {folder}"
+    said = f"{picked}{mode}, ROS_DOMAIN_ID={domain}, into {folder}"
     console.print(said, soft_wrap=True)
     prepare(Model.of(robot).mechanism)
     gc.freeze()
@@ -120,8 +120,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
         with monitoring("demo") as monitor:
             _wait_until_ready(console, monitor, processes)
             _link_latest(folder)
-            # there what else is done could make commands late
-            if not arguments.real_time:
+            if not arguments.real_time:  # where it could make commands late
                 threading.Thread(target=_load_analysis, daemon=True).start()
             try:
                 resumed = monitor.call(
