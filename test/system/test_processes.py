@@ -48,6 +48,7 @@ def test_neither_mathematics_nor_analysis_nor_the_simulated_rig_loads_ros() -> N
 
 SWALLOWED = """
 import sys, time
+from patience import PATIENCE
 from dextar_control.contract.signals import StopSignal
 stop, word = StopSignal(), "ready\\n"
 while True:
@@ -73,5 +74,5 @@ def test_a_node_that_is_being_made_ends_although_the_compiler_swallows_the_inter
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
     process.send_signal(number)
-    output, _ = process.communicate(timeout=60.0)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert (process.returncode, output) == (0, "")
