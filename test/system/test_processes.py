@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE
 
 ROOT = Path(__file__).resolve().parents[2]
 LOADED = """
@@ -48,7 +49,6 @@ def test_neither_mathematics_nor_analysis_nor_the_simulated_rig_loads_ros() -> N
 
 SWALLOWED = """
 import sys, time
-from patience import PATIENCE
 from dextar_control.contract.signals import StopSignal
 stop, word = StopSignal(), "ready\\n"
 while True:
