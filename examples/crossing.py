@@ -5,12 +5,11 @@ meets the criterion t_s . w_d = 0 where it crosses; the controller sees nothing 
 robot but the angles of its encoders.
 """
 
-from typing import Any
-
 import numpy as np
 
 from dextar_control import ControlLoop, default_settings, load_robot, plan_return_trip
 from dextar_control.contract.resources import ROBOT_FILE, config_file
+from dextar_control.model.exact_plant import ExactPlant
 from dextar_control.model.robot import AnyRobot
 from dextar_control.planning.certificate import Plan
 from dextar_sim.plant import Plant
@@ -23,7 +22,7 @@ HOLD = 0.1  # s, after the trip
 def drive(
     robot: AnyRobot,
     plan: Plan,
-    plant: Any,
+    plant: ExactPlant | Plant,
     resolution: float = TURN,
     **settings: object,
 ) -> None:

@@ -14,7 +14,7 @@ SUBSTEPS = 4  # of Runge and Kutta's method in a period
 
 
 class ExactState(NamedTuple):
-    """Where the plant is."""
+    """The state of the plant."""
 
     time: float  # since it was reset, s
     q_a: Array  # (n,) rad (m); nan where a leg does not reach
@@ -23,10 +23,10 @@ class ExactState(NamedTuple):
 
 
 class ExactPlant:
-    """What a plain loop drives where nothing is said of a mechanism's bodies.
+    """A robot for a plain loop, integrated by the forward dynamics of its model.
 
-    Its equations are the controller's own, regular on the Type 2 locus; those of
-    another robot make it one that the controller knows badly.
+    These are regular on the Type 2 locus. A model of other numbers than the
+    controller's makes a robot that the controller knows badly.
 
     Args:
         robot: as it was built.
@@ -42,13 +42,11 @@ class ExactPlant:
         None), at time 0.
         """
         rest = np.zeros(self.model.n)
-        self._steps, self._state = (
-            0,
-            np.concatenate([x, rest if x_dot is None else x_dot]),
-        )
+        self._steps = 0
+        self._state = np.concatenate([x, rest if x_dot is None else x_dot])
 
     def state(self) -> ExactState:
-        """Where it is now."""
+        """The present state."""
         x, x_dot = np.split(self._state, 2)
         return ExactState(self._steps * self.period, self.model.place(x).q_a, x, x_dot)
 
@@ -64,7 +62,7 @@ class ExactPlant:
         self._steps, self._state = self._steps + 1, state
 
     def _rate(self, state: Array, tau: Array) -> Array:
-        """Of (x, x_dot), (2n,)."""
+        """The rate of (x, x_dot), (2n,), under torques (n,), N m (N)."""
         x, x_dot = np.split(state, 2)
         q_a = self.model.place(x).q_a
         x_ddot = self.model.platform_dynamics(q_a, x, x_dot, tau).x_ddot
