@@ -26,9 +26,10 @@ import numpy as np
 import pytest
 import rclpy
 from fake_driver import INERTIA, START, WATCHDOG, FakeDriver
+from patience import PATIENCE
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rig import PATIENCE, start, stop
+from rig import start, stop
 from sensor_msgs.msg import JointState
 
 from dextar_control.check_rig.check import (

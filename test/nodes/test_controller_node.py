@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from closed_loop import turn_round
 from geometry_msgs.msg import PoseStamped
+from patience import PATIENCE
 from rig import Rig, controlled, ending_well, matched, start, stop
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -451,7 +452,7 @@ def test_a_wrong_parameter_ends_the_node_with_one_line(
     module: str, override: str, message: str
 ) -> None:
     process = start(module, "-p", override)
-    output, _ = process.communicate(timeout=60.0)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2, output
     assert message in output
     assert "Traceback" not in output

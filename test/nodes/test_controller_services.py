@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 import rclpy
 from closed_loop import s_of
+from patience import PATIENCE
 from rcl_interfaces.srv import DescribeParameters, GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
-from rig import PATIENCE
 from std_srvs.srv import SetBool, Trigger
 
 from dextar_control.contract.clocks import UnsteppedClock

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from patience import PATIENCE
 from rclpy.signals import SignalHandlerOptions
-from rig import PATIENCE, Rig, matched, start, stop
+from rig import Rig, matched, start, stop
 
 from dextar_control import executables
 from dextar_control.cli import main as cli

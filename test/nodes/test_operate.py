@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from rig import NODES, PATIENCE, start, stop
+from patience import PATIENCE
+from rig import NODES, start, stop
 
 from dextar_control.cli.main import main
 from dextar_control.nodekit.domain import own_domain

@@ -1,6 +1,6 @@
 """The plant node over real DDS: the node in its own process, a small commander here.
 
-Nothing depends on how fast the machine is: waits end on what arrives, and WAIT only
+Nothing depends on how fast the machine is: waits end on what arrives, and PATIENCE only
 ends a test that is lost anyway.
 """
 
@@ -21,6 +21,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
+from patience import PATIENCE
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -46,7 +47,6 @@ from dextar_sim.disturbances import Disturbances
 from dextar_sim.node import PlantNode
 from dextar_sim.plant import Plant
 
-WAIT = 60.0
 PERIOD = 1_000_000
 START = (0.0, 0.105)
 EXACT = 1.0e-12
@@ -123,7 +123,7 @@ class Commander:
                 }
 
     def until(self, condition: Callable[[], bool]) -> None:
-        limit = time.monotonic() + WAIT
+        limit = time.monotonic() + PATIENCE
         while not condition():
             assert time.monotonic() < limit, "nothing more arrived"
             assert self.process.poll() is None, "the plant ended"
@@ -148,7 +148,7 @@ class Commander:
     def close(self) -> tuple[int, str]:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        _, text = self.process.communicate(timeout=WAIT)
+        _, text = self.process.communicate(timeout=PATIENCE)
         self.executor.remove_node(self.node)
         self.executor.shutdown()
         self.node.destroy_node()
@@ -356,7 +356,7 @@ def test_external_rate_above_that_of_the_samples_is_refused(
     start: Callable[..., Commander],
 ) -> None:
     commander = start(mode="lockstep", external_pose__rate="2000.0")
-    assert commander.process.wait(WAIT) == 2
+    assert commander.process.wait(PATIENCE) == 2
     code, text = commander.close()
     assert (code, text.splitlines()[-1]) == (
         2,
@@ -754,7 +754,7 @@ def test_a_second_plant_is_seen_by_the_first(plant: Any) -> None:
     node.report()
     assert told[-1] == (DiagnosticStatus.OK, "running")
     plant("lockstep")
-    deadline = time.monotonic() + WAIT
+    deadline = time.monotonic() + PATIENCE
     while (
         "2 publishers on /joint_states; the limit is 1: end all but one (2 x /plant)"
         not in told[-1][1]

@@ -19,6 +19,7 @@ import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
+from patience import PATIENCE, until
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -34,7 +35,6 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from dextar_control.contract import topics
 from dextar_control.nodekit.node import qos
 
-PATIENCE = 30.0  # s, for discovery on a busy machine; not a measurement
 # fewer than the publisher holds: a reliable reader that matches late still gets them
 # all
 COUNT = 150
@@ -85,21 +85,15 @@ def start() -> Iterator[Callable[..., subprocess.Popen[str]]]:
             process.stderr.close()
 
 
-def until(
-    condition: Callable[[], Any], act: Callable[[], Any] = lambda: time.sleep(0.02)
-) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline, "waited in vain"
-        act()
-
-
 def states(node: Node, process: subprocess.Popen[str]) -> list[JointState]:
     """Publish COUNT joint states once the recorder listens; what was sent."""
     publisher = node.create_publisher(
         JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
     )
-    until(lambda: publisher.get_subscription_count() > 0 or process.poll() is not None)
+    until(
+        lambda: publisher.get_subscription_count() > 0 or process.poll() is not None,
+        "the recorder to read the states",
+    )
     sent = []
     for k in range(COUNT):
         message = JointState(
@@ -118,9 +112,13 @@ def call(
 ) -> Any:
     """A service's answer."""
     client = node.create_client(kind, name)
-    until(client.service_is_ready)
+    until(client.service_is_ready, f"service {name}")
     future = client.call_async(request)
-    until(future.done, lambda: executor.spin_once(timeout_sec=0.02))
+    until(
+        future.done,
+        f"the answer of {name}",
+        lambda: executor.spin_once(timeout_sec=0.02),
+    )
     node.destroy_client(client)
     return future.result()
 
@@ -171,6 +169,7 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     sent = states(plant, process)
     until(
         lambda: extra.get_subscription_count() > 0,
+        "the recorder to read the remarks",
         lambda: executor.spin_once(timeout_sec=0.02),
     )
     extra.publish(String(data="here"))
@@ -178,7 +177,11 @@ def test_every_sample_and_the_run_itself_are_in_the_bag(
     def parameters_are_there() -> bool:
         return file.exists() and b"parameters.plant" in file.read_bytes()
 
-    until(parameters_are_there, lambda: executor.spin_once(timeout_sec=0.02))
+    until(
+        parameters_are_there,
+        "the plant's parameters in the bag",
+        lambda: executor.spin_once(timeout_sec=0.02),
+    )
     code, errors = stop(process, number)
     executor.remove_node(plant)
     assert code == 0, errors
@@ -233,7 +236,7 @@ def test_a_killed_recorder_leaves_a_readable_bag(
     file = tmp_path / "run.mcap"
     process = start(file, "bag.compression:=none")
     states(plant, process)
-    until(lambda: file.exists() and b"q21" in file.read_bytes())
+    until(lambda: file.exists() and b"q21" in file.read_bytes(), "a state in the bag")
     process.kill()
     process.wait()
     with pytest.warns(UserWarning, match="last complete chunk"):
@@ -310,12 +313,14 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
             remarks.get_subscription_count() > 0
             and latched.get_subscription_count() > 0
         ),
+        "the recorder to read remarks and trajectories",
         lambda: executor.spin_once(timeout_sec=0.02),
     )
     latched.publish(MultiDOFJointTrajectory(joint_names=["end_effector"]))
     say("before")
     until(
         lambda: seen.get("recording") == "False",
+        lambda: f"the recorder to say that it stopped; it says {seen}",
         lambda: executor.spin_once(timeout_sec=0.02),
     )
     assert not file.exists()
@@ -336,6 +341,7 @@ def test_recordings_begin_and_end_on_call_and_each_is_a_bag_of_its_own(
         lambda: (
             seen.get("recording") == "True" and seen["parameters_missing"] == "none"
         ),
+        lambda: f"the recorder to say that it records; it says {seen}",
         lambda: executor.spin_once(timeout_sec=0.02),
     )
     changes = [
@@ -429,7 +435,10 @@ def away(publisher: Any, process: subprocess.Popen[str], file: Path, count: int)
             publisher.publish(message)
             sent += 1
 
-    until(lambda: publisher.get_subscription_count() > 0 or process.poll() is not None)
+    until(
+        lambda: publisher.get_subscription_count() > 0 or process.poll() is not None,
+        "the recorder to read the states",
+    )
 
     def repeat(frame: str) -> None:
         """Until a sample is there: a best-effort reader may have matched on one side
@@ -440,7 +449,11 @@ def away(publisher: Any, process: subprocess.Popen[str], file: Path, count: int)
             publish(1, frame)
             time.sleep(0.1)
 
-        until(lambda: file.exists() and frame.encode() in file.read_bytes(), more)
+        until(
+            lambda: file.exists() and frame.encode() in file.read_bytes(),
+            f"a state of frame {frame} in the bag",
+            more,
+        )
 
     repeat("#begin")
     process.send_signal(signal.SIGSTOP)
@@ -529,7 +542,10 @@ def test_a_recording_is_split_while_it_runs(
     publisher = plant.create_publisher(
         JointState, topics.JOINT_STATES.name, qos(topics.JOINT_STATES)
     )
-    until(lambda: publisher.get_subscription_count() > 0 or process.poll() is not None)
+    until(
+        lambda: publisher.get_subscription_count() > 0 or process.poll() is not None,
+        "the recorder to read the states",
+    )
     sent = 0
 
     def publish() -> None:
@@ -541,7 +557,7 @@ def test_a_recording_is_split_while_it_runs(
             sent += 1
         time.sleep(0.02)
 
-    until(lambda: len(list(folder.glob("run_*.mcap"))) >= 3, publish)
+    until(lambda: len(list(folder.glob("run_*.mcap"))) >= 3, "a third file", publish)
     code, errors = stop(process)
     assert code == 0, errors
     with Reader(folder) as reader:
@@ -596,7 +612,7 @@ def test_the_bags_folder_follows_the_stamp(
 ) -> None:
     process = start(tmp_path / "{stamp}" / "run.mcap")
     until(
-        lambda: list(tmp_path.glob("*/run.mcap"))
+        lambda: list(tmp_path.glob("*/run.mcap")), "a bag"
     )  # a signal before that ends a node that is still being made
     assert stop(process)[0] == 0
     [folder] = tmp_path.iterdir()
@@ -621,7 +637,7 @@ def test_a_bag_that_is_deleted_under_the_recorder_ends_the_recording_aloud(
     file = tmp_path / "run" / "run.mcap"
     process = start(file, "bag.sync_period:=0.1")
     states(plant, process)
-    until(file.exists)
+    until(file.exists, "a bag")
     shutil.rmtree(file.parent)
     _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1

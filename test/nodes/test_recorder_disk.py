@@ -18,6 +18,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
+from patience import PATIENCE
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rosbags.rosbag2 import Reader
@@ -29,7 +30,6 @@ from dextar_control.bags.recover import recover
 from dextar_control.contract import topics
 from dextar_control.nodekit.node import qos
 
-PATIENCE = 60.0  # s, on a busy machine; not a measurement
 RECORDER = (
     "import sys; from dextar_control.nodes.recorder import main;"
     " sys.exit(main(sys.argv[1:]))"

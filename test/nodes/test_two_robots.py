@@ -11,9 +11,10 @@ from collections.abc import Iterator
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from patience import PATIENCE
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rig import PATIENCE, start, stop
+from rig import start, stop
 
 from dextar_control.contract.resources import config_file
 from dextar_control.contract.topics import CLOCK, DIAGNOSTICS, SERVICES, TOPICS

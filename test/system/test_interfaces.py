@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rig import NODES, PATIENCE, start, stop
+from patience import PATIENCE
+from rig import NODES, start, stop
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from dextar_control.contract.topics import (

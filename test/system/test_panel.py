@@ -16,8 +16,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browser import PATIENCE, WIDTHS, Page
+from browser import WIDTHS, Page
 from no_robot import Nothing
+from patience import PATIENCE
 from rig import start, stop
 from tornado.websocket import websocket_connect
 

@@ -18,9 +18,10 @@ from xml.etree import ElementTree
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from patience import PATIENCE
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rig import PATIENCE, start, stop
+from rig import start, stop
 
 from dextar_control.check_rig.client import RigClient
 from dextar_control.contract.errors import ParameterError
